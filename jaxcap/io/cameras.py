@@ -36,7 +36,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
 
 
 @checked
-@reads("a calibration of cameras")
+@reads("a camera calibration")
 def read_cameras(path: str | Path) -> list[Camera]:
     """Read camera calibrations from JSON.
 
@@ -52,13 +52,13 @@ def read_cameras(path: str | Path) -> list[Camera]:
     content = read_json(path)
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
-        raise InputError(f"{path}: there is no list 'cameras' in it; give at least one camera there.")
+        raise InputError(f"{path}: the file has no list 'cameras'; write a list of at least one camera.")
     return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
 
 
 def _camera(row: object, where: str) -> Camera:
     if not isinstance(row, dict):
-        raise InputError(f"{where} is no object with keys; write its {', '.join((*_ARRAYS, *_SIZES))}.")
+        raise InputError(f"{where} is not an object with keys; write its {', '.join((*_ARRAYS, *_SIZES))}.")
     missing = [name for name in (*_ARRAYS, *_SIZES) if name not in row]
     if missing:
         raise InputError(f"{where} has no '{missing[0]}'; write its {', '.join((*_ARRAYS, *_SIZES))}.")
@@ -67,17 +67,17 @@ def _camera(row: object, where: str) -> Camera:
     for name, size in sizes.items():
         if not isinstance(size, int) or isinstance(size, bool) or size < LEAST_PIXELS:
             raise InputError(
-                f"{where} has {shortened(repr(size))} for '{name}'; give a whole number of pixels, at least {LEAST_PIXELS}."
+                f"{where}: '{name}' is {shortened(repr(size))}; expected a whole number of pixels, at least {LEAST_PIXELS}."
             )
     check_picture(sizes["width"], sizes["height"], where)
     turn = arrays["rotation"]
     if np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDED or np.linalg.det(turn) < 0:
         raise InputError(
-            f"{where} has a 'rotation' that is none: its rows must be three unit vectors at right angles, "
-            "and right-handed."
+            f"{where}: 'rotation' is not a rotation matrix; expected rows that are orthonormal and "
+            "right-handed."
         )
     if (arrays["focal"] <= 0).any():
-        raise InputError(f"{where} has a 'focal' that is not above zero; give focal lengths in pixels.")
+        raise InputError(f"{where}: 'focal' is not above zero; give focal lengths in pixels.")
     return Camera(**arrays, **sizes)
 
 
@@ -85,14 +85,14 @@ def _numbers(value: object, name: str, shape: tuple[int, ...], where: str) -> np
     try:
         numbers = np.asarray(value, float)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{where} has something else than numbers for '{name}'; write numbers.") from None
+        raise InputError(f"{where}: '{name}' is not an array of numbers; write numbers.") from None
     if name == "focal" and numbers.shape == ():
         numbers = np.tile(numbers, 2)
     if numbers.shape != shape:
         wanted = " x ".join(map(str, shape))
-        raise InputError(f"{where} has '{name}' of shape {numbers.shape}; it must be {wanted}.")
+        raise InputError(f"{where}: '{name}' has the shape {numbers.shape}; expected {wanted}.")
     if not (np.abs(numbers) <= LARGEST).all():
         raise InputError(
-            f"{where} has a number for '{name}' that is not finite, or too large; write finite numbers."
+            f"{where}: '{name}' contains a number that is not finite or too large; write finite numbers."
         )
     return numbers

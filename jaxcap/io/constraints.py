@@ -59,26 +59,28 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     content = read_json(path)
     found = content.get("format") if isinstance(content, dict) else None
     if found != KIND:
-        raise InputError(f'{path}: this is not a file of constraints; they begin with "format": "{KIND}".')
+        raise InputError(
+            f'{path}: this is not a file of constraints; expected "format": "{KIND}" at its beginning.'
+        )
     if content.get("version") != VERSION:
         raise InputError(
-            f"{path}: this file has version {shortened(repr(content.get('version')))}; this program reads version {VERSION}."
+            f"{path}: this file has version {shortened(repr(content.get('version')))}; expected version {VERSION}."
         )
     rows = content.get("constraints")
     if not isinstance(rows, list):
-        raise InputError(
-            f'{path}: there is no list of "constraints" in this file; write one, if an empty one.'
-        )
+        raise InputError(f'{path}: the file has no list "constraints"; write a list, which may be empty.')
     constraints = tuple(
         _constraint(row, f"{path}: constraint {number}") for number, row in enumerate(rows, 1)
     )
     count = content.get("vertices", len(body.vertices))
     if not isinstance(count, int):
-        raise InputError(f'{path}: "vertices" is {shortened(repr(count))}; give how many the body has.')
+        raise InputError(
+            f'{path}: "vertices" is {shortened(repr(count))}; give the number of vertices of the body.'
+        )
     if count != len(body.vertices) and any(not isinstance(one.point, str) for one in constraints):
         raise InputError(
-            f"{path}: these constraints are of a body with {count} vertices, and this one has {len(body.vertices)}; "
-            "give that body."
+            f"{path}: these constraints belong to a body with {count} vertices, and this body has {len(body.vertices)}; "
+            "give the right body."
         )
     _check(constraints, body, path)
     return constraints
@@ -97,10 +99,10 @@ def _constraint(row: Any, where: str) -> Constraint:
     strange = [name for name in row if name not in _FIELDS]
     if strange:
         raise InputError(
-            f"{where}: '{shortened(strange[0])}' is not known; a constraint has {', '.join(_FIELDS)}."
+            f"{where}: '{shortened(strange[0])}' is unknown; a constraint has {', '.join(_FIELDS)}."
         )
     if ("vertex" in row) == ("joint" in row):
-        raise InputError(f'{where}: give either a "vertex" or a "joint".')
+        raise InputError(f'{where}: expected either "vertex" or "joint"; give one of them.')
     point: Any = row.get("joint", row.get("vertex"))
     if "joint" in row and not isinstance(point, str):
         raise InputError(f"{where}: the joint is {shortened(repr(point))}; give its name.")

@@ -2,22 +2,22 @@
 
 _BLENDER = "open it in Blender and export it by File > Export > glTF 2.0 as .glb"
 _IMPORT = "export .glb from Blender (File > Import > {}, then File > Export > glTF 2.0, with its animation)"
-_CLOUD = "write it as .ply, by CloudCompare or `pcl_pcd2ply`"
-_UNPACK = "unpack it and give the files in it"
-_EXPORT = "export its markers as .c3d, or its skeleton as .bvh, from the program that recorded it"
-_VIDEO = "no pose is read from pictures; give clouds, meshes, depth as clouds, or markers"
+_CLOUD = "convert it to .ply with CloudCompare or `pcl_pcd2ply`"
+_UNPACK = "extract it and give the files in it"
+_EXPORT = "export its markers as .c3d or its skeleton as .bvh from the program that recorded it"
+_VIDEO = "poses are not estimated from images; give clouds, meshes, depth maps as clouds, or markers"
 
 #: images and pages, which are written but never read
 PICTURES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
 #: suffix -> the format to write instead
 INSTEAD: dict[str, str] = {
-    ".gltf": ".glb, which is the same in one file",
-    ".usd": ".usda as text or .usdc packed, which are the same",
-    ".fbx": ".glb, which Blender makes an .fbx of",
-    ".dae": ".glb, which Blender makes a .dae of",
-    ".vrm": ".glb, of which a .vrm is a kind",
-    ".amc": ".bvh, which holds a motion with its skeleton",
-    ".asf": ".skl, which holds a skeleton",
+    ".gltf": ".glb, which has the same content in one file",
+    ".usd": ".usda (text) or .usdc (binary), which have the same content",
+    ".fbx": ".glb, which Blender converts to .fbx",
+    ".dae": ".glb, which Blender converts to .dae",
+    ".vrm": ".glb, as .vrm is a form of it",
+    ".amc": ".bvh, which contains a motion and its skeleton",
+    ".asf": ".skl, which contains a skeleton",
 }
 #: suffix -> name of the format, and advice
 FOREIGN: dict[str, tuple[str, str]] = {
@@ -26,38 +26,38 @@ FOREIGN: dict[str, tuple[str, str]] = {
     ".dae": ("a Collada file", _IMPORT.format("Collada")),
     ".abc": ("an Alembic file", "in Blender, import it and write each frame as .ply or .obj"),
     ".3ds": ("a 3D Studio file", _BLENDER),
-    ".max": ("a file of 3ds Max", "export it as .glb or USD from 3ds Max"),
+    ".max": ("a 3ds Max file", "export it as .glb or USD from 3ds Max"),
     ".ma": ("a Maya file", "export it as USD from Maya"),
     ".mb": ("a Maya file", "export it as USD from Maya"),
-    ".vrm": ("a VRM file", "this is a .glb under another name: copy it to a name that ends in .glb"),
+    ".vrm": ("a VRM file", "it has the content of a .glb file: rename a copy of it to .glb"),
     ".x3d": ("an X3D file", _IMPORT.format("X3D")),
-    ".mvnx": ("a file of Xsens MVN", "export .bvh or .c3d from MVN"),
-    ".tak": ("a take of Motive", _EXPORT),
-    ".vsk": ("a subject of Vicon", _EXPORT),
-    ".x2d": ("raw data of Vicon", _EXPORT),
-    ".qtm": ("a file of Qualisys", _EXPORT),
-    ".mot": ("a motion of OpenSim", "export the markers as .trc"),
-    ".osim": ("a model of OpenSim", "export the markers as .trc"),
-    ".pcd": ("a point cloud of PCL", _CLOUD),
-    ".las": ("a point cloud of a laser scanner", _CLOUD),
-    ".laz": ("a point cloud of a laser scanner", _CLOUD),
-    ".e57": ("a point cloud of a laser scanner", _CLOUD),
+    ".mvnx": ("an Xsens MVN file", "export .bvh or .c3d from MVN"),
+    ".tak": ("a Motive take", _EXPORT),
+    ".vsk": ("a Vicon subject", _EXPORT),
+    ".x2d": ("raw Vicon data", _EXPORT),
+    ".qtm": ("a Qualisys file", _EXPORT),
+    ".mot": ("an OpenSim motion", "export the markers as .trc"),
+    ".osim": ("an OpenSim model", "export the markers as .trc"),
+    ".pcd": ("a PCL point cloud", _CLOUD),
+    ".las": ("a laser-scanner point cloud", _CLOUD),
+    ".laz": ("a laser-scanner point cloud", _CLOUD),
+    ".e57": ("a laser-scanner point cloud", _CLOUD),
     ".pts": ("a point cloud as text", _CLOUD),
     ".xyz": ("a point cloud as text", _CLOUD),
-    ".npy": ("a single array", "write it as .npz with its name: numpy.savez('clouds.npz', points=array)"),
-    ".pkl": ("a pickle", "a pickle can run code, so write its arrays by numpy.savez"),
-    ".mat": ("a file of MATLAB", "write its arrays by numpy.savez as .npz"),
-    ".h5": ("an HDF5 file", "write its arrays by numpy.savez as .npz"),
-    ".hdf5": ("an HDF5 file", "write its arrays by numpy.savez as .npz"),
+    ".npy": ("a single array", "write it as a named array in an .npz: numpy.savez('clouds.npz', points=array)"),
+    ".pkl": ("a pickle", "a pickle can run code, so write its arrays with numpy.savez"),
+    ".mat": ("a MATLAB file", "write its arrays as .npz with numpy.savez"),
+    ".h5": ("an HDF5 file", "write its arrays as .npz with numpy.savez"),
+    ".hdf5": ("an HDF5 file", "write its arrays as .npz with numpy.savez"),
     ".zip": ("an archive", _UNPACK),
     ".gz": ("an archive", _UNPACK),
     ".7z": ("an archive", _UNPACK),
     ".rar": ("an archive", _UNPACK),
     ".tar": ("an archive", _UNPACK),
-    ".bag": ("a recording of ROS", "write its clouds as .ply files"),
+    ".bag": ("a ROS recording", "write its clouds as .ply files"),
     ".mkv": ("a video", _VIDEO),
     ".mp4": ("a video", _VIDEO),
     ".mov": ("a video", _VIDEO),
     ".avi": ("a video", _VIDEO),
-    ".exr": ("a picture", _VIDEO),
+    ".exr": ("an image", _VIDEO),
 }

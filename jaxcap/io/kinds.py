@@ -18,17 +18,17 @@ from .text import read_json, shortened
 WORDS = {
     "body": "a body",
     "motion": "a motion",
-    "amass": "a motion in the manner of AMASS",
+    "amass": "a motion in AMASS format",
     "subject": "a subject with its markers",
     "limits": "a file of joint limits",
-    "prior": "a prior of poses",
-    "checkpoint": "a checkpoint of a run that was stopped",
+    "prior": "a pose prior",
+    "checkpoint": "a checkpoint of an unfinished run",
     "keys": "a file of keys",
     "meshes": "a file of registered meshes",
-    "clouds": "a file of clouds",
+    "clouds": "a file of point clouds",
     "joints": "a file of joint centres",
-    "arrays": "an unmarked file of other arrays",
-    "damaged": "no whole .npz file",
+    "arrays": "an .npz file with unknown arrays",
+    "damaged": "an incomplete or damaged .npz file",
     "skinned": "a skinned body",
     "usd": "a USD file",
     "mesh": "a mesh or a cloud",
@@ -36,63 +36,63 @@ WORDS = {
     "bvh": "a motion with its skeleton (BVH)",
     "asf": "a skeleton with joint limits (ASF)",
     "amc": "a motion (AMC)",
-    "skl": "a skeleton of Kineben (.skl)",
-    "cst": "a file of Kineben's joint limits (.cst)",
-    "vj": "a file that says which joint moves each vertex (.vj)",
-    "markers": "a file of markers",
+    "skl": "a Kineben skeleton (.skl)",
+    "cst": "a file of Kineben joint limits (.cst)",
+    "vj": "a file with the joint of each vertex (.vj)",
+    "markers": "a marker file",
     "statistics": "the statistics of a tracking run",
-    "cameras": "a file of cameras",
+    "cameras": "a file of camera calibrations",
     "constraints": "a file of constraints for `jaxcap ik`",
     "scan": "the settings of a scan",
-    "joint names": "a table of joints that match",
+    "joint names": "a table of matching joints",
     "report": "a report",
-    "json": "a JSON file of another kind",
+    "json": "a JSON file of unknown content",
     "text": "a text file",
     "journal": "the journal of a tracking run",
     "run": "the folder of a tracking run",
     "scans": "a folder of scans",
     "folder": "a folder",
-    "picture": "a picture or a page",
+    "picture": "an image or a document",
 }
 #: the plurals of `WORDS`
 MANY = {
     "body": "bodies",
     "motion": "motions",
-    "amass": "motions in the manner of AMASS",
+    "amass": "motions in AMASS format",
     "subject": "subjects with their markers",
     "limits": "files of joint limits",
-    "prior": "priors of poses",
-    "checkpoint": "checkpoints of runs that were stopped",
+    "prior": "pose priors",
+    "checkpoint": "checkpoints of unfinished runs",
     "keys": "files of keys",
     "meshes": "files of registered meshes",
-    "clouds": "files of clouds",
+    "clouds": "files of point clouds",
     "joints": "files of joint centres",
-    "arrays": "unmarked files of other arrays",
-    "damaged": "files that are no whole .npz",
+    "arrays": ".npz files with unknown arrays",
+    "damaged": "incomplete or damaged .npz files",
     "skinned": "skinned bodies",
     "usd": "USD files",
     "mesh": "meshes or clouds",
     "rigged": "meshes with their skeletons (.skl) and parts (.vj)",
-    "joint names": "tables of joints that match",
+    "joint names": "tables of matching joints",
     "bvh": "motions with their skeletons (BVH)",
     "asf": "skeletons with joint limits (ASF)",
     "amc": "motions (AMC)",
-    "skl": "skeletons of Kineben (.skl)",
-    "cst": "files of Kineben's joint limits (.cst)",
-    "vj": "files that say which joint moves each vertex (.vj)",
-    "markers": "files of markers",
+    "skl": "Kineben skeletons (.skl)",
+    "cst": "files of Kineben joint limits (.cst)",
+    "vj": "files with the joint of each vertex (.vj)",
+    "markers": "marker files",
     "statistics": "statistics of tracking runs",
-    "cameras": "files of cameras",
+    "cameras": "files of camera calibrations",
     "constraints": "files of constraints for `jaxcap ik`",
     "scan": "settings of scans",
     "report": "reports",
-    "json": "JSON files of another kind",
+    "json": "JSON files of unknown content",
     "text": "text files",
     "journal": "journals of tracking runs",
     "run": "folders of tracking runs",
     "scans": "folders of scans",
     "folder": "folders",
-    "picture": "pictures or pages",
+    "picture": "images or documents",
 }
 #: names of formats in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
@@ -164,12 +164,12 @@ def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputE
     path = split_clip(path)[0]
     suffix, known = path.suffix.lower(), ", ".join(suffixes)
     if path.is_dir():
-        return InputError(f"{path}: this is a folder, where {wanted} is expected; {_inside(path, suffixes)}.")
+        return InputError(f"{path}: this is a folder; expected {wanted}; {_inside(path, suffixes)}.")
     if not path.exists():
         if path.name.split(":")[0] == "human":
             return InputError(
-                f"{path}: this is the embedded body, where {wanted} is expected: {known}; `jaxcap convert {path} body.npz` makes a "
-                "file of it."
+                f"{path}: this is the embedded body; expected {wanted} ({known}); write the body to a file with "
+                f"`jaxcap convert {path} body.npz`."
             )
         return InputError(f"{path}: there is no such file; check the path.")
     if suffix in FOREIGN:
@@ -177,11 +177,9 @@ def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputE
         return InputError(f"{path}: this is {what}, which is not read; {instead}.")
     kind = identify(path)
     if kind is None:
-        named = f"files that end in '{path.suffix}' are not known" if suffix else "its name has no suffix"
-        return InputError(f"{path}: {named}; {wanted} is expected: {known}.")
-    return InputError(
-        f"{path}: this is {WORDS[kind]}, where {wanted} is expected: {known}; {what_for(path)}."
-    )
+        named = f"the suffix '{path.suffix}' is unknown" if suffix else "the name has no suffix"
+        return InputError(f"{path}: {named}; expected {wanted}: {known}.")
+    return InputError(f"{path}: this is {WORDS[kind]}; expected {wanted}: {known}; {what_for(path)}.")
 
 
 def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
@@ -211,21 +209,21 @@ def wrong_arrays(path: str | Path, lacking: str) -> InputError:
     kind = kind_of_arrays(names, kind_of(path))
     there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
     return InputError(
-        f"{path}: this is {WORDS[kind]}, {lacking}; it holds {there or 'nothing'}; {what_for(path)}."
+        f"{path}: this is {WORDS[kind]}, {lacking}; it contains {there or 'no arrays'}; {what_for(path)}."
     )
 
 
 def what_for(path: str | Path) -> str:
     """Return a sentence on how to find the purpose of a file."""
-    return f"`jaxcap info {shlex.quote(str(path))}` says what it is for"
+    return f"`jaxcap info {shlex.quote(str(path))}` describes its use"
 
 
 def _inside(folder: Path, suffixes: Sequence[str]) -> str:
     """Return advice for a user who gave a folder instead of a file."""
     fits = sorted({p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in suffixes})
     if fits:
-        return f"name the files in it, as in {shlex.quote(str(folder))}/*{fits[0]}"
-    return f"give a file, {', '.join(suffixes)}; there is none in this folder"
+        return f"give the files in it, such as {shlex.quote(str(folder))}/*{fits[0]}"
+    return f"give a file ({', '.join(suffixes)}), as the folder contains none"
 
 
 def _npz(path: Path) -> str:

@@ -173,8 +173,8 @@ def clip_sentence(path: str | Path) -> str | None:
     if len(clips) < 2 or split_clip(path)[1] is not None:
         return None
     return (
-        f"{path}: there are {len(clips)} clips in this file, {', '.join(clips)}; '{clips[0]}' is taken; name another one "
-        f"behind a colon, as in {path}:{clips[1]}"
+        f"{path}: the file contains {len(clips)} clips, {', '.join(clips)}; '{clips[0]}' is read; select another one "
+        f"with a colon, as in {path}:{clips[1]}"
     )
 
 
@@ -208,8 +208,8 @@ def read_body(
         raise no_skin(file)
     if skeleton is None or parts is None:
         raise InputError(
-            f"{path}: a mesh is a body only with a skeleton (.skl) and the joint of each vertex (.vj); give these, or rig it "
-            f"with `jaxcap rig {path} -o body.npz`."
+            f"{path}: this is a mesh without a rig; expected a skeleton (.skl) and the joint of each vertex (.vj); give "
+            f"these files, or rig the mesh with `jaxcap rig {path} -o body.npz`."
         )
     mesh = read_mesh(file, unit)
     check_mesh(mesh, path)
@@ -268,7 +268,7 @@ def read_marker_file(path: str | Path, unit: str | float | None = None) -> Marke
 
     `unit` and other errors are as in `read_markers`.
     """
-    return _of(MARKER_READERS, path, "a file of markers")(Path(path), unit)
+    return _of(MARKER_READERS, path, "a marker file")(Path(path), unit)
 
 
 @checked
@@ -314,14 +314,14 @@ def _read_animation(path: Path) -> tuple[Skeleton, Motion]:
         body, motion = read_skinned(path)
         skeleton = body.skeleton
     if motion is None:
-        raise InputError(f"{path}: there is no animation in this file; export it with one.")
+        raise InputError(f"{path}: the file contains no animation; export it with its animation.")
     return skeleton, motion
 
 
 def _read_own(path: Path) -> tuple[Skeleton, Motion]:
     arrays = load_kind(path, "jaxcap motion")
     if "names" not in arrays:
-        raise InputError(f"{path}: this motion does not say its skeleton; save it with that.")
+        raise InputError(f"{path}: this motion was saved without its skeleton; save it with its skeleton.")
     return skeleton_of(arrays, path), motion_of(arrays, path)
 
 
@@ -339,7 +339,7 @@ def _asf_of(path: Path) -> Path:
     fits = [asf for asf in folder.glob("*.asf") if path.stem.startswith(asf.stem)] if folder.is_dir() else []
     if not fits:
         raise InputError(
-            f"{path}: there is no .asf file in its folder whose name it begins with; put its skeleton there, such as "
+            f"{path}: the skeleton of this motion is missing; copy its .asf file into the same folder, with a name such as "
             f"{path.stem}.asf."
         )
     return max(fits, key=lambda found: len(found.stem))

@@ -33,10 +33,10 @@ def unit_scale(unit: str | float) -> float:
         unit = float(unit)
     except (TypeError, ValueError):
         raise InputError(
-            f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one, as 0.0564."
+            f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one unit, such as 0.0564."
         ) from None
     if not (math.isfinite(unit) and unit > 0):
-        raise InputError(f"{unit} metres cannot be a unit of length; give a number above zero.")
+        raise InputError(f"{unit} metres is not a unit of length; give a number above zero.")
     return float(unit)
 
 
@@ -63,7 +63,7 @@ def read_text(path: str | Path) -> str:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
     except ValueError:
-        raise InputError(f"{str(path)!r}: no file can have this name; check the path.") from None
+        raise InputError(f"{str(path)!r}: this is not a valid file name; check the path.") from None
     if b"\0" in raw[:4096]:
         raise InputError(f"{path}: this is a binary file; give a text file.")
     try:
@@ -92,12 +92,10 @@ def parse_floats(words: list[str], where: str, what: str) -> list[float]:
             numbers.append(float("" if "_" in word else word))
         except ValueError:
             raise InputError(
-                f"{where}: '{shortened(word)}' in {what} is not a number; write a number there."
+                f"{where}: '{shortened(word)}' in {what} is not a number; write a number."
             ) from None
         if not math.isfinite(numbers[-1]):
-            raise InputError(
-                f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number there."
-            )
+            raise InputError(f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number.")
         if abs(numbers[-1]) > LARGEST:
             raise InputError(
                 f"{where}: '{shortened(word)}' in {what} is too large; write a number of at most {LARGEST:g}."
@@ -126,7 +124,7 @@ def parse_int(word: str, where: str, what: str) -> int:
         number = int("" if "_" in word else word)
     except ValueError:
         raise InputError(
-            f"{where}: '{shortened(word)}' for {what} is not a whole number; write one there."
+            f"{where}: '{shortened(word)}' for {what} is not a whole number; write a whole number."
         ) from None
     if abs(number) >= 10**18:
         raise InputError(
@@ -144,7 +142,7 @@ def check_rate(rate: float, where: str) -> float:
     """Check a frame rate and return it. Raises `InputError`, which begins with `where`."""
     if not RATES[0] <= rate <= RATES[1]:
         raise InputError(
-            f"{where}: {rate} frames per second cannot be a rate; give a number above zero, from {RATES[0]:g} to {RATES[1]:g}."
+            f"{where}: the rate is {rate} frames per second; expected a number from {RATES[0]:g} to {RATES[1]:g}."
         )
     return float(rate)
 
@@ -164,14 +162,18 @@ def parse_json(text: str | bytes, where: str | Path) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(
-            f"{where}:{error.lineno}: this is not JSON ({error.msg}); correct it there."
+            f"{where}:{error.lineno}: this is not JSON ({error.msg}); correct this line."
         ) from None
     except UnicodeDecodeError:
-        raise InputError(f"{where}: this is not JSON, which is text in UTF-8; write it anew.") from None
+        raise InputError(
+            f"{where}: this is not JSON, which is text in UTF-8; write the file again."
+        ) from None
     except RecursionError:
-        raise InputError(f"{where}: this JSON is nested too deeply; write it flat.") from None
+        raise InputError(f"{where}: this JSON is nested too deeply; write it with fewer levels.") from None
     except ValueError:
-        raise InputError(f"{where}: this JSON has numbers of too many digits; write shorter ones.") from None
+        raise InputError(
+            f"{where}: this JSON has numbers of too many digits; write shorter numbers."
+        ) from None
 
 
 class Words:
@@ -196,7 +198,7 @@ class Words:
     def take(self, what: str) -> str:
         """Return the next word; `what` names it in the error at the end of the file."""
         if not self.left:
-            raise InputError(f"{self.where}: the file ends where {what} belongs; it is cut short.")
+            raise InputError(f"{self.where}: the file ends before {what}; it is cut short.")
         self._at += 1
         return self._words[self._at - 1][1]
 
@@ -209,6 +211,6 @@ class Words:
         word = self.take(keyword)
         if word.upper() != keyword:
             raise InputError(
-                f"{self.where}: '{shortened(word)}' stands where {keyword} belongs, with which such a file begins; give another file."
+                f"{self.where}: the file begins with '{shortened(word)}'; expected {keyword}; give another file."
             )
-        return parse_int(self.take("a number"), self.where, f"the number behind {keyword}")
+        return parse_int(self.take("a number"), self.where, f"the number after {keyword}")

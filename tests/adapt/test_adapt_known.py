@@ -75,7 +75,7 @@ def test_nothing_is_read_twice(scene, known, folder, monkeypatch):
     assert load_priors(folder / "body.npz", scene[0], shape=False).shape is None
     alone = load_priors(folder / "other.npz", scene[0])
     assert alone.boxes is None and alone.shape is None
-    with pytest.raises(jc.InputError, match="no pose prior in this file"):
+    with pytest.raises(jc.InputError, match="the file contains no pose prior"):
         load_priors(folder / "plain.npz", scene[0])
 
 

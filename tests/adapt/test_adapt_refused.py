@@ -106,14 +106,14 @@ def test_scans_that_cannot_be_used_are_named(folder, scene, capsys):
     found, digests = check_input(scans, template)
     assert list(found) == [2, 4]
     assert len(set(digests)) == FRAMES
-    assert "scan_0002.ply: there are no points in it" in found[2]
+    assert "scan_0002.ply: it has no points" in found[2]
     assert "scan_0004.ply is" in found[4] and "millimetres" in found[4]
     (folder / "scan_0001.ply").write_bytes(b"")
     write_scan(folder, 3, points[:5], normals[:5])
     told = fails(capsys, *words(folder))
     assert "4 of 6 scans cannot be used" in told and "scan_0001.ply" in told
     write_scan(folder, 0, points[:0], normals[:0])
-    assert "scan_0000.ply: there are no points in it" in fails(capsys, *words(folder))
+    assert "scan_0000.ply: it has no points" in fails(capsys, *words(folder))
     assert not list(folder.glob("a*"))
 
 
@@ -320,5 +320,5 @@ def test_a_prior_of_another_skeleton(scene, folder, capsys):
     )
     jc.io.save_prior(folder / "prior.npz", prior)
     told = fails(capsys, *words(folder, "--prior", folder / "prior.npz"))
-    assert "prior.npz: this prior is of another skeleton: there is no joint 'other" in told
-    assert "learn one for this skeleton" in told
+    assert "prior.npz: this prior belongs to another skeleton: there is no joint 'other" in told
+    assert "learn a prior for this skeleton" in told

@@ -97,7 +97,7 @@ def test_what_is_wrong_is_told_in_a_sentence(folder, capsys):
             "vertex 77, but the body has vertices 0 to 2",
         ),
         ([leg, "--pose", near, "--constraints", near, "-o", out], "near.json"),
-        ([leg, "--prior", leg, "--constraints", near, "-o", out], "there is no pose prior"),
+        ([leg, "--prior", leg, "--constraints", near, "-o", out], "the file contains no pose prior"),
         ([leg, "--limits", leg, "--constraints", near, "-o", out], "leg.npz"),
     ]
     for arguments, sentence in wrong:

@@ -92,7 +92,7 @@ def test_files_of_a_folder_are_counted_in_english(tmp_path, capsys):
         write_bvh(tmp_path / f"{number}.bvh", body.skeleton, motion)
     write_skl(tmp_path / "one.skl", body.skeleton)
     told = runs(capsys, "info", tmp_path).splitlines()
-    assert told[:2] == ["3 motions with their skeletons (BVH)", "a skeleton of Kineben (.skl)"]
+    assert told[:2] == ["3 motions with their skeletons (BVH)", "a Kineben skeleton (.skl)"]
     assert runs(capsys, "info", tmp_path / "0.bvh").startswith("motion: 1 frame at 30 frames per second")
     assert set(MANY) == set(WORDS)
 

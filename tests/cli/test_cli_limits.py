@@ -130,7 +130,7 @@ def test_what_is_refused(capsys, folder, learned, tmp_path):
     other = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), [[0.0, 1, 0], [0.2, 1.4, 0]])
     jc.save_motion(tmp_path / "other.npz", jc.stack_poses([jc.rest_pose(other)]), other)
     told = fails(capsys, "limits", "check", tmp_path / "other.npz", "-l", learned)
-    assert "limits are of another skeleton: there is no joint 'shoulder' among a, b" in told
+    assert "limits belong to another skeleton: 'shoulder' is not among the joints a, b" in told
     assert "not written as '.fbx'" in fails(
         capsys, "limits", "project", m, "-l", learned, "-o", tmp_path / "x.fbx"
     )
@@ -154,7 +154,7 @@ def test_a_damaged_file_is_told(capsys, folder, learned, tmp_path):
     arrays["1.centres"] = arrays["1.centres"][:, :3]
     np.savez(tmp_path / "damaged.npz", **arrays)
     told = fails(capsys, "limits", "check", folder / "m0.npz", "-l", tmp_path / "damaged.npz")
-    assert "the limits of 'elbow' do not fit together" in told
+    assert "the limits of 'elbow' have inconsistent shapes" in told
 
 
 @pytest.mark.shared

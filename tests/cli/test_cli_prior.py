@@ -106,7 +106,7 @@ def test_what_is_refused(capsys, folder, tmp_path):
     told = fails(capsys, "prior", "learn", still, "--body", folder / "body.npz", "-o", out)
     assert str(still) in told
     assert "There are 2 poses" in fails(capsys, "prior", "learn", still, "-o", out)
-    assert "no pose prior in this file" in fails(capsys, "prior", "info", folder / "body.npz")
+    assert "the file contains no pose prior" in fails(capsys, "prior", "info", folder / "body.npz")
     assert "not a 'jaxcap prior'" in fails(capsys, "prior", "info", m)
     assert not out.exists()
 

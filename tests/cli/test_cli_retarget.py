@@ -80,10 +80,10 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, tmp_pat
     ("text", "said"),
     [
         ("{", "names.json:1: this is not JSON"),
-        ('{"a": 1}', "'a' leads to 1"),
-        ('{"a": "b", "a": "c"}', "'a' stands twice"),
+        ('{"a": 1}', "'a' is mapped to 1"),
+        ('{"a": "b", "a": "c"}', "'a' occurs twice"),
         ('{"format": "other", "names": {}}', "this is 'other' of version None"),
-        ("[]", "there is no table of joints"),
+        ("[]", "the file has no table of joints"),
         ("[" * 100000, "nested too deeply"),
     ],
 )

@@ -129,7 +129,7 @@ def test_files_as_a_shell_makes_of_a_glob(inputs, tmp_path, capsys):
     ]
     assert told[0] == told[1]
     line = fails(capsys, "track", body, *files, inputs / "clouds.npz", "-o", tmp_path / "none")
-    assert "clouds.npz: an .npz is a sequence by itself" in line
+    assert "clouds.npz: an .npz contains a whole sequence" in line
     assert "No clouds were given" in fails(capsys, "track", body, "-o", tmp_path / "none")
 
 

@@ -110,14 +110,14 @@ def test_calibrations_come_in_again(tmp_path):
     [
         ("rotation", None, "camera 1 has no 'rotation'"),
         ("height", None, "camera 1 has no 'height'"),
-        ("translation", [0, float("nan"), 1], "'translation' that is not finite"),
-        ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "'rotation' that is none"),
-        ("rotation", [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "'rotation' that is none"),
-        ("translation", [0, 1], r"'translation' of shape \(2,\); it must be 3"),
-        ("principal_point", "middle", "something else than numbers for 'principal_point'"),
-        ("focal", [-300, 300], "'focal' that is not above zero"),
-        ("width", 3, "3 for 'width'"),
-        ("width", 320.5, "320.5 for 'width'"),
+        ("translation", [0, float("nan"), 1], "'translation' contains a number that is not finite"),
+        ("rotation", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "'rotation' is not a rotation matrix"),
+        ("rotation", [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "'rotation' is not a rotation matrix"),
+        ("translation", [0, 1], r"'translation' has the shape \(2,\); expected 3"),
+        ("principal_point", "middle", "'principal_point' is not an array of numbers"),
+        ("focal", [-300, 300], "'focal' is not above zero"),
+        ("width", 3, "'width' is 3"),
+        ("width", 320.5, "'width' is 320.5"),
     ],
 )
 def test_wrong_calibrations_are_told(tmp_path, key, value, told):
@@ -131,7 +131,7 @@ def test_wrong_calibrations_are_told(tmp_path, key, value, told):
 
 def test_files_that_are_no_calibrations_are_told(tmp_path):
     for text, told in (("{", "not JSON"), ("[]", "no list 'cameras'"), ('{"cameras": []}', "no list"),
-                       ('{"cameras": [3]}', "camera 0 is no object")):  # fmt: skip
+                       ('{"cameras": [3]}', "camera 0 is not an object")):  # fmt: skip
         (tmp_path / "c.json").write_text(text)
         with pytest.raises(InputError, match=told):
             read_cameras(tmp_path / "c.json")

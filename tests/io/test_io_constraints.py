@@ -62,8 +62,8 @@ ROW = {"vertex": 1, "target": [0, 0, 0]}
         ([ROW, {"joint": 2, "target": [0, 0, 0]}], "constraint 2: the joint is 2; give its name"),
         ([{"vertex": 1.5, "target": [0, 0, 0]}], "the vertex is 1.5; give its index"),
         ([{"vertex": True, "target": [0, 0, 0]}], "the vertex is True; give its index"),
-        ([{"target": [0, 0, 0]}], 'give either a "vertex" or a "joint"'),
-        ([{**ROW, "joint": "hip"}], 'give either a "vertex" or a "joint"'),
+        ([{"target": [0, 0, 0]}], 'expected either "vertex" or "joint"'),
+        ([{**ROW, "joint": "hip"}], 'expected either "vertex" or "joint"'),
         (
             [{**ROW, "target": [0, 0]}],
             'constraint 1 (vertex 1): the "target" is [0, 0]; give 3 finite numbers',
@@ -79,9 +79,9 @@ ROW = {"vertex": 1, "target": [0, 0, 0]}
             [{"joint": "hip", "target": [0, 0, 0], "orientation": [0, 0, 0, 0]}],
             "give a quaternion w, x, y, z",
         ),
-        ([{**ROW, "wieght": 2}], "'wieght' is not known; a constraint has vertex, joint, target"),
+        ([{**ROW, "wieght": 2}], "'wieght' is unknown; a constraint has vertex, joint, target"),
         ([7], "constraint 1: this is not a constraint"),
-        ("all", 'there is no list of "constraints"'),
+        ("all", 'the file has no list "constraints"'),
     ],
 )
 def test_a_wrong_row_is_told(rows, sentence, tmp_path):
@@ -99,11 +99,11 @@ def test_a_wrong_row_is_told(rows, sentence, tmp_path):
         ("[" * 100_000, "nested too deeply"),
         ('{"version": 1' + "0" * 5000 + "}", "numbers of too many digits"),
         ("[1, 2]", "this is not a file of constraints"),
-        ('{"format": "jaxcap constraints", "version": 2}', "has version 2; this program reads version 1"),
+        ('{"format": "jaxcap constraints", "version": 2}', "has version 2; expected version 1"),
         (
             '{"format": "jaxcap constraints", "version": 1, "vertices": 9, "constraints": '
             '[{"vertex": 1, "target": [0, 0, 0]}]}',
-            "are of a body with 9 vertices, and this one has 4",
+            "belong to a body with 9 vertices, and this body has 4",
         ),
     ],
 )

@@ -81,7 +81,7 @@ def test_what_is_read(folder, uri, content):
 def test_what_is_outside(folder, uri):
     absolute = str(folder.parent / "secret.bin")
     uri = uri.format(absolute=absolute, encoded=quote(absolute, safe=""))
-    with pytest.raises(InputError, match=r"mesh.gltf: it names '.*', which is outside of its folder"):
+    with pytest.raises(InputError, match=r"mesh.gltf: it refers to '.*', which is outside of its folder"):
         read_inside(folder / "mesh.gltf", uri)
 
 
@@ -89,7 +89,7 @@ def test_what_is_outside(folder, uri):
     "uri", ["none.bin", "", ".", "parts", "a.bin\0.png", "loop.bin", "n" * 5000, "data", "a.bin/x"]
 )
 def test_what_is_not_there(folder, uri):
-    with pytest.raises(InputError, match="there is no such file next to it"):
+    with pytest.raises(InputError, match="there is no such file in its folder"):
         read_inside(folder / "mesh.gltf", uri)
 
 

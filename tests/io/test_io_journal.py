@@ -68,7 +68,7 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
     with (
-        pytest.warns(UserWarning, match=r"record 2, .* the 2 behind it are made anew; journal.damaged"),
+        pytest.warns(UserWarning, match=r"record 2, .* the 2 records after it are computed again.* journal.damaged"),
         resume_journal(path, HEADER, 7) as journal,
     ):
         assert same(journal.read(), records[:2])
@@ -105,7 +105,7 @@ def test_a_full_disk_names_the_journal(tmp_path, records):
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     last = done.stderr.strip().splitlines()[-1]
-    assert f"{path}: record 1 cannot be written (File too large); free some space there" in last
+    assert f"{path}: record 1 cannot be written (File too large); free some disk space" in last
     assert path.stat().st_size == size + 90
     with resume_journal(path, HEADER, 7) as journal:
         assert same(journal.read(), np.arange(7.0)[None])

@@ -130,7 +130,7 @@ def test_second_run_is_refused_until_the_first_dies(tmp_path, holder):
     """The number in the sentence is that of the process; SIGKILL frees the lock, and what it left is removed."""
     first = holder(tmp_path)
     with (
-        pytest.raises(InputError, match=f"another run \\(process {first.pid}\\) writes here"),
+        pytest.raises(InputError, match=f"another run \\(process {first.pid}\\) writes to this output"),
         run_lock(tmp_path),
     ):
         pass
@@ -165,7 +165,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
     monkeypatch.setattr(fcntl, "flock", no_locks)
     left = tmp_path / ".b.npz.abcdefgh.unfinished"
     left.mkdir()
-    with pytest.warns(UserWarning, match="has no locks; let no second run"), run_lock(tmp_path):
+    with pytest.warns(UserWarning, match="has no locks; do not start another run"), run_lock(tmp_path):
         write_text(tmp_path / "a.txt", "text")
     assert sorted(os.listdir(tmp_path)) == [left.name, "a.txt"]
 
@@ -212,6 +212,6 @@ def test_threads_exclude_each_other(tmp_path):
 def test_lock_does_not_follow_links(tmp_path):
     (tmp_path / "victim").write_text("mine")
     (tmp_path / ".jaxcap.lock").symlink_to(tmp_path / "victim")
-    with pytest.raises(InputError, match="lock of this run cannot be made"), run_lock(tmp_path):
+    with pytest.raises(InputError, match="lock of this run cannot be created"), run_lock(tmp_path):
         pass
     assert (tmp_path / "victim").read_text() == "mine"

@@ -92,10 +92,10 @@ def rewrite(path, drop=(), **changes):
     ("damage", "said"),
     [
         (lambda p: p.write_text("hello"), "not an .npz file"),
-        (lambda p: p.write_bytes(p.read_bytes()[:300]), "not a whole .npz"),
+        (lambda p: p.write_bytes(p.read_bytes()[:300]), "this .npz file is incomplete"),
         (lambda p: p.write_bytes(b""), "not an .npz file"),
         (lambda p: rewrite(p, vertices=np.array([{}], dtype=object)), "pickled"),
-        (lambda p: np.savez(p, a=np.ones(3)), "unmarked file"),
+        (lambda p: np.savez(p, a=np.ones(3)), "unknown arrays"),
         (
             lambda p: (np.save(p.with_suffix(".npy"), np.ones(3)), p.with_suffix(".npy").replace(p)),
             "single array",
@@ -105,18 +105,18 @@ def rewrite(path, drop=(), **changes):
         (lambda p: rewrite(p, centres=np.ones((2, 3))), r"'centres' has the shape \(2, 3\)"),
         (lambda p: rewrite(p, parents=np.array([1, 2, 0])), "cycle"),
         (lambda p: rewrite(p, faces=np.array([[0, 1, 7]])), "vertex 7"),
-        (lambda p: rewrite(p, skin=np.array("rubber")), "'rubber' is not known"),
-        (lambda p: rewrite(p, **{"skin.weights": np.ones((5, 4))}), "for other bones"),
+        (lambda p: rewrite(p, skin=np.array("rubber")), "'rubber' is unknown"),
+        (lambda p: rewrite(p, **{"skin.weights": np.ones((5, 4))}), "has 4 bones and the skeleton 3"),
         (
             lambda p: rewrite(p, vertices=np.array([[np.nan] * 3] * 5)),
             "'vertices' has numbers that are not finite, first in vertex 0",
         ),
         (
             lambda p: rewrite(p, **{"skin.weights": np.tile([1.5, -0.5, 0.0], (5, 1))}),
-            "follows bone 1 .* -0.5, below zero",
+            "weight of bone 1 .* -0.5; expected weights",
         ),
-        (lambda p: rewrite(p, **{"skin.weights": np.zeros((5, 3))}), "weights of vertex 0 add up to 0;"),
-        (lambda p: (p.unlink(), p.mkdir()), "this is a folder, where a body is expected"),
+        (lambda p: rewrite(p, **{"skin.weights": np.zeros((5, 3))}), "weights of vertex 0 sum to 0;"),
+        (lambda p: (p.unlink(), p.mkdir()), "this is a folder; expected a body"),
         (lambda p: p.unlink(), "no such file"),
     ],
 )
@@ -135,8 +135,8 @@ def test_a_wrong_file_is_told(bodies, tmp_path, damage, said):
             {"translations": np.array([np.zeros((2, 3)), np.full((2, 3), np.inf)])},
             "'translations' .* frame 1",
         ),
-        ({"rotations": np.zeros((2, 2, 4))}, "quaternions of no length"),
-        ({"rotations": np.full((2, 2, 4), "1")}, "'rotations' holds other than numbers"),
+        ({"rotations": np.zeros((2, 2, 4))}, "zero quaternions"),
+        ({"rotations": np.full((2, 2, 4), "1")}, "'rotations' has the type <U1; expected numbers"),
         ({"rate": np.array(0.0)}, r"the rate is 0\.0"),
     ],
 )

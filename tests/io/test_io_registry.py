@@ -56,7 +56,7 @@ def test_a_body_of_kinebens_files(skeleton, tmp_path):
     # files of its name beside it need not be given
     np.testing.assert_array_equal(read_body(tmp_path / "a.off", unit="cm").skin.parts(), bones)
     (tmp_path / "a.vj").unlink()
-    with pytest.raises(InputError, match="only with a skeleton"):
+    with pytest.raises(InputError, match="expected a skeleton"):
         read_body(tmp_path / "a.off")
 
 
@@ -75,16 +75,16 @@ def _touched(path):
         (lambda p, s, m: write_motion(p / "a.amc", s, m), r"not written as '\.amc'"),
         (
             lambda p, s, m: read_skeleton(_touched(p / "a")),
-            r"its name has no suffix; a skeleton is expected: \.skl, \.bvh",
+            r"the name has no suffix; expected a skeleton: \.skl, \.bvh",
         ),
-        (lambda p, s, m: read_motion(p / "01_01.amc"), r"no \.asf file in its folder"),
+        (lambda p, s, m: read_motion(p / "01_01.amc"), r"copy its \.asf file into the same folder"),
         (
             lambda p, s, m: read_body(_touched(p / "a.txt")),
-            r"a text file, where a body is expected: \.npz, \.glb",
+            r"a text file; expected a body: \.npz, \.glb",
         ),
         (lambda p, s, m: read_body(p / "b.txt"), "no such file"),
         (lambda p, s, m: read_motion(p / "a.bvh"), "no such file"),
-        (lambda p, s, m: read_motion(p), "this is a folder, where a motion is expected; give a file, "),
+        (lambda p, s, m: read_motion(p), "this is a folder; expected a motion; give a file \\("),
         (lambda p, s, m: write_motion(p / "none" / "a.npz", s, m), "cannot be written"),
     ],
 )

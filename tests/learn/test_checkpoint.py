@@ -53,11 +53,11 @@ def test_another_run_is_told_by_its_first_difference(tmp_path):
 def test_what_is_no_checkpoint(tmp_path):
     path = tmp_path / "body.npz.partial"
     save_checkpoint(path, kept(), HEADER)
-    with pytest.raises(InputError, match="not whole"):
+    with pytest.raises(InputError, match="checkpoint is incomplete"):
         load_checkpoint(path, HEADER, ("round",))
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match="not a whole"):
+    with pytest.raises(InputError, match="npz file is incomplete"):
         load_checkpoint(path, HEADER)
     save_body(path, kept().body)
     with pytest.raises(InputError, match="this is a body, not a 'jaxcap checkpoint'"):

@@ -149,7 +149,7 @@ def test_corrections(tmp_path, rng):
     [
         ("a\n", ":1: 'a' has 1 words"),
         ("a b 2\n", ":1: the weight of 'a' is 2"),
-        ("\na b\na c\n", ":3: the marker 'a' stands twice"),
+        ("\na b\na c\n", ":3: the marker 'a' occurs twice"),
         ("a b x", "is not a number"),
     ],
 )

@@ -121,5 +121,5 @@ def test_subjects_come_back_from_files(tmp_path):
     same = jax.tree.map(lambda a, b: bool((a == b).all()), back, SUBJECT)
     assert all(jax.tree.leaves(same))
     path.write_bytes(path.read_bytes()[:300])
-    with pytest.raises(InputError, match="not a whole"):
+    with pytest.raises(InputError, match="npz file is incomplete"):
         load_subject(path)

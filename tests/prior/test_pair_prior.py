@@ -248,7 +248,7 @@ def test_a_prior_of_another_skeleton_is_refused(tmp_path, learned):
     other = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), np.eye(3)[:2])
     with pytest.raises(jc.InputError, match="another skeleton: there is no joint 'spine' among a, b"):
         jc.io.load_prior(path, other)
-    with pytest.raises(jc.InputError, match="boxes are of another skeleton"):
+    with pytest.raises(jc.InputError, match="joint ranges belong to another skeleton"):
         load_boxes(path, other)
     turned = eqx.tree_at(lambda s: s.orientations, SKELETON, jnp.tile(rotation.identity(), (9, 1)))
     with pytest.raises(jc.InputError, match="the rest frame of .* differs by"):
@@ -285,7 +285,7 @@ def test_files_alone_and_with_the_body(tmp_path, learned):
     jc.io.save_prior(alone, prior)
     assert load_boxes(alone) is None
     jc.save_body(beside, BODY)
-    with pytest.raises(jc.InputError, match="no pose prior in this file"):
+    with pytest.raises(jc.InputError, match="the file contains no pose prior"):
         jc.io.load_prior(beside)
 
 
@@ -298,7 +298,7 @@ def test_damaged_files_are_told(tmp_path, learned):
         ("prior.factors", lambda a: -a, "not positive definite"),
         ("prior.weights", lambda a: 2 * a, "at least 0 that sum to 1"),
         ("prior.means", lambda a: a * np.nan, "not positive definite|finite"),
-        ("prior.means", lambda a: a[:, :, :5], "it must be"),
+        ("prior.means", lambda a: a[:, :, :5], "has the shape"),
         ("prior.factors", lambda a: a + 1, "not lower triangular"),
     ):
         np.savez(path, **{**whole, name: change(whole[name])})

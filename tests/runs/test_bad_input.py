@@ -86,7 +86,7 @@ def test_one_run_at_a_time(inputs, tmp_path, capsys):
             ("track", inputs / "body.npz", inputs / "clouds.npz", "-o", out, "--overwrite"),
             ("demo", "-o", out),
         ):
-            assert f"out: another run (process {os.getpid()}) writes here" in fails(capsys, *command)
+            assert f"out: another run (process {os.getpid()}) writes to this output" in fails(capsys, *command)
         assert tree(out) == before
     with run_lock(out / "body.npz"):
         command = ("learn", inputs / "clouds.npz", "-o", out / "body.npz")
@@ -308,7 +308,7 @@ def test_a_line_of_very_many_words_takes_little_memory(tmp_path):
     channels = " ".join(["Xposition"] * 20_000)
     path.write_text(f"HIERARCHY\nROOT a\n{{\nOFFSET 0 0 0\nCHANNELS 6 {channels}\n}}\nMOTION\n")
     tracemalloc.start()
-    with pytest.raises(InputError, match="stands twice"):
+    with pytest.raises(InputError, match="occurs twice"):
         read_bvh(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -108,7 +108,7 @@ def test_a_motion_of_another_body_names_both(tmp_path, motion, body):
         with pytest.raises(InputError, match=r"still\.npz: there are no frames in this motion"):
             load([str(tmp_path / "still.npz")], bodies)
     np.savez(tmp_path / "clouds.npz", points=np.zeros((0, 4, 3)))
-    with pytest.raises(InputError, match=r"clouds\.npz: there are no frames in it"):
+    with pytest.raises(InputError, match=r"clouds\.npz: there are no frames"):
         load([str(tmp_path / "clouds.npz")])
 
 
@@ -161,7 +161,7 @@ def test_what_has_no_shape_gets_a_sentence(tmp_path, kind, why):
     ("name", "content", "why"),
     [
         ("take.xyz", b"1", "a point cloud as text, which is not read; write it as .ply"),
-        ("half.npz", b"PK\x03\x04half", "not a whole .npz file"),
+        ("half.npz", b"PK\x03\x04half", "this .npz file is incomplete"),
         ("half.bvh", b"HIERARCHY\nROOT a\n{", "half.bvh"),
         ("cameras.json", b'{"cameras": []}', "at least one camera"),
     ],

@@ -149,7 +149,7 @@ class Retarget:
         try:
             return read_edited(self.motion, self.unit, source)
         except InputError as error:
-            said = re.split("; give it to (the body|that one) by", sentence_of(error))
+            said = re.split("; retarget it with", sentence_of(error))
             if source is None or len(said) == 1:
                 raise
             raise InputError(

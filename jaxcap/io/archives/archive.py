@@ -76,8 +76,8 @@ class Archive(NamedTuple):
         size = os.path.getsize(path)
         if taken > max(ROOM, PACKED * size):
             raise InputError(
-                f"{path}: its arrays take {taken / 1e6:.0f} MB, and the file {size / 1e6:.2g} MB; it is damaged, or made "
-                "to fill the memory."
+                f"{path}: the arrays need {taken / 1e6:.0f} MB of memory, but the file has only {size / 1e6:.2g} MB; it is "
+                "damaged or malicious, so get it again."
             )
         return {
             name: _numbers(file, info, heads[name], f"{path}: the array '{name}'")
@@ -96,10 +96,10 @@ def open_archive(path: str | Path) -> Iterator[Archive]:
             start = raw.read(6)
             if start == b"\x93NUMPY":
                 raise InputError(
-                    f"{path}: this is a single array, not an .npz file of named arrays; save it by numpy.savez."
+                    f"{path}: this is a single array, not an .npz file of named arrays; write it with numpy.savez."
                 )
             if not start.startswith(b"PK"):
-                raise InputError(f"{path}: this is not an .npz file; give one.")
+                raise InputError(f"{path}: this is not an .npz file; give an .npz file.")
             with zipfile.ZipFile(raw) as file:
                 yield Archive(path, file, _members(file, path))
     except InputError:
@@ -110,7 +110,7 @@ def open_archive(path: str | Path) -> Iterator[Archive]:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file.") from None
     except Exception as error:  # any error of zipfile and zlib on a damaged file
         raise InputError(
-            f"{path}: this is not a whole .npz file ({type(error).__name__}); copy or write it again."
+            f"{path}: this .npz file is incomplete or damaged ({type(error).__name__}); copy or write it again."
         ) from None
 
 
@@ -122,11 +122,11 @@ def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipIn
     found: dict[str, zipfile.ZipInfo] = {}
     members = file.infolist()
     if len(members) > MOST:
-        raise InputError(f"{path}: there are {len(members)} arrays in it; give a file of at most {MOST}.")
+        raise InputError(f"{path}: the file contains {len(members)} arrays; expected at most {MOST}.")
     for info in members:
         name = info.filename.removesuffix(".npy")
         if name in found:
-            raise InputError(f"{path}: there are two arrays called '{name}' in it; write the file again.")
+            raise InputError(f"{path}: the file contains two arrays named '{name}'; write the file again.")
         found[name] = info
     return found
 
@@ -137,25 +137,25 @@ def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
         raise InputError(f"{where} is encrypted; write the file without a password.")
     if info.compress_type not in _METHODS:
         raise InputError(
-            f"{where} is packed by the method {info.compress_type}; write it by numpy.savez_compressed."
+            f"{where} has the compression method {info.compress_type}; write it with numpy.savez_compressed."
         )
     with file.open(info) as stream:
         try:
             head = _parse_head(stream)
         except ValueError:
-            raise InputError(f"{where} is no array of NumPy; write the file by numpy.savez.") from None
+            raise InputError(f"{where} is not a NumPy array; write the file with numpy.savez.") from None
         begins = stream.tell()
     if head.dtype.hasobject:
-        raise InputError(f"{where} holds pickled objects, which are never read; write plain arrays.")
+        raise InputError(f"{where} contains pickled objects, which are never read; write plain arrays.")
     if head.dtype.kind not in "biufUS":
-        raise InputError(f"{where} is of the type {head.dtype}; write numbers or text.")
+        raise InputError(f"{where} has the type {head.dtype}; write numbers or text.")
     size, there = math.prod(head.shape) * head.dtype.itemsize, info.file_size - begins
     if size != there:
         raise InputError(
-            f"{where} has the shape {head.shape} and needs {size} bytes, but {there} are there; it is damaged."
+            f"{where} has the shape {head.shape} and needs {size} bytes, but the file has {there}; it is damaged."
         )
     if max(head.shape, default=0) > max(LONGEST, size):
-        raise InputError(f"{where} has the shape {head.shape}, and no elements; it is damaged.")
+        raise InputError(f"{where} has the shape {head.shape} but no elements; it is damaged.")
     return head
 
 
@@ -197,5 +197,5 @@ def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _Head, where: s
     if head.dtype.kind == "U":
         letters = np.frombuffer(values.tobytes(), np.uint32)
         if ((letters > 0x10FFFF) | ((letters >= 0xD800) & (letters < 0xE000))).any():
-            raise InputError(f"{where} holds text that is none; the file is damaged.")
+            raise InputError(f"{where} contains invalid text; the file is damaged.")
     return values

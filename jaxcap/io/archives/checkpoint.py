@@ -58,10 +58,10 @@ def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Seque
     arrays = load_kind(path, KIND)
     kept, past = _group(arrays, "more."), _group(arrays, "history.")
     if "header" not in arrays or any(name not in kept for name in needs):
-        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
+        raise InputError(f"{path}: this checkpoint is incomplete; overwrite it to start again.")
     there = parse_json(str(arrays["header"]), f"{path}: its header")
     if not isinstance(there, dict):
-        raise InputError(f"{path}: this checkpoint is not whole; overwrite it to begin anew.")
+        raise InputError(f"{path}: this checkpoint is incomplete; overwrite it to start again.")
     check_same_run(path, there, header)
     steps = get_array(past, "steps", path, (None,), "text").tolist()
     values = get_array(past, "values", path, (len(steps),)).tolist()

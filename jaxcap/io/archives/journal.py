@@ -61,13 +61,15 @@ class Journal:
         """
         data = np.asarray(record, "<f8").tobytes()
         if len(data) != 8 * self.width:
-            raise ValueError(f"A record of this journal has {self.width} numbers, not {len(data) // 8}.")
+            raise ValueError(
+                f"The record has {len(data) // 8} numbers; expected {self.width}, as in this journal."
+            )
         left = memoryview(data + struct.pack("<I", zlib.crc32(data)))
         try:
             while left:
                 left = left[self._file.write(left) :]
         except OSError as error:
-            mend = "free some space there" if error.errno in FULL else "see that its folder can be written to"
+            mend = "free some disk space" if error.errno in FULL else "make its folder writable"
             raise InputError(
                 f"{self.path}: record {self.count} cannot be written ({error.strerror}); {mend} and resume the run."
             ) from None
@@ -97,7 +99,7 @@ def begin_journal(path: str | Path, header: Mapping[str, object], width: int) ->
     try:
         return Journal(path, width, len(data))
     except OSError as error:
-        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        mend = "free some disk space" if error.errno in FULL else "give a path in a writable folder"
         raise InputError(f"{path}: cannot be written ({error.strerror}); {mend}.") from None
 
 
@@ -122,8 +124,8 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
         check_same_run(path, there, header)
         if begun != width:
             raise InputError(
-                f"{path}: this run was begun by another version of jaxcap, with {begun} numbers for each frame where there "
-                f"are {width} now; finish it with that version, or give --overwrite to begin anew."
+                f"{path}: this run was started by another version of jaxcap, with {begun} numbers for each frame; expected "
+                f"{width}; finish it with that version, or give --overwrite to start again."
             )
         count, last = 0, None
         for block in _blocks(file, width):
@@ -136,8 +138,8 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
         with replacing(kept) as temporary:
             shutil.copyfile(path, temporary)
         warnings.warn(
-            f"{path}: record {count}, counted from 0, is damaged, so that this and the {behind - 1} behind it are made anew; "
-            f"{kept.name} beside it is what was there.",
+            f"{path}: record {count}, counted from 0, is damaged; it and the {behind - 1} records after it are computed again. "
+            f"The damaged journal is kept as {kept.name}.",
             stacklevel=2,
         )
     return Journal(path, width, start, count, last)
@@ -168,7 +170,7 @@ def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str,
     for name in [*now, *there]:
         if there.get(name) != now.get(name):
             raise InputError(
-                f"{path}: this run was begun with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
+                f"{path}: this run was started with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
                 "resume it with the same settings, or overwrite it."
             )
 

@@ -50,7 +50,7 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
 
 
 @checked
-@reads("limits of joints")
+@reads("joint limits")
 def load_limits(path: str | Path) -> SurfaceLimits:
     """Read limits that `save_limits` wrote.
 
@@ -62,7 +62,7 @@ def load_limits(path: str | Path) -> SurfaceLimits:
 
 
 @checked
-@reads("limits of joints")
+@reads("joint limits")
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     """Read joint limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
@@ -76,8 +76,8 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
         lacking = fits(limits, skeleton)
         if lacking:
             raise InputError(
-                f"{path}: these limits are of another skeleton: there is no joint '{lacking[0]}' among "
-                f"{', '.join(skeleton.names)}; learn limits from motions of this one."
+                f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
+                f"{', '.join(skeleton.names)}; learn limits from motions of this skeleton."
             )
         return limits
     if suffix == ".cst":
@@ -86,8 +86,8 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
         asf = read_asf(path)
         if asf.skeleton.names != skeleton.names:
             raise InputError(
-                f"{path}: these limits are of another skeleton: its joints are {', '.join(asf.skeleton.names)}, not "
-                f"{', '.join(skeleton.names)}; give the .asf of this one."
+                f"{path}: these limits belong to another skeleton with the joints {', '.join(asf.skeleton.names)}; "
+                f"expected {', '.join(skeleton.names)}; give the .asf of this skeleton."
             )
         return AllLimits((asf.ranges, asf.boxes))
     raise wrong_kind(path, "a file of joint limits", (".npz", ".cst", ".asf"))
@@ -105,13 +105,11 @@ def _chart(arrays: Mapping[str, np.ndarray], start: str, path: str | Path) -> Ch
     kind = str(get_array(arrays, f"{start}kind", path, (), "text"))
     if kind not in DIMENSIONS:
         raise InputError(
-            f"{path}: the chart '{shortened(kind)}' is not known; this version reads {', '.join(DIMENSIONS)}."
+            f"{path}: the chart '{shortened(kind)}' is unknown; expected {', '.join(DIMENSIONS)}."
         )
     middle = get_array(arrays, f"{start}middle", path, (4,))
     if not np.linalg.norm(middle) > LEAST:
-        raise InputError(
-            f"{path}: the middle of a chart is a quaternion of no length; learn the limits again."
-        )
+        raise InputError(f"{path}: the middle of a chart is a zero quaternion; learn the limits again.")
     return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
 
 
@@ -120,11 +118,13 @@ def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str
     keyframes, primitives = values["centres"].shape[:2]
     alike = values["thickness"].shape == values["counts"].shape == (keyframes, primitives)
     if not (alike and keyframes and primitives and len(values["keys"]) == keyframes):
-        raise InputError(f"{path}: the limits of '{joint}' do not fit together; this file is damaged.")
+        raise InputError(
+            f"{path}: the arrays of the limits of '{joint}' have inconsistent shapes; this file is damaged."
+        )
     for name in ("reach", "unit", "stiffness"):
         if not values[name] > 0:
             raise InputError(
-                f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; it has to be above 0."
+                f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; expected a number above 0."
             )
     parent = str(get_array(arrays, f"{start}parent", path, (), "text")) or None
     return LimitSurface(

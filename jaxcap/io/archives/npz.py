@@ -67,7 +67,7 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
     kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
     if kind is None:
         raise InputError(
-            f"{path}: a body with a {type(body.skin).__name__} cannot be written; use {', '.join(SKINS)} skins."
+            f"{path}: the skin of this body is a {type(body.skin).__name__}, which cannot be written; use a {', '.join(SKINS)} skin."
         )
     return {
         **skeleton_arrays(body.skeleton),
@@ -92,16 +92,16 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
     """Build the body from the arrays of `body_arrays`. Raises `InputError` if they are inconsistent."""
     kind = str(get_array(arrays, "skin", path, (), "text"))
     if kind not in SKINS:
-        raise InputError(
-            f"{path}: the skin '{shortened(kind)}' is not known; this version reads {', '.join(SKINS)} skins."
-        )
+        raise InputError(f"{path}: the skin '{shortened(kind)}' is unknown; expected {', '.join(SKINS)}.")
     cls, names = SKINS[kind]
     skeleton = skeleton_of(arrays, path)
     vertices = get_array(arrays, "vertices", path, (None, 3), rows="vertex")
     faces = get_array(arrays, "faces", path, (None, 3), "whole")
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
         wrong = faces.max() if faces.min() >= 0 else faces.min()
-        raise InputError(f"{path}: a face names vertex {wrong}, but there are {len(vertices)} vertices.")
+        raise InputError(
+            f"{path}: a face refers to vertex {wrong}, but there are only {len(vertices)} vertices."
+        )
     count, joints = len(vertices), skeleton.num_joints
     fields = []
     for name in names:
@@ -110,12 +110,12 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         values = get_array(arrays, f"skin.{name}", path, shape, "whole" if whole else "numbers", "vertex")
         if not whole and values.shape[1] != joints:
             raise InputError(
-                f"{path}: the skin is for other bones than the {joints} of the skeleton; write the body again."
+                f"{path}: the skin has {values.shape[1]} bones and the skeleton {joints}; write the body again."
             )
         if whole and count and not 0 <= values.min() <= values.max() < joints:
             wrong = values.max() if values.min() >= 0 else values.min()
             raise InputError(
-                f"{path}: the skin names bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
+                f"{path}: the skin refers to bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
             )
         if not whole:
             _check_shares(values, path, rest=name != "weights")
@@ -131,15 +131,15 @@ def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
     if (weights < -SHARE).any():
         vertex, bone = divmod(int(weights.argmin()), weights.shape[1])
         raise InputError(
-            f"{path}: vertex {vertex} follows bone {bone} with the weight {weights.min():g}, below zero; write shares that add "
-            "up to one."
+            f"{path}: the weight of bone {bone} for vertex {vertex} is {weights.min():g}; expected weights of at least 0 "
+            "that sum to one."
         )
     apart = weights.sum(1) - 1.0
     wrong = (apart > SHARE) | ((apart < -SHARE) & (not rest))
     if wrong.any():
         vertex = int(wrong.argmax())
         raise InputError(
-            f"{path}: the weights of vertex {vertex} add up to {weights[vertex].sum():g}; write shares that add up to one."
+            f"{path}: the weights of vertex {vertex} sum to {weights[vertex].sum():g}; expected a sum of one."
         )
 
 
@@ -190,14 +190,14 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
         names, joints = tuple(str(name) for name in own), motion.poses.rotations.shape[1]
         if names != skeleton.names or joints != skeleton.num_joints:
             raise InputError(
-                f"{path}: this motion is of the {joints} joints {', '.join(names)}, not of the skeleton's "
-                f"{', '.join(skeleton.names)}; give it to that one by `jaxcap edit retarget`."
+                f"{path}: this motion has the {joints} joints {', '.join(names)}; expected "
+                f"{', '.join(skeleton.names)} as in the skeleton; retarget it with `jaxcap edit retarget`."
             )
         if "parents" in arrays:
             other = rest_difference(skeleton_of(arrays, path), skeleton)
             if other is not None:
                 raise InputError(
-                    f"{path}: this motion is of a skeleton whose {other}; give it to this one by `jaxcap edit retarget`."
+                    f"{path}: this motion belongs to another rest pose: its {other}; retarget it with `jaxcap edit retarget`."
                 )
     return motion
 
@@ -211,7 +211,7 @@ def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
             told.append(f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)")
     if told:
         warnings.warn(
-            f"{path}: where this motion was tracked {' and '.join(told)}; statistics.csv beside it says why.",
+            f"{path}: in this tracked motion, {' and '.join(told)}; see statistics.csv in its folder for the reasons.",
             stacklevel=3,
         )
 
@@ -225,15 +225,13 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     rate = get_array(arrays, "rate", path, ()).item()
     if not RATES[0] <= rate <= RATES[1]:
         raise InputError(
-            f"{path}: the rate is {rate}; it must be from {RATES[0]:g} to {RATES[1]:g} frames per second."
+            f"{path}: the rate is {rate}; expected {RATES[0]:g} to {RATES[1]:g} frames per second."
         )
     if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
-        raise InputError(
-            f"{path}: the array 'rotations' has quaternions of no length; write rotations as these."
-        )
+        raise InputError(f"{path}: the array 'rotations' contains zero quaternions; write unit quaternions.")
     if not (scale > 0).all():
         raise InputError(
-            f"{path}: the scale is {scale.min():g} in frame {int(scale.argmin())}; it must be above 0."
+            f"{path}: the scale is {scale.min():g} in frame {int(scale.argmin())}; expected a number above 0."
         )
     return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), rate)
 
@@ -270,14 +268,14 @@ def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
     numbers = {name: get_array(arrays, name, path, shape, rows="joint") for name, shape in shapes.items()}
     if not (np.linalg.norm(numbers["orientations"], axis=1) > LEAST).all():
         raise InputError(
-            f"{path}: the array 'orientations' has quaternions of no length; write rotations as these."
+            f"{path}: the array 'orientations' contains zero quaternions; write unit quaternions."
         )
     try:
         checked = make_skeleton(names, parents, kinds, numbers["centres"])
     except ValueError as error:
         raise InputError(f"{path}: {sentence_of(error)}") from None
     if checked.names != tuple(names):
-        raise InputError(f"{path}: a joint stands before its parent; this file was not written by save_body.")
+        raise InputError(f"{path}: a joint comes before its parent; write the file with save_body.")
     # the arrays unchanged, so that a body is restored to the last bit
     centres, orientations, axes = (jnp.asarray(numbers[name]) for name in shapes)
     return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
@@ -291,7 +289,7 @@ def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
     plain = {name: np.asarray(values) for name, values in arrays.items()}
     for name, values in plain.items():
         if values.dtype == object:
-            raise InputError(f"{path}: '{name}' is not an array of numbers or text; it cannot be written.")
+            raise InputError(f"{path}: '{name}' is not an array of numbers or text; give such an array.")
     with replacing(path) as beside, open(beside, "wb") as file:
         everything: dict[str, Any] = {"format": np.array(kind), "version": np.array(VERSION), **plain}
         np.savez_compressed(file, **everything)
@@ -311,9 +309,7 @@ def load_kind(
             raise wrong_arrays(path, f"not a '{kinds[0]}'")
         version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
         if version != VERSION:
-            raise InputError(
-                f"{path}: this file has version {version}; this program reads version {VERSION}."
-            )
+            raise InputError(f"{path}: this file has version {version}; expected version {VERSION}.")
         return marks | archive.load(lambda name: name not in marks and wanted(name))
 
 
@@ -340,20 +336,18 @@ def get_array(
     **Raises:** `InputError` if the array is missing or invalid.
     """
     if name not in arrays:
-        raise InputError(f"{path}: the array '{name}' is missing; this file is not whole.")
+        raise InputError(f"{path}: the array '{name}' is missing; this file is incomplete.")
     values = arrays[name]
     fits = values.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, values.shape, strict=True)
     )
     if not fits:
         wanted = " x ".join("any" if n is None else str(n) for n in shape) or "a single value"
-        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; it must be {wanted}.")
+        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; expected {wanted}.")
     types, words = _CONTENTS[holds]
     # an array without elements may have any type
     if values.dtype.kind not in types and values.size:
-        raise InputError(
-            f"{path}: the array '{name}' holds other than {words} ({values.dtype}); write it again."
-        )
+        raise InputError(f"{path}: the array '{name}' has the type {values.dtype}; expected {words}.")
     if holds != "numbers":
         return values
     _check_finite(values, name, path, rows)

@@ -125,8 +125,8 @@ def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
     reason = misfit(prior, skeleton)
     if reason is not None:
         raise InputError(
-            f"{path}: this prior is of another skeleton: {reason}; learn one for this skeleton; "
-            "`jaxcap prior learn --body` carries motions over."
+            f"{path}: this prior belongs to another skeleton: {reason}; learn a prior for this skeleton. "
+            "`jaxcap prior learn --body` retargets motions."
         )
 
 
@@ -158,7 +158,7 @@ def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
 
 def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleton | None) -> PairPrior:
     if "prior.weights" not in arrays:
-        raise InputError(f"{path}: there is no pose prior in this file; learn one with `jaxcap prior learn`.")
+        raise InputError(f"{path}: the file contains no pose prior; learn one with `jaxcap prior learn`.")
     pairs = get_array(arrays, "prior.pairs", path, (None, 2), "text").tolist()
     weights = get_array(arrays, "prior.weights", path, (len(pairs), None))
     shape = weights.shape
@@ -185,7 +185,7 @@ def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
     lacking = [] if skeleton is None else [name for name in joints if name not in skeleton.names]
     if skeleton is not None and lacking:
         raise InputError(
-            f"{path}: these boxes are of another skeleton: there is no joint '{lacking[0]}' among "
+            f"{path}: these joint ranges belong to another skeleton: '{lacking[0]}' is not among the joints "
             f"{', '.join(skeleton.names)}."
         )
     try:
@@ -218,7 +218,7 @@ def _turns(
     """Return an array of quaternions after a check that none is zero. Raises `InputError`."""
     turns = get_array(arrays, name, path, shape)
     if not (np.linalg.norm(turns, axis=-1) > LEAST).all():
-        raise InputError(f"{path}: the array '{name}' has quaternions of no length; learn the prior again.")
+        raise InputError(f"{path}: the array '{name}' contains zero quaternions; learn the prior again.")
     return turns
 
 
@@ -226,12 +226,12 @@ def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, pat
     """Check that a shape prior has the vertices and edges of a body. Raises `InputError`."""
     if vertices != len(body.vertices):
         raise InputError(
-            f"{path}: this shape prior is of {vertices} vertices and the body has {len(body.vertices)}; learn one from "
+            f"{path}: this shape prior has {vertices} vertices and the body has {len(body.vertices)}; learn a prior from "
             "meshes of this body."
         )
     if not np.array_equal(edges, mesh_edges(np.asarray(body.faces))):
         raise InputError(
-            f"{path}: this shape prior is of other triangles than the body's; learn one from meshes of this body."
+            f"{path}: this shape prior has other triangles than the body; learn a prior from meshes of this body."
         )
 
 

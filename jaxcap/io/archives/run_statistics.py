@@ -27,11 +27,11 @@ def read_statistics(path: str | Path) -> RunStatistics:
     rows = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(rows, list):
         raise InputError(
-            f"{path}: there is no list 'frames' in it, as the statistics of a run have; remove the file."
+            f"{path}: the file has no list 'frames'; expected the statistics of a run; remove the file."
         )
     for number, row in enumerate(rows):
         if not (isinstance(row, dict) and _is_length(row.get("sigma")) and isinstance(row.get("cloud"), str)):
-            raise InputError(f"{path}: frame {number} lacks its 'sigma' or its 'cloud'; remove the file.")
+            raise InputError(f"{path}: frame {number} has no 'sigma' or no 'cloud'; remove the file.")
     return RunStatistics(tuple(float(row["sigma"]) for row in rows), tuple(row["cloud"] for row in rows))
 
 

@@ -30,8 +30,8 @@ def frames_of(keys: Sequence[Float[np.ndarray, "_"]], rate: float | None, path: 
     steps = grid_steps(np.unique(np.concatenate(keys)))
     if steps is None:
         warnings.warn(
-            f"{path}: the keys of its animation lie on no grid of times; it is sampled at {PLAIN:g} frames per second, which "
-            "may miss single keys. Give a rate for another one.",
+            f"{path}: the key times of the animation are not regular; it is sampled at {PLAIN:g} frames per second, which "
+            "may miss some keys. Give a `rate` to change this.",
             stacklevel=2,
         )
         steps = round((last - first) * PLAIN)

@@ -53,7 +53,7 @@ def no_skin(path: str | Path) -> InputError:
     if Path(path).suffix.lower() not in SUFFIXES:
         rig = "export its mesh as .glb and rig that with `jaxcap rig`"
     return InputError(
-        f"{path}: there is no skin in it, so no joint moves its surface; {rig}, or export it again with its armature."
+        f"{path}: there is no skin in it, so its surface does not follow joints; {rig}, or export it again with its armature."
     )
 
 
@@ -72,9 +72,7 @@ def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
         root = Part(parse_json(head, path), str(path))
     parts, found = root.parts("buffers"), dict[str, bytes]()
     if len(parts) > MOST_BUFFERS:
-        raise InputError(
-            f"{path}: there are {len(parts)} buffers in it; export it with {MOST_BUFFERS} at most."
-        )
+        raise InputError(f"{path}: the file has {len(parts)} buffers; export it with at most {MOST_BUFFERS}.")
     buffers: list[bytes | None] = []
     for number, buffer in enumerate(parts):
         uri = buffer.word("uri") if "uri" in buffer else None

@@ -43,7 +43,9 @@ class GltfFile:
             raise no_skin(path)
         for name in root.values("extensionsRequired"):
             if not str(name).startswith(_HARMLESS):
-                raise InputError(f"{path}: this file is packed by {name}; export it without compression.")
+                raise InputError(
+                    f"{path}: this file requires the extension {name}; export it without compression."
+                )
         self.meshes, self.animations = root.parts("meshes"), root.parts("animations")
         self._accessors, self._views = root.parts("accessors"), root.parts("bufferViews")
         self._room = max(ROOM, PACKED * sum(len(buffer or b"") for buffer in self.buffers))
@@ -60,8 +62,8 @@ class GltfFile:
         self._room -= 8 * numbers
         if self._room < 0:
             raise InputError(
-                f"{self.path}: {what} takes more memory than a file of its size can ask for; it is damaged, or made to "
-                "fill the memory."
+                f"{self.path}: {what} needs more memory than a file of this size may use; it is damaged or "
+                "malicious, so export it again."
             )
 
     def array(self, index: int | None, width: int, what: str) -> Float[np.ndarray, "N W"]:
@@ -71,17 +73,19 @@ class GltfFile:
         `what` names its purpose.
         """
         if index is None:
-            raise InputError(f"{self.path}: {what} has no numbers; export it with them.")
+            raise InputError(f"{self.path}: {what} has no data; export it again.")
         accessor = self._accessors[index] if index < len(self._accessors) else None
         if accessor is None:
             raise InputError(
-                f"{self.path}: {what} has accessor {index}, but there are only {len(self._accessors)}; export it again."
+                f"{self.path}: {what} refers to accessor {index}, but there are only {len(self._accessors)}; export it again."
             )
         if "sparse" in accessor:
-            raise InputError(f"{accessor.where} is sparse, which is not read; export it as plain numbers.")
+            raise InputError(
+                f"{accessor.where} is sparse, which is not supported; export it as a dense array."
+            )
         place = accessor.index("bufferView", len(self._views))
         if place is None:
-            raise accessor.wrong("bufferView", "where its numbers are")
+            raise accessor.wrong("bufferView", "the index of its buffer view")
         kind, view = accessor.whole("componentType"), self._views[place]
         if kind not in _NUMBERS:
             raise accessor.wrong("componentType", f"one of {', '.join(map(str, _NUMBERS))}")
@@ -97,12 +101,16 @@ class GltfFile:
         stride = view.whole("byteStride") or size
         start = view.whole("byteOffset") + accessor.whole("byteOffset")
         if stride < size or start + stride * max(count - 1, 0) + size * min(count, 1) > len(numbers):
-            raise InputError(f"{accessor.where} points outside of the file's numbers; the file is damaged.")
+            raise InputError(
+                f"{accessor.where} refers to data beyond the end of its buffer; the file is damaged."
+            )
         self.spend(count * width, what)
         strides = (stride, number.itemsize)
         rows = np.ndarray((count, width), number, numbers, start, strides).astype(float)
         if not (np.abs(rows) <= LARGEST).all():
-            raise InputError(f"{accessor.where} holds numbers that are not finite, or too large, for {what}.")
+            raise InputError(
+                f"{accessor.where} contains numbers that are not finite or too large for {what}."
+            )
         if accessor.content.get("normalized") and number.kind != "f":
             rows = np.maximum(rows / np.iinfo(number).max, -1.0)
         return rows
@@ -123,7 +131,9 @@ class GltfFile:
         sizes = np.linalg.norm(columns[:3, :3], axis=0)
         turn = columns[:3, :3] / np.where(sizes > 0, sizes, 1.0)
         if not np.linalg.det(turn) > LEAST:
-            raise InputError(f"{node.where}: its matrix is flat, or mirrors; give one that turns and scales.")
+            raise InputError(
+                f"{node.where}: its matrix is singular or mirrors; write a matrix of a rotation and a scale."
+            )
         return {
             "translation": columns[None, :3, 3],
             "rotation": Rotation.from_matrix(turn).as_quat()[None],
@@ -148,12 +158,12 @@ class GltfFile:
                 continue
             place = channel.index("sampler", len(samplers))
             if place is None:
-                raise channel.wrong("sampler", "the number of one")
+                raise channel.wrong("sampler", "the index of a sampler")
             used.append((name, node, place))
         # an animation of shape keys alone lasts as long as their keys
         times = [keys[place] for _, _, place in used] or keys
         if not times:
-            raise InputError(f"{animation.where} has no samplers; export it with keys.")
+            raise InputError(f"{animation.where} has no samplers; export it with its keys.")
         count = frames_of(times, rate, self.path)
         self.spend(count, "the animation at this rate")
         first, last = first_and_last(times)
@@ -188,14 +198,14 @@ class GltfFile:
                 done[node] = done[self.above[node]] @ local if node in self.above else local
                 self.spend(done[node].size, "the motion of its nodes")
                 if not np.abs(done[node]).max(initial=0) <= LARGEST:
-                    raise InputError(f"{self.nodes[node].where} stands too far away, or is too large.")
+                    raise InputError(f"{self.nodes[node].where} has a transform with too large numbers.")
         return done
 
     def _times(self, sampler: Part) -> Float[np.ndarray, "K"]:
         """Read the times of keys, which must increase. Raises `InputError`."""
         times = self.array(sampler.index("input", len(self._accessors)), 1, f"{sampler.where}.input")[:, 0]
         if not len(times) or (np.diff(times) <= 0).any():
-            raise InputError(f"{sampler.where}: its times do not rise; export the animation again.")
+            raise InputError(f"{sampler.where}: its times do not increase; export the animation again.")
         return times
 
     def _sampled(
@@ -232,7 +242,7 @@ class GltfFile:
         long = np.linalg.norm(quaternions, axis=1)
         if not (long > LEAST).all():
             raise InputError(
-                f"{where} has a quaternion of no length, in row {int(long.argmin())}; write a rotation there."
+                f"{where} has a zero quaternion in row {int(long.argmin())}; write a unit quaternion."
             )
 
 

@@ -19,7 +19,7 @@ class Part:
     def __init__(self, content: Any, where: str):
         self.where = where
         if not isinstance(content, dict):
-            raise InputError(f"{where} is {_quoted(content)}; it must be an object with keys.")
+            raise InputError(f"{where} is {_quoted(content)}; expected an object with keys.")
         self.content: dict[str, Any] = content
 
     def __contains__(self, name: str) -> bool:
@@ -43,7 +43,7 @@ class Part:
     def word(self, name: str, default: str = "") -> str:
         value = self.content.get(name)
         if value is not None and not isinstance(value, str):
-            raise self.wrong(name, "a word")
+            raise self.wrong(name, "text")
         return default if value is None else value
 
     def whole(self, name: str, default: int = 0) -> int:
@@ -79,9 +79,7 @@ class Part:
 
     def wrong(self, name: str, wanted: str) -> InputError:
         """Return the error for a value of the wrong type."""
-        return InputError(
-            f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; it must be {wanted}."
-        )
+        return InputError(f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; expected {wanted}.")
 
     def _at(self, name: str) -> str:
         # the file's name ends with a colon, and a path in it continues with a full stop
@@ -97,4 +95,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _quoted(value: Any) -> str:
-    return "not there" if value is None else shortened(repr(value))
+    return "missing" if value is None else shortened(repr(value))

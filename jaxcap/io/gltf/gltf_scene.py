@@ -31,7 +31,7 @@ def chunks(path: Path) -> tuple[bytes, bytes]:
                 break
             found.setdefault(kind, data[at - length : at])
     if _JSON not in found:
-        raise InputError(f"{path}: this is not a whole .glb file; copy or export it again.")
+        raise InputError(f"{path}: this .glb file is incomplete or damaged; copy or export it again.")
     return found[_JSON], found.get(_BINARY, b"")
 
 
@@ -42,7 +42,7 @@ def tree(nodes: Sequence[Part]) -> dict[int, int]:
         for child in node.indices("children", len(nodes)):
             if child in above:
                 raise InputError(
-                    f"{node.where}: its child {child} hangs on node {above[child]} as well; nodes must be a tree."
+                    f"{node.where}: its child {child} is also a child of node {above[child]}; nodes must form a tree."
                 )
             above[child] = number
     rooted: set[int] = set()
@@ -50,7 +50,7 @@ def tree(nodes: Sequence[Part]) -> dict[int, int]:
         chain: dict[int, None] = {}
         while number in above and number not in rooted:
             if number in chain:
-                raise InputError(f"{nodes[number].where} descends from itself; nodes must be a tree.")
+                raise InputError(f"{nodes[number].where} descends from itself; nodes must form a tree.")
             chain[number] = None
             number = above[number]
         rooted.update(chain)
@@ -76,11 +76,11 @@ def check_scene(path: Path) -> None:
     for accessor in root.parts("accessors"):
         room -= 8 * accessor.whole("count") * WIDTHS.get(accessor.word("type"), 1)
         if room < 0:
-            raise InputError(f"{accessor.where} has more numbers than the file can hold; it is damaged.")
+            raise InputError(f"{accessor.where} has more numbers than the file can contain; it is damaged.")
     shown = [node.index("mesh", len(meshes)) for node in nodes]
     count = sum(len(meshes[mesh].values("primitives")) for mesh in shown if mesh is not None)
     if count > MOST_MESHES:
-        raise InputError(f"{path}: there are {count} meshes in it; join them to {MOST_MESHES} at most.")
+        raise InputError(f"{path}: the file has {count} meshes; merge them to at most {MOST_MESHES}.")
 
 
 def _is_file(path: Path) -> bool:

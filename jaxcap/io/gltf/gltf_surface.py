@@ -33,7 +33,9 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
             part = _part(file, primitive, skins[skin], joints)
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
-        raise InputError(f"{file.path}: no mesh of this file follows its joints; read it as a skeleton.")
+        raise InputError(
+            f"{file.path}: no mesh in this file is skinned to its joints; read it as a skeleton."
+        )
     return sewn(joined(parts))
 
 
@@ -82,7 +84,7 @@ def skin_joints(file: GltfFile, skin: int) -> list[int]:
     """
     joints = file.skins[skin].indices("joints", len(file.nodes))
     if not joints or len(set(joints)) < len(joints):
-        raise file.skins[skin].wrong("joints", "a list of nodes, each of them once")
+        raise file.skins[skin].wrong("joints", "a list of nodes without duplicates")
     return joints
 
 
@@ -97,7 +99,9 @@ def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
     where = f"{part.where}.inverseBindMatrices"
     found = file.array(part.whole("inverseBindMatrices"), 16, where)
     if len(found) != count:
-        raise InputError(f"{where} are {len(found)} matrices for {count} joints; give one for each.")
+        raise InputError(
+            f"{where} has {len(found)} matrices for {count} joints; expected one for each joint."
+        )
     return found.reshape(-1, 4, 4).swapaxes(1, 2)
 
 
@@ -115,7 +119,7 @@ def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np
 def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[int]) -> Surface:
     mode, where = primitive.whole("mode", _TRIANGLES), primitive.where
     if mode not in (_TRIANGLES, _POINTS):
-        raise InputError(f"{where}: a mesh is lines, or strips of triangles; export it as triangles.")
+        raise InputError(f"{where}: a mesh consists of lines or triangle strips; export it as triangles.")
     names = primitive.part("attributes")
     vertices = _attribute(file, names, "POSITION", 3)
     if mode == _POINTS:
@@ -125,11 +129,11 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
     else:
         faces = file.array(primitive.whole("indices"), 1, f"{where}.indices")[:, 0].astype(np.int64)
     if faces.size % 3:
-        raise InputError(f"{where}: its triangles have {faces.size} corners; they must be three for each.")
+        raise InputError(f"{where}: its triangles have {faces.size} corners; expected a multiple of three.")
     faces = faces.reshape(-1, 3)
     if faces.max(initial=-1) >= len(vertices) or faces.min(initial=0) < 0:
         raise InputError(
-            f"{where}: a face names vertex {faces.max()} of {len(vertices)}; export the mesh again."
+            f"{where}: a face refers to vertex {faces.max()} of {len(vertices)}; export the mesh again."
         )
     file.spend(4 * len(vertices) * len(joints), "the weights of its vertices")
     column = {node: number for number, node in enumerate(joints)}
@@ -140,15 +144,15 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
         shares = _attribute(file, names, f"WEIGHTS_{place}", 4)
         if len(chosen) != len(vertices) or len(shares) != len(vertices):
             raise InputError(
-                f"{where}: there are {len(vertices)} vertices, {len(chosen)} joints and {len(shares)} weights of them; "
+                f"{where}: there are {len(vertices)} vertices, but {len(chosen)} rows of joints and {len(shares)} of weights; "
                 "export the mesh again."
             )
         if chosen.max(initial=0) >= len(columns) or chosen.min(initial=0) < 0:
-            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
-        if shares.min(initial=0) < 0:
             raise InputError(
-                f"{where}: a vertex follows a joint with a weight below zero; export the mesh again."
+                f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again."
             )
+        if shares.min(initial=0) < 0:
+            raise InputError(f"{where}: a vertex has a weight below zero; export the mesh again.")
         for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
             np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
         place += 1

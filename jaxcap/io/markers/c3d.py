@@ -61,14 +61,14 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
     except InputError:
         if path.stat().st_size < announced_size(path, declared):
             raise InputError(
-                f"{path}: the file is cut short: it ends before its {declared} frames do; copy it again."
+                f"{path}: the file is cut short: it ends before the last of its {declared} frames; copy it again."
             ) from None
         raise
     points, residuals, words = loaded.points, loaded.residuals, loaded.words
     if points.shape[1] and points.shape[2] < declared:
         raise InputError(
-            f"{path}: the file is cut short: {points.shape[2]} of the {declared} frames that it announces are in "
-            "it; copy it again."
+            f"{path}: the file is cut short: it contains {points.shape[2]} of the {declared} frames of its header; "
+            "copy it again."
         )
     labels, told = _strings(words, "LABELS"), []
     count = points.shape[1]
@@ -88,7 +88,7 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
     _check_finite(path, places, [labels[i] for i in markers])
     said = " ".join(_strings(words, "UNITS")[:1])
     if unit is None and not file_unit(said, ""):
-        told.append(f"its unit is {repr(said) if said else 'not told'}; lengths are read as millimetres.")
+        told.append(f"its unit is {repr(said) if said else 'missing'}; lengths are read as millimetres.")
     rate = loaded.rates[0] if loaded.rates and loaded.rates[0] > 0 else loaded.header_rate
     return make_file(
         path,
@@ -110,7 +110,7 @@ def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
     if wrong.any():
         frame, marker = np.unravel_index(int(wrong.argmax()), wrong.shape)
         raise InputError(
-            f"{path}: {wrong.sum()} places of markers are infinite, the first is '{labels[marker]}' in frame "
+            f"{path}: {wrong.sum()} marker positions are infinite, first that of '{labels[marker]}' in frame "
             f"{frame + 1}; copy or export it again."
         )
 
@@ -126,7 +126,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     path, metres = Path(path), unit_scale(unit)
     if len(frames) > LONGEST:
         raise InputError(
-            f"{path}: {len(frames)} frames are more than the {LONGEST} of a C3D file; write them in pieces."
+            f"{path}: the motion has {len(frames)} frames; a C3D file can contain at most {LONGEST}; write several files."
         )
     places, seen = clear_of_zero(frames)
     values = np.ones((4, places.shape[1], len(places)))

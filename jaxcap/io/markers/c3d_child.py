@@ -53,10 +53,10 @@ def _parse(path: Path, answer: bytes) -> Loaded:
     except InputError:
         raise
     except ValueError:
-        raise _damaged(path, "ezc3d ended before all was read") from None
+        raise _damaged(path, "ezc3d ended before the whole file was read") from None
     return Loaded(points, residuals, head["words"], head["rates"], head["header_rate"])
 
 
 def _damaged(path: Path, reason: str) -> InputError:
     reason = " ".join(reason.split())[:120].rstrip(". ")
-    return InputError(f"{path}: this is not a whole C3D file ({reason}); copy or export it again.")
+    return InputError(f"{path}: this C3D file is incomplete or damaged ({reason}); copy or export it again.")

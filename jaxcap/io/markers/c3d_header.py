@@ -27,9 +27,7 @@ def read_header(path: Path) -> tuple[int, int]:
     if not raw:
         raise InputError(f"{path}: the file is empty; copy or export it again.")
     if len(raw) < 2 or raw[1] != 0x50:
-        raise InputError(
-            f"{path}: this is not a C3D file, or it is damaged at its beginning; export it as C3D."
-        )
+        raise InputError(f"{path}: this is not a C3D file, or its beginning is damaged; export it as C3D.")
     begin = 512 * (raw[0] - 1)
     # the second letter of a PNG is a P as well
     if len(raw) < max(begin, 512) + 4:
@@ -42,7 +40,7 @@ def read_header(path: Path) -> tuple[int, int]:
         )
     if raw[begin + 3] == _MIPS:
         raise InputError(
-            f"{path}: its numbers are those of a MIPS processor, which ezc3d does not read; convert it to Intel's."
+            f"{path}: its numbers are in the MIPS format, which ezc3d does not read; convert the file to the Intel format."
         )
     try:
         _walk_parameters(raw, begin + 4)

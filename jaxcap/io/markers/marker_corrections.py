@@ -16,7 +16,7 @@ from ..system.door import reads
 from ..text import numbered_lines, parse_floats, read_text, shortened
 
 
-@reads("corrections of markers")
+@reads("marker corrections")
 def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
     """Read corrections as marker -> (segment, weight).
 
@@ -30,16 +30,16 @@ def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
         words, where = line.split(), f"{path}:{number}"
         if len(words) not in (2, 3):
             raise InputError(
-                f"{where}: '{shortened(line)}' has {len(words)} words; write a marker, its segment and its weight."
+                f"{where}: '{shortened(line)}' has {len(words)} words; expected a marker, its segment and an optional weight."
             )
         marker, segment = words[:2]
         named = f"the weight of '{shortened(marker)}'"
         weight = parse_floats(words[2:], where, named)[0] if len(words) == 3 else 1.0
         if not 0 <= weight <= 1:
-            raise InputError(f"{where}: {named} is {weight:g}; write a number from 0 to 1.")
+            raise InputError(f"{where}: {named} is {weight:g}; expected a number from 0 to 1.")
         if marker in corrections:
             raise InputError(
-                f"{where}: the marker '{shortened(marker)}' stands twice; keep one of its lines."
+                f"{where}: the marker '{shortened(marker)}' occurs twice; keep one of its lines."
             )
         corrections[marker] = (segment, 0.0 if segment == "-" else weight)
     return corrections
@@ -54,7 +54,7 @@ def write_corrections(path: str | Path, corrections: Mapping[str, tuple[str, flo
         for name in (marker, segment):
             if not name or len(name.split()) != 1 or "#" in name:
                 raise InputError(
-                    f"{path}: '{name}' cannot stand in the file; names have no blanks and no '#'."
+                    f"{path}: the name '{name}' cannot be written; use names without blanks and '#'."
                 )
     lines = [f"{marker} {segment} {weight:.9g}" for marker, (segment, weight) in corrections.items()]
     write_text(path, "\n".join(["# marker segment weight", *lines]) + "\n")

@@ -60,7 +60,7 @@ def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]
     names += [""] * (count - len(names))
     nameless = [i for i, name in enumerate(names) if not name]
     if nameless:
-        told.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are called "
+        told.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
                     f"*{nameless[0] + 1} and so on.")  # fmt: skip
     names = [name or f"*{i + 1}" for i, name in enumerate(names)]
     taken = set(names)
@@ -73,7 +73,7 @@ def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]
                 number += 1
             names[i] = f"{name}_{number}"
             taken.add(names[i])
-            told.append(f"{number} points have the label '{name}'; this one is called '{names[i]}'.")
+            told.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
     return names, told
 
 
@@ -99,11 +99,11 @@ def pick_subject(
     """
     subjects = subjects_of(frames.labels)
     if subject is not None and subject not in subjects:
-        there = f"there are {_listed(subjects)}" if subjects else "no label has a prefix such as 'Anna:'"
-        raise InputError(f"{where}: there is no subject '{subject}' in it; {there}.")
+        there = f"it has {_listed(subjects)}" if subjects else "no label has a prefix such as 'Anna:'"
+        raise InputError(f"{where}: the file has no subject '{subject}'; {there}.")
     if subject is None and len(subjects) > 1:
         raise InputError(
-            f"{where}: there are {len(subjects)} subjects in it, {_listed(subjects)}; choose one, such as "
+            f"{where}: the file has {len(subjects)} subjects, {_listed(subjects)}; select one with "
             f"{asked.format(max(subjects, key=lambda name: len(subjects[name])))}."
         )
     if not subjects:
@@ -135,7 +135,7 @@ def check_extent(
     where: str | Path,
     scale: float,
     size: tuple[float, float] = SIZE,
-    asked: str = "pass unit='{}', or give another size if it is right",
+    asked: str = "pass unit='{}', or another size if the unit is right",
 ) -> None:
     """Check that the markers have the size of a body, for a file unit of `scale` metres.
 
@@ -152,8 +152,8 @@ def check_extent(
         f"this looks like {UNIT_NAMES[likely[0]]}: {asked.format(likely[0])}" if likely else "check the unit"
     )
     raise InputError(
-        f"{where}: the markers of a frame stretch over {extent:.4g} m, and those of a body over {size[0]:g} to "
-        f"{size[1]:g} m; {hint}."
+        f"{where}: the markers of a frame extend over {extent:.4g} m; expected {size[0]:g} to "
+        f"{size[1]:g} m for a body; {hint}."
     )
 
 
@@ -175,14 +175,16 @@ def make_file(
     **Raises:** `InputError` if there are no markers or frames, none is ever visible, or the rate is invalid.
     """
     if places.shape[1] == 0:
-        more = f"; it holds {_kinds(others)} only" if others else ""
-        raise InputError(f"{where}: there are no markers in it{more}; give a file of marker trajectories.")
+        more = f"; it contains only {_kinds(others)}" if others else ""
+        raise InputError(f"{where}: the file has no markers{more}; give a file of marker trajectories.")
     if len(places) == 0:
-        raise InputError(f"{where}: there are no frames in it; give a file of marker trajectories.")
+        raise InputError(f"{where}: the file has no frames; give a file of marker trajectories.")
     names, changed = tidy_labels(labels, places.shape[1])
     lost = np.isnan(places).any(2) | (places == 0).all(2)
     if lost.all():
-        raise InputError(f"{where}: none of its {len(names)} markers is seen in any of {len(places)} frames.")
+        raise InputError(
+            f"{where}: none of its {len(names)} markers is visible in any of {len(places)} frames."
+        )
     scale = unit_scale(unit)
     if not (np.abs(places[~lost]) * scale <= LARGEST).all():
         raise InputError(
@@ -218,7 +220,7 @@ def regular_rows(
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         raise InputError(
-            f"{where}: {what} goes from {times[row]:g} to {times[row + 1]:g} in row {row + 2}; it has to rise."
+            f"{where}: {what} goes from {times[row]:g} to {times[row + 1]:g} in row {row + 2}; expected increasing values."
         )
     # rounded times come in steps of two lengths, and their mean is the right one
     usual = float(np.mean(steps[steps < 1.5 * np.median(steps)]))
@@ -232,7 +234,7 @@ def regular_rows(
         or np.abs((times - times[0]) * rate - at).max() > 0.26
         or (np.diff(at) < 1).any()
     ):
-        raise InputError(f"{where}: {what} does not go in equal steps; resample the file to a constant rate.")
+        raise InputError(f"{where}: {what} has unequal steps; resample the file to a constant rate.")
     at = at.astype(int)
     full = np.full((at[-1] + 1, *places.shape[1:]), np.nan)
     full[at] = places

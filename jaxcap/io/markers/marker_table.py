@@ -32,7 +32,7 @@ _RATE = re.compile(
 )
 
 
-@reads("a table of markers")
+@reads("a marker table")
 def read_marker_table(
     path: str | Path, unit: str | float | None = None, rate: float | None = None
 ) -> MarkerFile:
@@ -48,7 +48,7 @@ def read_marker_table(
     path = Path(path)
     text = read_text(path)
     if text.startswith("PathFileType"):
-        raise InputError(f"{path}: this is a TRC file; give it a name that ends in .trc.")
+        raise InputError(f"{path}: this is a TRC file; rename it to .trc.")
     said, rows = _rows(path, text)
     if not rows:
         raise InputError(f"{path}: the table is empty; give a row of column names and a row for each frame.")
@@ -57,7 +57,7 @@ def read_marker_table(
     long = next((name for name in names if len(name) > LONGEST_NAME), None)
     if long is not None:
         raise InputError(
-            f"{path}:{rows[0][0]}: the column '{shortened(long)}' has a name of {len(long)} letters; give at most "
+            f"{path}:{rows[0][0]}: the column '{shortened(long)}' has a name of {len(long)} characters; expected at most "
             f"{LONGEST_NAME}."
         )
     labels, columns = _markers(path, rows[0][0], names)
@@ -67,7 +67,7 @@ def read_marker_table(
     for number, cells in rows[begin:]:
         where = f"{path}:{number}"
         if len(cells) != width and any(cells[width:] if len(cells) > width else [True]):
-            raise InputError(f"{where}: there are {len(cells)} cells in this row for {width} columns; it is damaged or cut short.")  # fmt: skip
+            raise InputError(f"{where}: this row has {len(cells)} cells for {width} columns; it is damaged or cut short.")  # fmt: skip
         places.append(read_places([cells[i] for three in columns for i in three], labels, where))
         if time_at is not None:
             clock += parse_floats([cells[time_at]], where, f"column '{names[time_at]}'")
@@ -84,11 +84,11 @@ def read_marker_table(
     rate = rate or said or found or (1.0 if len(there) == 1 else None)
     if len(there) and rate is None:
         raise InputError(
-            f"{path}: nothing tells the frames per second; add a column 'time' in seconds, or a first line such as "
+            f"{path}: the frame rate is unknown; add a column 'time' in seconds, or a first line such as "
             "'# rate: 120'."
         )
     missing = len(full) - len(there)
-    told = [f"{missing} frames are missing between its rows; nothing is seen in them."] if missing else []
+    told = [f"{missing} frames are missing between its rows; no marker is visible in them."] if missing else []
     first = round(numbers[0]) if numbers else 1
     return make_file(
         path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, told=told
@@ -173,17 +173,17 @@ def _markers(path: Path, line: int, names: list[str]) -> tuple[list[str], list[l
             axis = match["axis"].lower()
             if axis in axes:
                 raise InputError(
-                    f"{path}:{line}: two columns are called '{name}'; give each marker a label of its own."
+                    f"{path}:{line}: two columns are named '{name}'; give each marker a unique label."
                 )
             axes[axis] = i
     if not found:
         raise InputError(
-            f"{path}:{line}: there are no markers in it: no columns are called such as 'LKNE.x', 'LKNE.y', 'LKNE.z'; name them so."
+            f"{path}:{line}: the table has no columns of markers; name them as in 'LKNE.x', 'LKNE.y', 'LKNE.z'."
         )
     for label, axes in found.items():
         if lacking := [axis for axis in "xyz" if axis not in axes]:
             raise InputError(
-                f"{path}:{line}: marker '{label}' has no column '{label}.{lacking[0]}'; give all three."
+                f"{path}:{line}: marker '{label}' has no column '{label}.{lacking[0]}'; write all three coordinates."
             )
     return list(found), [[axes[axis] for axis in "xyz"] for axes in found.values()]
 

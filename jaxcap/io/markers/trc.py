@@ -56,11 +56,11 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         last = number
         if any(cells[2 + 3 * count :]):
             raise InputError(
-                f"{where}: there are {len(cells)} cells in this row, and {2 + 3 * count} for {count} markers."
+                f"{where}: this row has {len(cells)} cells; expected {2 + 3 * count} for {count} markers."
             )
         if len(rows) * 3 * count > room:
             raise InputError(
-                f"{where}: the rows up to here have {3 * count} cells by the head, and most are not there; correct the head."
+                f"{where}: the header declares {3 * count} cells in each row, but most are missing; correct the header."
             )
         # editors remove trailing blanks, so empty cells at the end of a row may be missing
         cells = (cells + [""] * (2 + 3 * count))[: 2 + 3 * count]
@@ -69,14 +69,14 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         rows.append(np.array(read_places(cells[2:], head.labels, where)))
     if head.frames is not None and len(rows) < head.frames:
         raise InputError(
-            f"{path}:{last}: the file is cut short: {len(rows)} of the {head.frames} frames that its head announces "
-            "are in it."
+            f"{path}:{last}: the file is cut short: it contains {len(rows)} of the {head.frames} frames of its "
+            "header."
         )
     places = np.asarray(rows, float).reshape(len(rows), count, 3)
     told = (
         []
         if head.frames in (None, len(rows))
-        else [f"there are {len(rows)} frames; its head announces {head.frames}."]
+        else [f"the file has {len(rows)} frames; its header declares {head.frames}."]
     )
     rate = head.rate
     if len(rows) > 1:
@@ -84,7 +84,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         _, places = regular_rows(path, at, places, "the column of frames")
         if len(places) > len(rows):
             told.append(
-                f"{len(places) - len(rows)} frames are missing between its rows; nothing is seen in them."
+                f"{len(places) - len(rows)} frames are missing between its rows; no marker is visible in them."
             )
         if not rate > 0 and np.isfinite(times).all():
             rate, _ = regular_rows(
@@ -102,11 +102,13 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     """
     path = Path(path)
     if unit not in UNITS:
-        raise InputError(f"{path}: {unit!r} cannot stand in a TRC file; give one of {', '.join(UNITS)}.")
+        raise InputError(
+            f"{path}: {unit!r} cannot be the unit of a TRC file; give one of {', '.join(UNITS)}."
+        )
     wrong = [label for label in frames.labels if set(label) & set("\t\r\n\v\f\x1c\x1d\x1e\x85\u2028\u2029")]
     if wrong:
         raise InputError(
-            f"{path}: the label {wrong[0]!r} holds a tab or ends a line; TRC files cannot hold it."
+            f"{path}: the label {wrong[0]!r} contains a tab or a line break, which TRC files cannot represent; change it."
         )
     places, seen = clear_of_zero(frames)
     count, rate = len(frames.labels), f"{frames.rate:.9g}"
@@ -154,9 +156,11 @@ def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
 
 def _read_head(path: Path, lines: list[str]) -> _Head:
     if not lines or not lines[0].strip().startswith("PathFileType"):
-        raise InputError(f"{path}:1: this is not a TRC file; the first line of one begins with PathFileType.")
+        raise InputError(
+            f"{path}:1: this is not a TRC file; expected PathFileType at the beginning of the first line."
+        )
     if len(lines) < 5:
-        raise InputError(f"{path}:{len(lines)}: the file is cut short within the five lines of its head.")
+        raise InputError(f"{path}:{len(lines)}: the file is cut short within the five lines of its header.")
     values = dict(zip(lines[1].split(), lines[2].split(), strict=False))
 
     def setting(name: str) -> int | None:
@@ -167,7 +171,7 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
     most = max(map(len, lines))
     if markers is not None and not 0 <= markers <= most:
         raise InputError(
-            f"{path}:3: NumMarkers is {markers}, and no line of the file has as many cells; correct the number."
+            f"{path}:3: NumMarkers is {markers}, but no line of the file has so many cells; correct the number."
         )
     rate = parse_floats([values["DataRate"]], f"{path}:3", "DataRate")[0] if "DataRate" in values else 0.0
     if rate:
@@ -184,9 +188,13 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
     else:
         labels = cells[0].split()[2:]
     if markers is not None and len(labels) > markers:
-        raise InputError(f"{path}:4: there are {len(labels)} labels for {markers} markers.")
+        raise InputError(
+            f"{path}:4: there are {len(labels)} labels for {markers} markers; correct the header."
+        )
     extra = 0 if "\t" not in lines[3] else sum(bool(cell.strip()) for cell in cells[2:]) - len(labels)
     if extra > 0:
-        raise InputError(f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers.")
+        raise InputError(
+            f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers; correct the header."
+        )
     labels += [""] * ((markers or 0) - len(labels))
     return _Head(rate, setting("NumFrames"), markers, values.get("Units", ""), labels)

@@ -79,7 +79,7 @@ def read_clouds(
     metres = unit_scale(unit)
     sources = [source] if isinstance(source, str | Path) else list(source)
     if not sources:
-        raise InputError("No clouds were given; name files, a folder, a pattern, or an .npz.")
+        raise InputError("No clouds were given; give files, a folder, a pattern or an .npz.")
     path = Path(sources[0])
     if len(sources) > 1:
         paths = order_files(sources, first, last)
@@ -106,31 +106,33 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         raise wrong_arrays(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if points.dtype.kind not in "fiu":
         raise InputError(
-            f"{path}: '{'points' if 'points' in arrays else 'vertices'}' holds {points.dtype}; give numbers, (F, N, 3)."
+            f"{path}: '{'points' if 'points' in arrays else 'vertices'}' has the type {points.dtype}; expected numbers, (F, N, 3)."
         )
     if offsets is None and points.ndim == 2:
         offsets = np.array([0, len(points)])
     if points.ndim != (3 if offsets is None else 2) or points.shape[-1] != 3:
         wanted = "(F, N, 3)" if offsets is None else "(T, 3) with offsets"
-        raise InputError(f"{path}: the points have the shape {points.shape}; it must be {wanted}.")
+        raise InputError(f"{path}: the points have the shape {points.shape}; expected {wanted}.")
     if normals is not None and (normals.shape != points.shape or normals.dtype.kind not in "fiu"):
         raise InputError(
-            f"{path}: the normals have the shape {normals.shape} and hold {normals.dtype}; give numbers of the shape "
-            f"of the points, {points.shape}."
+            f"{path}: the normals have the shape {normals.shape} and the type {normals.dtype}; expected numbers of the "
+            f"shape of the points, {points.shape}."
         )
     if offsets is not None and (offsets.ndim != 1 or offsets.dtype.kind not in "iu" or not len(offsets)):
         raise InputError(
-            f"{path}: the offsets have the shape {offsets.shape} and hold {offsets.dtype}; they must be whole numbers, "
+            f"{path}: the offsets have the shape {offsets.shape} and the type {offsets.dtype}; expected whole numbers, "
             "(F + 1,)."
         )
     if offsets is not None and not (
         offsets[0] == 0 and offsets[-1] == len(points) and (offsets[1:] >= offsets[:-1]).all()
     ):
-        raise InputError(f"{path}: the offsets must rise from 0 to the number of points, {len(points)}.")
+        raise InputError(
+            f"{path}: the offsets do not increase from 0 to the number of points, {len(points)}; write the file again."
+        )
     if faces is not None:
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
             raise InputError(
-                f"{path}: the faces are {faces.dtype} of the shape {faces.shape}; they must be whole numbers, (T, 3)."
+                f"{path}: the faces have the shape {faces.shape} and the type {faces.dtype}; expected whole numbers, (T, 3)."
             )
         # the same for all frames, so checked against the frame with the fewest points
         least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
@@ -138,7 +140,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     count = len(points) if offsets is None else len(offsets) - 1
     if count > max(len(points), 1):
         raise InputError(
-            f"{path}: there are {count} frames of {len(points)} points in all; leave empty frames out."
+            f"{path}: the file has {count} frames but only {len(points)} points; remove empty frames."
         )
     frames = cut(list(range(count)), first, last, str(path))
 

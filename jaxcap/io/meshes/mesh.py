@@ -97,7 +97,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
         import trimesh
 
         if suffix == ".stl" and not len(faces):
-            raise InputError(f"{path}: .stl holds triangles alone, and there are none; use .ply for points.")
+            raise InputError(f"{path}: the mesh has no triangles, and .stl cannot contain points; use .ply.")
         # point clouds of trimesh have no normals
         solid = (
             trimesh.Trimesh(vertices, faces, vertex_normals=mesh.normals, process=False)
@@ -116,7 +116,7 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
 def check_points(points: np.ndarray, where: str | Path) -> None:
     """Check that there are points, and that none is NaN, infinite or too large. Raises `InputError`."""
     if len(points) == 0:
-        raise InputError(f"{where}: there are no points in it; give at least one.")
+        raise InputError(f"{where}: it has no points; expected at least one.")
     # half floats cannot hold LARGEST; the comparison with a double converts them
     wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
     if wrong.any():
@@ -132,7 +132,7 @@ def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
     if faces.size and not (faces.min() >= 0 and faces.max() < count):
         row = int(np.argmax((faces < 0).any(1) | (faces >= count).any(1)))
         raise InputError(
-            f"{where}: face {row} names vertices {faces[row].tolist()}, but there are only 0 to {count - 1}."
+            f"{where}: face {row} refers to vertices {faces[row].tolist()}, but the vertices are 0 to {count - 1}."
         )
 
 
@@ -143,7 +143,7 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
     """
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     if len(faces) == 0:
-        raise InputError(f"{where}: there are no faces in it; a body needs a surface, not a cloud.")
+        raise InputError(f"{where}: it has no faces; a body needs a surface, not a cloud.")
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], 0)
@@ -178,9 +178,11 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
     hint = (
         f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely
-        else "is none: check its unit"
+        else "is not a body in any known unit: check the unit"
     )
-    raise InputError(f"{where}: it is {extent:.4g} m long, and a body is from 0.3 to 3 m; this {hint}.")
+    raise InputError(
+        f"{where}: its longest side is {extent:.4g} m; expected 0.3 to 3 m for a body; this {hint}."
+    )
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -225,10 +227,10 @@ def _read_trimesh(path: Path):
     except Exception as error:  # any error of a reader on a damaged file
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:120].rstrip(". ")
         raise InputError(
-            f"{path}: this is not a whole {path.suffix} file ({reason}); write it again."
+            f"{path}: this {path.suffix} file is incomplete or damaged ({reason}); write it again."
         ) from None
     if not hasattr(loaded, "vertices"):
-        raise InputError(f"{path}: this file holds no mesh and no points.")
+        raise InputError(f"{path}: this file contains no mesh and no points; give a mesh or a cloud.")
     if path.suffix.lower() == ".stl":
         # vertices that are not finite cannot be compared
         check_points(np.asarray(loaded.vertices, float), path)

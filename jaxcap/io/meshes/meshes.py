@@ -62,7 +62,7 @@ def read_named_meshes(
     metres = unit_scale(unit)
     sources = [paths] if isinstance(paths, str | Path) else list(paths)
     if not sources:
-        raise InputError("No meshes were given; name files, a folder, or an .npz.")
+        raise InputError("No meshes were given; give files, a folder or an .npz.")
     found = [path for source in sources for path in find_files(source, whole=False, also=(".npz",))]
     files = [_read(path) for path in found]
     for path, file in zip(found[1:], files[1:], strict=True):
@@ -92,8 +92,8 @@ def triangulate(
     # each count is checked, as large counts could overflow to the right sum
     if (counts < 3).any() or (counts > len(indices)).any() or counts.sum() != len(indices):
         raise InputError(
-            f"{where}: the faces have {counts.sum()} corners by their counts and {len(indices)} by their indices, "
-            f"the least {counts.min(initial=3)}; each has at least 3."
+            f"{where}: the counts of the faces sum to {counts.sum()} corners, and there are {len(indices)} indices; the "
+            f"smallest count is {counts.min(initial=3)}; expected equal sums, and at least 3 corners for each face."
         )
     starts = np.cumsum(counts) - counts
     polygon = np.repeat(np.arange(len(counts)), counts - 2)
@@ -107,11 +107,11 @@ def _read(path: Path) -> _File:
         return _arrays(path)
     if path.suffix.lower() == ".stl":
         raise InputError(
-            f"{path}: an .stl file has no shared vertices, so meshes cannot be matched by their order; use .ply or .obj."
+            f"{path}: an .stl file has no shared vertices, so meshes do not have one vertex order; use .ply or .obj."
         )
     mesh = read_mesh(path)
     if len(mesh.faces) == 0:
-        raise InputError(f"{path}: there are no faces in it; a registered mesh is a surface, not a cloud.")
+        raise InputError(f"{path}: it has no faces; a registered mesh is a surface, not a cloud.")
     return _File([str(path)], mesh.vertices[None], mesh.faces, None)
 
 
@@ -121,11 +121,11 @@ def _arrays(path: Path) -> _File:
     if vertices is None or "skin" in held:
         raise wrong_arrays(path, "without an array 'vertices' (F, V, 3) of numbers")
     if vertices.dtype.kind not in "fiu":
-        raise InputError(f"{path}: 'vertices' holds {vertices.dtype}; give numbers, (F, V, 3).")
+        raise InputError(f"{path}: 'vertices' has the type {vertices.dtype}; expected numbers, (F, V, 3).")
     if vertices.ndim == 2:
         vertices = vertices[None]
     if vertices.ndim != 3 or vertices.shape[-1] != 3 or not vertices.size:
-        raise InputError(f"{path}: the vertices have the shape {vertices.shape}; it must be (F, V, 3).")
+        raise InputError(f"{path}: the vertices have the shape {vertices.shape}; expected (F, V, 3).")
     faces = arrays.get("faces")
     if faces is None and {"face_counts", "face_indices"} <= set(arrays):
         faces = triangulate(
@@ -134,18 +134,18 @@ def _arrays(path: Path) -> _File:
             path,
         )
     if faces is None or faces.dtype.kind not in "iu":
-        held_as = "is not there" if faces is None else f"holds {faces.dtype}"
+        held_as = "is missing" if faces is None else f"has the type {faces.dtype}"
         raise InputError(
-            f"{path}: an array 'faces' {held_as}; give the meshes' triangles as whole numbers, 'faces' (T, 3), or polygons as "
+            f"{path}: the array 'faces' {held_as}; write triangles as whole numbers, 'faces' (T, 3), or polygons as "
             "'face_counts' and 'face_indices'."
         )
     if faces.ndim == 2 and faces.shape[1] > 3:
         faces = triangulate(np.full(len(faces), faces.shape[1]), faces.reshape(-1), path)
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise InputError(f"{path}: the faces have the shape {faces.shape}; it must be (T, 3).")
+        raise InputError(f"{path}: the faces have the shape {faces.shape}; expected (T, 3).")
     if not (faces.min() >= 0 and faces.max() < vertices.shape[1]):
         raise InputError(
-            f"{path}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}, but there are only "
+            f"{path}: a face refers to vertex {faces.min() if faces.min() < 0 else faces.max()}, but the vertices are "
             f"0 to {vertices.shape[1] - 1}."
         )
     given = arrays.get("names", np.zeros(0))
@@ -158,7 +158,7 @@ def _arrays(path: Path) -> _File:
     rate = arrays.get("rate")
     if rate is not None and not (rate.shape == () and rate.dtype.kind in "fiu"):
         raise InputError(
-            f"{path}: the rate has the shape {rate.shape} and holds {rate.dtype}; it must be one number above 0."
+            f"{path}: the rate has the shape {rate.shape} and the type {rate.dtype}; expected one number above 0."
         )
     rate = None if rate is None else check_rate(rate.item(), str(path))
     return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
@@ -168,7 +168,7 @@ def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     """Return a list of integers after a check. Raises `InputError`."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise InputError(
-            f"{path}: the array '{name}' has the shape {values.shape} and holds {values.dtype}; it must be a list of "
+            f"{path}: the array '{name}' has the shape {values.shape} and the type {values.dtype}; expected a list of "
             "whole numbers."
         )
     return values.astype(np.int64)
@@ -187,8 +187,8 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
     rows = [set(map(tuple, _turned(f.faces).tolist())) for f in (file, reference)]
     if rows[0] != rows[1]:
         raise InputError(
-            f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles join other vertices than in {first}; "
-            "registered meshes have one topology and one order of vertices."
+            f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
+            "registered meshes have one topology and one vertex order."
         )
 
 

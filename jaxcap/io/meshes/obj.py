@@ -28,13 +28,15 @@ def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         where = f"{path}:{number}"
         if words[0] == "v":
             if len(words) < 4:
-                raise InputError(f"{where}: this vertex has {len(words) - 1} numbers; give 3.")
+                raise InputError(f"{where}: this vertex has {len(words) - 1} numbers; expected 3.")
             vertices.append(parse_floats(words[1:4], where, "a vertex"))
         elif words[0] == "f":
             corners = [parse_int(word.split("/")[0], where, "a corner") for word in words[1:]]
             corners = [corner + len(vertices) if corner < 0 else corner - 1 for corner in corners]
             if len(corners) < 3 or min(corners) < 0:
-                raise InputError(f"{where}: this face needs three corners, counted from 1.")
+                raise InputError(
+                    f"{where}: this face has fewer than three corners, or an invalid one; expected vertex numbers from 1 on."
+                )
             triangles += [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
     return np.array(vertices).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3), None
 

@@ -19,28 +19,30 @@ def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """
     lines = list(numbered_lines(read_text(path)))
     if not lines:
-        raise InputError(f"{path}: this file is empty.")
+        raise InputError(f"{path}: this file is empty; write it again.")
     number, first = lines.pop(0)
     keyword, *counts = first.split()
     header = re.fullmatch(r"(ST)?(C)?(N)?OFF", keyword, re.IGNORECASE)
     if not header or (counts and counts[0].upper() == "BINARY"):
         raise InputError(
-            f"{path}:{number}: '{first[:40]}' stands where OFF, COFF, NOFF or STOFF belongs; only text is read."
+            f"{path}:{number}: the file begins with '{first[:40]}'; expected OFF, COFF, NOFF or STOFF in a text file."
         )
     if not counts:
         if not lines:
-            raise InputError(f"{path}:{number}: the numbers of vertices and faces are missing.")
+            raise InputError(f"{path}:{number}: the numbers of vertices and faces are missing; write both.")
         number, line = lines.pop(0)
         counts = line.split()
     if len(counts) < 2:
-        raise InputError(f"{path}:{number}: the numbers of vertices and faces are missing.")
+        raise InputError(f"{path}:{number}: the numbers of vertices and faces are missing; write both.")
     num_vertices = parse_int(counts[0], f"{path}:{number}", "the number of vertices")
     num_faces = parse_int(counts[1], f"{path}:{number}", "the number of faces")
     if min(num_vertices, num_faces) < 0:
-        raise InputError(f"{path}:{number}: {num_vertices} vertices and {num_faces} faces cannot be.")
+        raise InputError(
+            f"{path}:{number}: the header declares {num_vertices} vertices and {num_faces} faces; expected numbers of at least 0."
+        )
     if len(lines) < num_vertices + num_faces:
         raise InputError(
-            f"{path}:{lines[-1][0] if lines else number}: the header promises {num_vertices} vertices and {num_faces} "
+            f"{path}:{lines[-1][0] if lines else number}: the header declares {num_vertices} vertices and {num_faces} "
             f"faces, but {len(lines)} lines follow; the file is cut short."
         )
     width = 6 if header[3] else 3
@@ -54,7 +56,7 @@ def _rows(lines: list[tuple[int, str]], width: int, path: Path) -> np.ndarray:
     words = [line.split()[:width] for _, line in lines]
     for (number, _), row in zip(lines, words, strict=True):
         if len(row) != width:
-            raise InputError(f"{path}:{number}: this vertex has {len(row)} numbers; give {width}.")
+            raise InputError(f"{path}:{number}: this vertex has {len(row)} numbers; expected {width}.")
     numbers = float_table([word for row in words for word in row])
     if numbers is not None:
         return numbers.reshape(-1, width)
@@ -78,12 +80,14 @@ def _faces(lines: list[tuple[int, str]], num_vertices: int, path: Path) -> np.nd
         where = f"{path}:{number}"
         count = parse_int(words[0], where, "the number of corners")
         if not 0 <= count < len(words):
-            raise InputError(f"{where}: this face promises {count} corners and has {len(words) - 1}.")
+            raise InputError(
+                f"{where}: this face declares {count} corners and has {len(words) - 1}; correct the number."
+            )
         corners = [parse_int(word, where, "a corner") for word in words[1 : count + 1]]
         for corner in corners:
             if not 0 <= corner < num_vertices:
                 raise InputError(
-                    f"{where}: this face names vertex {corner}, but there are only 0 to {num_vertices - 1}."
+                    f"{where}: this face refers to vertex {corner}, but the vertices are 0 to {num_vertices - 1}."
                 )
         triangles += [(corners[0], corners[i], corners[i + 1]) for i in range(1, count - 1)]
     return np.array(triangles, np.int64).reshape(-1, 3)

@@ -53,7 +53,7 @@ def _check_rows(rows: list[str], element: Element, header: Header, path: Path, f
                 at += 1
             if not 0 <= count <= len(left) - at:
                 raise InputError(
-                    f"{path}:{number}: this '{shortened(element.name)}' promises {count} numbers of '{shortened(one.name)}' and "
+                    f"{path}:{number}: this '{shortened(element.name)}' declares {count} numbers of '{shortened(one.name)}' and "
                     f"has {len(left) - at}; write all of them."
                 )
             words[column] += left[at : at + count]
@@ -73,7 +73,7 @@ def _check_words(words: list[str], lines: list[int], one: Property, path: Path, 
         if strange.any():
             row = int(strange.argmax())
             raise InputError(
-                f"{path}:{lines[row]}: this face names vertex {shortened(words[row])}, but there are only 0 to {vertices - 1}."
+                f"{path}:{lines[row]}: this face refers to vertex {shortened(words[row])}, but the vertices are 0 to {vertices - 1}."
             )
     limits = np.finfo(one.type) if one.type.kind == "f" else np.iinfo(one.type)
     held = (numbers >= limits.min) & (numbers <= limits.max)
@@ -84,8 +84,8 @@ def _check_words(words: list[str], lines: list[int], one: Property, path: Path, 
     if wrong.any():
         row = int(wrong.argmax())
         raise InputError(
-            f"{path}:{lines[row]}: '{shortened(words[row])}' of '{shortened(one.name)}' is no number from {limits.min:.4g} to "
-            f"{limits.max:.4g}, as its type holds; write such a one."
+            f"{path}:{lines[row]}: '{shortened(words[row])}' of '{shortened(one.name)}' is not a valid number of its type; expected "
+            f"{limits.min:.4g} to {limits.max:.4g}."
         )
 
 
@@ -137,8 +137,8 @@ def _check_block(data: bytes, at: int, element: Element, header: Header, path: P
             continue
         if (rows[f"length {number}"] != rows[f"length {number}"][0]).any():
             raise InputError(
-                f"{path}: the lists '{shortened(one.name)}' of '{shortened(element.name)}' are not all of one length, which is read "
-                "from text alone; write the file as text, or with triangles."
+                f"{path}: the lists '{shortened(one.name)}' of '{shortened(element.name)}' have different lengths, which is "
+                "supported only in text files; write the file as text, or with triangles only."
             )
         if _is_corner(element, one):
             _check_corners(rows[f"values {number}"], header.count_of("vertex"), path)
@@ -165,7 +165,7 @@ def _check_corners(corners: np.ndarray, vertices: int, path: Path) -> None:
     if strange.any():
         row, corner = np.argwhere(strange)[0]
         raise InputError(
-            f"{path}: face {row} names vertex {corners[row, corner]}, but there are only 0 to {vertices - 1}."
+            f"{path}: face {row} refers to vertex {corners[row, corner]}, but the vertices are 0 to {vertices - 1}."
         )
 
 
@@ -175,6 +175,6 @@ def _is_corner(element: Element, one: Property) -> bool:
 
 def _cut(where: str | Path, element: Element, there: int) -> InputError:
     return InputError(
-        f"{where}: the header promises {element.count} of '{shortened(element.name)}', but {there} follow; the file is cut "
+        f"{where}: the header declares {element.count} of '{shortened(element.name)}', but {there} follow; the file is cut "
         "short."
     )

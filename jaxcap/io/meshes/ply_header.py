@@ -61,29 +61,33 @@ def read_header(data: bytes, path: Path) -> Header:
         match words:
             case ["end_header", *_]:
                 if order is None:
-                    raise InputError(f"{where}: the header does not say its format; write the file again.")
+                    raise InputError(f"{where}: the header has no line 'format'; write the file again.")
                 return Header(order == "", elements, number, end)
             case ["format", name, *_]:
                 if name not in _FORMATS:
                     raise InputError(
-                        f"{where}: '{shortened(name)}' is no format; give {', '.join(_FORMATS)}."
+                        f"{where}: '{shortened(name)}' is not a format; expected {', '.join(_FORMATS)}."
                     )
                 order = _FORMATS[name]
             case ["element", name, count]:
                 elements.append(Element(name, _count(count, where, name), []))
             case ["property", *rest]:
                 if not elements or order is None:
-                    raise InputError(f"{where}: a property stands before the format or any element; move it.")
+                    raise InputError(
+                        f"{where}: a property comes before the format or before any element; move it."
+                    )
                 elements[-1].properties.append(_property(rest, order, where))
     raise InputError(
-        f"{path}: this is not a whole .ply file (its header has no line 'end_header'); write it again."
+        f"{path}: this .ply file is incomplete (its header has no line 'end_header'); write it again."
     )
 
 
 def _count(word: str, where: str, name: str) -> int:
     count = parse_int(word, where, f"the number of '{shortened(name)}'")
     if count < 0:
-        raise InputError(f"{where}: {count} of '{shortened(name)}' cannot be; write how many there are.")
+        raise InputError(
+            f"{where}: the number of '{shortened(name)}' is {count}; expected a number of at least 0."
+        )
     return count
 
 
@@ -91,12 +95,14 @@ def _property(words: list[str], order: str, where: str) -> Property:
     types, name = words[:-1], (words or [""])[-1]
     strange = next((word for word in types if word not in TYPES and word != "list"), None)
     if strange is not None:
-        raise InputError(f"{where}: '{shortened(strange)}' is no type of a number; give {', '.join(TYPES)}.")
+        raise InputError(
+            f"{where}: '{shortened(strange)}' is not a number type; expected {', '.join(TYPES)}."
+        )
     found = [np.dtype(order + TYPES[word]) for word in types if word != "list"]
     if types[:1] == ["list"] and len(types) == len(found) + 1 == 3 and found[0].kind in "iu":
         return Property(name, found[1], found[0])
     if len(types) == len(found) == 1:
         return Property(name, found[0])
     raise InputError(
-        f"{where}: '{shortened(' '.join(words))}' is no property; give its type and name, or a list's two types and name."
+        f"{where}: '{shortened(' '.join(words))}' is not a property; expected a type and a name, or 'list', two types and a name."
     )

@@ -12,7 +12,7 @@ from ..system.door import reads
 from ..text import numbered_lines, parse_int, read_text, shortened
 
 
-@reads("a list of vertices")
+@reads("a vertex list")
 def read_vertex_list(path: str | Path) -> dict[str, int]:
     """Read names with the vertex of each; a line with only a number gets the name `v` and the number.
 
@@ -24,15 +24,17 @@ def read_vertex_list(path: str | Path) -> dict[str, int]:
         words, where = line.split(), f"{path}:{number}"
         if len(words) > 2:
             raise InputError(
-                f"{where}: '{shortened(line)}' has {len(words)} words; write a name and a vertex."
+                f"{where}: '{shortened(line)}' has {len(words)} words; expected a name and a vertex."
             )
         vertex = parse_int(words[-1], where, "the vertex")
         if vertex < 0:
-            raise InputError(f"{where}: there is no vertex {vertex}; they count from 0.")
+            raise InputError(f"{where}: the vertex is {vertex}; expected an index of at least 0.")
         name = words[0] if len(words) == 2 else f"v{vertex}"
         if name in found:
-            raise InputError(f"{where}: the name '{shortened(name)}' stands twice; give each marker its own.")
+            raise InputError(
+                f"{where}: the name '{shortened(name)}' occurs twice; give each marker a unique name."
+            )
         found[name] = vertex
     if not found:
-        raise InputError(f"{path}: there are no vertices in it; write a name and a vertex on each line.")
+        raise InputError(f"{path}: the file lists no vertices; write a name and a vertex on each line.")
     return found

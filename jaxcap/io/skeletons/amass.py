@@ -71,17 +71,17 @@ def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
     roots = [name for name, parent in zip(skeleton.names, skeleton.parents, strict=True) if parent < 0]
     if len(roots) > 1:
         raise InputError(
-            f"{path}: the skeleton has {len(roots)} roots, {', '.join(roots)}; AMASS moves one only. Write it as .npz or "
-            ".bvh."
+            f"{path}: the skeleton has {len(roots)} roots, {', '.join(roots)}; the AMASS format has one only; write it as "
+            ".npz or .bvh."
         )
     if np.abs(scales - scale).max() > 1e-6 * abs(scale):
         raise InputError(
-            f"{path}: the motion's scale changes from frame to frame; AMASS has one size for all."
+            f"{path}: the scale of the motion changes from frame to frame; the AMASS format has one scale for all."
         )
     away = np.abs(moves[:, 1:]).max((0, 2), initial=0.0)
     if away.max(initial=0.0) > 1e-6:
         raise InputError(
-            f"{path}: the joint '{skeleton.names[1 + int(away.argmax())]}' moves away from its place, and AMASS holds "
+            f"{path}: the joint '{skeleton.names[1 + int(away.argmax())]}' is translated, and the AMASS format has "
             "rotations only; write it as .npz or .bvh."
         )
     root = scale * np.asarray(skeleton.centres, float)[0]
@@ -114,7 +114,7 @@ def is_amass(path: str | Path) -> bool:
 
 
 @checked
-@reads("a motion of AMASS")
+@reads("an AMASS motion")
 def read_amass(
     path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
 ) -> tuple[Skeleton, Motion]:
@@ -131,10 +131,10 @@ def read_amass(
     trans = get_array(arrays, "trans", path, (len(poses), 3), rows="frame")
     if poses.shape[1] % 3 or not poses.shape[1]:
         raise InputError(
-            f"{path}: the array 'poses' has the shape {poses.shape}; it must be frames x 3 times joints."
+            f"{path}: the array 'poses' has the shape {poses.shape}; expected (frames, 3 * joints)."
         )
     if not len(poses):
-        raise InputError(f"{path}: there are no frames in it; give a file with one at least.")
+        raise InputError(f"{path}: the file has no frames; expected at least one.")
     found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
     return found, _motion(found, poses, trans, _rate(path, arrays), up)
 
@@ -164,37 +164,37 @@ def _skeleton(
         own = skeleton_of(noted, path)
         if own.num_joints != joints:
             raise InputError(
-                f"{path}: there are poses of {joints} joints, and its skeleton has {own.num_joints}."
+                f"{path}: the poses have {joints} joints, and the skeleton of the file has {own.num_joints}; write it again."
             )
         if given is None:
             return own
         if not same_joints(own, given):
             raise InputError(
-                f"{path}: this motion is of the joints {', '.join(own.names)}, not of the body's {', '.join(given.names)}; "
+                f"{path}: this motion has the joints {', '.join(own.names)}; expected {', '.join(given.names)} as in the body; "
                 "retarget it."
             )
         apart = rest_distance(own, given)
         if apart > SAME_BODY:
             raise InputError(
-                f"{path}: this motion is of another body, whose joints stand up to {1000 * apart:.0f} mm from those of "
-                "this one; retarget it."
+                f"{path}: this motion belongs to another body: its joints at rest differ by up to {1000 * apart:.0f} mm "
+                "from those of this body; retarget it."
             )
         return given
     what = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}.get(joints)
-    told = f"poses of {joints} joints{f', as of {what},' if what else ''}"
+    told = f"poses of {joints} joints{f' ({what})' if what else ''}"
     if given is None:
         raise InputError(
-            f"{path}: there are {told} and no skeleton in this file; give a body with these joints (--body)."
+            f"{path}: the file has {told} but no skeleton; give a body with these joints (--body)."
         )
     if given.num_joints != joints:
         raise InputError(
-            f"{path}: there are {told} and the body has {given.num_joints} joints; give one with the same joints."
+            f"{path}: the file has {told} and the body has {given.num_joints} joints; give a body with the same joints."
         )
     if joints in TREES and given.parents != TREES[joints]:
         wrong = next(j for j in range(joints) if given.parents[j] != TREES[joints][j])
         raise InputError(
-            f"{path}: there are {told} and the body's joint {wrong}, '{given.names[wrong]}', hangs on another one than "
-            f"{what} has it on; give a body with joints in that order."
+            f"{path}: the file has {told}, but joint {wrong} of the body, '{given.names[wrong]}', has another parent "
+            f"than in {what}; give a body with its joints in that order."
         )
     return given
 
@@ -202,9 +202,11 @@ def _skeleton(
 def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
     found = next((arrays[name] for name in _RATES if name in arrays), None)
     if found is None:
-        raise InputError(f"{path}: neither '{_RATES[0]}' nor '{_RATES[1]}' is there; the rate is not known.")
+        raise InputError(
+            f"{path}: the arrays '{_RATES[0]}' and '{_RATES[1]}' are missing; add one of them, as the rate is unknown."
+        )
     if found.size != 1 or found.dtype.kind not in "iuf":
         raise InputError(
-            f"{path}: the rate of frames has the shape {found.shape} and holds {found.dtype}; it has to be a number above zero."
+            f"{path}: the frame rate has the shape {found.shape} and the type {found.dtype}; expected a number above zero."
         )
     return check_rate(float(found.reshape(-1)[0]), str(path))

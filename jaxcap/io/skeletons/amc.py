@@ -33,10 +33,12 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
         else:
             rows.append((number, line))
     if not rows:
-        raise InputError(f"{path}: there are no frames in this file.")
+        raise InputError(f"{path}: the file has no frames; export it again.")
     counts = {name: len(dofs) for name, dofs in asf.dofs.items() if dofs}
     if not counts:
-        raise InputError(f"{path}: no bone of the .asf file moves; give the .asf file of this motion.")
+        raise InputError(
+            f"{path}: no bone of the .asf file has degrees of freedom; give the .asf file of this motion."
+        )
     values = _regular(rows, counts, path)
     if values is None:
         values = _irregular(rows, counts, path)
@@ -80,7 +82,7 @@ def _check_order(frames: Sequence[float | int], path: str | Path) -> None:
     for before, after in itertools.pairwise(frames):
         if after != before + 1:
             raise InputError(
-                f"{path}: frame {after:.0f} stands behind frame {before:.0f}; frames have to follow one by one."
+                f"{path}: frame {after:.0f} follows frame {before:.0f}; expected consecutive numbers."
             )
 
 
@@ -107,16 +109,20 @@ def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dic
             continue
         where = f"{path}:{number}"
         if not frames:
-            raise InputError(f"{where}: '{shortened(name)}' stands before the first frame's number.")
+            raise InputError(
+                f"{where}: '{shortened(name)}' comes before the number of the first frame; write the number first."
+            )
         if name not in counts:
             raise InputError(
-                f"{where}: the bone '{shortened(name)}' is not one that the .asf file lets move."
+                f"{where}: the bone '{shortened(name)}' has no degrees of freedom in the .asf file; give the .asf file of this motion."
             )
         if name in frames[-1]:
-            raise InputError(f"{where}: the bone '{name}' stands twice in frame {len(frames)}.")
+            raise InputError(
+                f"{where}: the bone '{name}' occurs twice in frame {len(frames)}; remove one of its lines."
+            )
         if len(words) != counts[name]:
             raise InputError(
-                f"{where}: the bone '{name}' has {len(words)} numbers; its dofs are {counts[name]}."
+                f"{where}: the bone '{name}' has {len(words)} numbers; expected {counts[name]}, one for each dof."
             )
         frames[-1][name] = parse_floats(words, where, f"'{name}'")
     complete()

@@ -66,7 +66,7 @@ def read_asf(path: str | Path) -> Asf:
             current.append((number, line))
     for key in ("root", "bonedata", "hierarchy"):
         if key not in sections:
-            raise InputError(f"{path}: there is no ':{key}' section; this is not a whole .asf file.")
+            raise InputError(f"{path}: the file has no ':{key}' section; it is incomplete.")
     units = {
         words[0].lower(): (number, words[1])
         for number, line in sections.get("units", [])
@@ -76,7 +76,7 @@ def read_asf(path: str | Path) -> Asf:
     unit = parse_floats([length], f"{path}:{number}", "the unit of length")[0]
     if not 1e-6 <= unit <= 1e6:
         raise InputError(
-            f"{path}:{number}: the unit of length is {unit:g}; it must be more than zero, from 1e-06 to 1e+06."
+            f"{path}:{number}: the unit of length is {unit:g}; expected a number from 1e-06 to 1e+06."
         )
     metres = 0.0254 / unit
     degrees = units.get("angle", (0, "deg"))[1].lower().startswith("deg")
@@ -98,7 +98,7 @@ def read_asf(path: str | Path) -> Asf:
         turned = np.array(parse_floats(angles, where, f"the axis of '{shortened(name)}'")) * turn
         if sorted(order) != ["x", "y", "z"] or len(turned) != 3:
             raise InputError(
-                f"{where}: the axis of '{shortened(name)}' needs three angles and an order such as XYZ."
+                f"{where}: the axis of '{shortened(name)}' is invalid; expected three angles and an order such as XYZ."
             )
         frames[name] = Rotation.from_euler(order, turned).as_matrix()
         if "limits" in bone:
@@ -106,7 +106,7 @@ def read_asf(path: str | Path) -> Asf:
             pairs = np.array(_bounds(words, f"{path}:{bone['limits'][0]}", name)) * turn
             if len(pairs) != 2 * len(dofs[name]):
                 raise InputError(
-                    f"{path}:{bone['limits'][0]}: '{shortened(name)}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits."
+                    f"{path}:{bone['limits'][0]}: '{shortened(name)}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits; expected one for each dof."
                 )
             limits[name] = _finite(np.sort(pairs.reshape(-1, 2), 1), f"{path}:{bone['limits'][0]}", name)
     order = _root_first(parents)
@@ -122,7 +122,7 @@ def read_asf(path: str | Path) -> Asf:
         size = np.linalg.norm(direction)
         if size < 1e-9:
             raise InputError(
-                f"{path}:{bone['direction'][0]}: the direction of '{shortened(name)}' is (0, 0, 0)."
+                f"{path}:{bone['direction'][0]}: the direction of '{shortened(name)}' is (0, 0, 0); expected a vector of positive length."
             )
         lengths[name] = _vector(bone, "length", name, path, 1)[0] * metres
         ends[name] = ends[above] + direction / size * lengths[name]
@@ -192,13 +192,19 @@ def _bones(lines: list[tuple[int, str]], path) -> dict[str, dict]:
         elif line == "end" and block is not None:
             fields = _fields(block, path)
             if not fields.get("name", (0, []))[1]:
-                raise InputError(f"{path}:{number}: a bone ends here that has no name.")
+                raise InputError(
+                    f"{path}:{number}: the bone that ends on this line has no name; give it a name."
+                )
             name = fields["name"][1][0]
             if name in bones or name == "root":
-                raise InputError(f"{path}:{fields['name'][0]}: the bone '{shortened(name)}' stands twice.")
+                raise InputError(
+                    f"{path}:{fields['name'][0]}: the bone '{shortened(name)}' occurs twice; names must be unique."
+                )
             bones[name], block = fields, None
         elif block is None:
-            raise InputError(f"{path}:{number}: '{shortened(line)}' stands outside of 'begin' and 'end'.")
+            raise InputError(
+                f"{path}:{number}: '{shortened(line)}' is outside of 'begin' and 'end'; move it."
+            )
         else:
             block.append((number, line))
     if block is not None:
@@ -213,7 +219,7 @@ def _dofs(name: str, bone: dict, path) -> tuple[str, ...]:
     for word in words:
         if word not in allowed or words.count(word) > 1:
             raise InputError(
-                f"{path}:{number}: the dof '{shortened(word)}' of '{shortened(name)}' is not supported; use {', '.join(allowed)} once each."
+                f"{path}:{number}: the dof '{shortened(word)}' of '{shortened(name)}' is not supported; expected {', '.join(allowed)}, each at most once."
             )
     return words
 
@@ -236,7 +242,7 @@ def _finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.
     lower, upper = pairs.T
     if ((lower == np.inf) | (upper == -np.inf)).any():
         raise InputError(
-            f"{where}: a limit of '{shortened(name)}' goes from one infinity to the same; write (-inf inf) where there is none."
+            f"{where}: a limit of '{shortened(name)}' has the same infinity as both bounds; write (-inf inf) for no limit."
         )
     below = np.where(np.isinf(upper), -np.pi, np.minimum(-np.pi, upper - np.pi))
     above = np.where(np.isinf(lower), np.pi, np.maximum(np.pi, lower + np.pi))
@@ -247,13 +253,13 @@ def _finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.
 def _vector(bone: dict, key: str, name: str, path, count: int = 3) -> list[float]:
     if key not in bone:
         raise InputError(
-            f"{path}:{bone['first'][0]}: '{shortened(name)}' has no {key}; give it {count} numbers."
+            f"{path}:{bone['first'][0]}: '{shortened(name)}' has no {key}; expected {count} numbers."
         )
     number, words = bone[key]
     values = parse_floats(words[:count], f"{path}:{number}", f"the {key} of '{shortened(name)}'")
     if len(values) != count:
         raise InputError(
-            f"{path}:{number}: the {key} of '{shortened(name)}' has {len(values)} numbers; give {count}."
+            f"{path}:{number}: the {key} of '{shortened(name)}' has {len(values)} numbers; expected {count}."
         )
     return values
 
@@ -267,21 +273,25 @@ def _hierarchy(lines: list[tuple[int, str]], bones: dict, path) -> dict[str, str
             continue
         for name in words:
             if name not in bones:
-                raise InputError(f"{path}:{number}: the bone '{shortened(name)}' is not in ':bonedata'.")
+                raise InputError(
+                    f"{path}:{number}: the bone '{shortened(name)}' is not in ':bonedata'; add it."
+                )
         for child in words[1:]:
             if child in parents or child == "root":
-                raise InputError(f"{path}:{number}: the bone '{shortened(child)}' is given a parent twice.")
+                raise InputError(
+                    f"{path}:{number}: the bone '{shortened(child)}' has two parents; keep one of them."
+                )
             parents[child] = words[0]
     for name in bones:
         if name != "root" and name not in parents:
             raise InputError(
-                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' has no place in ':hierarchy'."
+                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' is missing in ':hierarchy'; add it."
             )
     reached = set(_root_first(parents))
     for name in parents:
         if name not in reached:
             raise InputError(
-                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' hangs on itself, not on the root."
+                f"{path}:{bones[name]['first'][0]}: the bone '{shortened(name)}' descends from itself, not from the root; correct its parents."
             )
     return parents
 

@@ -43,7 +43,7 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     ]
     if missing or target.names[0] not in skeleton.names:
         raise InputError(
-            f"{path}: there is no joint '{(missing or target.names)[0]}' in this motion; give it to the body by `jaxcap edit retarget`."
+            f"{path}: this motion has no joint '{(missing or target.names)[0]}'; retarget it with `jaxcap edit retarget`."
         )
     count = motion.num_frames
     rotations = np.tile([1.0, 0, 0, 0], (count, target.num_joints, 1))
@@ -70,6 +70,6 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
 def _check_near(path: Path, apart: float) -> None:
     if apart > SAME_BODY:
         raise InputError(
-            f"{path}: this motion is of another skeleton, whose joints stand up to {1000 * apart:.0f} mm from "
-            "those of the body; give it to the body by `jaxcap edit retarget`."
+            f"{path}: this motion belongs to another skeleton: its joints differ by up to {1000 * apart:.0f} mm "
+            "from those of the body; retarget it with `jaxcap edit retarget`."
         )

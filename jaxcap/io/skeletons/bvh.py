@@ -57,7 +57,7 @@ def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Moti
     lines = _lines(read_text(path))
     start = next((i for i, (_, line) in enumerate(lines) if line.strip().lower() == "motion"), None)
     if start is None:
-        raise InputError(f"{path}: there is no MOTION section; this is not a whole BVH file.")
+        raise InputError(f"{path}: the file has no MOTION section; it is incomplete.")
     joints = _Hierarchy(lines[:start], path).joints()
     values, rate = _motion(lines[start + 1 :], sum(len(joint.channels) for joint in joints), path)
     return _assemble(joints, values, rate, metres)
@@ -98,7 +98,7 @@ class _Hierarchy:
             self.expect("ROOT", "ROOT or MOTION")
             self.joint(found)
         if not found:
-            raise InputError(f"{self.path}: there is no ROOT joint in HIERARCHY.")
+            raise InputError(f"{self.path}: HIERARCHY has no ROOT joint; export the file again.")
         return found
 
     def joint(self, found: list[_Joint]) -> None:
@@ -115,16 +115,16 @@ class _Hierarchy:
                 self.end_site(found, stack[-1])
             else:
                 raise InputError(
-                    f"{self.path}:{number}: '{shortened(word)}' stands where JOINT, End Site or '}}' belongs, "
-                    f"in joint '{shortened(found[stack[-1]].name)}'."
+                    f"{self.path}:{number}: found '{shortened(word)}' in joint "
+                    f"'{shortened(found[stack[-1]].name)}'; expected JOINT, End Site or '}}'."
                 )
 
     def open(self, found: list[_Joint], parent: int) -> int:
         name, line = self.name()
         if name in self.lines:
             raise InputError(
-                f"{self.path}:{line}: the joint '{shortened(name)}' is already there in line {self.lines[name]}; "
-                "names must differ."
+                f"{self.path}:{line}: the joint '{shortened(name)}' occurs already in line {self.lines[name]}; "
+                "names must be unique."
             )
         self.lines[name] = line
         self.expect("{", "'{'")
@@ -136,7 +136,7 @@ class _Hierarchy:
             else:
                 channels = self.channels(name)
         if not offset:
-            raise InputError(f"{self.path}:{line}: the joint '{shortened(name)}' has no OFFSET.")
+            raise InputError(f"{self.path}:{line}: the joint '{shortened(name)}' has no OFFSET; add one.")
         found.append(_Joint(name, parent, line, offset, channels))
         return len(found) - 1
 
@@ -165,13 +165,13 @@ class _Hierarchy:
             match = _CHANNEL.match(word)
             if not match:
                 raise InputError(
-                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{shortened(name)}' promises {count} of "
+                    f"{self.path}:{number}: '{shortened(word)}' is not a channel; joint '{shortened(name)}' declares {count} of "
                     "Xposition, Yposition, Zposition, Xrotation, Yrotation, Zrotation."
                 )
             channel = (match[2].lower(), match[1].lower())
             if channel in channels:
                 raise InputError(
-                    f"{self.path}:{number}: the channel '{word}' of joint '{shortened(name)}' stands twice."
+                    f"{self.path}:{number}: the channel '{word}' of joint '{shortened(name)}' occurs twice; channels must be unique."
                 )
             channels.append(channel)
         return channels
@@ -181,7 +181,7 @@ class _Hierarchy:
         number, _, line, end = self.words[self.at - 1]
         name = re.split(r"[{}]", line[end:])[0].strip()
         if not name:
-            raise InputError(f"{self.path}:{number}: a joint has no name.")
+            raise InputError(f"{self.path}:{number}: a joint has no name; give it a name.")
         while (
             self.at < len(self.words)
             and self.words[self.at][0] == number
@@ -203,16 +203,14 @@ class _Hierarchy:
     def take(self, wanted: str) -> tuple[int, str]:
         if self.at >= len(self.words):
             line = self.words[-1][0] if self.words else 1
-            raise InputError(
-                f"{self.path}:{line}: HIERARCHY ends where {wanted} belongs; the file is cut short."
-            )
+            raise InputError(f"{self.path}:{line}: HIERARCHY ends before {wanted}; the file is cut short.")
         self.at += 1
         return self.words[self.at - 1][:2]
 
     def expect(self, word: str, wanted: str) -> None:
         number, found = self.take(wanted)
         if found.lower() != word.lower():
-            raise InputError(f"{self.path}:{number}: '{shortened(found)}' stands where {wanted} belongs.")
+            raise InputError(f"{self.path}:{number}: found '{shortened(found)}'; expected {wanted}.")
 
 
 def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray, float]:
@@ -227,14 +225,16 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
     word = _setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
     seconds = parse_floats([word], f"{path}:{second}", "the Frame Time")[0]
     if not (seconds > 0 and count >= 0):
-        raise InputError(f"{path}:{second}: {count} frames of {seconds:g} seconds each are not a motion.")
+        raise InputError(
+            f"{path}:{second}: there are {count} frames of {seconds:g} seconds each; expected at least 0 frames, and a time above 0."
+        )
     if not 1 / RATES[1] <= seconds <= 1 / RATES[0]:
         raise InputError(
-            f"{path}:{second}: the Frame Time is {seconds:g} seconds; give one from {1 / RATES[1]:g} to {1 / RATES[0]:g}."
+            f"{path}:{second}: the Frame Time is {seconds:g} seconds; expected {1 / RATES[1]:g} to {1 / RATES[0]:g}."
         )
     if width == 0 and count > MOST_STILL:
         raise InputError(
-            f"{path}:{first}: there are {count} frames of joints without CHANNELS, which do not move; leave them out."
+            f"{path}:{first}: there are {count} frames, but the joints have no CHANNELS and do not move; remove the frames."
         )
     words = [line.split() for _, line in rows]
     total = sum(len(line) for line in words)
@@ -244,12 +244,12 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
         if odd and len(odd) < 0.5 * len(rows) and not (total < count * width and odd[0] == rows[-1][0]):
             here = len(words[[n for n, _ in rows].index(odd[0])])
             raise InputError(
-                f"{path}:{odd[0]}: this frame has {here} numbers; the joints have {width} channels."
+                f"{path}:{odd[0]}: this frame has {here} numbers; expected {width}, one for each channel."
             )
         ending = "the file is cut short" if total < count * width else "correct the number of Frames"
         raise InputError(
             f"{path}:{rows[-1][0] if rows else second}: there are {total} numbers for {count} frames of {width} "
-            f"channels, which is {total / max(width, 1):.4g} frames; {ending}."
+            f"channels, which suffice for {total / max(width, 1):.4g} frames; {ending}."
         )
     values = float_table([word for line in words for word in line])
     if values is None:
@@ -270,7 +270,7 @@ def _setting(line: str, name: str, where: str, wanted: str) -> str:
     words = line.replace(":", " ").lower().split()
     known = name.split()
     if words[:-1] != known:
-        raise InputError(f"{where}: '{shortened(line.strip())}' stands where '{wanted}' belongs.")
+        raise InputError(f"{where}: found '{shortened(line.strip())}'; expected '{wanted}'.")
     return words[-1]
 
 

@@ -109,7 +109,9 @@ class BvhWriter:
         try:
             self._file = open(self.path, "r+b")  # noqa: SIM115
         except OSError as error:
-            raise InputError(f"{path}: cannot go on with this file ({error.strerror}).") from None
+            raise InputError(
+                f"{path}: this file cannot be continued ({error.strerror}); start a new file."
+            ) from None
         size = len(self._header) + _WIDTH + len(self._time)
         start = self._file.read(size)
         same = (
@@ -118,8 +120,8 @@ class BvhWriter:
         if not same:
             self._file.close()
             raise InputError(
-                f"{path}: cannot go on with this file, which was not begun with this skeleton, rate and unit; "
-                "start a new one."
+                f"{path}: this file cannot be continued, as it has another skeleton, rate or unit; "
+                "start a new file."
             )
         end, last = size, b""
         for line in self._file:
@@ -130,7 +132,7 @@ class BvhWriter:
             last = line
         if frames is not None and self.frames < frames:
             self._file.close()
-            raise InputError(f"{path}: there are {self.frames} whole frames in this file, not {frames}.")
+            raise InputError(f"{path}: the file has {self.frames} complete frames; expected {frames}.")
         if self.frames:
             self._previous = self._angles_of(last)
         self._file.seek(end)
@@ -194,7 +196,7 @@ class BvhWriter:
             first = int(wrong.argmax())
             raise InputError(
                 f"{self.path}: frame {self.frames + first} has the scale {scales[first]:g} and the file "
-                f"{self.scale:g}; BVH has one size for all frames."
+                f"{self.scale:g}; BVH has one scale for all frames."
             )
         still = np.abs(np.where(self._moves[:, None], 0.0, translations)).max(2)
         wrong = still.max(1) > 1e-6
@@ -202,8 +204,8 @@ class BvhWriter:
             first = int(wrong.argmax())
             joint = int(still[first].argmax())
             raise InputError(
-                f"{self.path}: frame {self.frames + first} moves joint '{self._skeleton.names[joint]}' away from "
-                f"its place, but it is a {self._skeleton.kinds[joint]} joint."
+                f"{self.path}: frame {self.frames + first} translates joint "
+                f"'{self._skeleton.names[joint]}', but it is a {self._skeleton.kinds[joint]} joint; use a free joint."
             )
 
     def _prepare(self, path, skeleton: Skeleton, rate: float, unit: str | float, scale: float) -> None:
@@ -248,7 +250,7 @@ def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[st
     for name in names:
         if any(letter in name for letter in "{}\r\n") or name != name.strip() or not name:
             raise InputError(
-                f"The joint name {name!r} cannot stand in a BVH file; it holds a brace or a line's end."
+                f"The joint name {name!r} cannot be written to BVH; use a name without braces, line breaks and outer blanks."
             )
     lines, order = ["HIERARCHY"], []
     # (joint, depth) to open, or (~joint, depth) to close

@@ -35,7 +35,7 @@ class Constraints(NamedTuple):
     translations: dict[str, tuple[float, float, float]] = {}  # noqa: RUF012
 
 
-@reads("limits of joints")
+@reads("joint limits")
 def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> Constraints:
     """Read the limits of a skeleton's joints.
 
@@ -46,23 +46,25 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     words, turn = Words(path), _radians(angle_unit)
     count = words.header("KBCST")
     if count < 0:
-        raise InputError(f"{words.where}: the header promises {count} joints; give how many follow.")
+        raise InputError(
+            f"{words.where}: the header declares {count} joints; expected a number of at least 0."
+        )
     seen: set[str] = set()
     ranges, cones, translations = {}, {}, {}
     for _ in range(count):
-        name = words.take(f"a joint, of which the header promises {count},")
+        name = words.take(f"one of the {count} joints of the header")
         where = words.where
         if name not in skeleton.names:
             raise InputError(
-                f"{where}: '{shortened(name)}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}; give limits of these."
+                f"{where}: '{shortened(name)}' is not a joint of the skeleton, which has {', '.join(skeleton.names)}; write limits of these joints."
             )
         if name in seen:
-            raise InputError(f"{where}: the joint '{name}' stands twice.")
+            raise InputError(f"{where}: the joint '{name}' occurs twice; remove one of its entries.")
         seen.add(name)
         kind = skeleton.kinds[skeleton.index(name)]
         if kind not in _NUMBERS:
-            raise InputError(f"{where}: the joint '{name}' is {kind} and has nothing to limit; remove it.")
-        v = words.floats(_NUMBERS[kind], f"the limits of '{name}', a {kind} joint,")
+            raise InputError(f"{where}: the joint '{name}' is {kind} and has no range; remove it.")
+        v = words.floats(_NUMBERS[kind], f"the limits of the {kind} joint '{name}'")
         try:
             if kind == "translate":
                 translations[name] = (v[0], v[1], v[2])
@@ -77,7 +79,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     if words.left:
         extra = words.take("")
         raise InputError(
-            f"{words.where}: '{shortened(extra)}' stands after the {count} joints that the header promises."
+            f"{words.where}: found '{shortened(extra)}' after the {count} joints of the header; correct the number in the header."
         )
     return Constraints(make_joint_ranges(skeleton, ranges, cones), translations)
 

@@ -60,27 +60,29 @@ def read_joint_names(path: str | Path) -> dict[str, str | None]:
     try:
         content = json.loads(text, object_pairs_hook=pairs)
     except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: this is not JSON ({error.msg}); mend it there.") from None
+        raise InputError(
+            f"{path}:{error.lineno}: this is not JSON ({error.msg}); correct this line."
+        ) from None
     except (ValueError, RecursionError):
         raise InputError(
-            f"{path}: this JSON is nested too deeply, or has numbers of too many digits, for a table of joints."
+            f"{path}: this JSON is nested too deeply or has numbers of too many digits; expected a table of joints."
         ) from None
     if twice:
-        raise InputError(f"{path}: '{twice[0]}' stands twice in this table; give each joint once.")
+        raise InputError(f"{path}: '{twice[0]}' occurs twice in this table; write each joint once.")
     names = content
     if isinstance(content, dict) and "format" in content:
         if content["format"] != KIND or content.get("version") != VERSION:
             raise InputError(
-                f"{path}: this is '{content['format']}' of version {content.get('version')}, not '{KIND}' of version {VERSION}."
+                f"{path}: this is '{content['format']}' of version {content.get('version')}; expected '{KIND}' of version {VERSION}."
             )
         names = content.get("names")
     if not isinstance(names, dict) or not names:
         raise InputError(
-            f"{path}: there is no table of joints in it; give an object that leads from names of the source to those of the target."
+            f"{path}: the file has no table of joints; write an object that maps joint names of the source to those of the target."
         )
     for here, there in names.items():
         if not isinstance(there, str | None):
             raise InputError(
-                f"{path}: '{here}' leads to {json.dumps(there)[:40]}; give the name of a joint of the target, or null."
+                f"{path}: '{here}' is mapped to {json.dumps(there)[:40]}; expected the name of a joint of the target, or null."
             )
     return {here: there for here, there in names.items() if there != ""}

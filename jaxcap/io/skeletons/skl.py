@@ -41,22 +41,24 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     words, metres = Words(path), unit_scale(unit)
     count = words.header("KBSKEL")
     if count < 1:
-        raise InputError(f"{words.where}: the header promises {count} joints; a skeleton needs one at least.")
+        raise InputError(f"{words.where}: the header declares {count} joints; expected at least one.")
     names: list[str] = []
     kinds, above, lines = {}, {}, {}
     for _ in range(count):
-        name = words.take(f"a joint, of which the header promises {count},")
+        name = words.take(f"one of the {count} joints of the header")
         if len(name) > LONGEST_NAME:
             raise InputError(
-                f"{words.where}: the joint '{shortened(name)}' has a name of {len(name)} letters; give at most {LONGEST_NAME}."
+                f"{words.where}: the joint '{shortened(name)}' has a name of {len(name)} characters; expected at most {LONGEST_NAME}."
             )
         if name in lines:
-            raise InputError(f"{words.where}: the joint '{shortened(name)}' stands twice; names must differ.")
+            raise InputError(
+                f"{words.where}: the joint '{shortened(name)}' occurs twice; names must be unique."
+            )
         lines[name] = words.where
         kind = words.take(f"the type of '{name}'").upper().removeprefix("KBJOINT_")
         if kind not in TYPES:
             raise InputError(
-                f"{words.where}: '{shortened(kind)}' is not a type of joint; use {', '.join(TYPES)}."
+                f"{words.where}: '{shortened(kind)}' is not a joint type; expected {', '.join(TYPES)}."
             )
         names.append(name)
         kinds[name], above[name] = kind, words.take(f"the parent of '{name}'")
@@ -66,12 +68,14 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
         name = words.take("a joint")
         if name not in kinds:
             raise InputError(
-                f"{words.where}: '{shortened(name)}' stands where the coordinates of a joint belong, and is none."
+                f"{words.where}: '{shortened(name)}' is not a joint of this file; expected the coordinates of a joint."
             )
         if name in centres:
-            raise InputError(f"{words.where}: the coordinates of '{name}' stand twice.")
+            raise InputError(
+                f"{words.where}: the coordinates of '{name}' occur twice; remove one of the lines."
+            )
         number = TYPES[kinds[name]]
-        values = words.floats(3 * number + 3, f"the coordinates of '{name}', a {kinds[name]} joint,")
+        values = words.floats(3 * number + 3, f"the coordinates of the {kinds[name]} joint '{name}'")
         axes[name] = _axes(np.array(values[:-3]).reshape(number, 3), values[-3:], name, words.where)
         centres[name] = np.array(values[-3:]) * metres
     for name in names:
@@ -102,12 +106,12 @@ def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
                 joints = list(chain)
                 cycle = [*joints[joints.index(here) :], here]
                 raise InputError(
-                    f"{lines[here]}: the joint '{here}' descends from itself: {shortened(' <- '.join(cycle))}."
+                    f"{lines[here]}: the joint '{here}' descends from itself: {shortened(' <- '.join(cycle))}; correct its parent."
                 )
             chain[here] = None
             if above[here] != "NULL" and above[here] not in above:
                 raise InputError(
-                    f"{lines[here]}: the parent '{shortened(above[here])}' of '{here}' is not a joint of this file."
+                    f"{lines[here]}: the parent '{shortened(above[here])}' of '{here}' is not a joint of this file; correct it."
                 )
             here = above[here]
         rooted.update(chain)
@@ -121,7 +125,9 @@ def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> 
     metres = unit_scale(unit)
     for name in skeleton.names:
         if len(name.split()) != 1 or name == "NULL" or "#" in name:
-            raise InputError(f"{path}: the joint name '{name}' cannot stand in this format; use one word.")
+            raise InputError(
+                f"{path}: the joint name '{name}' cannot be written to .skl; use one word without '#', other than NULL."
+            )
     graph, coordinates = [], []
     for joint, name in enumerate(skeleton.names):
         kind, parent = skeleton.kinds[joint].upper(), skeleton.parents[joint]
@@ -138,12 +144,12 @@ def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.nd
     if (np.abs(lengths - 1) > 1e-2).any():
         swapped = abs(np.linalg.norm(point) - 1) < 1e-3
         hint = (
-            "the point seems to stand before the axis; the axis comes first"
+            "the point seems to come before the axis; write the axis first"
             if swapped
-            else "give it the length 1"
+            else "expected the length 1"
         )
         raise InputError(
-            f"{where}: an axis of '{name}' is {lengths[np.argmax(abs(lengths - 1))]:.4g} long; {hint}."
+            f"{where}: an axis of '{name}' has the length {lengths[np.argmax(abs(lengths - 1))]:.4g}; {hint}."
         )
     axes = np.eye(3)[:2]
     axes[: len(given)] = given

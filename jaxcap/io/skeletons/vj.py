@@ -16,7 +16,7 @@ from ..system.door import reads
 from ..text import read_text, shortened
 
 
-@reads("parts of a mesh")
+@reads("the parts of a mesh")
 def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
     """Read the bone of each of a mesh's `num_vertices` vertices.
 
@@ -32,13 +32,13 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
         if name not in places:
             what = f"'{shortened(name)}' is not a joint of the skeleton" if name else "this line is empty"
             raise InputError(
-                f"{path}:{number}: {what}; vertex {number - 1} needs one of {', '.join(skeleton.names)}."
+                f"{path}:{number}: {what}; expected one of {', '.join(skeleton.names)} for vertex {number - 1}."
             )
     if len(lines) != num_vertices:
         than = "more than" if len(lines) > num_vertices else "fewer than"
         raise InputError(
             f"{path}:{len(lines)}: there are {len(lines)} lines, {than} the mesh's {num_vertices} vertices; "
-            "give the file that was made for this mesh."
+            "give the .vj file of this mesh."
         )
     return np.array([places[name] for name in lines], np.int64)
 

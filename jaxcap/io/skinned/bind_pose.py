@@ -81,7 +81,9 @@ def placing(
     """
     scale, size = np.cbrt(np.linalg.det(root)), np.cbrt(np.linalg.det(above))
     if not (scale > 0 and size > 0):
-        raise InputError(f"{path}: what stands above the joints scales them to nothing, or mirrors them.")
+        raise InputError(
+            f"{path}: the transform above the joints has a zero scale or mirrors; export it again."
+        )
     check_rigid(path, above[None] / size)
     placed = np.eye(4)
     placed[:3, :3] = above / size * (1.0 if abs(scale - 1) < _EVEN else scale)
@@ -107,7 +109,7 @@ def motion_of(path: Path, bound: Bound, frames: Float[np.ndarray, "F J 4 4"], ra
     scale = np.cbrt(np.linalg.det(bones[:, 0, :3, :3]))
     if not (scale > 0).all():
         raise InputError(
-            f"{path}: frame {int(np.argmin(scale > 0))} scales the joints to nothing, or mirrors them; export it again."
+            f"{path}: in frame {int(np.argmin(scale > 0))} the joints have a zero scale or are mirrored; export it again."
         )
     bones[:, :, :3] /= scale[:, None, None, None]
     check_rigid(path, bones[:, :, :3, :3])
@@ -136,7 +138,7 @@ def inverted(path: Path, matrices: Float[np.ndarray, "*any 4 4"]) -> Float[np.nd
     affine = np.abs(matrices[..., 3, :] - [0.0, 0, 0, 1]).max(initial=0) < 1e-3
     if not (room > 1e-6).all() or not affine:
         raise InputError(
-            f"{path}: the transform of a joint cannot be inverted, as it makes everything flat; export the skin again."
+            f"{path}: the transform of a joint is singular and cannot be inverted; export the skin again."
         )
     return inverse(matrices)
 
@@ -145,7 +147,7 @@ def _check_places(path: Path, places: Float[np.ndarray, "*any 3"], what: str) ->
     """Check that positions are finite and not too large. Raises `InputError`."""
     if not (np.abs(places) <= LARGEST).all():
         raise InputError(
-            f"{path}: {what} stand further away than {LARGEST:g} m; check the scales of the file."
+            f"{path}: {what} are further than {LARGEST:g} m from the origin; check the scales of the file."
         )
 
 
@@ -154,5 +156,5 @@ def check_rigid(path: Path, turns: Float[np.ndarray, "*any 3 3"]) -> None:
     apart = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
     if not apart < 1e-3 or not (np.linalg.det(turns) > 0).all():
         raise InputError(
-            f"{path}: a joint is scaled, sheared or mirrored by itself; a skeleton's joints turn and slide only."
+            f"{path}: a joint is scaled, sheared or mirrored; expected rotations and translations, so export it again."
         )

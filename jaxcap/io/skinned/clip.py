@@ -50,6 +50,6 @@ def clip_number(names: Sequence[str], clip: str | None, path: str | Path) -> int
     if clip is None:
         return 0
     if clip not in names:
-        there = f"its clips are {', '.join(names)}" if names else "there are no clips in it"
-        raise InputError(f"{path}: there is no clip '{clip}' in this file; {there}.")
+        there = f"its clips are {', '.join(names)}" if names else "the file has no clips"
+        raise InputError(f"{path}: the file has no clip '{clip}'; {there}.")
     return names.index(clip)

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 #: the types of contents, for both readers
-FIGURES = "other figures, which can be read when each is exported by itself"
-RIGID = "meshes that follow no joint"
+FIGURES = "other figures, which can be read if each is exported separately"
+RIGID = "meshes without a skin"
 SHAPES = "shape keys of meshes"
 
 #: largest number of listed names for each type
@@ -22,4 +22,4 @@ def warn_left_out(path: Path, found: Mapping[str, Iterable[str]]) -> None:
         if names:
             kinds.append(f"{kind} ({', '.join(names[:LISTED])}{more})")
     if kinds:
-        warnings.warn(f"{path}: left out: {'; '.join(kinds)}.", stacklevel=3)
+        warnings.warn(f"{path}: not read: {'; '.join(kinds)}.", stacklevel=3)

@@ -33,7 +33,7 @@ def check_skin(path: Path, body: Body, what: str) -> None:
     """Check that the skin of a body is linear, as the format `what` requires. Raises `InputError`."""
     if not isinstance(body.skin, (LinearSkin, RigidSkin)):
         raise InputError(
-            f"{path}: {what} blends linearly and this body has a {type(body.skin).__name__}; linearise it first."
+            f"{path}: {what} supports linear blend skinning only, and this body has a {type(body.skin).__name__}; linearise it first."
         )
 
 
@@ -46,14 +46,16 @@ def check_motion(path: Path, skeleton: Skeleton, motion: Motion | None) -> None:
         return
     joints = motion.poses.rotations.shape[1]
     if joints != skeleton.num_joints:
-        raise InputError(f"{path}: the motion moves {joints} joints and the body has {skeleton.num_joints}.")
+        raise InputError(
+            f"{path}: the motion has {joints} joints and the body has {skeleton.num_joints}; retarget it."
+        )
     if motion.num_frames == 0:
-        raise InputError(f"{path}: the motion has no frames; give one at least.")
+        raise InputError(f"{path}: the motion has no frames; expected at least one.")
     for values in (motion.poses.translations, motion.poses.rotations, motion.poses.scale):
         wrong = ~np.isfinite(np.asarray(values)).reshape(motion.num_frames, -1).all(1)
         if wrong.any():
             raise InputError(
-                f"{path}: frame {int(wrong.argmax())} of the motion has numbers that are not finite."
+                f"{path}: frame {int(wrong.argmax())} of the motion has numbers that are not finite; correct it."
             )
 
 

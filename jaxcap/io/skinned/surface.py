@@ -25,7 +25,7 @@ def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray
     total = weights.sum(1)
     if not (total > 0).all():
         raise InputError(
-            f"{where}: vertex {int(np.argmin(total > 0))} follows no joint; bind the whole mesh to the skeleton."
+            f"{where}: vertex {int(np.argmin(total > 0))} has no weights; bind the whole mesh to the skeleton."
         )
     return weights / total[:, None]
 

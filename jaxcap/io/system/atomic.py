@@ -43,7 +43,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        mend = "free some space there" if error.errno in FULL else "give a path in a writable folder"
+        mend = "free some disk space" if error.errno in FULL else "give a path in a writable folder"
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); {mend}.") from None
     finally:
         if folder is not None:

@@ -56,7 +56,7 @@ def _reason(error: Exception, what: str) -> str:
     if isinstance(error, OSError):
         return f"cannot be read ({error.strerror or type(error).__name__}); give a readable file."
     if isinstance(error, MemoryError):
-        return f"reading it as {what} takes more memory than there is; give a smaller file."
+        return f"reading it as {what} needs more memory than is available; give a smaller file."
     if isinstance(error, RecursionError):
         return f"this is nested too deeply for {what}; export it again."
-    return f"this cannot be read as {what}, as it is damaged or holds something unexpected; export it again."
+    return f"this cannot be read as {what}, as it is damaged or has unexpected content; export it again."

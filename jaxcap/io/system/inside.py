@@ -39,7 +39,7 @@ def read_inside(path: str | Path, uri: str) -> bytes:
     if leaves:
         raise outside(path, uri)
     raise InputError(
-        f"{path}: it names '{_short(uri)}', and there is no such file next to it; copy that file as well."
+        f"{path}: it refers to '{_short(uri)}', and there is no such file in its folder; copy that file as well."
     )
 
 
@@ -55,8 +55,8 @@ def is_inside(path: str | Path, other: str | Path) -> bool:
 def outside(path: str | Path, uri: str) -> InputError:
     """Return the error for a file that names another one outside of its folder."""
     return InputError(
-        f"{path}: it names '{_short(uri)}', which is outside of its folder and is not read; put that file next to it and "
-        "name it without a folder."
+        f"{path}: it refers to '{_short(uri)}', which is outside of its folder and is not read; move that file into the "
+        "folder and refer to it by its name only."
     )
 
 
@@ -93,7 +93,7 @@ class InsideResolver:
         return self
 
     def write(self, name: str, data: Any) -> NoReturn:
-        raise OSError(f"{self.path}: nothing is written next to a file that is read.")
+        raise OSError(f"{self.path}: files cannot be written while a mesh is read.")
 
 
 def _leaves(name: str) -> bool:
@@ -105,7 +105,7 @@ def _data(path: Path, uri: str) -> bytes:
     head, comma, text = uri.partition(",")
     try:
         if not comma or not head.lower().endswith(";base64"):
-            raise binascii.Error("it is not base64")
+            raise binascii.Error("not base64")
         return base64.b64decode(unquote(text), validate=True)
     except (binascii.Error, ValueError) as error:
         raise InputError(f"{path}: a 'data:' URI in it cannot be read ({error}); export it again.") from None

@@ -64,7 +64,7 @@ def _take(path: Path, output: Path) -> int:
             free = lock_open_file(file)
             if free is None:
                 warnings.warn(
-                    f"{output}: this file system has no locks; let no second run write here before this one ends.",
+                    f"{output}: this file system has no locks; do not start another run with this output before this run ends.",
                     stacklevel=2,
                 )
                 return file
@@ -74,11 +74,11 @@ def _take(path: Path, output: Path) -> int:
             os.close(file)
             if not free:
                 raise InputError(
-                    f"{output}: another run{_name(owner)} writes here; wait until it ends, stop it, or give another output."
+                    f"{output}: another run{_name(owner)} writes to this output; wait until it ends, stop it, or give another output."
                 )
     except OSError as error:
         raise InputError(
-            f"{path}: the lock of this run cannot be made ({error.strerror or error}); give a path in a writable folder."
+            f"{path}: the lock of this run cannot be created ({error.strerror or error}); give a path in a writable folder."
         ) from None
 
 

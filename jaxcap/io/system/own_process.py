@@ -41,7 +41,7 @@ def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float
         raise Ended(f"{modules[0]} does not end within {wait:.0f} s") from None
     except OSError as error:
         raise InputError(
-            f"{path}: no process can be started to read it ({error.strerror or error}); close other programs, or "
+            f"{path}: the process that reads it cannot be started ({error.strerror or error}); close other programs, or "
             f"{instead}."
         ) from None
     if done.returncode:
@@ -58,10 +58,10 @@ def _ending(library: str, code: int, said: bytes) -> str:
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         if name == "SIGXCPU":
-            return f"{library} does not come to an end with it"
-        return f"{library} crashes with it, {name}"
+            return f"{library} does not end with this file"
+        return f"{library} crashes with this file, {name}"
     lines = said.decode("utf-8", "replace").strip().splitlines()
-    return f"{library} ends with it, {lines[-1]}" if lines else f"{library} crashes with it, code {code:#x}"
+    return f"{library} fails with this file, {lines[-1]}" if lines else f"{library} crashes with this file, code {code:#x}"
 
 
 def _folders(modules: tuple[str, ...]) -> list[str]:
@@ -84,5 +84,5 @@ def _python(path: Path, library: str, instead: str) -> str:
             if name and "py" in os.path.basename(name).lower() and os.path.isfile(name):
                 return name
     raise InputError(
-        f"{path}: {library} reads files in a process of its own, and there is no Python to start; {instead}."
+        f"{path}: {library} reads files in a separate process, and no Python program was found to start it; {instead}."
     )

@@ -38,7 +38,7 @@ def find_files(
     elif glob.has_magic(text) and not Path(text).is_file():
         found = sorted((Path(path) for path in glob.glob(text)), key=_natural)
         if not found:
-            raise InputError(f"{text}: no file fits this pattern; check the path.")
+            raise InputError(f"{text}: no file matches this pattern; check the path.")
     else:
         if not Path(text).is_file():
             raise wrong_kind(text, "a mesh or a cloud", (*SUFFIXES, *also))
@@ -63,7 +63,7 @@ def order_files(
     paths = sorted(map(Path, sources), key=_natural)
     for path, after in itertools.pairwise(paths):
         if path == after:
-            raise InputError(f"{path}: this file is named twice; every file is one frame.")
+            raise InputError(f"{path}: this file is given twice; each file is one frame.")
     return cut(_whole(paths), first, last, f"{paths[0]} to {paths[-1].name}")
 
 
@@ -71,10 +71,10 @@ def cut(items: list, first: int | None, last: int | None, where: str) -> list:
     """Return items `first` to `last`, both included. Raises `InputError` if they do not exist."""
     start, end = first or 0, len(items) - 1 if last is None else last
     if not items:
-        raise InputError(f"{where}: there are no frames in it; give one at least.")
+        raise InputError(f"{where}: there are no frames; expected at least one.")
     if not 0 <= start <= end < len(items):
         raise InputError(
-            f"{where}: there are frames 0 to {len(items) - 1}, but {start} to {end} were asked for."
+            f"{where}: the frames are 0 to {len(items) - 1}; expected {start} to {end} among them; change `first` or `last`."
         )
     return items[start : end + 1]
 
@@ -87,11 +87,11 @@ def _check_one_of_many(path: Path, count: int) -> None:
         found = [what for what, here in many.items() if here]
         if not found:
             raise InputError(f"{path}: there is no such file; check the path.")
-        raise InputError(f"{path}: this is {found[0]} among {count} sources; give it alone, or files only.")
-    if suffix == ".npz":
         raise InputError(
-            f"{path}: an .npz is a sequence by itself; give it alone, without the other sources."
+            f"{path}: this is {found[0]} among {count} sources; give it as the only source, or give files only."
         )
+    if suffix == ".npz":
+        raise InputError(f"{path}: an .npz contains a whole sequence; give it as the only source.")
     if suffix not in SUFFIXES:
         raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
 
@@ -102,7 +102,9 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     assert match is not None
     folder, name = Path(text).parent, Path(text).name
     if "%" not in name:
-        raise InputError(f"{text}: the number must be in the file's name, not in the folder's.")
+        raise InputError(
+            f"{text}: the number is in the name of the folder; expected it in the name of the file."
+        )
     before, after = _NUMBER.split(name, maxsplit=1)
     fits = re.compile(re.escape(before) + r"(\d+)" + re.escape(after) + "$")
     there = sorted(
@@ -112,13 +114,15 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     end = last if last is not None else (there[-1] if there else start)
     if not there or end < start:
         raise InputError(
-            f"{text}: there are no files with numbers from {first or 0} on; check the path and the numbers."
+            f"{text}: no files have numbers from {first or 0} on; check the path and the numbers."
         )
     paths = []
     for number in range(start, end + 1):
         path = folder / (before + match[0] % number + after)
         if not path.is_file():
-            raise InputError(f"{path}: this file is missing in the sequence {text} from {start} to {end}.")
+            raise InputError(
+                f"{path}: this file is missing in the sequence {text} from {start} to {end}; add it, or change the numbers."
+            )
         paths.append(path)
     return paths
 
@@ -130,11 +134,11 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     suffixes = sorted({path.suffix.lower() for path in paths})
     if not paths:
         raise InputError(
-            f"{folder}: there are no clouds or meshes in this folder; give one with {', '.join(suffixes_read)} files."
+            f"{folder}: the folder contains no clouds or meshes; give a folder with {', '.join(suffixes_read)} files."
         )
     if len(suffixes) > 1:
         raise InputError(
-            f"{folder}: there are {' and '.join(suffixes)} files in this folder; say which, as in '*{suffixes[0]}'."
+            f"{folder}: the folder contains {' and '.join(suffixes)} files; select one type, as in '*{suffixes[0]}'."
         )
     return paths
 

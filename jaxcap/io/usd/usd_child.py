@@ -20,4 +20,6 @@ def check_usd(path: Path) -> None:
         run_program(_PROGRAM, path, ("pxr",), wait, "convert it to .glb")
     except Ended as error:
         reason = str(error).replace("pxr", "OpenUSD")
-        raise InputError(f"{path}: this is not a whole USD file ({reason}); export it again.") from None
+        raise InputError(
+            f"{path}: this USD file is incomplete or damaged ({reason}); export it again."
+        ) from None

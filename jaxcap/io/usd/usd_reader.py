@@ -56,7 +56,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
         from pxr import Tf, Usd
     except ImportError:
         raise InputError(
-            f"{path}: USD is read by the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
+            f"{path}: reading USD needs the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
     check_text(path)
     check_usd(path)
@@ -66,7 +66,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
     except Tf.ErrorException as error:
         raise not_whole(path, error) from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: this file holds text that is not UTF-8; export it again.") from None
+        raise InputError(f"{path}: this file contains text that is not UTF-8; export it again.") from None
 
 
 def _check_layers(path: Path) -> None:
@@ -112,10 +112,10 @@ class _Skinned:
         warn_left_out(path, self.left_out(predicate, bindings[1:]))
         self.query = cache.GetSkelQuery(self.skeleton)
         if not self.query or not len(self.query.GetJointOrder()):
-            raise InputError(f"{path}: the skeleton of this file has no joints.")
+            raise InputError(f"{path}: the skeleton of this file has no joints; export it again.")
         metres = float(UsdGeom.GetStageMetersPerUnit(stage))
         if not 1e-6 <= metres <= 1e6:
-            raise InputError(f"{path}: metersPerUnit is {metres:g}; it must be from 1e-06 to 1e+06.")
+            raise InputError(f"{path}: metersPerUnit is {metres:g}; expected 1e-06 to 1e+06.")
         self.room = max(ROOM, PACKED * path.stat().st_size)
         # the transform of the stage to metres, y up
         self.upright = np.eye(4) * metres
@@ -133,7 +133,7 @@ class _Skinned:
             names = [joint.rsplit("/", 1)[-1] for joint in order]
         if len(parents) != len(order) or -1 not in parents:
             raise InputError(
-                f"{self.path}: the joints of the skeleton are no tree with a root; export it again."
+                f"{self.path}: the joints of the skeleton do not form a tree with a root; export it again."
             )
         check_turns(self.path, self.skeleton.GetPrim())
         if animation := self.query.GetAnimQuery():
@@ -189,7 +189,7 @@ class _Skinned:
         step = check_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
         if not np.isfinite([times[0], times[-1]]).all():
             raise InputError(f"{self.path}: the times of the animation are not finite; export it again.")
-        self.spend((times[-1] - times[0]) / step * joints * 3 * 16, "an animation of so many frames")
+        self.spend((times[-1] - times[0]) / step * joints * 3 * 16, "the animation")
         frames = []
         for code in np.arange(times[0], times[-1] + 0.5 * step, step):
             found = self.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
@@ -206,7 +206,7 @@ class _Skinned:
         self.room -= 8 * numbers
         if not self.room >= 0:
             raise InputError(
-                f"{self.path}: {what} takes more memory than a file of its size can ask for; check its times and sizes."
+                f"{self.path}: {what} needs more memory than a file of this size may use; check its times and sizes."
             )
 
     def columns(self, matrices, name: str, count: int) -> Float[np.ndarray, "J 4 4"]:
@@ -214,7 +214,7 @@ class _Skinned:
         found = np.array([] if matrices is None else matrices, float)
         if found.shape != (count, 4, 4) or not (np.abs(found) <= LARGEST).all():
             raise InputError(
-                f"{self.path}: the {name} of the skeleton are not {count} matrices of finite numbers; export it again."
+                f"{self.path}: the {name} of the skeleton are invalid; expected {count} matrices of finite numbers; export it again."
             )
         return found.swapaxes(1, 2)
 
@@ -224,7 +224,9 @@ class _Skinned:
         mesh, first = UsdGeom.Mesh(target.GetPrim()), Usd.TimeCode.EarliestTime()
         points = mesh.GetPointsAttr().Get(first)
         if not mesh or points is None or not len(points):
-            raise InputError(f"{self.path}: '{target.GetPrim().GetPath()}' is no mesh; export it as one.")
+            raise InputError(
+                f"{self.path}: '{target.GetPrim().GetPath()}' is not a mesh; export it as a mesh."
+            )
         where = f"{self.path}: '{target.GetPrim().GetPath()}'"
         into, vertices = np.array(target.GetGeomBindTransform()).T, np.array(points, float)
         check_points(vertices, where)
@@ -235,24 +237,28 @@ class _Skinned:
         found = target.ComputeVaryingJointInfluences(len(vertices))
         if not found or not len(found[0]):
             raise InputError(
-                f"{self.path}: vertices of '{target.GetPrim().GetPath()}' follow no joints; bind the whole mesh."
+                f"{self.path}: vertices of '{target.GetPrim().GetPath()}' have no weights; bind the whole mesh."
             )
         if len(found[0]) % len(vertices) or len(found[0]) != len(found[1]):
             raise InputError(
-                f"{where}: {len(vertices)} vertices have {len(found[0])} joints and {len(found[1])} weights; give each as "
-                "many."
+                f"{where}: {len(vertices)} vertices have {len(found[0])} joints and {len(found[1])} weights; expected the "
+                "same number for each vertex."
             )
         chosen, shares = (np.array(values).reshape(len(vertices), -1) for values in found)
         if not ((shares >= 0) & (shares <= LARGEST)).all():
-            raise InputError(f"{where}: a weight is below zero, or not finite; export the mesh again.")
+            raise InputError(f"{where}: a weight is below zero or not finite; export the mesh again.")
         place, own = {joint: number for number, joint in enumerate(order)}, target.GetJointOrder()
         named = order if own is None else [str(name) for name in own]
         strange = next((name for name in named if name not in place), None)
         if strange is not None:
-            raise InputError(f"{where}: it follows '{strange}', which is no joint of the skeleton.")
+            raise InputError(
+                f"{where}: it refers to '{strange}', which is not a joint of the skeleton; export the mesh again."
+            )
         columns = np.array([place[name] for name in named])
         if chosen.min() < 0 or chosen.max() >= len(columns):
-            raise InputError(f"{where}: a vertex follows joint {chosen.max()} of {len(columns)}.")
+            raise InputError(
+                f"{where}: a vertex refers to joint {chosen.max()} of {len(columns)}; export the mesh again."
+            )
         weights = np.zeros((len(vertices), len(order)))
         np.add.at(weights, (np.arange(len(vertices))[:, None], columns[chosen]), shares.astype(float))
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)

@@ -28,18 +28,18 @@ def not_whole(path: Path, error: Exception) -> InputError:
     reason = next((line.strip(" \t'.") for line in reversed(lines) if line.strip(" \t'.")), "")
     place = _PLACE.match(reason)
     if place is None:
-        why = f" ({shortened(reason)})" if reason else ": OpenUSD does not say what is wrong with it"
-        return InputError(f"{path}: this is not a whole USD file{why}; export it again.")
+        why = f" ({shortened(reason)})" if reason else ", and OpenUSD gives no reason"
+        return InputError(f"{path}: this USD file is incomplete or damaged{why}; export it again.")
     # the parser reports its grammar rules if it has no message
     words = reason[place.end() :].removesuffix("'").strip()
     near = re.search(r" at '(.*?)'(?: in <(.*?)>)?$", words)
     inside = f", in {shortened(near[2])}" if near and near[2] else ""
     if near and not near[1]:
-        found = f"the text ends{inside}, before it is complete"
+        found = f"the text ends{inside} before it is complete"
     elif near:
-        found = f"'{shortened(near[1])}' is not what belongs there{inside}"
+        found = f"'{shortened(near[1])}' is unexpected{inside}"
     else:
-        found = f"this is not what belongs there ({shortened(words)})"
+        found = f"the syntax is invalid ({shortened(words)})"
     layer = "" if Path(place["file"]).name == path.name else f"{Path(place['file']).name}:"
     where = f"{path}: {layer}{place['line']}" if layer else f"{path}:{place['line']}"
-    return InputError(f"{where}: {found}; this is not a whole USD file, export it again.")
+    return InputError(f"{where}: {found}; this USD file is incomplete or damaged, so export it again.")

@@ -41,8 +41,8 @@ def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
             row = int(short.argmax())
             when = "" if time is None else f" at time {time:g}"
             raise InputError(
-                f"{path}: '{shortened(str(attribute.GetPath()))}' has a quaternion of no length{when}"
-                f"{_which(prim, row, len(turns))}; write a rotation there."
+                f"{path}: '{shortened(str(attribute.GetPath()))}' has a zero quaternion{when}"
+                f"{_which(prim, row, len(turns))}; write a unit quaternion."
             )
 
 

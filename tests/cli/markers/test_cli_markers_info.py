@@ -86,7 +86,7 @@ def test_several_subjects_are_told(capsys, tmp_path):
 def test_what_is_refused(capsys, trial, tmp_path):
     assert "no such file" in fails(capsys, "markers", "info", tmp_path / "none.c3d")
     (tmp_path / "some.bvh").touch()
-    assert "a file of markers is expected: .c3d, .trc, .csv" in fails(
+    assert "expected a marker file: .c3d, .trc, .csv" in fails(
         capsys, "markers", "info", tmp_path / "some.bvh"
     )
     assert "ends in .png" in fails(capsys, "markers", "info", trial, "--picture", tmp_path / "gaps.jpg")

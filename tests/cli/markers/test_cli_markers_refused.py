@@ -37,8 +37,8 @@ def wrong_file(name, folder):
         "picture.c3d": (b"\x89PNG\r\n" + 9000 * b"x", "not a C3D file, or it is cut short within its header"),
         "header.c3d": (whole[:400], "cut short within its header"),
         "parameters.c3d": (whole[:900], "damaged within its parameters"),
-        "before.c3d": (whole[:1900], "it ends before its 60 frames do"),
-        "frames.c3d": (whole[: len(whole) // 2], "of the 60 frames that it announces"),
+        "before.c3d": (whole[:1900], "it ends before the last of its 60 frames"),
+        "frames.c3d": (whole[: len(whole) // 2], "of the 60 frames of its header"),
         "empty.trc": (b"", "the file is empty"),
         "empty.csv": (b"", "the table is empty"),
         "text.trc": (b"These are my markers.", "not a TRC file"),
@@ -79,8 +79,8 @@ def test_a_refusal_names_the_option(capsys, subject, tmp_path):
     fit, solve = ("markers", "fit", "-o", tmp_path / "s.npz"), ("markers", "solve", subject)
     for command in ((*fit, far), (*solve, far, "-o", tmp_path / "o.bvh")):
         assert "looks like millimetres: give --unit mm" in fails(capsys, *command)
-    assert "choose one, such as --subject Anna" in fails(capsys, *fit, two)
-    assert "choose one, such as --performer Anna" in fails(capsys, *solve, two, "-o", tmp_path / "o.bvh")
+    assert "select one with --subject Anna" in fails(capsys, *fit, two)
+    assert "select one with --performer Anna" in fails(capsys, *solve, two, "-o", tmp_path / "o.bvh")
 
 
 def test_what_is_refused_late_leaves_no_folder(capsys, tmp_path):

@@ -145,9 +145,9 @@ def test_subjects_are_parted_by_their_prefix(tmp_path):
     assert jc.read_markers(one).labels == ("A", "B", "*32", "C")
     assert jc.read_markers(one, subject="Anna").labels == ("A", "B")
     two = written(tmp_path, places, ["Anna:A", "Ben:A", "Ben:B", "*32"])
-    with pytest.raises(InputError, match=r"2 subjects in it, 'Anna' \(1 markers\) and 'Ben' \(2 markers\)"):
+    with pytest.raises(InputError, match=r"2 subjects, 'Anna' \(1 markers\) and 'Ben' \(2 markers\)"):
         jc.read_markers(two)
-    with pytest.raises(InputError, match="no subject 'Carl' in it; there are 'Anna'"):
+    with pytest.raises(InputError, match="no subject 'Carl'; it has 'Anna'"):
         jc.read_markers(two, subject="Carl")
     ben = jc.read_markers(two, subject="Ben")
     assert ben.labels == ("A", "B")
@@ -205,17 +205,17 @@ def _with(raw, behind, instead):
         # a list of words without dimensions: a segmentation fault within ezc3d 1.7
         (
             _with(c3d_bytes(walked(), NAMES), b"LABELS\x17\x00\xff", b"\x00"),
-            r"this is not a whole C3D file \(ezc3d crashes with it, SIG\w+\); copy or export it again",
+            r"this C3D file is incomplete or damaged \(ezc3d crashes with this file, SIG\w+\); copy or export it again",
         ),
-        (c3d_bytes(np.full((5, 4, 3), np.inf), NAMES), "infinite, the first is 'LKNE' in frame 1"),
-        (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are those of a MIPS processor"),
-        (c3d_bytes(np.zeros((5, 0, 3)), []), "no markers in it"),
-        (c3d_bytes(walked(0), NAMES), "no frames in it"),
+        (c3d_bytes(np.full((5, 4, 3), np.inf), NAMES), "infinite, first that of 'LKNE' in frame 1"),
+        (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are in the MIPS format"),
+        (c3d_bytes(np.zeros((5, 0, 3)), []), "the file has no markers"),
+        (c3d_bytes(walked(0), NAMES), "the file has no frames"),
         (
             c3d_bytes(walked(markers=2), ["LKneeAngles", "RKneeAngles"]),
-            "no markers in it; it holds 2 angles only",
+            "no markers; it contains only 2 angles",
         ),
-        (c3d_bytes(np.zeros((5, 4, 3)), NAMES), "none of its 4 markers is seen in any of 5 frames"),
+        (c3d_bytes(np.zeros((5, 4, 3)), NAMES), "none of its 4 markers is visible in any of 5 frames"),
     ],
 )
 def test_what_is_refused(tmp_path, content, sentence):
@@ -233,7 +233,7 @@ def test_paths_that_are_wrong(tmp_path):
         jc.read_markers(tmp_path / "none.c3d")
     (tmp_path / "some.what").touch()
     with pytest.raises(
-        InputError, match=r"'\.what' are not known; a file of markers is expected: \.c3d, \.trc, \.csv"
+        InputError, match=r"'\.what' is unknown; expected a marker file: \.c3d, \.trc, \.csv"
     ):
         jc.read_markers(tmp_path / "some.what")
     (tmp_path / "folder.c3d").mkdir()
@@ -242,7 +242,7 @@ def test_paths_that_are_wrong(tmp_path):
     with pytest.raises(InputError, match="writable folder"):
         jc.write_markers(tmp_path / "nowhere" / "trial.c3d", frames)
     long = jc.MarkerFrames(jnp.ones((65536, 1, 3)), jnp.ones((65536, 1), bool), ("A",), 100.0)
-    with pytest.raises(InputError, match="65536 frames are more than the 65535"):
+    with pytest.raises(InputError, match="65536 frames; a C3D file can contain at most 65535"):
         jc.write_markers(tmp_path / "long.c3d", long)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.c3d", "some.what"]
 
@@ -272,13 +272,13 @@ def test_real_files(shared):
 
 #: programs in place of ezc3d's, and what is told of them
 _PROGRAMS = {
-    "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)": "crashes with it, SIGSEGV",
+    "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)": "crashes with this file, SIGSEGV",
     "import time; time.sleep(60)": "does not end within 3 s",
-    "import sys; sys.exit('bad')": "ends with it, bad",
-    "print('{')": "ended before all was read",
-    "pass": "ended before all was read",
-    LIMITED + "while True: pass": "does not come to an end with it",
-    LIMITED + "bytearray(4 << 30)": "ends with it, MemoryError",
+    "import sys; sys.exit('bad')": "fails with this file, bad",
+    "print('{')": "ended before the whole file was read",
+    "pass": "ended before the whole file was read",
+    LIMITED + "while True: pass": "does not end with this file",
+    LIMITED + "bytearray(4 << 30)": "fails with this file, MemoryError",
 }
 
 
@@ -327,7 +327,7 @@ def test_real_file_that_kills_ezc3d(shared, tmp_path):
     raw[at] = 0x80
     (tmp_path / "flipped.c3d").write_bytes(raw)
     with pytest.raises(
-        InputError, match=r"flipped.c3d: this is not a whole C3D file \(ezc3d crashes with it, SIGSEGV\)"
+        InputError, match=r"flipped.c3d: this C3D file is incomplete or damaged \(ezc3d crashes with this file, SIGSEGV\)"
     ):
         jc.read_markers(tmp_path / "flipped.c3d")
 

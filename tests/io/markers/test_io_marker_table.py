@@ -52,7 +52,7 @@ def test_dialects(tmp_path, text):
 
 def test_unit_and_rate_are_the_callers(tmp_path):
     text = "A.x,A.y,A.z,B.x,B.y,B.z\n100,200,50,130,200,50\n101,200,50,131,200,50\n"
-    with pytest.raises(InputError, match="nothing tells the frames per second"):
+    with pytest.raises(InputError, match="the frame rate is unknown"):
         jc.read_markers(table(tmp_path, text))
     file = read_marker_table(table(tmp_path, text), unit="cm", rate=50.0)
     assert file.frames.rate == 50.0
@@ -104,23 +104,23 @@ HEAD = "time,A.x,A.y,A.z,B.x,B.y,B.z\n"
     [
         ("", "the table is empty"),
         ("# rate: 100\n", "the table is empty"),
-        ("time,speed\n0,1\n", ":1: there are no markers in it: no columns are called such as 'LKNE.x'"),
-        (HEAD, "there are no frames in it"),
+        ("time,speed\n0,1\n", ":1: the table has no columns of markers; name them as in 'LKNE.x'"),
+        (HEAD, "the file has no frames"),
         (HEAD.replace(",B.z", "") + "0,1,2,3,4,5\n", ":1: marker 'B' has no column 'B.z'"),
-        (HEAD.replace("B", "A") + ROWS, ":1: two columns are called 'A.x'"),
+        (HEAD.replace("B", "A") + ROWS, ":1: two columns are named 'A.x'"),
         (HEAD + ROWS.replace("1.001", "one"), ":3: 'one' in marker A is not a number"),
         (HEAD + ROWS.replace("1.001", "inf"), ":3: 'inf' in marker A is not finite"),
         (HEAD + ROWS.replace("1.001", ""), ":3: marker 'A' has 2 of three coordinates"),
-        (HEAD + ROWS[:-8], r":4: there are 5 cells in this row for 7 columns; it is damaged or cut short"),
+        (HEAD + ROWS[:-8], r":4: this row has 5 cells for 7 columns; it is damaged or cut short"),
         (
             HEAD + ROWS.replace("0.02", "0.01"),
-            "column 'time' goes from 0.01 to 0.01 in row 3; it has to rise",
+            "column 'time' goes from 0.01 to 0.01 in row 3; expected increasing values",
         ),
-        (HEAD + ROWS.replace("0.02", "0.0281"), "column 'time' does not go in equal steps"),
+        (HEAD + ROWS.replace("0.02", "0.0281"), "column 'time' has unequal steps"),
         (HEAD + ROWS.replace("0.02", ""), ":4: '' in column 'time' is not a number"),
-        (HEAD + "0,,,,,,\n0.01,,,,,,\n", "none of its 2 markers is seen in any of 2 frames"),
-        ("# rate: -5\n" + HEAD.replace("time", "note") + ROWS, "-5.0 frames per second cannot be a rate"),
-        ("time,P:A.x,P:A.y,P:A.z,Q:B.x,Q:B.y,Q:B.z\n" + ROWS, "2 subjects in it, 'P' .* and 'Q'"),
+        (HEAD + "0,,,,,,\n0.01,,,,,,\n", "none of its 2 markers is visible in any of 2 frames"),
+        ("# rate: -5\n" + HEAD.replace("time", "note") + ROWS, "the rate is -5.0 frames per second"),
+        ("time,P:A.x,P:A.y,P:A.z,Q:B.x,Q:B.y,Q:B.z\n" + ROWS, "2 subjects, 'P' .* and 'Q'"),
         ("\0\1\2", "this is a binary file"),
     ],
 )

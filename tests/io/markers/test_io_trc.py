@@ -84,15 +84,15 @@ def test_written_and_read(tmp_path_factory, seed, count, markers, unit):
         ("", "the file is empty"),
         ("hello\nworld\n", ":1: this is not a TRC file"),
         ("\n".join(HEAD.split("\n")[:3]), ":3: the file is cut short within the five lines"),
-        (HEAD, ":5: the file is cut short: 0 of the 3 frames"),
-        (HEAD.replace("60.00\t3\t2", "60.00\t0\t2"), "no frames in it"),
-        (HEAD + ROWS[: ROWS.index("9\t")], ":7: the file is cut short: 2 of the 3 frames"),
+        (HEAD, ":5: the file is cut short: it contains 0 of the 3 frames"),
+        (HEAD.replace("60.00\t3\t2", "60.00\t0\t2"), "the file has no frames"),
+        (HEAD + ROWS[: ROWS.index("9\t")], ":7: the file is cut short: it contains 2 of the 3 frames"),
         (HEAD + ROWS[:-10], ":8: marker 'L.ASIS' has 1 of three coordinates"),
         (HEAD + ROWS.replace("1001", "one"), ":7: 'one' in marker R.ASIS is not a number"),
         (HEAD + ROWS.replace("1001", "1e999"), ":7: '1e999' in marker R.ASIS is not finite"),
         (HEAD + ROWS.replace("8\t0", "x\t0"), ":7: 'x' for the frame is not a whole number"),
         (HEAD + ROWS.replace("8\t0", "6\t0"), "the column of frames goes from 7 to 6 in row 2"),
-        (HEAD + ROWS.replace("\t501", "\t501\t7"), ":6: there are 9 cells in this row, and 8 for 2 markers"),
+        (HEAD + ROWS.replace("\t501", "\t501\t7"), ":6: this row has 9 cells; expected 8 for 2 markers"),
         (HEAD.replace("3\t2\tmm", "3\t1\tmm") + ROWS, ":4: there are 2 labels for 1 markers"),
         (HEAD.replace("60.00\t3\t2", "60.00\tthree\t2"), ":3: 'three' for NumFrames is not a whole number"),
         (
@@ -101,7 +101,7 @@ def test_written_and_read(tmp_path_factory, seed, count, markers, unit):
         ),
         (
             "PathFileType\t4\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t1\t0\tmm\nFrame#\tTime\n\t\n1\t0\n",
-            "no markers in it",
+            "the file has no markers",
         ),
     ],
 )
@@ -115,9 +115,9 @@ def test_what_is_refused(tmp_path, text, sentence):
 
 def test_what_cannot_be_written(tmp_path):
     frames = jc.make_markers(np.ones((2, 1, 3)), ["a\tb"], 100.0)
-    with pytest.raises(InputError, match="holds a tab"):
+    with pytest.raises(InputError, match="contains a tab"):
         jc.write_markers(tmp_path / "walk.trc", frames)
-    with pytest.raises(InputError, match="cannot stand in a TRC file"):
+    with pytest.raises(InputError, match="cannot be the unit of a TRC file"):
         jc.write_markers(tmp_path / "walk.trc", jc.make_markers(np.ones((2, 1, 3)), ["a"], 100.0), 0.5)
     assert list(tmp_path.iterdir()) == []
 

@@ -93,7 +93,7 @@ def test_points_are_written_with_normals_and_not_as_triangles(tmp_path, rng):
     back = read_mesh(tmp_path / "cloud.ply")
     np.testing.assert_allclose(back.vertices, cloud.vertices, atol=1e-6)
     np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
-    with pytest.raises(InputError, match="holds triangles alone, and there are none; use .ply"):
+    with pytest.raises(InputError, match="the mesh has no triangles, and .stl cannot contain points; use .ply"):
         write_mesh(tmp_path / "cloud.stl", cloud)
 
 
@@ -110,16 +110,16 @@ def test_obj_counts_back_and_passes_over_the_rest(tmp_path):
         ("a.off", OFF.replace("1 0 0 #", "1 0 #"), r"a\.off:5: this vertex has 2 numbers"),
         ("a.off", OFF.replace("1e0", "one"), r"a\.off:6: 'one'"),
         ("a.off", OFF.replace("1e0", "nan"), r"1 of 4 points are NaN or infinite, the first is point 2"),
-        ("a.off", OFF.replace("3 0 2 1", "3 0 2 4"), r"a\.off:9: this face names vertex 4"),
-        ("a.off", OFF.replace("3 0 2 1", "4 0 2 1"), r"a\.off:9: this face promises 4 corners and has 3"),
-        ("a.off", OFF.replace("3 0 3 2\n", ""), r"a\.off:10: the header promises .* cut short"),
-        ("a.off", OFF.replace("OFF", "4OFF"), r"a\.off:1: '4OFF'"),
-        ("a.off", "OFF\n0 0 0\n", "no points in it"),
+        ("a.off", OFF.replace("3 0 2 1", "3 0 2 4"), r"a\.off:9: this face refers to vertex 4"),
+        ("a.off", OFF.replace("3 0 2 1", "4 0 2 1"), r"a\.off:9: this face declares 4 corners and has 3"),
+        ("a.off", OFF.replace("3 0 3 2\n", ""), r"a\.off:10: the header declares .* cut short"),
+        ("a.off", OFF.replace("OFF", "4OFF"), r"a\.off:1: the file begins with '4OFF'"),
+        ("a.off", "OFF\n0 0 0\n", "it has no points"),
         ("a.off", "", "is empty"),
         ("a.obj", "v 0 0 0\nv 1 1\n", r"a\.obj:2: this vertex has 2"),
-        ("a.obj", "v 0 0 0\nf 1 2 3\n", r"face 0 names vertices \[0, 1, 2\]"),
-        ("a.ply", "ply\nformat ascii 1.0\nelement vert", "not a whole .ply file"),
-        ("a.glb", "glTF", "not a whole .glb file"),
+        ("a.obj", "v 0 0 0\nf 1 2 3\n", r"face 0 refers to vertices \[0, 1, 2\]"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vert", "this .ply file is incomplete"),
+        ("a.glb", "glTF", "this .glb file is incomplete"),
         ("a.xyz", "1 2 3", "a point cloud as text, which is not read; write it as .ply"),
     ],
 )
@@ -149,7 +149,7 @@ def test_what_cannot_be_a_body_is_told(mesh):
         (1750.0, "m", "millimetres: pass unit='mm'"),
         (175.0, "m", "centimetres: pass unit='cm'"),
         (1.75e-3, "mm", "metres: pass unit='m'"),
-        (1e7, "m", "check its unit"),
+        (1e7, "m", "check the unit"),
     ],
 )
 def test_a_size_no_body_has_names_the_likely_unit(extent, unit, said):
@@ -191,7 +191,7 @@ def test_several_files_are_what_a_glob_of_them_is(folder):
     assert [scan.points[0, 0] for scan in read_clouds([folder / "cloud_9.off"])] == [9]
     assert len(read_clouds([folder])) == len(read_clouds((str(folder / "*.off"),))) == 4
     with pytest.raises(
-        InputError, match=r"cloud_8\.off to cloud_11\.off: there are frames 0 to 3, but 0 to 9"
+        InputError, match=r"cloud_8\.off to cloud_11\.off: the frames are 0 to 3; expected 0 to 9"
     ):
         read_clouds(sorted(folder.iterdir()), last=9)
 
@@ -211,13 +211,13 @@ def test_what_is_no_file_among_several(folder):
     np.savez(folder / "b.npz", points=np.zeros((2, 3, 3)))
     (folder / "cameras.json").write_text("{}")
     for wrong, said in (
-        ("a", r"a: this is a folder among 5 sources; give it alone"),
+        ("a", r"a: this is a folder among 5 sources; give it as the only source"),
         ("*.off", r"this is a pattern among 5 sources"),
         ("cloud_%d.off", r"this is a pattern among 5 sources"),
-        ("b.npz", r"b\.npz: an \.npz is a sequence by itself; give it alone"),
-        ("cameras.json", r"cameras\.json: this is .*, where a mesh or a cloud is expected"),
+        ("b.npz", r"b\.npz: an \.npz contains a whole sequence; give it as the only source"),
+        ("cameras.json", r"cameras\.json: this is .*; expected a mesh or a cloud"),
         ("none.off", r"none\.off: there is no such file"),
-        ("cloud_9.off", r"cloud_9\.off: this file is named twice"),
+        ("cloud_9.off", r"cloud_9\.off: this file is given twice"),
     ):
         with pytest.raises(InputError, match=said):
             read_clouds([*files, folder / wrong])
@@ -233,7 +233,7 @@ def test_first_and_last_are_numbers_in_a_pattern_and_frames_elsewhere(folder):
     assert len(read_clouds(folder / "cloud_8.off")) == 1
     with pytest.raises(InputError, match=r"cloud_12\.off: this file is missing"):
         read_clouds(folder / "cloud_%d.off", 9, 12)
-    with pytest.raises(InputError, match="frames 0 to 3, but 0 to 9"):
+    with pytest.raises(InputError, match="the frames are 0 to 3; expected 0 to 9"):
         read_clouds(folder, last=9)
 
 
@@ -247,10 +247,10 @@ def test_a_missing_frame_is_named(folder, source):
 @pytest.mark.parametrize(
     ("source", "said"),
     [
-        ("none_%03d.off", "no files with numbers"),
-        ("*.ply", "no file fits"),
+        ("none_%03d.off", "no files have numbers"),
+        ("*.ply", "no file matches"),
         ("none.off", "no such file"),
-        ("a/%03d/b.off", "not in the folder's"),
+        ("a/%03d/b.off", "the number is in the name of the folder"),
     ],
 )
 def test_nothing_there_is_told(folder, source, said):
@@ -282,11 +282,11 @@ def test_clouds_from_arrays(tmp_path, rng, mesh):
     with pytest.raises(InputError, match=r"the shape \(3, 5, 2\)"):
         read_clouds(tmp_path / "d.npz")
     np.savez(tmp_path / "e.npz", points=points[0], offsets=np.array([0, 9]))
-    with pytest.raises(InputError, match="offsets must rise"):
+    with pytest.raises(InputError, match="offsets do not increase"):
         read_clouds(tmp_path / "e.npz")
     for faces, told in (
-        (mesh.faces + 1, r"face \d+ names vertices \[.*\], but there are only 0 to"),
-        (mesh.faces * 1.0, "float64 .*whole numbers"),
+        (mesh.faces + 1, r"face \d+ refers to vertices \[.*\], but the vertices are 0 to"),
+        (mesh.faces * 1.0, "float64; expected whole numbers"),
     ):
         np.savez(tmp_path / "f.npz", vertices=mesh.vertices[None], faces=faces)
         with pytest.raises(InputError, match=told):

@@ -62,7 +62,7 @@ def test_polygons_become_fans(tmp_path):
     np.testing.assert_array_equal(read_meshes(tmp_path / "m.npz").faces, fans)
     np.savez(tmp_path / "m.npz", vertices=vertices, faces=np.array([[0, 1, 2, 3]]))
     np.testing.assert_array_equal(read_meshes(tmp_path / "m.npz").faces, [[0, 1, 2], [0, 2, 3]])
-    with pytest.raises(InputError, match="13 corners by their counts and 12"):
+    with pytest.raises(InputError, match="sum to 13 corners, and there are 12"):
         triangulate(counts + [1, 0, 0], indices)
 
 
@@ -84,7 +84,7 @@ def test_another_topology_is_named(tmp_path):
     for name, words in (
         ("fewer", "79 triangles"),
         ("turned", "80 of its 80 triangles"),
-        ("shuffled", "one order of vertices"),
+        ("shuffled", "one vertex order"),
     ):
         with pytest.raises(InputError, match=words) as error:
             read_meshes([tmp_path / "a.off", tmp_path / f"{name}.off"])

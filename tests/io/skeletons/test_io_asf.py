@@ -236,16 +236,16 @@ def test_an_open_end_is_no_limit_and_the_other_end_holds(toy, tmp_path, open_, b
         ("length 8.0", "length 8,0", r"toy\.asf:29: '8,0'"),
         ("dof rx rz", "dof rx l", r"toy\.asf:40: the dof 'l'"),
         ("thigh shin", "thigh shinn", r"toy\.asf:47: the bone 'shinn'"),
-        ("    shin foot\n", "", r"toy\.asf:35: the bone 'foot' has no place"),
-        ("root thigh", "foot thigh", r"hangs on itself"),
+        ("    shin foot\n", "", r"toy\.asf:35: the bone 'foot' is missing"),
+        ("root thigh", "foot thigh", r"descends from itself"),
         (":hierarchy", ":order", r"no ':hierarchy'"),
-        ("name foot", "name shin", r"toy\.asf:36: the bone 'shin' stands twice"),
+        ("name foot", "name shin", r"toy\.asf:36: the bone 'shin' occurs twice"),
         ("           (-70 20)\n", "", r"'foot' has 2 dofs but 1 limits"),
-        ("(-10.0 170.0)", "(inf inf)", r"toy\.asf:32: a limit of 'shin' goes from one infinity to the same"),
+        ("(-10.0 170.0)", "(inf inf)", r"toy\.asf:32: a limit of 'shin' has the same infinity as both bounds"),
         (
             "(-160.0 20.0)",
             "(-inf -inf)",
-            r"toy\.asf:21: a limit of 'thigh' goes from one infinity to the same",
+            r"toy\.asf:21: a limit of 'thigh' has the same infinity as both bounds",
         ),
     ],
 )
@@ -264,8 +264,8 @@ def test_a_wrong_skeleton_is_told_with_its_line(toy, old, new, said):
         ("shin 40", "knee 40", r"toy\.amc:7: the bone 'knee'"),
         ("shin 40", "shin 40 3", r"toy\.amc:7: .* has 2 numbers"),
         ("foot 30 -25\n", "", r"toy\.amc:12: frame 2 has no line for 'foot'"),
-        ("shin 80", "thigh 1 2 3", r"toy\.amc:12: the bone 'thigh' stands twice"),
-        ("\n1\n", "\n", r"toy\.amc:4: 'root' stands before"),
+        ("shin 80", "thigh 1 2 3", r"toy\.amc:12: the bone 'thigh' occurs twice"),
+        ("\n1\n", "\n", r"toy\.amc:4: 'root' comes before"),
     ],
 )
 def test_a_wrong_motion_is_told_with_its_line(toy, tmp_path, old, new, said):

@@ -227,8 +227,8 @@ def test_damaged_files_are_said(tmp_path):
     (tmp_path / "text.glb").write_text("not a model")
     trimesh.creation.icosphere(1).export(tmp_path / "ball.glb")
     for name, sentence in (
-        ("cut", "whole"),
-        ("text", "whole"),
+        ("cut", "incomplete"),
+        ("text", "incomplete"),
         ("ball", "no skin"),
         ("none", "no such file"),
     ):

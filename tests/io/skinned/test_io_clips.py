@@ -105,8 +105,8 @@ def test_text_with_a_file_or_data_is_the_same_body(tmp_path):
         ("/etc/hostname", "outside of its folder"),
         ("file:///etc/hostname", "outside of its folder"),
         ("link.bin", "outside of its folder"),
-        ("none.bin", "no such file next to it"),
-        ("pipe", "no such file next to it"),
+        ("none.bin", "no such file in its folder"),
+        ("pipe", "no such file in its folder"),
         ("data:application/octet-stream;base64,%%%", "URI in it cannot be read"),
         ("data:", "URI in it cannot be read"),
         (None, "buffer 0 is not in this file"),
@@ -128,7 +128,7 @@ def test_a_buffer_that_is_cut_short(tmp_path):
     write_clips(tmp_path / "a.glb", ("Walk",))
     (tmp_path / "a.bin").write_bytes(pygltflib.GLTF2().load(str(tmp_path / "a.glb")).binary_blob()[:500])
     as_text(tmp_path / "a.glb", tmp_path / "a.gltf", "a.bin")
-    with pytest.raises(InputError, match="outside of the file's numbers"):
+    with pytest.raises(InputError, match="beyond the end of its buffer"):
         read_skinned(tmp_path / "a.gltf")
 
 
@@ -155,7 +155,7 @@ def test_one_clip_of_several(tmp_path):
     said = clip_sentence(path)
     assert said is not None
     assert "3 clips" in said
-    assert "'Walk' is taken" in said
+    assert "'Walk' is read" in said
     assert f"{path}:Armature" in said
     assert clip_sentence(f"{path}:Walk") is None
     write_clips(path, ("Walk",))

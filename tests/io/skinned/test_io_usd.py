@@ -223,8 +223,8 @@ def test_what_is_not_read_is_said(tmp_path):
     whole = (tmp_path / "body.usdc").read_bytes()
     (tmp_path / "cut.usdc").write_bytes(whole[: len(whole) // 2])
     for name, sentence in (
-        ("text.usda", "not a whole USD file"),
-        ("cut.usdc", "not a whole USD file"),
+        ("text.usda", "this USD file is incomplete or damaged"),
+        ("cut.usdc", "this USD file is incomplete or damaged"),
         ("ball.usda", "there is no skin in it"),
         ("none.usda", "no such file"),
         ("body.bvh", "USD is not read from"),
@@ -240,9 +240,9 @@ def test_a_rotation_of_no_length_is_told_with_its_prim_and_time(tmp_path, rng):
     body = askew()
     motion = stack_poses([random_pose(body.skeleton, rng) for _ in range(3)])
     for name, time, said in (
-        ("moving", 2.0, r"moving\.usda: '/Body/Skeleton/Motion\.rotations' has a quaternion of no length at time 2, of joint "),
-        ("still", None, r"still\.usda: '/Body/Skeleton/Motion\.rotations' has a quaternion of no length, of joint '"),
-        ("placed", None, r"placed\.usda: '/Body\.xformOp:orient' has a quaternion of no length; write a rotation there"),
+        ("moving", 2.0, r"moving\.usda: '/Body/Skeleton/Motion\.rotations' has a zero quaternion at time 2, of joint "),
+        ("still", None, r"still\.usda: '/Body/Skeleton/Motion\.rotations' has a zero quaternion, of joint '"),
+        ("placed", None, r"placed\.usda: '/Body\.xformOp:orient' has a zero quaternion; write a unit quaternion"),
     ):  # fmt: skip
         path = tmp_path / f"{name}.usda"
         write_usd(path, body, motion)
@@ -272,8 +272,8 @@ def test_text_that_openusd_cannot_parse_is_told_by_its_line(tmp_path):
     (tmp_path / "cut.usda").write_text(text[: points + 60])
     (tmp_path / "layers.usda").write_text("#usda 1.0\n(\n    subLayers = [@./syntax.usda@]\n)\n")
     for name, said in (
-        ("syntax", rf"syntax\.usda:{line}: 'dex Mesh .*' is not what belongs there, in /Body; this is not a whole USD file"),
-        ("cut", rf"cut\.usda:{text[:points].count(chr(10)) + 1}: .*(the text ends|is not what belongs there), in /Body/Surface"),
+        ("syntax", rf"syntax\.usda:{line}: 'dex Mesh .*' is unexpected, in /Body; this USD file is incomplete"),
+        ("cut", rf"cut\.usda:{text[:points].count(chr(10)) + 1}: .*(the text ends|is unexpected), in /Body/Surface"),
         ("layers", rf"layers\.usda: .*syntax\.usda:{line}: 'dex Mesh"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=said) as raised:
@@ -303,15 +303,15 @@ def test_layers_outside_of_the_folder_are_not_read(tmp_path, rng, arc):
         stage.GetRootLayer().Save()
     again, _ = read_usd_body(tmp_path / "in" / "inside.usda")
     np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-6)
-    with pytest.raises(InputError, match="it names '../body.usda', which is outside of its folder"):
+    with pytest.raises(InputError, match="it refers to '../body.usda', which is outside of its folder"):
         read_usd_body(tmp_path / "in" / "outside.usda")
 
 
 @pytest.mark.parametrize(
     ("program", "told"),
     [
-        ("import os; os.abort()", "OpenUSD crashes with it, SIGABRT"),
-        ("import sys; sys.exit('bad')", "OpenUSD ends with it, bad"),
+        ("import os; os.abort()", "OpenUSD crashes with this file, SIGABRT"),
+        ("import sys; sys.exit('bad')", "OpenUSD fails with this file, bad"),
         ("import time; time.sleep(60)", "OpenUSD does not end within 2 s"),
     ],
 )
@@ -320,7 +320,7 @@ def test_a_file_that_brings_openusd_down_is_refused(tmp_path, monkeypatch, progr
     (tmp_path / "program.py").write_text(program)
     monkeypatch.setattr(usd_child, "_PROGRAM", tmp_path / "program.py")
     monkeypatch.setattr(usd_child, "_WAIT", 2 if "sleep" in program else 60)
-    with pytest.raises(InputError, match=f"not a whole USD file .{told}.; export it again"):
+    with pytest.raises(InputError, match=f"this USD file is incomplete or damaged .{told}.; export it again"):
         read_usd_body(tmp_path / "body.usdc")
 
 
