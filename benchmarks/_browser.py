@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 #: WebGL without a graphics card: SwiftShader comes with the browser, `gl-egl` is what the machine has (Mesa)
 ANGLES = {
     "swiftshader": ("--enable-unsafe-swiftshader", "--use-angle=swiftshader"),
     "gl-egl": ("--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl"),
 }
 #: the page around the scene is painted without GL, which in software would take longer than the scene
-PLAIN = ("--headless=new", "--no-sandbox", "--disable-gpu-rasterization")
+BROWSER_OPTIONS = ("--headless=new", "--no-sandbox", "--disable-gpu-rasterization")
 #: of a node of the scene, where it has come
 GEOMETRY = """name => {
     const node = window.__viserMutable.nodeRefFromName[name];
@@ -35,29 +35,29 @@ RENDERER = """() => {
 
 def find_chromium() -> str | None:
     """Find the path of a browser, or None."""
-    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 @contextlib.contextmanager
-def launched(angle: str = "swiftshader") -> Iterator:
+def launch_browser(angle: str = "swiftshader") -> Iterator:
     """Launch a browser by Playwright for the duration of the context. Raises `RuntimeError` if none is installed."""
     from playwright.sync_api import sync_playwright
 
     program = find_chromium()
     if program is None:
-        raise RuntimeError(f"No browser was found; expected one of {', '.join(PROGRAMS)}; install one.")
+        raise RuntimeError(f"No browser was found; expected one of {', '.join(BROWSERS)}; install one.")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=[*PLAIN, *ANGLES[angle]])
+        browser = playwright.chromium.launch(executable_path=program, args=[*BROWSER_OPTIONS, *ANGLES[angle]])
         try:
             yield browser
         finally:
             browser.close()
 
 
-def open_page(browser, url: str, size: tuple[int, int], patience: float = 60.0):
-    """Open a page and wait for its connection; `patience` is the timeout of all waits, seconds."""
+def open_page(browser, url: str, size: tuple[int, int], timeout: float = 60.0):
+    """Open a page and wait for its connection; `timeout` is the timeout of all waits, seconds."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-    page.set_default_timeout(1000 * patience)
+    page.set_default_timeout(1000 * timeout)
     page.goto(url)
     page.wait_for_function("window.__viserMutable !== undefined")
     return page
@@ -68,27 +68,27 @@ def wait_for_node(page, name: str) -> None:
     page.wait_for_function(f"({GEOMETRY})('{name}') !== null")
 
 
-def wait_for_eye(page, camera: Any, middle: ArrayLike) -> None:
-    """Wait until the browser reports by `client.camera` that it looks at `middle`.
+def wait_for_camera(page, camera: Any, target: ArrayLike) -> None:
+    """Wait until the browser reports by `client.camera` that it looks at `target`.
 
     Earlier values are those that the window requested, or those of a new page.
     """
     asked, end = time.time(), time.monotonic() + 60.0
-    while camera.update_timestamp < asked or np.abs(np.array(camera.look_at) - middle).max() > 1e-3:
+    while camera.update_timestamp < asked or np.abs(np.array(camera.look_at) - target).max() > 1e-3:
         if time.monotonic() > end:
             raise TimeoutError("The browser did not report the new camera position.")
         page.evaluate("window.__viserMutable.sendCamera()")
         page.wait_for_timeout(50)
 
 
-def pixel(camera: Any, place: ArrayLike) -> Float[np.ndarray, "2"]:
+def project_to_page(camera: Any, position: ArrayLike) -> Float[np.ndarray, "2"]:
     """Project a position in the scene to pixels of a page, by the camera that the browser reports (`client.camera`)."""
     eye, width, height = np.array(camera.position), camera.image_width, camera.image_height
     ahead = np.array(camera.look_at) - eye
     ahead /= np.linalg.norm(ahead)
     right = np.cross(ahead, camera.up_direction)
     right /= np.linalg.norm(right)
-    away = np.asarray(place) - eye
+    away = np.asarray(position) - eye
     x, y = (float(away @ axis) for axis in (right, np.cross(right, ahead)))
     share = float(away @ ahead) * np.tan(camera.fov / 2)
     return np.array([(width + height * x / share) / 2, height * (1 - y / share) / 2])

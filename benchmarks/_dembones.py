@@ -18,10 +18,10 @@ from jaxcap.observe import MeshSequence
 #: its default, and how many to look at more than once
 ITERATIONS, STEP = 30, 5
 #: it has stopped where so many iterations have lowered the least RMSE by less than this share
-PATIENCE, ENOUGH = 30, 1e-3
+PATIENCE, MIN_DECREASE = 30, 1e-3
 
 
-class Rival(NamedTuple):
+class DemBonesRun(NamedTuple):
     """One run of Dem-Bones; RMSE in millimetres for meshes in metres."""
 
     bones: int
@@ -39,7 +39,7 @@ def dem_bones(
     bones: int,
     rest: Float[np.ndarray, "V 3"] | None = None,
     limit: float = 600.0,
-) -> Rival:
+) -> DemBonesRun:
     """One run from nothing, its initialisation in the seconds; `rest` where not given is the first
     mesh. Goes on beyond the default iterations until it stops, or for `limit` seconds."""
     try:
@@ -76,7 +76,7 @@ def dem_bones(
             if spent > limit and done >= ITERATIONS:
                 break
             continue
-        if min(errors[-steps:]) > (1 - ENOUGH) * min(errors[:-steps]) or spent > limit:
+        if min(errors[-steps:]) > (1 - MIN_DECREASE) * min(errors[:-steps]) or spent > limit:
             break
     usual = errors[ITERATIONS // STEP - 1]
-    return Rival(solver.nB, usual, default, min(errors), spent, STEP * len(errors))
+    return DemBonesRun(solver.nB, usual, default, min(errors), spent, STEP * len(errors))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 import jaxcap as jc
 from benchmarks._crane import load_crane, rig_crane
 from benchmarks._scenes import human_motion
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.skeleton import KINDS
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
@@ -46,14 +46,14 @@ class Written(NamedTuple):
     usd: Path
     #: None where the format cannot hold the case
     bvh: Path | None
-    linear: jc.edit.Linearised
+    linear: jc.edit.LinearisedBody
     motion: jc.Motion
 
 
 def make_cases(shared: Path | None, frames: int, resolution: str = "medium") -> list[Case]:
     """Make all cases; those of captures need the `shared` folder."""
     body = jc.human(resolution=resolution)
-    weights = LinearSkin(body.skin.influence(body.skeleton.num_joints))
+    weights = LinearSkin(body.skin.bone_weights(body.skeleton.num_joints))
     cases = [
         Case("chain", *chain(frames)),
         Case("eight", *chain(frames), influences=8),
@@ -124,7 +124,7 @@ def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body
 
 def write_case(folder: Path, case: Case, tolerance: float) -> Written:
     """Write a case as `.glb`, `.usdc`, and `.bvh` of its skeleton in centimetres."""
-    linear = jc.edit.linearise(case.body, case.motion.poses, tolerance, influences=case.influences)
+    linear = jc.edit.linearise(case.body, case.motion.poses, tolerance, max_influences=case.influences)
     motion = jc.edit.linear_motion(linear, case.motion)
     glb, usd = folder / f"{case.name}.glb", folder / f"{case.name}.usdc"
     for path in (glb, usd):
@@ -136,11 +136,11 @@ def write_case(folder: Path, case: Case, tolerance: float) -> Written:
     return Written(glb, usd, bvh, linear, motion)
 
 
-def truth_of(body: jc.Body, motion: jc.Motion, frames: list[int]) -> Truth:
+def make_truth(body: jc.Body, motion: jc.Motion, frames: list[int]) -> Truth:
     poses = jax.tree.map(lambda leaf: leaf[np.asarray(frames)], motion.poses)
     moved = jax.lax.map(lambda pose: forward_kinematics(body.skeleton, pose), poses)
     joints = jax.vmap(lambda transforms: joint_positions(body.skeleton, transforms))(moved)
     turns = np.asarray(moved.rotations, float) / np.asarray(poses.scale, float)[:, None, None, None]
     return Truth(
-        body.skeleton.names, np.asarray(joints, float), turns, np.asarray(deform_all(body, poses), float)
+        body.skeleton.names, np.asarray(joints, float), turns, np.asarray(posed_vertices(body, poses), float)
     )

@@ -5,14 +5,14 @@ import numpy as np
 from benchmarks._rigs import (
     Z_UP,
     Rig,
-    both,
-    hung_on,
-    with_half,
+    on_both_sides,
+    remove_joints,
+    reparent,
+    with_half_twist,
     with_joint,
     with_leaf,
     with_root,
     with_twist,
-    without,
 )
 
 LEFT_RIGHT, LONG = ("L", "R"), ("Left", "Right")
@@ -54,10 +54,10 @@ TUNED = (
         ("l", "r"),
         (
             with_root("ground"),
-            *both(with_leaf, "{s}humerus_leaf", "{s}humerus", "{s}radius"),
-            *both(with_leaf, "{s}radius_leaf", "{s}radius", "{s}wrist"),
+            *on_both_sides(with_leaf, "{s}humerus_leaf", "{s}humerus", "{s}radius"),
+            *on_both_sides(with_leaf, "{s}radius_leaf", "{s}radius", "{s}wrist"),
         ),
-        framed=True,
+        has_joint_frames=True,
         axes=Z_UP,
     ),
     Rig(
@@ -71,7 +71,7 @@ TUNED = (
         },
         LEFT_RIGHT,
         (with_root("ground"),),
-        framed=True,
+        has_joint_frames=True,
         size=0.93,
     ),
     Rig(
@@ -83,7 +83,7 @@ TUNED = (
         ),
         LEFT_RIGHT,
         (),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
         size=0.8,
         unit="m",
     ),
@@ -100,11 +100,11 @@ TUNED = (
         },
         LEFT_RIGHT,
         (
-            *both(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
-            *both(with_half, "{s}radius_twist", "{s}radius", "{s}wrist"),
-            *both(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
+            *on_both_sides(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
+            *on_both_sides(with_half_twist, "{s}radius_twist", "{s}radius", "{s}wrist"),
+            *on_both_sides(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
         ),
-        hangs={"humerus": 30.0, "radius": 30.0, "wrist": 30.0},
+        bone_angles={"humerus": 30.0, "radius": 30.0, "wrist": 30.0},
         axes=np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
         unit="m",
     ),
@@ -119,7 +119,7 @@ TUNED = (
         },
         LONG,
         (with_joint("Extra", "lowerback", "upperback"),),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
         size=1.2,
     ),
     Rig(
@@ -130,7 +130,7 @@ TUNED = (
         ),
         LONG,
         (),
-        framed=True,
+        has_joint_frames=True,
         unit="m",
     ),
     Rig(
@@ -168,7 +168,7 @@ HELD_OUT = (
         },
         LONG,
         (with_joint("t12", "upperback", "thorax"),),
-        hangs={"humerus": 80.0, "radius": 80.0, "wrist": 80.0},
+        bone_angles={"humerus": 80.0, "radius": 80.0, "wrist": 80.0},
         axes=Z_UP,
     ),
     Rig(
@@ -190,7 +190,7 @@ HELD_OUT = (
         ),
         LONG,
         (),
-        hangs={"humerus": 88.0, "radius": 88.0, "wrist": 88.0},
+        bone_angles={"humerus": 88.0, "radius": 88.0, "wrist": 88.0},
     ),
     Rig(
         "biped",
@@ -204,9 +204,9 @@ HELD_OUT = (
         LEFT_RIGHT,
         (
             with_root("ground"),
-            *both(hung_on, "{s}clavicle", "lowerneck"),
+            *on_both_sides(reparent, "{s}clavicle", "lowerneck"),
         ),
-        framed=True,
+        has_joint_frames=True,
         axes=Z_UP,
     ),
     Rig(
@@ -219,7 +219,7 @@ HELD_OUT = (
         ),
         LEFT_RIGHT,
         (),
-        framed=True,
+        has_joint_frames=True,
         unit="in",
     ),
     Rig(
@@ -235,11 +235,11 @@ HELD_OUT = (
         },
         ("l", "r"),
         (
-            *both(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
-            *both(with_half, "{s}radius_twist", "{s}radius", "{s}wrist"),
-            *both(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
+            *on_both_sides(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
+            *on_both_sides(with_half_twist, "{s}radius_twist", "{s}radius", "{s}wrist"),
+            *on_both_sides(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
         ),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
     ),
     Rig(
         "makehuman",
@@ -254,11 +254,11 @@ HELD_OUT = (
         },
         LEFT_RIGHT,
         (
-            *both(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
-            *both(with_half, "{s}radius_twist", "{s}radius", "{s}wrist"),
-            *both(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
+            *on_both_sides(with_twist, "{s}humerus_twist", "{s}humerus", "{s}radius"),
+            *on_both_sides(with_half_twist, "{s}radius_twist", "{s}radius", "{s}wrist"),
+            *on_both_sides(with_twist, "{s}femur_twist", "{s}femur", "{s}tibia"),
         ),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
         unit="dm",
     ),
     Rig(
@@ -269,7 +269,7 @@ HELD_OUT = (
         ),
         ("G", "D"),
         (),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
     ),
     Rig(
         "nameless",
@@ -278,7 +278,7 @@ HELD_OUT = (
         },
         ("13", "42"),
         (),
-        hangs=A_POSE,
+        bone_angles=A_POSE,
         size=1.3,
     ),
     Rig(
@@ -288,7 +288,7 @@ HELD_OUT = (
             "Hips LowerBack Spine Spine1 Neck Neck1 Head",
         ),
         LONG,
-        (without("lclavicle", "lhumerus", "lradius", "lwrist"),),
+        (remove_joints("lclavicle", "lhumerus", "lradius", "lwrist"),),
     ),
     Rig(
         "no_arms",
@@ -297,7 +297,11 @@ HELD_OUT = (
             "Hips LowerBack Spine Spine1 Neck Neck1 Head",
         ),
         LONG,
-        (without(*(side + bone for side in "lr" for bone in ("clavicle", "humerus", "radius", "wrist"))),),
+        (
+            remove_joints(
+                *(side + bone for side in "lr" for bone in ("clavicle", "humerus", "radius", "wrist"))
+            ),
+        ),
     ),
 )
 #: of these rigs limbs are missing: they have to be refused, or warned of

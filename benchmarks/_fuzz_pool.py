@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 #: seconds of a processor that reading one file may take, and seconds by the clock at which its process is ended
-SECONDS, PATIENCE = 20.0, 60.0
+MAX_SECONDS, KILL_SECONDS = 20.0, 60.0
 #: bytes that it may add to what the process has, and at which the process gets no more
-MEMORY, CEILING = 2**30, 4 * 2**30
+MAX_MEMORY, MEMORY_LIMIT = 2**30, 4 * 2**30
 
 
 class Reading(NamedTuple):
@@ -30,7 +30,7 @@ class Reading(NamedTuple):
 
 
 def read_all(
-    files: Sequence[tuple[str, Path]], processes: int, seconds: float = SECONDS
+    files: Sequence[tuple[str, Path]], processes: int, seconds: float = MAX_SECONDS
 ) -> Iterator[Reading]:
     """Read files in a few processes, in any order; a process that dies or takes too long is replaced."""
     context: Any = multiprocessing.get_context("forkserver")
@@ -53,7 +53,7 @@ def read_all(
                     continue
                 taken, memory = result[2:]
                 outcome = (
-                    "too much memory" if memory > MEMORY else "too slow" if taken > seconds else result[0]
+                    "too much memory" if memory > MAX_MEMORY else "too slow" if taken > seconds else result[0]
                 )
                 yield Reading(format, path, outcome, result[1], taken, memory)
                 if waiting:
@@ -63,7 +63,7 @@ def read_all(
                     connection.close()
                     process.join()
             for connection, (process, (format, path), since) in list(busy.items()):
-                if time.monotonic() - since > PATIENCE:
+                if time.monotonic() - since > KILL_SECONDS:
                     del busy[connection]
                     process.kill()
                     process.join()
@@ -88,19 +88,19 @@ def _serve(connection: Any) -> None:
     # what libraries say of damaged files is not ours to print
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1), os.dup2(silence, 2)
-    limit = _status("VmSize") + CEILING
+    limit = _status("VmSize") + MEMORY_LIMIT
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with contextlib.suppress(EOFError):
         while True:
             format, path = connection.recv()
-            before = _forget_peak()
+            before = _reset_peak_memory()
             start = time.process_time()
             found = outcome(format, path)
             connection.send((*found, time.process_time() - start, _status("VmHWM") - before))
 
 
-def _forget_peak() -> int:
+def _reset_peak_memory() -> int:
     """Reset the peak memory of the process, and return its current memory, bytes."""
     Path("/proc/self/clear_refs").write_text("5")
     return _status("VmRSS")

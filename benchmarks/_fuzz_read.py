@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks._fuzz_seeds import ASF, HEADER, fuzz_body
 from jaxcap.body.body import Body
-from jaxcap.cli.adapt.state import state_of
-from jaxcap.cli.edit.pairs import point_pair, table_of
-from jaxcap.cli.learn import state_of as learn_state_of
+from jaxcap.cli.adapt.state import restore_state
+from jaxcap.cli.edit.pairs import parse_point_pair, read_pair_table
+from jaxcap.cli.learn import restore_state as learn_state_of
 from jaxcap.cli.scan.folder import check_same_scans
 from jaxcap.errors import InputError
 from jaxcap.io.archives.checkpoint import load_checkpoint, load_progress
@@ -22,7 +22,7 @@ from jaxcap.io.archives.journal import read_header, read_records, resume_journal
 from jaxcap.io.archives.limits import load_limits, read_limits
 from jaxcap.io.archives.npz import load_limits as load_body_limits
 from jaxcap.io.archives.npz import load_skeleton
-from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_counts
+from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_prior_size
 from jaxcap.io.archives.run_statistics import read_statistics
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.constraints import read_constraints
@@ -45,7 +45,7 @@ from jaxcap.io.registry import (
 from jaxcap.io.skeletons.amass import read_amass
 from jaxcap.io.skeletons.amc import read_amc
 from jaxcap.io.skeletons.asf import read_asf
-from jaxcap.io.skeletons.body_motion import read_motion_of
+from jaxcap.io.skeletons.body_motion import read_body_motion
 from jaxcap.io.skeletons.cst import read_cst
 from jaxcap.io.skeletons.vj import read_vj
 from jaxcap.view.load import load
@@ -83,24 +83,24 @@ def _outcome(reader: Callable[[Path], Any], path: Path) -> tuple[str, str]:
             finally:
                 strange = [one for one in told if issubclass(one.category, RuntimeWarning)]
         if strange:
-            return "foreign words", _warned(strange[0])
-        for where, values in numbers(found):
+            return "foreign words", _describe_warning(strange[0])
+        for where, values in iterate_arrays(found):
             if not np.isfinite(values).all():
                 return "not finite", where
     except InputError as error:
-        return ("foreign words", _warned(strange[0])) if strange else _sentence(error, path)
+        return ("foreign words", _describe_warning(strange[0])) if strange else _classify_error(error, path)
     except MemoryError as error:
-        return "too much memory", _place(error)
+        return "too much memory", _error_location(error)
     except Exception as error:
-        return "traceback", _place(error)
+        return "traceback", _error_location(error)
     return "data", ""
 
 
-def _warned(warning: warnings.WarningMessage) -> str:
+def _describe_warning(warning: warnings.WarningMessage) -> str:
     return f"warning: {warning.message} at {Path(warning.filename).name}:{warning.lineno}"
 
 
-def _sentence(error: InputError, path: Path) -> tuple[str, str]:
+def _classify_error(error: InputError, path: Path) -> tuple[str, str]:
     """Test if an error is a sentence of the library: it names the file, ends with a full stop, and does not repeat another
     library's error."""
     text = str(error)
@@ -112,26 +112,26 @@ def _sentence(error: InputError, path: Path) -> tuple[str, str]:
         and str(context)
         and said.startswith(str(context))
     )
-    if foreign and isinstance(context, ValueError) and raised_here(context):
+    if foreign and isinstance(context, ValueError) and is_raised_by_library(context):
         foreign = False
     if path.name not in text or not text.endswith((".", ".)")) or foreign or len(text) > 2000:
         return "foreign words", text[:300]
     return ("last door" if error.__cause__ is not None else "refused"), text[:300]
 
 
-def raised_here(error: BaseException) -> bool:
+def is_raised_by_library(error: BaseException) -> bool:
     """Test if a statement of the library raised an error, by the text of the line."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     return "jaxcap" in Path(frame.filename).parts and (frame.line or "").startswith("raise ")
 
 
-def _place(error: BaseException) -> str:
+def _error_location(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if "jaxcap" in Path(frame.filename).parts] or frames[-1:]
     return f"{type(error).__name__}: {str(error)[:120]} at {Path(own[-1].filename).name}:{own[-1].lineno}"
 
 
-def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
+def iterate_arrays(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
     """Yield every array of floats in the result of a reader, with its path."""
     if isinstance(value, float | np.floating):
         yield where, np.asarray(value)
@@ -139,13 +139,13 @@ def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
         return
     elif isinstance(value, Mapping):
         for name, part in value.items():
-            yield from numbers(part, f"{where}.{name}")
+            yield from iterate_arrays(part, f"{where}.{name}")
     elif hasattr(value, "_fields"):
         for name in value._fields:
-            yield from numbers(getattr(value, name), f"{where}.{name}")
+            yield from iterate_arrays(getattr(value, name), f"{where}.{name}")
     elif dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
-            yield from numbers(getattr(value, field.name), f"{where}.{field.name}")
+            yield from iterate_arrays(getattr(value, field.name), f"{where}.{field.name}")
     elif hasattr(value, "data") and hasattr(value, "tocsr"):
         yield where, np.asarray(value.data)
     elif hasattr(value, "dtype") and hasattr(value, "shape"):
@@ -153,7 +153,7 @@ def numbers(value: Any, where: str = "") -> Iterator[tuple[str, np.ndarray]]:
             yield where, np.asarray(value)
     elif isinstance(value, Sequence | Iterator):
         for number, part in enumerate(value):
-            yield from numbers(part, f"{where}[{number}]")
+            yield from iterate_arrays(part, f"{where}[{number}]")
 
 
 def _journal(path: Path) -> np.ndarray:
@@ -172,7 +172,7 @@ def _amc(path: Path) -> Any:
 
 
 def _pairs(path: Path) -> list[Any]:
-    return [point_pair(path, row) for row in table_of(path)]
+    return [parse_point_pair(path, row) for row in read_pair_table(path)]
 
 
 def _corrupt_limits(path: Path) -> Any:
@@ -191,7 +191,7 @@ def _clouds(path: Path) -> Any:
 
 def _contents(path: Path) -> Any:
     # bodies are posed when they are shown, which compiles
-    return load([str(path)]).told
+    return load([str(path)]).notes
 
 
 @functools.cache
@@ -219,18 +219,18 @@ READERS: dict[str, tuple[Reader, ...]] = {
     "corrections": (read_corrections,),
     "pairs": (_pairs,),
     "body": (read_body, read_skeleton, load_body_limits),
-    "motion": (lambda path: read_motion_of(_body(), path), load_skeleton),
+    "motion": (lambda path: read_body_motion(_body(), path), load_skeleton),
     "subject": (load_subject,),
     "limits": (_corrupt_limits, _contents),
-    "prior": (lambda path: load_priors(path, _body()), shape_counts),
+    "prior": (lambda path: load_priors(path, _body()), shape_prior_size),
     "shape": (
         lambda path: load_priors(path, _body()),
         lambda path: load_shape_prior(path, _body()),
         read_body,
     ),
-    "amass": (read_amass, lambda path: read_motion_of(_body(), path)),
+    "amass": (read_amass, lambda path: read_body_motion(_body(), path)),
     "checkpoint": (lambda path: load_checkpoint(path, HEADER), load_progress),
-    "adapt": (lambda path: state_of(load_checkpoint(path, HEADER), path),),
+    "adapt": (lambda path: restore_state(load_checkpoint(path, HEADER), path),),
     "learn": (lambda path: learn_state_of(load_checkpoint(path, HEADER), path),),
     "journal": (_journal,),
     "meshes": (read_meshes, _contents),

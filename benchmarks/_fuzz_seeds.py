@@ -19,10 +19,10 @@ from jaxcap.body.pair_prior import make_pair_prior, successive_pairs
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
-from jaxcap.cli.adapt.state import checkpoint_of
+from jaxcap.cli.adapt.state import make_checkpoint
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.archives.limits import save_limits
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.archives.prior import save_prior
@@ -33,7 +33,7 @@ from jaxcap.io.meshes.meshes import save_meshes
 from jaxcap.io.meshes.ply import write_ply
 from jaxcap.io.registry import write_body, write_markers, write_motion, write_skeleton
 from jaxcap.io.skeletons.amass import write_amass
-from jaxcap.io.skeletons.cst import Constraints, write_cst
+from jaxcap.io.skeletons.cst import CstLimits, write_cst
 from jaxcap.io.skeletons.vj import write_vj
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe import MeshSequence, make_markers
@@ -132,7 +132,7 @@ def _bodies(folder: Path, rng: np.random.Generator) -> None:
     write_vj(folder / "vj-own.vj", body.skeleton, np.repeat(np.arange(5), 4))
     cones = {"spine": Cone((1.0, 0, 0), 0.5, (0, 1.0, 0), 0.7)}
     ranges = make_joint_ranges(body.skeleton, {"elbow": (-0.1, 2.4), "wrist": ((-1, 1), (-0.5, 0.5))}, cones)
-    write_cst(folder / "cst-own.cst", body.skeleton, Constraints(ranges))
+    write_cst(folder / "cst-own.cst", body.skeleton, CstLimits(ranges))
 
 
 def _arrays(folder: Path, rng: np.random.Generator) -> None:
@@ -262,7 +262,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
         folder / "checkpoint-own.npz", Checkpoint(body, motion, history, {"a": np.ones(3)}), HEADER
     )
     state = AdaptState(1, body, 1.0, motion, history=history, chosen=(0, 2), traits=(0.1,))
-    save_checkpoint(folder / "adapt-own.npz", checkpoint_of(state), HEADER)
+    save_checkpoint(folder / "adapt-own.npz", make_checkpoint(state), HEADER)
     learnt = {
         "pairs": np.zeros((1, 2), int),
         "damping": np.array(0.1),
@@ -270,7 +270,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
         "curve": np.ones(3),
     }
     save_checkpoint(folder / "learn-own.npz", Checkpoint(body, motion, history, learnt), HEADER)
-    with begin_journal(folder / "journal-own.journal", HEADER, 6) as journal:
+    with create_journal(folder / "journal-own.journal", HEADER, 6) as journal:
         for record in rng.normal(size=(5, 6)):
             journal.append(record)
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 import jaxcap as jc
 from benchmarks._crane import load_crane
-from benchmarks._scenes import CAPTURED, RATE, cmu_motion, takes_of
+from benchmarks._scenes import CAPTURE_RATE, RATE, cmu_motion, takes_of
 from benchmarks.report import progress
 from jaxcap.body.skin import swing_twist_from
 from jaxcap.fit.fit_meshes import fit_meshes
@@ -23,12 +23,12 @@ from jaxcap.observe import MeshSequence
 
 SUBJECT = "02"
 #: degrees of a joint's largest turn: more than this and its centre is asked for; less than that and it is still
-TURNS, STILL = 20.0, 1.0
+MIN_SCORED_ANGLE, MAX_STILL_ANGLE = 20.0, 1.0
 #: a joint that leaves its one axis by less (root mean square, degrees) has a centre anywhere on that axis
-HINGE = 2.0
+MAX_HINGE_DEVIATION = 2.0
 
 
-class Known(NamedTuple):
+class SyntheticMeshes(NamedTuple):
     """Meshes of a known body; vertex `i` is the same point in all meshes and in the ground truth."""
 
     body: jc.Body
@@ -43,17 +43,17 @@ class Known(NamedTuple):
     turns: Float[np.ndarray, "J"]
 
     @property
-    def moving(self) -> list[int]:
+    def moving_joints(self) -> list[int]:
         """The joints that learning can find: those that rotate at all, without the root."""
-        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > STILL]
+        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > MAX_STILL_ANGLE]
 
     @property
-    def turning(self) -> list[int]:
+    def scored_joints(self) -> list[int]:
         """The joints whose centres are scored."""
-        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > TURNS]
+        return [joint for joint in range(1, len(self.turns)) if self.turns[joint] > MIN_SCORED_ANGLE]
 
 
-def known(
+def make_synthetic_meshes(
     shared: Path,
     skin: Literal["swing_twist", "lbs"] = "swing_twist",
     *,
@@ -63,7 +63,7 @@ def known(
     poses: Literal["farthest", "random"] = "farthest",
     resolution: Literal["full", "medium", "low"] | int = "full",
     seed: int = 0,
-) -> Known:
+) -> SyntheticMeshes:
     """Pose the embedded human in all takes of one subject, with its vertices in random order.
 
     The farthest poses are picked one by one, each the one farthest in joint angles from those picked
@@ -79,20 +79,22 @@ def known(
     if poses == "random":
         picked = rng.choice(len(motion), training + held_out, replace=False)
     else:
-        picked = _farthest(np.asarray(motion.poses.rotations[:, 1:], float), training + held_out, rng)
-    parts = [_chosen(motion, np.sort(picked[some])) for some in (slice(training), slice(training, None))]
+        picked = _farthest_frames(np.asarray(motion.poses.rotations[:, 1:], float), training + held_out, rng)
+    parts = [
+        _select_frames(motion, np.sort(picked[some])) for some in (slice(training), slice(training, None))
+    ]
     clean = [posed_vertices(body, part) for part in parts]
     noisy = [part + noise * rng.normal(size=part.shape).astype(part.dtype) for part in clean]
     meshes = [MeshSequence(vertices, body.faces) for vertices in noisy]
-    turns = largest_turns(np.asarray(parts[0].poses.rotations, float))
-    return Known(body, *meshes, *clean, *parts, turns)
+    turns = largest_angles(np.asarray(parts[0].poses.rotations, float))
+    return SyntheticMeshes(body, *meshes, *clean, *parts, turns)
 
 
-def varied_poses(shared: Path, body: jc.Body, count: int, without: Sequence[str] = ()) -> jc.Motion:
+def varied_poses(shared: Path, body: jc.Body, count: int, excluded: Sequence[str] = ()) -> jc.Motion:
     """Select dissimilar poses of all takes but some, the first at rest, on the body's skeleton."""
-    motions = [_all_takes(shared, body.skeleton, subject, without) for subject in ("01", SUBJECT)]
+    motions = [_all_takes(shared, body.skeleton, subject, excluded) for subject in ("01", SUBJECT)]
     poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])
-    picked = _farthest(np.asarray(poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
+    picked = _farthest_frames(np.asarray(poses.rotations[:, 1:], float), count - 1, np.random.default_rng(0))
     rest = jax.tree.map(lambda leaf: leaf[None], jc.rest_pose(body.skeleton))
     some = jax.tree.map(lambda leaf: leaf[np.sort(picked)], poses)
     return jc.Motion(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), rest, some), RATE)
@@ -125,7 +127,7 @@ def shuffled(body: jc.Body, rng: np.random.Generator) -> jc.Body:
     return jc.Body(body.skeleton, body.skin.take(order), body.vertices[order], jnp.asarray(faces))
 
 
-def largest_turns(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "J"]:
+def largest_angles(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "J"]:
     """Compute the largest angle of each joint from the mean of its rotations, degrees."""
     mean = np.linalg.eigh(np.einsum("fja,fjb->jab", rotations, rotations))[1][..., -1]
     cosines = np.abs(np.einsum("fja,ja->fj", rotations, mean))
@@ -146,7 +148,7 @@ def posed_vertices(body: jc.Body, motion: jc.Motion) -> Float[np.ndarray, "F V 3
     return np.asarray(_pose_all(body, motion.poses)[0])
 
 
-def millimetres(posed: Float[np.ndarray, "F V 3"], truth) -> Float[np.ndarray, "F V"]:
+def vertex_errors_mm(posed: Float[np.ndarray, "F V 3"], truth) -> Float[np.ndarray, "F V"]:
     """Compute the distance of each posed vertex from its true position, millimetres, given metres."""
     return 1000 * np.linalg.norm(np.asarray(posed, float) - np.asarray(truth, float), axis=-1)
 
@@ -181,7 +183,9 @@ class JointErrors(NamedTuple):
             progress(f"  {name:18s} turns {turn:5.1f} degrees: {centre:6.2f} mm{hinge}")
 
 
-def joint_errors(truth: Known, learned: jc.Body, motion: jc.Motion, joints: list[int]) -> JointErrors:
+def joint_errors(
+    truth: SyntheticMeshes, learned: jc.Body, motion: jc.Motion, joints: list[int]
+) -> JointErrors:
     """Compare true joints with the nearest learned ones, both bodies posed as in the training meshes.
 
     A true joint that keeps to one axis has no centre but the axis itself: any point of it moves the
@@ -199,7 +203,7 @@ def joint_errors(truth: Known, learned: jc.Body, motion: jc.Motion, joints: list
         # the axis is the direction of the parent that the joint's rotations have in common
         parent = turned[:, parents[joint]]
         left, common, _ = np.linalg.svd(np.mean(np.swapaxes(parent, 1, 2) @ turned[:, joint], axis=0))
-        if np.degrees(np.sqrt(2 * max(0.0, 1 - common[0]))) < HINGE:
+        if np.degrees(np.sqrt(2 * max(0.0, 1 - common[0]))) < MAX_HINGE_DEVIATION:
             axis = parent @ left[:, 0]
             apart = apart - np.sum(apart * axis, 1, keepdims=True) * axis
         determined.append(1000 * np.linalg.norm(apart, axis=1).mean())
@@ -226,7 +230,7 @@ def learn(meshes: MeshSequence, **options) -> Run:
     clock, ends = Clock(), [0.0]
 
     def say(state) -> None:
-        ends.append(clock.so_far)
+        ends.append(clock.elapsed)
         progress(f"  round {state.round}: Q {state.history[-1][1]:.5g} m², {ends[-1]:.1f} s")
 
     with clock:
@@ -257,21 +261,21 @@ class Clock:
         self._compiled: list[tuple[float, float]] = []
 
     def __enter__(self):
-        jax.monitoring.register_event_duration_secs_listener(self._heard)
+        jax.monitoring.register_event_duration_secs_listener(self._on_event)
         self._began = time.perf_counter()
         return self
 
     def __exit__(self, *raised):
         self.total = time.perf_counter() - self._began
-        jax.monitoring.unregister_event_duration_listener(self._heard)
+        jax.monitoring.unregister_event_duration_listener(self._on_event)
 
-    def _heard(self, event: str, seconds: float, **about) -> None:
+    def _on_event(self, event: str, seconds: float, **about) -> None:
         if event.startswith("/jax/core/compile/"):
             now = time.perf_counter()
             self._compiled.append((now - seconds, now))
 
     @property
-    def so_far(self) -> float:
+    def elapsed(self) -> float:
         """Seconds since the start."""
         return time.perf_counter() - self._began
 
@@ -296,24 +300,24 @@ def without_cache() -> None:
 
 
 def _all_takes(
-    shared: Path, skeleton: jc.Skeleton, subject: str = SUBJECT, without: Sequence[str] = ()
+    shared: Path, skeleton: jc.Skeleton, subject: str = SUBJECT, excluded: Sequence[str] = ()
 ) -> jc.Motion:
     """Concatenate the takes of a subject but some, at 30 frames per second, on the body, in one compiled call."""
     motions = []
     for take in takes_of(shared, subject):
-        if take in without:
+        if take in excluded:
             continue
         motion, source = cmu_motion(shared, take)
-        motions.append(motion.slice(slice(None, None, round(CAPTURED / RATE))))
+        motions.append(motion.slice(slice(None, None, round(CAPTURE_RATE / RATE))))
     poses = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[motion.poses for motion in motions])
     return jc.retarget(jc.Motion(poses, RATE), source, skeleton)
 
 
-def _chosen(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
+def _select_frames(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
     return jc.Motion(jax.tree.map(lambda leaf: leaf[frames], motion.poses), motion.rate)
 
 
-def _farthest(
+def _farthest_frames(
     rotations: Float[np.ndarray, "F J 4"], count: int, rng: np.random.Generator
 ) -> Int[np.ndarray, "C"]:
     """Select frames by farthest-point sampling with the norm of joint angles."""

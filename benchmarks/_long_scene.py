@@ -13,7 +13,7 @@ from jaxcap.io.meshes.mesh import Mesh, write_mesh
 #: frames after which the motion repeats
 PERIOD = 200
 #: size of the limb, metres, and its vertices along and around it
-LENGTH, RADIUS, ALONG, AROUND = 0.5, 0.05, 26, 16
+LENGTH, RADIUS, NUM_RINGS, NUM_SIDES = 0.5, 0.05, 26, 16
 NAMES = ("upper", "fore", "hand")
 
 _pose_body = eqx.filter_jit(jc.pose_body)
@@ -22,11 +22,11 @@ _pose_body = eqx.filter_jit(jc.pose_body)
 def make_limb() -> jc.Body:
     """Make a tapering tube of 416 vertices on three bones."""
     along, around = np.meshgrid(
-        np.linspace(0, LENGTH, ALONG), np.arange(AROUND) * 2 * np.pi / AROUND, indexing="ij"
+        np.linspace(0, LENGTH, NUM_RINGS), np.arange(NUM_SIDES) * 2 * np.pi / NUM_SIDES, indexing="ij"
     )
     radius = RADIUS * (1 - 0.4 * along / LENGTH) * (1 + 0.3 * np.cos(around))
     vertices = np.stack([radius * np.cos(around), along, radius * np.sin(around)], -1).reshape(-1, 3)
-    corner = np.arange(ALONG * AROUND).reshape(ALONG, AROUND)
+    corner = np.arange(NUM_RINGS * NUM_SIDES).reshape(NUM_RINGS, NUM_SIDES)
     a, b = corner[:-1], np.roll(corner, -1, 1)[:-1]
     c, d = corner[1:], np.roll(corner, -1, 1)[1:]
     faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])

@@ -24,7 +24,7 @@ LAYOUT = {
 }  # fmt: skip
 
 
-class Trouble(NamedTuple):
+class MarkerNoise(NamedTuple):
     """The errors of simulated markers."""
 
     #: standard deviation along each axis, metres
@@ -53,7 +53,7 @@ def performer(seed: int = 0, dtype=jnp.float32) -> Subject:
     """Place about 60 markers on the surface of the embedded human, spread over the vertices of each bone."""
     body = jc.human(joints="tracking", resolution="low")
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
-    influence = np.asarray(body.skin.influence(skeleton.num_joints))
+    influence = np.asarray(body.skin.bone_weights(skeleton.num_joints))
     rng = np.random.default_rng(seed)
     bones, places, labels = [], [], []
     for name in skeleton.names:
@@ -76,7 +76,7 @@ def performer(seed: int = 0, dtype=jnp.float32) -> Subject:
 def make_scene(
     shared: Path,
     take: str,
-    trouble: Trouble = Trouble(),
+    trouble: MarkerNoise = MarkerNoise(),
     seed: int = 0,
     rate: float = 120.0,
     frames: int | None = None,
@@ -90,7 +90,7 @@ def make_scene(
     return scene_of(truth, jax.tree.map(lambda leaf: leaf.astype(dtype), motion), trouble, seed)
 
 
-def scene_of(truth: Subject, motion: jc.Motion, trouble: Trouble, seed: int) -> Scene:
+def scene_of(truth: Subject, motion: jc.Motion, trouble: MarkerNoise, seed: int) -> Scene:
     rng = np.random.default_rng(seed)
     shifts = _skin_motion(truth, motion, trouble.skin, rng)
     places, joints = (np.array(x, float) for x in pose_all(truth, motion.poses, jnp.asarray(shifts)))
@@ -107,10 +107,12 @@ def scene_of(truth: Subject, motion: jc.Motion, trouble: Trouble, seed: int) -> 
     places = np.where(seen[..., None], places, 0.0)
     dtype = truth.offsets.dtype
     seen_frames = MarkerFrames(np.asarray(places, dtype), seen, truth.labels, motion.rate)
-    return Scene(seen_frames, truth, motion, joints, wrong(truth, rng), swapped)
+    return Scene(seen_frames, truth, motion, joints, perturb_template(truth, rng), swapped)
 
 
-def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placement: float = 0.015) -> Subject:
+def perturb_template(
+    truth: Subject, rng: np.random.Generator, bones: float = 0.08, placement: float = 0.015
+) -> Subject:
     """Scale every bone of the true subject by up to `bones`, left and right alike, and move every marker by `placement`
     metres in a random direction."""
     skeleton = truth.skeleton
@@ -131,14 +133,16 @@ def wrong(truth: Subject, rng: np.random.Generator, bones: float = 0.08, placeme
     )
 
 
-def known_part(found: Calibration, joint: int) -> Float[np.ndarray, "3 3"]:
+def determined_projection(found: Calibration, joint: int) -> Float[np.ndarray, "3 3"]:
     """Compute the projection of a joint's error, at rest, that removes directions that the calibration reports as poorly
     determined, such as the axis of a hinge."""
-    hardly = np.array([one.direction for one in found.hardly if one.joint == joint]).reshape(-1, 3)
+    hardly = np.array([one.direction for one in found.imprecise_directions if one.joint == joint]).reshape(
+        -1, 3
+    )
     return np.eye(3) - hardly.T @ hardly
 
 
-def turns(motion: jc.Motion) -> Float[np.ndarray, "J"]:
+def rotation_spread(motion: jc.Motion) -> Float[np.ndarray, "J"]:
     """Compute twice the standard deviation of each joint's rotation about its mean, radians."""
     q = np.asarray(motion.poses.rotations, float)
     _, vectors = np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))
@@ -163,7 +167,7 @@ def _skin_motion(truth: Subject, motion: jc.Motion, size: float, rng) -> Float[n
     return (size * shares * driven)[..., None] * directions
 
 
-def _bursts(count: int, markers: int, trouble: Trouble, rng) -> Bool[np.ndarray, "F M"]:
+def _bursts(count: int, markers: int, trouble: MarkerNoise, rng) -> Bool[np.ndarray, "F M"]:
     gone = np.zeros((count, markers), bool)
     length = min(trouble.burst, max(1, count // 4))
     while gone.mean() < trouble.gaps:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.edit.matching.reference import posed
+from jaxcap.edit.matching.reference import joint_transforms
 
 #: joints of the ASF files that a rig is made of; the rest is left out
 SIDED = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes", "hand"]
@@ -18,7 +18,7 @@ TRUNK = ["root", "lowerback", "upperback", "thorax", "lowerneck", "upperneck", "
 Z_UP = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 
 
-class Acting(NamedTuple):
+class WorldMotion(NamedTuple):
     """A motion of joints in the world."""
 
     names: list[str]
@@ -44,20 +44,20 @@ class Rig(NamedTuple):
     #: what stands for `{s}` on the left and on the right
     sides: tuple[str, str]
     #: changes of the tree, before names
-    changes: tuple[Callable[[Acting], Acting], ...] = ()
+    changes: tuple[Callable[[WorldMotion], WorldMotion], ...] = ()
     #: degrees by which each joint's bone hangs at rest below the ASF's T-pose, about the forward axis, by sided ASF name
-    hangs: Mapping[str, float] = MappingProxyType({})
+    bone_angles: Mapping[str, float] = MappingProxyType({})
     #: joints have frames of their own, with bones along x (and along -x on the right), so the rest pose of the file is that of nobody
-    framed: bool = False
+    has_joint_frames: bool = False
     size: float = 1.0
     #: from the ASF's axes to the rig's
     axes: Float[np.ndarray, "3 3"] = np.eye(3)
     unit: str = "cm"
 
 
-def acting(skeleton: jc.Skeleton, motion: jc.Motion) -> Acting:
+def world_motion(skeleton: jc.Skeleton, motion: jc.Motion) -> WorldMotion:
     """Select the joints of a take that rigs have."""
-    places, turns = posed(skeleton, motion.poses)
+    places, turns = joint_transforms(skeleton, motion.poses)
     kept = [*TRUNK, *(side + bone for side in "lr" for bone in SIDED)]
     kept = [name for name in skeleton.names if name in kept]
     parents = []
@@ -68,7 +68,7 @@ def acting(skeleton: jc.Skeleton, motion: jc.Motion) -> Acting:
         parents.append(None if parent < 0 else skeleton.names[parent])
     rows = [skeleton.index(name) for name in kept]
     centres = np.asarray(skeleton.centres, float)
-    return Acting(
+    return WorldMotion(
         kept,
         parents,
         [centres[row] for row in rows],
@@ -78,10 +78,10 @@ def acting(skeleton: jc.Skeleton, motion: jc.Motion) -> Acting:
     )
 
 
-def without(*names: str) -> Callable[[Acting], Acting]:
+def remove_joints(*names: str) -> Callable[[WorldMotion], WorldMotion]:
     """Remove joints; their children become children of their parents."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         parents = list(acted.parents)
         for name in names:
             above = parents[acted.index(name)]
@@ -101,10 +101,10 @@ def without(*names: str) -> Callable[[Acting], Acting]:
     return change
 
 
-def with_root(name: str) -> Callable[[Acting], Acting]:
+def with_root(name: str) -> Callable[[WorldMotion], WorldMotion]:
     """Add a root on the floor that follows the hips."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         floor = acted.centres[0] * [1, 0, 1]
         heading = Rotation.from_rotvec(np.outer(np.linspace(0, 0.5, len(acted.path)), [0, 1, 0]))
         # the hips hang on it, and are where they were
@@ -120,60 +120,60 @@ def with_root(name: str) -> Callable[[Acting], Acting]:
     return change
 
 
-def with_joint(name: str, above: str, below: str, share: float = 0.5) -> Callable[[Acting], Acting]:
+def with_joint(name: str, above: str, below: str, share: float = 0.5) -> Callable[[WorldMotion], WorldMotion]:
     """Insert a joint between two, with half of their relative rotation."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         a, b = acted.index(above), acted.index(below)
         step = (acted.turns[a].inv() * acted.turns[b]).as_rotvec()
-        return _inserted(acted, name, a, b, share, acted.turns[a] * Rotation.from_rotvec(0.5 * step))
+        return _insert_joint(acted, name, a, b, share, acted.turns[a] * Rotation.from_rotvec(0.5 * step))
 
     return change
 
 
-def with_twist(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
+def with_twist(name: str, above: str, below: str) -> Callable[[WorldMotion], WorldMotion]:
     """Insert a joint at the middle of a bone that has all of the bone's twist; the bone's joint only swings."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         a, b = acted.index(above), acted.index(below)
         parent = acted.turns[acted.index(str(acted.parents[a]))]
         twist = _twist(parent.inv() * acted.turns[a], acted.centres[b] - acted.centres[a])
         whole = acted.turns[a]
-        changed = _inserted(acted, name, a, b, 0.5, whole)
+        changed = _insert_joint(acted, name, a, b, 0.5, whole)
         changed.turns[a] = whole * twist.inv()
         return changed
 
     return change
 
 
-def with_half(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
+def with_half_twist(name: str, above: str, below: str) -> Callable[[WorldMotion], WorldMotion]:
     """Insert a joint at the middle of a bone that has half of the twist of the bone's child."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         a, b = acted.index(above), acted.index(below)
         bone = acted.centres[b] - acted.centres[a]
         angle = 0.5 * _twist(acted.turns[a].inv() * acted.turns[b], bone).as_rotvec()
-        return _inserted(acted, name, a, b, 0.5, acted.turns[a] * Rotation.from_rotvec(angle))
+        return _insert_joint(acted, name, a, b, 0.5, acted.turns[a] * Rotation.from_rotvec(angle))
 
     return change
 
 
-def with_leaf(name: str, above: str, below: str) -> Callable[[Acting], Acting]:
+def with_leaf(name: str, above: str, below: str) -> Callable[[WorldMotion], WorldMotion]:
     """Add a leaf joint at the middle of a bone."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         a, b = acted.index(above), acted.index(below)
-        changed = _inserted(acted, name, a, b, 0.5, acted.turns[a])
+        changed = _insert_joint(acted, name, a, b, 0.5, acted.turns[a])
         changed.parents[changed.index(below)] = above
         return changed
 
     return change
 
 
-def hung_on(name: str, above: str) -> Callable[[Acting], Acting]:
+def reparent(name: str, above: str) -> Callable[[WorldMotion], WorldMotion]:
     """Change the parent of a joint, which keeps its position."""
 
-    def change(acted: Acting) -> Acting:
+    def change(acted: WorldMotion) -> WorldMotion:
         parents = [
             above if own == name else parent for own, parent in zip(acted.names, acted.parents, strict=True)
         ]
@@ -182,18 +182,18 @@ def hung_on(name: str, above: str) -> Callable[[Acting], Acting]:
     return change
 
 
-def both(
-    make: Callable[..., Callable[[Acting], Acting]], *names: str
-) -> tuple[Callable[[Acting], Acting], ...]:
+def on_both_sides(
+    make: Callable[..., Callable[[WorldMotion], WorldMotion]], *names: str
+) -> tuple[Callable[[WorldMotion], WorldMotion], ...]:
     """Make a change for both sides; `{s}` in the names is l and r."""
     return tuple(make(*(name.format(s=side) for name in names)) for side in "lr")
 
 
-def make_rig(acted: Acting, rig: Rig) -> tuple[jc.Skeleton, jc.Motion]:
+def make_rig(acted: WorldMotion, rig: Rig) -> tuple[jc.Skeleton, jc.Motion]:
     """Build the rig of a take; joints without a name in the rig are removed."""
     for change in rig.changes:
         acted = change(acted)
-    acted = without(*(name for name in acted.names if _called([name], rig)[0] is None))(acted)
+    acted = remove_joints(*(name for name in acted.names if _rig_names([name], rig)[0] is None))(acted)
     count, frames = len(acted.names), len(acted.path)
     parents = [-1 if parent is None else acted.index(parent) for parent in acted.parents]
     axes = Rotation.from_matrix(rig.axes)
@@ -215,7 +215,7 @@ def make_rig(acted: Acting, rig: Rig) -> tuple[jc.Skeleton, jc.Motion]:
     translations[:, 0] = axes.apply(acted.path) - centres[0]
     kinds = ["free"] + ["ball"] * (count - 1)
     skeleton = jc.make_skeleton(
-        [str(name) for name in _called(acted.names, rig)], parents, kinds, rig.size * centres
+        [str(name) for name in _rig_names(acted.names, rig)], parents, kinds, rig.size * centres
     )
     poses = jc.Pose(
         np.asarray(rig.size * translations, np.float32),  # pyright: ignore[reportArgumentType]
@@ -225,7 +225,7 @@ def make_rig(acted: Acting, rig: Rig) -> tuple[jc.Skeleton, jc.Motion]:
     return skeleton, jc.Motion(poses, acted.rate)
 
 
-def _called(names: Sequence[str], rig: Rig) -> list[str | None]:
+def _rig_names(names: Sequence[str], rig: Rig) -> list[str | None]:
     found: list[str | None] = []
     for name in names:
         side = rig.sides["lr".index(name[0])] if name[0] in "lr" and name[1:] in rig.names else ""
@@ -234,12 +234,14 @@ def _called(names: Sequence[str], rig: Rig) -> list[str | None]:
     return found
 
 
-def _frame(acted: Acting, row: int, rig: Rig) -> Rotation:
+def _frame(acted: WorldMotion, row: int, rig: Rig) -> Rotation:
     """Compute the rotation of a joint's frame at the ASF's rest pose; the file's own frames have none."""
-    if not rig.framed:
+    if not rig.has_joint_frames:
         name = acted.names[row]
         # a joint along a bone hangs as the bone does
-        angle = np.radians(rig.hangs.get(name[1:].split("_")[0], 0.0)) * (1 if name.startswith("l") else -1)
+        angle = np.radians(rig.bone_angles.get(name[1:].split("_")[0], 0.0)) * (
+            1 if name.startswith("l") else -1
+        )
         # what hangs down at the rig's rest has to be turned up to be as the ASF's rest has it
         return Rotation.from_rotvec([0, 0, angle]) if angle else Rotation.identity()
     below = [child for child, parent in enumerate(acted.parents) if parent == acted.names[row]]
@@ -262,7 +264,7 @@ def _twist(turns: Rotation, bone: np.ndarray) -> Rotation:
     return Rotation.from_quat(np.concatenate([along[:, None] * bone, quaternions[:, 3:]], 1))
 
 
-def _inserted(acted: Acting, name: str, a: int, b: int, share: float, turn: Rotation) -> Acting:
+def _insert_joint(acted: WorldMotion, name: str, a: int, b: int, share: float, turn: Rotation) -> WorldMotion:
     centre = (1 - share) * acted.centres[a] + share * acted.centres[b]
     parents = [name if row == b else parent for row, parent in enumerate(acted.parents)]
     return acted._replace(

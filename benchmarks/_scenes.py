@@ -16,9 +16,9 @@ from jaxcap.io.skeletons.amc import read_amc
 from jaxcap.io.skeletons.asf import read_asf
 
 #: frames per second of the database, and those that are tracked
-CAPTURED, RATE = 120.0, 30.0
+CAPTURE_RATE, RATE = 120.0, 30.0
 #: metres around the box of a body in which outliers lie
-MARGIN = 0.1
+OUTLIER_MARGIN = 0.1
 
 #: the whole surface; what faces a camera far off along +z; of that, what nothing hides from it
 Visible = Literal["whole", "front", "camera"]
@@ -41,7 +41,7 @@ class Noise(NamedTuple):
 NOISE = Noise()
 
 
-class Scanned(NamedTuple):
+class ScannedFrame(NamedTuple):
     """The cloud of one frame and its true joints."""
 
     cloud: jc.Cloud
@@ -67,13 +67,13 @@ def cmu_motion(shared: Path, take: str) -> tuple[jc.Motion, jc.Skeleton]:
     """Load a take as captured, with its skeleton."""
     folder = shared / "data" / "motion"
     asf = read_asf(folder / f"{take.split('_')[0]}.asf")
-    return read_amc(folder / f"{take}.amc", asf, CAPTURED), asf.skeleton
+    return read_amc(folder / f"{take}.amc", asf, CAPTURE_RATE), asf.skeleton
 
 
 def human_motion(shared: Path, take: str, body: jc.Body, frames: int | None = None) -> jc.Motion:
     """Retarget a take to a body at 30 frames per second, its first `frames` or all."""
     motion, skeleton = cmu_motion(shared, take)
-    motion = motion.slice(slice(None, None, round(CAPTURED / RATE)))
+    motion = motion.slice(slice(None, None, round(CAPTURE_RATE / RATE)))
     return jc.retarget(motion.slice(slice(frames)), skeleton, body.skeleton)
 
 
@@ -85,7 +85,7 @@ def scan_frame(
     visible: Visible = "whole",
     turn: Float[np.ndarray, "3 3"] | None = None,
     clothes: Float[np.ndarray, "V"] | None = None,
-) -> Scanned:
+) -> ScannedFrame:
     """Simulate a cloud of a posed body's surface, uniform by area.
 
     `turn` rotates the scene. `clothes` are offsets of each vertex along its normal, metres, reduced by up to 30 % at
@@ -103,16 +103,18 @@ def scan_frame(
     points = points + noise.deviation * rng.normal(size=points.shape)
     normals = normals + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=normals.shape)
     wild = rng.choice(len(points), round(noise.outliers * len(points)), replace=False)
-    box = vertices.min(0) - MARGIN, vertices.max(0) + MARGIN
+    box = vertices.min(0) - OUTLIER_MARGIN, vertices.max(0) + OUTLIER_MARGIN
     points[wild] = rng.uniform(*box, (len(wild), 3))
     normals[wild] = rng.normal(size=(len(wild), 3))
-    return Scanned(jc.make_cloud(points, normals), joints)
+    return ScannedFrame(jc.make_cloud(points, normals), joints)
 
 
-def clothes_of(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
+def clothing_offsets(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
     """Compute the offsets of clothes at thighs and trunk from each vertex, metres, smoothed along the surface."""
     covered = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "LeftUpLeg", "RightUpLeg")
-    cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.parts())].astype(float)
+    cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.dominant_bones())].astype(
+        float
+    )
     corners = np.asarray(body.faces)
     starts, ends = corners.ravel(), np.roll(corners, 1, axis=1).ravel()
     degree = np.maximum(np.bincount(starts, minlength=len(cloth)), 1)
@@ -128,13 +130,13 @@ def scan_motion(
     noise: Noise = NOISE,
     visible: Visible = "whole",
     seed: int = 0,
-) -> list[Scanned]:
+) -> list[ScannedFrame]:
     """Simulate a cloud of every frame, each with its own seed."""
     generators = [np.random.default_rng([seed, frame]) for frame in range(motion.num_frames)]
     return [scan_frame(body, motion[k], rng, noise, visible) for k, rng in enumerate(generators)]
 
 
-def about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
+def rotation_about_y(angle: float) -> Float[np.ndarray, "3 3"]:
     """Make a rotation about y; `angle` in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
@@ -147,12 +149,12 @@ def _surface(vertices, faces, count: int, visible: Visible, rng: np.random.Gener
     points, normals = sample_surface(vertices, faces, 10 * count, rng)
     kept = normals[:, 2] > 0
     if visible == "camera":
-        kept &= _unhidden(points)
+        kept &= _is_visible(points)
     chosen = rng.choice(np.flatnonzero(kept), count, replace=False)
     return points[chosen], normals[chosen]
 
 
-def _unhidden(points: Float[np.ndarray, "N 3"], pixel: float = 0.01) -> Bool[np.ndarray, "N"]:
+def _is_visible(points: Float[np.ndarray, "N 3"], pixel: float = 0.01) -> Bool[np.ndarray, "N"]:
     """Test which points no point of the same pixel occludes along z by more than two pixels."""
     columns, rows = np.floor((points[:, :2] - points[:, :2].min(0)) / pixel).astype(int).T
     pixels = rows * (columns.max() + 1) + columns

@@ -35,7 +35,7 @@ class Stereo(NamedTuple):
 STEREO = Stereo()
 
 
-class Seen(NamedTuple):
+class ArmFrames(NamedTuple):
     """Several motions in sequence; F frames of N points."""
 
     #: of the tracked body, the pelvis at rest
@@ -47,14 +47,14 @@ class Seen(NamedTuple):
     first: Bool[np.ndarray, "F"]
 
 
-def see_arm(
+def simulate_arm(
     shared: Path,
     takes: tuple[str, ...],
     tracked: jc.Body,
     frames: int | None = None,
     every: int = 1,
     stereo: Stereo = STEREO,
-) -> Seen:
+) -> ArmFrames:
     """Simulate takes of the database on the full embedded human, seen from the front of its pelvis.
 
     The first `frames` of each take are used, or all, and of these every `every`-th.
@@ -65,31 +65,31 @@ def see_arm(
         motion = human_motion(shared, take, performer, frames).slice(slice(None, None, every))
         for frame in range(motion.num_frames):
             rng = np.random.default_rng([int(part) for part in take.split("_")] + [frame])
-            pose = at_rest_pelvis(motion[frame])
-            some, there = see_frame(performer, pose, stereo, rng)
+            pose = reset_root(motion[frame])
+            some, there = simulate_frame(performer, pose, stereo, rng)
             poses.append(jc.body.project(tracked.skeleton, pose))
             points.append(some)
             weights.append(there)
             first.append(frame == 0)
     truth = jc.stack_poses(poses).poses
-    return Seen(truth, np.stack(points), np.stack(weights), np.array(first))
+    return ArmFrames(truth, np.stack(points), np.stack(weights), np.array(first))
 
 
-def at_rest_pelvis(pose: jc.Pose) -> jc.Pose:
+def reset_root(pose: jc.Pose) -> jc.Pose:
     """Reset the root to its rest position and rotation, as the cameras move with it."""
     return jc.Pose(
         pose.translations.at[0].set(0.0), pose.rotations.at[0].set(rotation.identity()), pose.scale
     )
 
 
-def see_frame(
+def simulate_frame(
     body: jc.Body, pose: jc.Pose, stereo: Stereo, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
     """Simulate the points of the arm and their weights in one frame, without occluded ones."""
     seen = scan_frame(body, pose, rng, DENSE, "camera").cloud
     whole = np.asarray(seen.points, float)[np.asarray(seen.weights) > 0]
     vertices = np.asarray(_posed(body, pose).vertices, float)
-    on_arm = below(body.skeleton, ARM[0])[np.asarray(body.skin.parts())]
+    on_arm = descendants(body.skeleton, ARM[0])[np.asarray(body.skin.dominant_bones())]
     whole = whole[on_arm[KDTree(vertices).query(whole)[1]]]
     chosen = whole[rng.permutation(len(whole))[: stereo.points]]
     chosen = chosen + stereo.deviation * rng.normal(size=chosen.shape)
@@ -100,9 +100,9 @@ def see_frame(
     return points, weights
 
 
-def below(skeleton: jc.Skeleton, joint: str) -> Bool[np.ndarray, "J"]:
+def descendants(skeleton: jc.Skeleton, joint: str) -> Bool[np.ndarray, "J"]:
     """Find the descendants of a joint, including itself."""
-    return np.asarray(skeleton.descent[skeleton.index(joint)], bool)
+    return np.asarray(skeleton.descendants[skeleton.index(joint)], bool)
 
 
 def twists(

@@ -18,9 +18,9 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.prepare import make_adapt_task
-from jaxcap.demo.picture import View, draw
+from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import scan_to_surface
 
 POINTS, RATE = 8000, 30.0
@@ -49,7 +49,7 @@ def main() -> None:
     clouds = [frame_cloud(crane, frame, POINTS) for frame in range(count)]
     template = jc.human(joints="tracking", resolution="medium")
     task = make_adapt_task(template, clouds, RATE)
-    begin, stages, states = time.perf_counter(), plan(task.settings), []
+    begin, stages, states = time.perf_counter(), plan_stages(task.settings), []
     for state in adapt_body(task):
         states.append(state)
         progress(
@@ -63,7 +63,7 @@ def main() -> None:
         for n in (round(share * (count - 1)) for share in (0.0, 0.33, 0.66, 1.0)):
             vertices = np.asarray(_posed(last.body, last.motion[n]).vertices)
             views.append(View(f"frame {n}", vertices, np.asarray(clouds[n].points), each[n]))
-        draw(options.picture, views, np.asarray(last.body.faces), "The human, adapted to a performer")
+        draw_views(options.picture, views, np.asarray(last.body.faces), "The human, adapted to a performer")
     finish(
         "adapt_crane",
         {

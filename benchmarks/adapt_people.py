@@ -27,7 +27,7 @@ import jaxcap as jc
 from benchmarks._learning import learn, meshes_of, varied_poses
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.decimate import reduce_body
 from jaxcap.fit.tracking.track import track_frames
@@ -48,15 +48,15 @@ ACTORS = (
 )
 TAKES = ("02_05", "02_07", "01_01", "02_08", "02_10")
 #: what is asked of either set-up: millimetres, and the share of the bumps
-ASKED = {"a": {"surface_mm": 1.5, "joints_mm": 10.0}, "b": {"surface_mm": 3.0, "joints_mm": 15.0}}
+REQUIREMENTS = {"a": {"surface_mm": 1.5, "joints_mm": 10.0}, "b": {"surface_mm": 3.0, "joints_mm": 15.0}}
 #: poses that the template and the prior are learned from
 POSES = 60
 #: frames that are judged; metres of the bumps and of their spread
-JUDGED, BUMP, SPREAD = 12, 0.02, 0.07
+NUM_SCORED_FRAMES, BUMP_HEIGHT, BUMP_WIDTH = 12, 0.02, 0.07
 #: figures of which the actor that has the worst is told too
 WORST = {"surface_mm": max, "joints_mm": max, "bump_percent": min, "fall": min, "fall_surface": min}
 #: joints that a wrong first pose has off
-WRONG = ("LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg")
+PERTURBED_JOINTS = ("LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg")
 
 _posed = eqx.filter_jit(jc.pose_body)
 
@@ -65,14 +65,14 @@ class Template(NamedTuple):
     """The template and the pose prior."""
 
     body: jc.Body
-    likely: jc.AbstractEnergy | None
+    pose_prior: jc.AbstractEnergy | None
 
 
 class Actor(NamedTuple):
     """The scanned body with its bumps, the vertices of the bumps, and their heights, metres."""
 
     body: jc.Body
-    bumps: np.ndarray
+    bump_vertices: np.ndarray
     heights: np.ndarray
 
 
@@ -86,14 +86,14 @@ def make_actor(traits: dict) -> Actor:
     for centre, up in zip(centres, (0.12, 0.05), strict=True):
         behind = (vertices - centre - [0, up, 0]) @ np.array([0.0, 0, -1.0])
         across = np.linalg.norm((vertices - centre - [0, up, 0])[:, :2], axis=1)
-        heights += np.where(behind > 0, BUMP * np.exp(-0.5 * (across / SPREAD) ** 2), 0.0)
+        heights += np.where(behind > 0, BUMP_HEIGHT * np.exp(-0.5 * (across / BUMP_WIDTH) ** 2), 0.0)
     body = eqx.tree_at(
         lambda b: b.vertices, body, jnp.asarray(vertices + heights[:, None] * normals, jnp.float32)
     )
-    return Actor(body, np.flatnonzero(heights > 0.6 * BUMP), heights)
+    return Actor(body, np.flatnonzero(heights > 0.6 * BUMP_HEIGHT), heights)
 
 
-def scans_of(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
+def scan_actor(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
     """Simulate a cloud of every frame."""
     middle = np.asarray(actor.vertices, float).mean(0)
     target = (float(middle[0]), float(middle[1]), float(middle[2]))
@@ -110,17 +110,17 @@ def scans_of(actor: jc.Body, motion: jc.Motion, setup: str) -> list[jc.Cloud]:
     return clouds
 
 
-def judge(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float]:
+def score(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float]:
     """Compare surface, bumps and joints with the ground truth, in the world."""
     surface, bumps, joints = [], [], []
-    for frame in np.linspace(0, len(motion) - 1, JUDGED).astype(int).tolist():
+    for frame in np.linspace(0, len(motion) - 1, NUM_SCORED_FRAMES).astype(int).tolist():
         there = _posed(actor.body, motion[frame])
         here = _posed(state.body, state.motion[frame])
         off = scan_to_surface(np.asarray(there.vertices, float), np.asarray(here.vertices, float), np.asarray(state.body.faces))  # fmt: skip
         surface.append(off)
-        bumps.append(off[actor.bumps])
+        bumps.append(off[actor.bump_vertices])
         joints.append(np.linalg.norm(np.asarray(there.joints) - np.asarray(here.joints), axis=1))
-    height = actor.heights[actor.bumps].mean()
+    height = actor.heights[actor.bump_vertices].mean()
     by_joint = np.mean(joints, 0)
     return {
         "surface_mm": 1000 * float(np.median(np.concatenate(surface))),
@@ -130,7 +130,7 @@ def judge(state: AdaptState, actor: Actor, motion: jc.Motion) -> dict[str, float
     }
 
 
-def shake(motion: jc.Motion) -> float:
+def roughness(motion: jc.Motion) -> float:
     """Compute the root mean square of second differences of rotation vectors, radians."""
     q = motion.poses.rotations
     turned = rotation.log(rotation.multiply(rotation.conjugate(q[:-1]), q[1:]))
@@ -144,7 +144,7 @@ def first_pose(motion: jc.Motion, actor: jc.Body, template: jc.Body, start: str)
     pose, turns = motion[0], np.array(motion[0].rotations)
     if start == "wrong":
         rng = np.random.default_rng(3)
-        for name in WRONG:
+        for name in PERTURBED_JOINTS:
             axis = rng.normal(size=3)
             turn = rotation.exp(jnp.asarray(np.radians(30) * axis / np.linalg.norm(axis), jnp.float32))
             joint = actor.skeleton.index(name)
@@ -160,7 +160,7 @@ def learned_template() -> jc.Body:
     return learn(meshes, skeleton=human.skeleton, keep_joints=True).body
 
 
-def likely_of(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
+def make_pose_prior(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
     """Learn a pose prior from the training poses of the template."""
     if name == "none":
         return None
@@ -168,7 +168,7 @@ def likely_of(template: jc.Body, name: str) -> jc.AbstractEnergy | None:
     return jc.prior.MahalanobisPrior(jc.prior.learn_pair_prior(template.skeleton, poses))
 
 
-def template_of(name: str) -> jc.Body:
+def make_template(name: str) -> jc.Body:
     """Make the template of a name."""
     if name == "human":
         return jc.human(joints="tracking", resolution="medium")
@@ -181,9 +181,9 @@ def adapt(
     template: Template, clouds: list[jc.Cloud], start: jc.Pose | None, label: str
 ) -> tuple[list[AdaptState], float]:
     """Adapt the template; return the states after every stage, and seconds."""
-    task = make_adapt_task(template.body, clouds, start=start, likely=template.likely)
+    task = make_adapt_task(template.body, clouds, start=start, pose_prior=template.pose_prior)
     begin, states = time.perf_counter(), []
-    stages = plan(task.settings)
+    stages = plan_stages(task.settings)
     for state in adapt_body(task):
         states.append(state)
         progress(
@@ -192,7 +192,7 @@ def adapt(
     return states, time.perf_counter() - begin
 
 
-def unadapted(
+def track_template(
     template: jc.Body, clouds: list[jc.Cloud], start: jc.Pose | None, state: AdaptState
 ) -> AdaptState:
     """Track the unadapted template in the clouds."""
@@ -205,29 +205,29 @@ def unadapted(
 def scan_median(state: AdaptState, clouds: list[jc.Cloud]) -> float:
     """Compute the median distance of scan points from the body's surface over scored frames, metres."""
     off = []
-    for frame in np.linspace(0, len(clouds) - 1, JUDGED).astype(int).tolist():
+    for frame in np.linspace(0, len(clouds) - 1, NUM_SCORED_FRAMES).astype(int).tolist():
         vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices, float)
         points = np.asarray(clouds[frame].points, float)[np.asarray(clouds[frame].weights) > 0]
         off.append(scan_to_surface(points, vertices, np.asarray(state.body.faces)))
     return float(np.median(np.concatenate(off)))
 
 
-def row_of(template: Template, number: int, setup: str, start: str, frames: int) -> dict[str, float]:
+def measure_actor(template: Template, number: int, setup: str, start: str, frames: int) -> dict[str, float]:
     """Measure all figures of one actor."""
     actor, label = make_actor(ACTORS[number]), f"{setup}, actor {number + 1}, {start}"
     motion = human_motion(shared_folder(), TAKES[number], actor.body, frames)
-    clouds = scans_of(actor.body, motion, setup)
+    clouds = scan_actor(actor.body, motion, setup)
     pose = first_pose(motion, actor.body, template.body, start)
     states, seconds = adapt(template, clouds, pose, label)
     before, posed, last = states[1], states[-2], states[-1]
-    as_is = unadapted(template.body, clouds, pose, before)
-    row, truth = judge(last, actor, motion), shake(motion)
+    as_is = track_template(template.body, clouds, pose, before)
+    row, truth = score(last, actor, motion), roughness(motion)
     row |= {
         "lost": float(len(last.lost)),
         "fall": scan_median(as_is, clouds) / scan_median(last, clouds),
         "fall_from_size": scan_median(before, clouds) / scan_median(last, clouds),
-        "fall_surface": judge(as_is, actor, motion)["surface_mm"] / row["surface_mm"],
-        "shake_left": max(shake(last.motion) - truth, 0.0) / max(shake(posed.motion) - truth, 1e-9),
+        "fall_surface": score(as_is, actor, motion)["surface_mm"] / row["surface_mm"],
+        "shake_left": max(roughness(last.motion) - truth, 0.0) / max(roughness(posed.motion) - truth, 1e-9),
         "smooth_cost_percent": 100 * (scan_median(last, clouds) / scan_median(posed, clouds) - 1),
         "seconds": seconds,
     }
@@ -250,8 +250,8 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="JSON file of the finished rows, read and updated")
     options = parser.parse_args()
     kept = json.loads(options.keep.read_text()) if options.keep and options.keep.is_file() else {}
-    body = template_of(options.template)
-    template = Template(body, likely_of(body, options.prior))
+    body = make_template(options.template)
+    template = Template(body, make_pose_prior(body, options.prior))
     figures, limits = {}, {}
     for setup in options.setups:
         for start in options.starts:
@@ -259,7 +259,7 @@ def main() -> None:
             for number in range(options.actors):
                 key = f"{options.template} {options.prior} {setup} {start} {number} {options.frames}"
                 if key not in kept:
-                    kept[key] = row_of(template, number, setup, start, options.frames)
+                    kept[key] = measure_actor(template, number, setup, start, options.frames)
                     if options.keep:
                         options.keep.write_text(json.dumps(kept, indent=1))
                 several.append(kept[key])
@@ -269,7 +269,7 @@ def main() -> None:
                 f"{name}_{key}_of_worst": worst([row[key] for row in several]) for key, worst in WORST.items()
             }
             figures[f"{name}_lost"] = float(np.sum([row["lost"] for row in several]))
-            limits |= {f"{name}_{key}": ("<=", bound) for key, bound in ASKED[setup].items()}
+            limits |= {f"{name}_{key}": ("<=", bound) for key, bound in REQUIREMENTS[setup].items()}
             limits |= {
                 f"{name}_lost": ("<=", 0.0),
                 f"{name}_shake_left": ("<=", 0.5),

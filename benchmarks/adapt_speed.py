@@ -19,9 +19,9 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks._scenes import human_motion, shared_folder
-from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scans_of
+from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scan_actor
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import adapt_body, plan
+from jaxcap.adapt.adapt_body import adapt_body, plan_stages
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.people.anatomy import rest_deviations
@@ -89,7 +89,7 @@ def main() -> None:
     options = parser.parse_args()
     actor = make_actor(ACTORS[3]).body
     motion = human_motion(shared_folder(), TAKES[3], actor, options.frames)
-    clouds = scans_of(actor, motion, "a")
+    clouds = scan_actor(actor, motion, "a")
     prior = RestPrior(jnp.asarray(rest_deviations(actor.skeleton, 1.0)))
     seconds, off, start = pose_seconds(actor, prior, clouds[0], motion[0])
     progress(f"one pose: {seconds:.3f} s, mean joint error {1000 * off:.1f} mm")
@@ -100,7 +100,7 @@ def main() -> None:
         figures |= {"open3d_rigid_s": rigid["seconds"], "ratio_to_open3d": seconds / rigid["seconds"]}
     template = jc.human(joints="tracking", resolution="medium")
     task = make_adapt_task(template, clouds, start=first_pose(motion, actor, template, "given"))
-    begin, stages, last = time.perf_counter(), plan(task.settings), None
+    begin, stages, last = time.perf_counter(), plan_stages(task.settings), None
     for last in adapt_body(task):
         progress(
             f"{stages[last.done - 1]}: {last.history[-1][1]:.2f} mm, {time.perf_counter() - begin:.0f} s"

@@ -19,11 +19,11 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
-from benchmarks._scenes import about_vertical, human_motion, shared_folder
+from benchmarks._scenes import human_motion, rotation_about_y, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.prepare import make_adapt_task
-from jaxcap.demo.picture import View, draw
+from jaxcap.demo.picture import View, draw_views
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 
@@ -34,11 +34,11 @@ PEOPLE = {
 }
 POINTS, NOISE, RATE = 4000, 0.002, 30.0
 #: frames of a take that poses are picked from, and metres by which a scan is moved
-LENGTH, MOVED = 300, 0.4
+LENGTH, MAX_SHIFT = 300, 0.4
 #: a frame whose median distance is larger is wrong, metres
-WRONG = 0.010
+MAX_MEDIAN_DISTANCE = 0.010
 #: frames that are drawn
-DRAWN = 4
+NUM_DRAWN = 4
 
 _posed = eqx.filter_jit(jc.pose_body)
 
@@ -60,8 +60,8 @@ def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
         motion = motions[number % len(motions)]
         posed = _posed(body, motion[int(rng.integers(len(motion)))])
         vertices, centres = np.asarray(posed.vertices, float), np.asarray(posed.joints, float)
-        turn, middle = about_vertical(rng.uniform(-np.pi, np.pi)), vertices.mean(0) * [1.0, 0.0, 1.0]
-        shift = rng.uniform(-MOVED, MOVED, 3) * [1.0, 0.0, 1.0]
+        turn, middle = rotation_about_y(rng.uniform(-np.pi, np.pi)), vertices.mean(0) * [1.0, 0.0, 1.0]
+        shift = rng.uniform(-MAX_SHIFT, MAX_SHIFT, 3) * [1.0, 0.0, 1.0]
         vertices, centres = ((part - middle) @ turn.T + shift for part in (vertices, centres))
         points, normals = sample_surface(vertices, np.asarray(body.faces), POINTS, rng)
         clouds.append(jc.make_cloud(points + NOISE * rng.normal(size=points.shape), normals))
@@ -92,7 +92,7 @@ def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) ->
     """Adapt the template; return the last state, and True if the scans were detected as unordered."""
     template = jc.human(joints="tracking", resolution=resolution)
     task = make_adapt_task(template, scene.clouds, RATE, settings=settings)
-    begin, stages, state = time.perf_counter(), plan(task.settings), None
+    begin, stages, state = time.perf_counter(), plan_stages(task.settings), None
     for state in adapt_body(task):
         medians = ""
         if stages[state.done - 1].name != "adapt":
@@ -104,11 +104,11 @@ def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) ->
     return state, bool(task.settings.unordered)
 
 
-def row_of(state: AdaptState, scene: Scene) -> dict[str, float]:
+def score_scene(state: AdaptState, scene: Scene) -> dict[str, float]:
     """Compute all figures of one scene."""
     off = distances(state, scene.clouds)
     medians = np.array([np.median(frame) for frame in off])
-    wrong = set(np.flatnonzero(medians > WRONG).tolist())
+    wrong = set(np.flatnonzero(medians > MAX_MEDIAN_DISTANCE).tolist())
     row = {
         "median_mm": 1000 * float(np.median(np.concatenate(off))),
         "worst_frame_mm": 1000 * float(medians.max()),
@@ -129,12 +129,12 @@ def row_of(state: AdaptState, scene: Scene) -> dict[str, float]:
 def picture(path: Path, state: AdaptState, scene: Scene) -> None:
     """Draw the frames with the largest errors."""
     off, views = distances(state, scene.clouds), []
-    for frame in np.argsort([-np.median(one) for one in off])[:DRAWN].tolist():
+    for frame in np.argsort([-np.median(one) for one in off])[:NUM_DRAWN].tolist():
         vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices)
         title = f"frame {frame}: {1000 * np.median(off[frame]):.1f} mm"
         points = np.asarray(scene.clouds[frame].points)[np.asarray(scene.clouds[frame].weights) > 0]
         views.append(View(title, vertices, points, off[frame]))
-    draw(path, views, np.asarray(state.body.faces), "Frames with the largest errors")
+    draw_views(path, views, np.asarray(state.body.faces), "Frames with the largest errors")
 
 
 def main() -> None:
@@ -152,7 +152,9 @@ def main() -> None:
         "--pictures", type=Path, help="folder for pictures of the frames with the largest errors"
     )
     options = parser.parse_args()
-    settings = AdaptSettings(frames=8, alone=3, rounds=(2, 2)) if options.short else AdaptSettings()
+    settings = (
+        AdaptSettings(frames=8, proportion_rounds=3, rounds=(2, 2)) if options.short else AdaptSettings()
+    )
     shared, begin = shared_folder(), time.perf_counter()
     figures, limits = {}, {}
     for name in options.scenes:
@@ -162,7 +164,7 @@ def main() -> None:
             scene = people_scene(shared, name, options.frames)
         state, found = adapt(scene, settings, options.resolution, name)
         figures |= {f"{name}_found": float(found)} | {
-            f"{name}_{k}": v for k, v in row_of(state, scene).items()
+            f"{name}_{k}": v for k, v in score_scene(state, scene).items()
         }
         limits |= {
             f"{name}_found": ("==", 1.0),
@@ -176,7 +178,7 @@ def main() -> None:
             state, _ = adapt(
                 scene, settings._replace(unordered=False), options.resolution, f"{name} as ordered"
             )
-            figures |= {f"{name}_ordered_{key}": value for key, value in row_of(state, scene).items()}
+            figures |= {f"{name}_ordered_{key}": value for key, value in score_scene(state, scene).items()}
             limits[f"{name}_ordered_unflagged"] = ("<=", 0.0)
     sizes = {
         "frames": options.frames,

@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 
 import jaxcap as jc
 from benchmarks._browser import find_chromium
-from benchmarks._exchange import Case, Truth, Written, make_cases, truth_of, write_case
+from benchmarks._exchange import Case, Truth, Written, make_cases, make_truth, write_case
 from benchmarks._programs.run import (
     HEIGHT,
     WIDTH,
@@ -32,21 +32,21 @@ from benchmarks._programs.run import (
     in_three,
     in_usd,
     node_modules,
-    validated,
+    validate,
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import take_poses
-from jaxcap.io.skeletons.twist_axes import is_end
+from jaxcap.io.skeletons.twist_axes import is_end_joint
 
 #: what another program may be off, and what may be changed between two pictures outside of where the body is
-MILLIMETRES, DEGREES = 0.1, 0.01
+MAX_DISTANCE_MM, MAX_ANGLE_DEGREES = 0.1, 0.01
 #: pixels that edges are smoothed over
 MARGIN = 2
 
 
-def compared(found: dict[str, Any], truth: Truth, names: list[str]) -> dict[str, float]:
+def compare(found: dict[str, Any], truth: Truth, names: list[str]) -> dict[str, float]:
     """Compute the largest distance of a joint and of a vertex, millimetres, and the largest angle between bones, degrees."""
     theirs = [str(name) for name in found["names"]]
     at = [theirs.index(name) for name in names]
@@ -71,11 +71,11 @@ def bones_of_bvh(skeleton: jc.Skeleton) -> list[str]:
     return [
         name
         for joint, name in enumerate(skeleton.names)
-        if not is_end(skeleton.names, skeleton.parents, skeleton.kinds, joint)
+        if not is_end_joint(skeleton.names, skeleton.parents, skeleton.kinds, joint)
     ]
 
 
-def framed(
+def projected_box(
     vertices: Float[np.ndarray, "T V 3"], centre: Float[np.ndarray, "3"], radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the bounding box of a body in pixels of the page's camera."""
@@ -89,7 +89,7 @@ def framed(
     return pixels.min(0), pixels.max(0)
 
 
-def moved(pictures: list[bytes], low: np.ndarray, high: np.ndarray) -> dict[str, float]:
+def picture_changes(pictures: list[bytes], low: np.ndarray, high: np.ndarray) -> dict[str, float]:
     """Compare two pictures: the percentage of body pixels that differ, and the number of changed pixels elsewhere."""
     from matplotlib.image import imread
 
@@ -106,7 +106,7 @@ def moved(pictures: list[bytes], low: np.ndarray, high: np.ndarray) -> dict[str,
     }
 
 
-class Work(NamedTuple):
+class PreparedCase(NamedTuple):
     """A case, its files, and the expected positions of the linearised body in some frames."""
 
     case: Case
@@ -117,19 +117,19 @@ class Work(NamedTuple):
 
 #: of one program: what is called `program`, figures by name, and limits of some of them
 Part = tuple[str, dict[str, float], dict[str, tuple[str, float]]]
-PLACES = {"joints_mm": ("<=", MILLIMETRES), "vertices_mm": ("<=", MILLIMETRES)}
-TURNS = {"joints_mm": ("<=", MILLIMETRES), "turns_degrees": ("<=", DEGREES)}
+POSITION_LIMITS = {"joints_mm": ("<=", MAX_DISTANCE_MM), "vertices_mm": ("<=", MAX_DISTANCE_MM)}
+ROTATION_LIMITS = {"joints_mm": ("<=", MAX_DISTANCE_MM), "turns_degrees": ("<=", MAX_ANGLE_DEGREES)}
 
 
-def of_validator(home: Path, work: Work) -> Iterator[Part]:
-    (found,) = validated(home, [work.written.glb]).values()
+def check_validator(home: Path, work: PreparedCase) -> Iterator[Part]:
+    (found,) = validate(home, [work.written.glb]).values()
     for message in found["messages"]:
         progress(f"  {message}")
     figures = {"errors": found["errors"], "warnings": found["warnings"]}
     yield "validator", figures, dict.fromkeys(figures, ("==", 0))
 
 
-def of_three(home: Path, work: Work, keep: Path | None) -> Iterator[Part]:
+def check_three(home: Path, work: PreparedCase, keep: Path | None) -> Iterator[Part]:
     """Check a case in three.js, which reads four bones per vertex: cases with more are rendered but have no limits."""
     vertices, rate = work.truth.vertices, work.case.motion.rate
     centre = vertices.reshape(-1, 3).mean(0)
@@ -142,60 +142,68 @@ def of_three(home: Path, work: Work, keep: Path | None) -> Iterator[Part]:
         return
     pictures = [found["pictures"][0], found["pictures"][-1]]
     figures["vertices_mm"] = 1000 * float(np.linalg.norm(found["vertices"] - vertices, axis=-1).max())
-    figures |= moved(pictures, *framed(vertices[[0, -1]], centre, radius))
+    figures |= picture_changes(pictures, *projected_box(vertices[[0, -1]], centre, radius))
     if keep is not None:
         for name, picture in zip(("first", "last"), pictures, strict=True):
             (keep / f"{work.case.name}-three-{name}.png").write_bytes(picture)
     limits = {"errors": ("==", 0), "pictures_differ_percent": (">=", 1.0)}
     if work.case.influences <= 4:
-        limits |= {"vertices_mm": ("<=", MILLIMETRES), "pixels_elsewhere": ("==", 0)}
+        limits |= {"vertices_mm": ("<=", MAX_DISTANCE_MM), "pixels_elsewhere": ("==", 0)}
     yield "three", figures, limits
 
 
-def of_usd(work: Work) -> Iterator[Part]:
+def check_usd(work: PreparedCase) -> Iterator[Part]:
     found = in_usd(work.written.usd, work.frames)
     for message in found["messages"]:
         progress(f"  {message}")
-    figures = compared(found, work.truth, list(work.truth.names)) | {"messages": len(found["messages"])}
-    yield "usd", figures, PLACES | {"messages": ("==", 0)}
+    figures = compare(found, work.truth, list(work.truth.names)) | {"messages": len(found["messages"])}
+    yield "usd", figures, POSITION_LIMITS | {"messages": ("==", 0)}
 
 
-def came_back(file: Path, work: Work) -> float:
+def roundtrip_distance(file: Path, work: PreparedCase) -> float:
     """Compute the largest distance between the vertices that another program wrote and those that it read, millimetres."""
     body, motion = jc.io.read_skinned(file)
     if motion is None:
         raise RuntimeError(f"{file.name} has no animation.")
     poses = take_poses(motion.poses, np.array(work.frames))
     apart = 0.0
-    for here, there in zip(work.truth.vertices, np.asarray(deform_all(body, poses), float), strict=True):
+    for here, there in zip(work.truth.vertices, np.asarray(posed_vertices(body, poses), float), strict=True):
         apart = max(apart, KDTree(here).query(there)[0].max(), KDTree(there).query(here)[0].max())
     return 1000 * apart
 
 
-def of_blender(python: Path, work: Work) -> Iterator[Part]:
+def check_blender(python: Path, work: PreparedCase) -> Iterator[Part]:
     rate = work.case.motion.rate
     # Blender writes keys at whole frames of whole rates
     again = work.written.glb.with_name(f"{work.case.name}-again.glb") if rate == round(rate) else None
     for kind, file in (("glb", work.written.glb), ("usd", work.written.usd)):
         found = in_blender(python, file, rate, work.frames, again if kind == "glb" else None)
-        yield f"blender_{kind}", compared(found, work.truth, list(work.truth.names)), PLACES | TURNS
+        yield (
+            f"blender_{kind}",
+            compare(found, work.truth, list(work.truth.names)),
+            POSITION_LIMITS | ROTATION_LIMITS,
+        )
     if again is not None:
-        yield "blender_again", {"vertices_mm": came_back(again, work)}, {"vertices_mm": ("<=", MILLIMETRES)}
+        yield (
+            "blender_again",
+            {"vertices_mm": roundtrip_distance(again, work)},
+            {"vertices_mm": ("<=", MAX_DISTANCE_MM)},
+        )
     if work.written.bvh is not None:
         body = work.case.body
         found = in_blender(python, work.written.bvh, rate, work.frames)
-        truth = truth_of(body, work.case.motion, work.frames)
-        yield "blender_bvh", compared(found, truth, bones_of_bvh(body.skeleton)), TURNS
+        truth = make_truth(body, work.case.motion, work.frames)
+        yield "blender_bvh", compare(found, truth, bones_of_bvh(body.skeleton)), ROTATION_LIMITS
 
 
-def prepared(folder: Path, case: Case, tolerance: float, count: int) -> Work:
+def prepare_case(folder: Path, case: Case, tolerance: float, count: int) -> PreparedCase:
     written = write_case(folder, case, tolerance)
     frames = np.linspace(0, len(case.motion) - 1, count).round().astype(int)
     frames = sorted(set(frames.tolist()))
-    return Work(case, written, frames, truth_of(written.linear.body, written.motion, frames))
+    return PreparedCase(case, written, frames, make_truth(written.linear.body, written.motion, frames))
 
 
-def size_of(work: Work) -> dict[str, float]:
+def case_sizes(work: PreparedCase) -> dict[str, float]:
     joints = work.case.body.skeleton.num_joints
     return {
         "vertices": len(work.case.body.vertices),
@@ -231,11 +239,11 @@ def main() -> None:
     python = blender(options.programs) if "blender" in options.only else None
     home = node_modules(options.programs) if {"validator", "three"} & set(options.only) else None
     there = {"validator": home, "three": home and find_chromium(), "blender": python, "usd": True}
-    parts: dict[str, Callable[[Work], Iterator[Part]]] = {
-        "validator": lambda work: of_validator(home, work),
-        "three": lambda work: of_three(home, work, options.keep),
-        "usd": of_usd,
-        "blender": lambda work: of_blender(python, work),
+    parts: dict[str, Callable[[PreparedCase], Iterator[Part]]] = {
+        "validator": lambda work: check_validator(home, work),
+        "three": lambda work: check_three(home, work, options.keep),
+        "usd": check_usd,
+        "blender": lambda work: check_blender(python, work),
     }
     chosen = {name: part for name, part in parts.items() if name in options.only and there[name]}
     figures: dict[str, Any] = {}
@@ -247,8 +255,8 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for case in cases:
             start = time.perf_counter()
-            work = prepared(folder, case, options.tolerance, options.at)
-            sizes[case.name] = size_of(work)
+            work = prepare_case(folder, case, options.tolerance, options.at)
+            sizes[case.name] = case_sizes(work)
             for part in chosen.values():
                 for program, found, bounds in part(work):
                     progress(

@@ -18,8 +18,8 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._scenes import (
     NOISE,
-    about_vertical,
     cmu_motion,
+    rotation_about_y,
     scan_frame,
     shared_folder,
     takes_of,
@@ -29,7 +29,7 @@ from jaxcap.metrics import joint_errors
 
 SUBJECT = "02"
 #: mean joint error below which a frame is solved, millimetres
-SOLVED = 30.0
+MAX_SOLVED_ERROR = 30.0
 
 _posed = eqx.filter_jit(jc.pose_body)
 
@@ -57,14 +57,14 @@ def main() -> None:
         pose = jc.retarget(motion.slice(slice(frame, frame + 1)), skeleton, performer.skeleton)[0]
         own = np.random.default_rng([options.seed, number])
         angle = own.uniform(0, 2 * np.pi)
-        scanned = scan_frame(performer, pose, own, noise, turn=about_vertical(angle))
+        scanned = scan_frame(performer, pose, own, noise, turn=rotation_about_y(angle))
         start = time.perf_counter()
         found, score = jax.block_until_ready(jc.initialise(tracker, scanned.cloud))
         taken.append(time.perf_counter() - start)
         joints = np.asarray(_posed(tracker.body, found).joints)
         errors = 1000 * joint_errors(joints[None], scanned.joints[None])[0]
         means.append(errors.mean())
-        solved = errors.mean() < SOLVED
+        solved = errors.mean() < MAX_SOLVED_ERROR
         if not solved:
             failures.append({"take": take, "frame": frame, "mean_mm": errors.mean()})
         progress(
@@ -74,7 +74,7 @@ def main() -> None:
         )
 
     means = np.array(means)
-    good = means < SOLVED
+    good = means < MAX_SOLVED_ERROR
     figures = {
         "solved": int(good.sum()),
         "solved_share": good.mean(),

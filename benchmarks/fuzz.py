@@ -22,7 +22,7 @@ from benchmarks._fuzz_seeds import FORMATS, Seed, make_seeds
 from benchmarks.report import finish, progress
 
 #: fewer files say little
-LEAST = 6000
+MIN_FILES = 6000
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -105,7 +105,7 @@ def _finish(readings: Sequence[Reading], seeds: int, written: float, total: floa
         "largest_mb": largest.memory / 1e6,
         "by_format": by_format,
     }
-    limits = {fault.replace(" ", "_"): ("==", 0.0) for fault in FAULTS} | {"files": (">=", float(LEAST))}
+    limits = {fault.replace(" ", "_"): ("==", 0.0) for fault in FAULTS} | {"files": (">=", float(MIN_FILES))}
     sizes = {"whole_files": seeds, "files": len(readings)}
     finish("fuzz", figures, limits, sizes, {"writing": written, "total": total})
 

@@ -37,22 +37,25 @@ RANDOM_POSES = 4
 STEP = 1e-5
 
 
-def moved(body: Body, pose: Pose, d):
+def displaced_vertices(body: Body, pose: Pose, d):
     """Compute the posed vertices after a tangent `d`, `(V, 3)` metres."""
     return pose_body(body, retract(body.skeleton, pose, d)).vertices
 
 
 @eqx.filter_jit
 def autodiff(body: Body, pose: Pose):
-    return jax.jacfwd(lambda d: moved(body, pose, d))(jnp.zeros(body.skeleton.num_dofs))
+    return jax.jacfwd(lambda d: displaced_vertices(body, pose, d))(jnp.zeros(body.skeleton.num_dofs))
 
 
 @eqx.filter_jit
-def differences(body: Body, pose: Pose):
+def central_differences(body: Body, pose: Pose):
     """Compute central differences of fourth order, with rounding as the only error."""
 
     def slope(e):
-        near, far = (moved(body, pose, share * e) - moved(body, pose, -share * e) for share in (1, 2))
+        near, far = (
+            displaced_vertices(body, pose, share * e) - displaced_vertices(body, pose, -share * e)
+            for share in (1, 2)
+        )
         return (8 * near - far) / (12 * STEP)
 
     return jnp.moveaxis(jax.lax.map(slope, STEP * jnp.eye(body.skeleton.num_dofs)), 0, -1)
@@ -82,7 +85,7 @@ def paper_operators(body: Body, posed: Posed) -> np.ndarray:
     whole = posed.transforms.rotations / posed.pose.scale
     columns = np.zeros((len(points), 3, skeleton.num_dofs))
     for joint, kind in enumerate(skeleton.kinds):
-        rides = skeleton.descent[joint][np.asarray(body.skin.parts())][:, None]
+        rides = skeleton.descendants[joint][np.asarray(body.skin.dominant_bones())][:, None]
         for number in range(3):
             shift, turn = layout.translations[joint, number], layout.rotations[joint, number]
             if shift < skeleton.num_dofs:
@@ -100,7 +103,7 @@ def paper_operators(body: Body, posed: Posed) -> np.ndarray:
     return columns
 
 
-def apart(one, other) -> float:
+def relative_error(one, other) -> float:
     """Compute the largest distance of two columns, relative to the longer one; a column shorter than a thousandth of the
     longest is relative to that thousandth."""
     one, other = (np.asarray(x).reshape(-1, x.shape[-1]) for x in (one, other))
@@ -108,9 +111,9 @@ def apart(one, other) -> float:
     return float(np.max(np.linalg.norm(one - other, axis=0) / np.maximum(lengths, 1e-3 * lengths.max())))
 
 
-def rigid(body: Body) -> Body:
+def make_rigid(body: Body) -> Body:
     """Make a body rigid: every vertex follows one bone."""
-    return eqx.tree_at(lambda b: b.skin, body, RigidSkin(body.skin.parts()))
+    return eqx.tree_at(lambda b: b.skin, body, RigidSkin(body.skin.dominant_bones()))
 
 
 def as_float64(tree):
@@ -169,7 +172,7 @@ def limit_errors(body: Body, rng: np.random.Generator, trials: int = 12) -> tupl
     for _ in range(trials):
         pose = random_pose(skeleton, rng, 0.7)
         value, expected = residual(pose, jnp.zeros(skeleton.num_dofs)), []
-        slots = layout.rotations[np.asarray(limits.joints), np.asarray(limits.numbers)]
+        slots = layout.rotations[np.asarray(limits.joints), np.asarray(limits.angle_indices)]
         expected += [np.eye(skeleton.num_dofs)[slot] for slot in slots]
         for axes in (limits.heading, limits.bank):
             for joint, axis in zip(np.asarray(limits.ball_joints), axes, strict=True):
@@ -190,7 +193,9 @@ def main() -> None:
     people = {"man": {"sex": "male"}, "child": {"sex": "female", "age": 10}}
     skinned = {"chain": chain_body()}
     skinned |= {name: as_float64(human(**who, resolution="low")) for name, who in people.items()}
-    bodies = skinned | {f"{name}, rigid": rigid(body) for name, body in skinned.items() if name != "child"}
+    bodies = skinned | {
+        f"{name}, rigid": make_rigid(body) for name, body in skinned.items() if name != "child"
+    }
     seconds: dict[str, dict[str, dict[str, float]]] = {}
     figures = dict.fromkeys(
         (
@@ -214,14 +219,14 @@ def main() -> None:
         for pose in poses_of(body, rng):
             exact = timers["autodiff"](autodiff, body, pose)
             analytic = timers["closed_form"](closed_form, body, pose)
-            numeric = timers["differences"](differences, body, pose)
-            worst("autodiff_closed_form", apart(analytic, exact))
-            worst("closed_form_differences", apart(analytic, numeric))
-            worst("autodiff_differences", apart(exact, numeric))
+            numeric = timers["differences"](central_differences, body, pose)
+            worst("autodiff_closed_form", relative_error(analytic, exact))
+            worst("closed_form_differences", relative_error(analytic, numeric))
+            worst("autodiff_differences", relative_error(exact, numeric))
             rows = jnp.einsum("va,vad->vd", directions, exact)
-            worst("projected", apart(projected(body, pose, directions), rows))
+            worst("projected", relative_error(projected(body, pose, directions), rows))
             if isinstance(body.skin, RigidSkin):
-                worst("paper_operators", apart(paper_operators(body, posed_of(body, pose)), exact))
+                worst("paper_operators", relative_error(paper_operators(body, posed_of(body, pose)), exact))
             count += 1
         seconds[name] = {way: timer.seconds for way, timer in timers.items()}
         progress(

@@ -13,7 +13,14 @@ import time
 
 import numpy as np
 
-from benchmarks._browser import find_chromium, launched, open_page, pixel, wait_for_eye, wait_for_node
+from benchmarks._browser import (
+    find_chromium,
+    launch_browser,
+    open_page,
+    project_to_page,
+    wait_for_camera,
+    wait_for_node,
+)
 from benchmarks.report import finish, progress
 from jaxcap.body.body import Body
 from jaxcap.body.people.human import human
@@ -39,17 +46,17 @@ def ten_constraints(body: Body, solver: str) -> tuple[IkSession, int]:
     return session, held[0]
 
 
-def loop_of(place: tuple[float, float, float], count: int) -> list[tuple[float, float, float]]:
+def target_loop(centre: tuple[float, float, float], count: int) -> list[tuple[float, float, float]]:
     """Make targets on a loop around a hand; half of the loop is out of reach."""
     turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
     around = np.stack([np.cos(turns) - 1, np.sin(turns), 0.3 * np.sin(2 * turns)], 1)
-    return [(float(x), float(y), float(z)) for x, y, z in np.asarray(place) + 0.25 * around]
+    return [(float(x), float(y), float(z)) for x, y, z in np.asarray(centre) + 0.25 * around]
 
 
 def solve_milliseconds(body: Body, solver: str, count: int) -> list[float]:
     session, hand = ten_constraints(body, solver)
-    targets = loop_of(ik.constraint_at(session, hand).target, count)
-    session, taken = ik.grab(session), []
+    targets = target_loop(ik.find_constraint(session, hand).target, count)
+    session, taken = ik.begin_drag(session), []
     for target in targets[:3] + targets:
         start = time.perf_counter()
         session = ik.drag(session, hand, target)
@@ -84,24 +91,24 @@ def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
     server = open_server(0)
     windows = serve_ik(server, session)
     taken: list[float] = []
-    with launched() as browser:
+    with launch_browser() as browser:
         page = open_page(browser, address(server), SIZE, 300.0)
         wait_for_node(page, SURFACE)
         while not windows or windows[0].note:
             time.sleep(0.1)
         window = windows[0]
-        wait_for_eye(page, window.client.camera, window.middle)
-        at = pixel(window.client.camera, ik.constraint_at(window.session, hand).target)
-        page.mouse.move(*at)
+        wait_for_camera(page, window.client.camera, window.middle)
+        at = project_to_page(window.client.camera, ik.find_constraint(window.session, hand).target)
+        page.mouse.retract(*at)
         page.mouse.down()
-        page.mouse.move(at[0] + 6, at[1] - 6)
-        page.mouse.move(at[0] + 8, at[1] - 8)
+        page.mouse.retract(at[0] + 6, at[1] - 6)
+        page.mouse.retract(at[0] + 8, at[1] - 8)
         time.sleep(2.0)
         page.evaluate(WATCH, SURFACE)
         for number in range(moves):
             turn = 2 * np.pi * number / moves
             page.evaluate("() => { window.moves = []; window.changes = []; }")
-            page.mouse.move(at[0] + 20 * np.cos(turn), at[1] - 30 + 20 * np.sin(turn))
+            page.mouse.retract(at[0] + 20 * np.cos(turn), at[1] - 30 + 20 * np.sin(turn))
             time.sleep(rest)
             moved, changed = page.evaluate("[window.moves, window.changes]")
             later = [change for change in changed if moved and change > moved[0]]
@@ -141,17 +148,17 @@ def main() -> None:
             f"{solver}: median {np.median(taken):.1f} ms, 99th percentile {np.percentile(taken, 99):.1f} ms"
         )
     if not options.no_browser and find_chromium() is not None:
-        shown = browser_milliseconds(body, options.moves, options.rest)
+        shown = browser_milliseconds(body, options.jacobian, options.rest)
         figures |= {
             "browser_median_ms": float(np.median(shown)),
             "browser_p90_ms": float(np.percentile(shown, 90)),
-            "browser_share_answered": len(shown) / options.moves,
+            "browser_share_answered": len(shown) / options.jacobian,
         }
         progress(
-            f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.moves} moves"
+            f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.jacobian} moves"
         )
     sizes = {
-        "vertices": len(body.vertices), "constraints": len(JOINTS), "frames": options.frames, "moves": options.moves,
+        "vertices": len(body.vertices), "constraints": len(JOINTS), "frames": options.frames, "moves": options.jacobian,
     }  # fmt: skip
     finish("ik_latency", figures, {"solve_median_ms": ("<=", 30.0)}, sizes, seconds)
 

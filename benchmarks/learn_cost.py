@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._learning import known, learn
+from benchmarks._learning import learn, make_synthetic_meshes
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 
@@ -39,7 +39,7 @@ def main() -> None:
     lines += ["|---|---|---|---|---|"]
     figures, sizes = {}, {}
     for name, (meshes, vertices, joints) in cases.items():
-        scene = known(shared_folder(), training=meshes, held_out=1, resolution=vertices)
+        scene = make_synthetic_meshes(shared_folder(), training=meshes, held_out=1, resolution=vertices)
         run = learn(scene.training, joints=joints, rounds=options.rounds)
         # a run that has nothing left to improve may stop after its first round
         later = float(np.median(run.rounds[1:])) if len(run.rounds) > 1 else float("nan")

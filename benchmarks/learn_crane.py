@@ -16,15 +16,15 @@ from benchmarks._learning import (
     crane_meshes,
     fitted_vertices,
     learn,
-    millimetres,
     posed_vertices,
     root_mean_square,
     surface_distances,
+    vertex_errors_mm,
     without_cache,
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw
+from jaxcap.demo.picture import View, draw_views
 
 
 def main() -> None:
@@ -47,7 +47,7 @@ def main() -> None:
     halves = (("training", training, posed_vertices(run.body, run.motion)), ("held_out", held_out, fitted))
     for name, meshes, posed in halves:
         distances = surface_distances(meshes, posed)
-        apart = millimetres(posed, meshes.vertices)
+        apart = vertex_errors_mm(posed, meshes.vertices)
         figures |= {
             f"{name}_surface_mm": distances.mean(),
             f"{name}_surface_sd_mm": distances.std(),
@@ -62,7 +62,7 @@ def main() -> None:
                 View(f"{distances[f].mean():.1f} mm", posed[f], np.asarray(meshes[f]), distances[f] / 1000)
                 for f in shown
             ]
-            draw(options.picture, views, np.asarray(run.body.faces), "crane, learned, held-out meshes")
+            draw_views(options.picture, views, np.asarray(run.body.faces), "crane, learned, held-out meshes")
             progress(f"picture: {options.picture}")
     figures["minutes"] = run.seconds["total"] / 60
     limits = {

@@ -11,15 +11,15 @@ from meshes with Gaussian noise along each axis, and is measured against the mes
 import argparse
 
 from benchmarks._learning import (
-    TURNS,
-    Known,
+    MIN_SCORED_ANGLE,
     Run,
+    SyntheticMeshes,
     fitted_vertices,
     joint_errors,
-    known,
     learn,
-    millimetres,
+    make_synthetic_meshes,
     posed_vertices,
+    vertex_errors_mm,
     without_cache,
 )
 from benchmarks._scenes import shared_folder
@@ -28,10 +28,10 @@ from benchmarks.report import finish, progress
 NOISE = 0.002
 
 
-def measured(scene: Known, run: Run) -> dict[str, float]:
+def mean_errors(scene: SyntheticMeshes, run: Run) -> dict[str, float]:
     """Compute the mean errors to the clean training and held-out meshes."""
-    training = millimetres(posed_vertices(run.body, run.motion), scene.clean)
-    held_out = millimetres(fitted_vertices(run.body, scene.held_out), scene.clean_held_out)
+    training = vertex_errors_mm(posed_vertices(run.body, run.motion), scene.clean)
+    held_out = vertex_errors_mm(fitted_vertices(run.body, scene.held_out), scene.clean_held_out)
     progress(f"  {training.mean():.3f} mm in training, {held_out.mean():.3f} mm held out")
     return {
         "training_mm": training.mean(),
@@ -54,7 +54,11 @@ def main() -> None:
     parser.add_argument("--joints", type=int, help="number of joints; determined from the meshes by default")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument(
-        "--noise", type=float, nargs="*", default=[0.0, NOISE], help="noise deviations along each axis, metres"
+        "--noise",
+        type=float,
+        nargs="*",
+        default=[0.0, NOISE],
+        help="noise deviations along each axis, metres",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of the poses, the vertex order and the noise"
@@ -66,7 +70,7 @@ def main() -> None:
     figures, seconds, sizes, limits = {}, {}, {}, {}
     for noise in options.noise:
         progress(f"noise of {1000 * noise:g} mm")
-        scene = known(
+        scene = make_synthetic_meshes(
             shared_folder(),
             training=options.training,
             held_out=options.held_out,
@@ -77,9 +81,9 @@ def main() -> None:
         )
         run = learn(scene.training, joints=options.joints, **extra)
         prefix = "noisy_" if noise else ""
-        figures |= {prefix + name: value for name, value in measured(scene, run).items()}
-        joints = joint_errors(scene, run.body, run.motion, scene.turning)
-        joints.say(scene.turns[scene.turning])
+        figures |= {prefix + name: value for name, value in mean_errors(scene, run).items()}
+        joints = joint_errors(scene, run.body, run.motion, scene.scored_joints)
+        joints.say(scene.turns[scene.scored_joints])
         figures[prefix + "worst_joint_mm"] = joints.centres.max()
         figures[prefix + "worst_joint_off_axis_mm"] = joints.determined.max()
         figures[prefix + "mean_joint_mm"] = joints.centres.mean()
@@ -96,9 +100,9 @@ def main() -> None:
             "meshes": len(scene.training),
             "held_out": len(scene.held_out),
             "vertices": scene.clean.shape[1],
-            "joints": len(scene.moving),
+            "joints": len(scene.moving_joints),
             "joints_learned": run.body.skeleton.num_joints - 1,
-            f"joints_over_{TURNS:g}_degrees": len(scene.turning),
+            f"joints_over_{MIN_SCORED_ANGLE:g}_degrees": len(scene.scored_joints),
         }
     finish("learn_known", figures, limits, sizes, seconds)
 

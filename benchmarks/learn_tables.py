@@ -20,8 +20,8 @@ import numpy as np
 from benchmarks._learning import (
     crane_meshes,
     fitted_vertices,
-    known,
     learn,
+    make_synthetic_meshes,
     posed_vertices,
     surface_distances,
 )
@@ -29,8 +29,8 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 
 #: what is the default, and what the thesis varies (table 3.1, figure 3.11, figure 3.10)
-USUAL = {"joints": 18, "alpha": 100.0, "symmetry": True}
-VARIED = {
+DEFAULTS = {"joints": 18, "alpha": 100.0, "symmetry": True}
+VARIATIONS = {
     "joints": (15, 16, 17, 18),
     "alpha": (0.0, 100.0, 10000.0),
     "symmetry": (True, False),
@@ -40,11 +40,11 @@ HEADINGS = {"joints": "joints", "alpha": "alpha", "symmetry": "symmetry"}
 Row = dict[str, float]
 
 
-def scenes(options):
+def load_scenes(options):
     """Load the training and held-out meshes of each scene by name."""
     shared = shared_folder()
     if "human" in options.scenes:
-        scene = known(shared, resolution=options.resolution)
+        scene = make_synthetic_meshes(shared, resolution=options.resolution)
         yield "human", scene.training[:: options.every], scene.held_out[:: options.every]
     if "crane" in options.scenes:
         yield "crane", *(half[:: options.every] for half in crane_meshes(shared))
@@ -65,7 +65,7 @@ def label(scene: str, settings: dict) -> str:
 
 def table(scene: str, name: str, rows: dict[str, Row]) -> list[str]:
     """Format one table as Markdown, with settings as columns as in the thesis."""
-    columns = [(value, rows[label(scene, USUAL | {name: value})]) for value in VARIED[name]]
+    columns = [(value, rows[label(scene, DEFAULTS | {name: value})]) for value in VARIATIONS[name]]
     shown = [{True: "with", False: "without"}[v] if isinstance(v, bool) else f"{v:g}" for v, _ in columns]
     lines = [f"| {scene}, {HEADINGS[name]} | " + " | ".join(shown) + " |", "|---" * (len(columns) + 1) + "|"]
     parts = {
@@ -98,12 +98,12 @@ def main() -> None:
     if options.keep and options.keep.is_file():
         kept = json.loads(options.keep.read_text())
     lines, figures, sizes = [], {}, {}
-    for scene, training, held_out in scenes(options):
+    for scene, training, held_out in load_scenes(options):
         sizes[scene] = {
             "meshes": len(training), "held_out": len(held_out), "vertices": training.vertices.shape[1]
         }  # fmt: skip
         rows: dict[str, Row] = {}
-        for settings in [USUAL | {name: value} for name in VARIED for value in VARIED[name]]:
+        for settings in [DEFAULTS | {name: value} for name in VARIATIONS for value in VARIATIONS[name]]:
             # the resolution, the meshes and the rounds make another row of the same settings
             key = label(scene, settings)
             long = f"{key}, {sizes[scene]} rounds {options.rounds}"
@@ -115,7 +115,7 @@ def main() -> None:
                 if options.keep:
                     options.keep.write_text(json.dumps(kept, indent=1))
             rows[key] = kept[long]
-        for name in VARIED:
+        for name in VARIATIONS:
             lines += table(scene, name, rows)
         figures |= {f"{key}: {part}": row[part] for key, row in rows.items() for part in row}
     progress("\n".join(lines))

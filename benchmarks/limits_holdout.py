@@ -29,7 +29,7 @@ from benchmarks._limits import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.cli.limits.motion_limits import runs_of
+from jaxcap.cli.limits.motion_limits import format_runs
 from jaxcap.geometry import rotation
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.check import allowed_frames
@@ -37,13 +37,13 @@ from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.samples import JointSamples, gather_samples
 
 #: degrees around the border where the known limit is not asked about
-BAND = 3.0
+BORDER_WIDTH = 3.0
 #: a pair was seen together where both joints were within so many degrees of it in one frame
-TOGETHER = 15.0
+MAX_PAIR_ANGLE = 15.0
 KINDS = ("uniform", "shuffled", "mirrored", "never together")
 
 
-def known_limit(samples: int, questions: int) -> dict[str, float]:
+def score_known_limit(samples: int, questions: int) -> dict[str, float]:
     """Compute the percentages of right answers for an analytic limit."""
     rng, skeleton = np.random.default_rng(1), pair_skeleton()
     shoulder, elbow = true_samples(rng, samples)
@@ -69,7 +69,7 @@ def known_limit(samples: int, questions: int) -> dict[str, float]:
             limits, skeleton, motion_of(skeleton, dict(zip(("shoulder", "elbow"), asked, strict=True)))
         )
     )
-    clear = np.abs(slack) > np.radians(BAND)
+    clear = np.abs(slack) > np.radians(BORDER_WIDTH)
     # a child is asked about where its parent is allowed
     parent = clear[:, 0]
     child = clear.all(1) & (slack[:, 0] > 0)
@@ -83,13 +83,15 @@ def known_limit(samples: int, questions: int) -> dict[str, float]:
     }
 
 
-def accepted(limits, skeleton, poses: dict[str, np.ndarray]) -> np.ndarray:
+def are_allowed(limits, skeleton, poses: dict[str, np.ndarray]) -> np.ndarray:
     """Test which poses all of some limits allow at both joints."""
     motion = motion_of(skeleton, poses)
     return np.all([np.asarray(allowed_frames(one, skeleton, motion)).all(1) for one in limits], axis=0)
 
 
-def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, skeleton, count: int) -> dict:
+def make_negatives(
+    train: JointSamples, test: JointSamples, whole: JointSamples, skeleton, count: int
+) -> dict:
     """Make negative samples, by kind."""
     rng = np.random.default_rng(2)
     assert test.parent is not None and train.parent is not None and whole.parent is not None
@@ -99,9 +101,9 @@ def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, s
         rotation.rotate(skeleton.orientations[skeleton.index(test.parent.joint)], jnp.array([1.0, 0, 0]))
     )
     joint, parent = test.joint, test.parent.joint
-    seen = _embedded(whole.rotations, whole.parent.rotations)
-    apart = KDTree(seen).query(_embedded(children, parents), p=np.inf)[0]
-    never = apart > 2 * np.sin(np.radians(TOGETHER) / 4)
+    seen = _embed_pairs(whole.rotations, whole.parent.rotations)
+    apart = KDTree(seen).query(_embed_pairs(children, parents), p=np.inf)[0]
+    never = apart > 2 * np.sin(np.radians(MAX_PAIR_ANGLE) / 4)
     return {
         "uniform": {
             parent: uniform_rotations(rng, count),
@@ -113,7 +115,7 @@ def questions_of(train: JointSamples, test: JointSamples, whole: JointSamples, s
     }
 
 
-def _embedded(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
+def _embed_pairs(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Embed pairs of rotations such that distances are chords of quaternions; rotations are below half a turn."""
     return np.concatenate([np.where(q[:, :1] < 0, -q, q) for q in (children, parents)], 1)
 
@@ -126,11 +128,11 @@ def main() -> None:
     options = parser.parse_args()
     start, figures = time.perf_counter(), {}
     if options.only != "cmu":
-        figures |= known_limit(options.samples, options.questions)
+        figures |= score_known_limit(options.samples, options.questions)
         progress(f"known limit: {figures}")
         clear_compiled()
     if options.only != "known":
-        figures |= captured(options.questions)
+        figures |= score_captured(options.questions)
     limits = {"known_right_percent": (">=", 99.0), "test_allowed_percent": (">=", 97.0)}
     for kind in KINDS:
         rivals = [
@@ -148,7 +150,7 @@ def main() -> None:
     )
 
 
-def captured(count: int) -> dict[str, float]:
+def score_captured(count: int) -> dict[str, float]:
     """Compute the percentages for the joints of the database, by pair and over all pairs."""
     motions = cmu_motions(shared_folder())
     skeleton = motions[0][0]
@@ -161,16 +163,16 @@ def captured(count: int) -> dict[str, float]:
         apart = learn_limits({parent: train.parent, joint: train._replace(parent=None)})
         together = learn_limits({parent: train.parent, joint: train})
         schemes = {"boxes": boxes, "independent": (apart,), "hierarchy": (together,)}
-        asked = questions_of(train, test, whole, skeleton, count)
+        asked = make_negatives(train, test, whole, skeleton, count)
         for scheme, limits in schemes.items():
-            good = accepted(limits, skeleton, {parent: test.parent.rotations, joint: test.rotations})
+            good = are_allowed(limits, skeleton, {parent: test.parent.rotations, joint: test.rotations})
             line = [f"{scheme:12s} allows {100 * good.mean():6.2f} % of the other half, rejects"]
             if scheme == "hierarchy":
                 kept.append(good)
                 outside = ~good
                 out.append((joint, outside))
             for kind, poses in asked.items():
-                no = 100 * (1 - accepted(limits, skeleton, poses).mean())
+                no = 100 * (1 - are_allowed(limits, skeleton, poses).mean())
                 rejected.setdefault((kind, scheme), []).append(no)
                 line.append(f"{kind} {no:5.1f} %")
             progress(f"{parent}:{joint} " + ", ".join(line))
@@ -181,7 +183,7 @@ def captured(count: int) -> dict[str, float]:
         clear_compiled()
     for joint, outside in out:
         progress(
-            f"{joint}: {outside.sum()} frames of the other half are beyond the limits: {runs_of(outside, 6)}"
+            f"{joint}: {outside.sum()} frames of the other half are beyond the limits: {format_runs(outside, 6)}"
         )
     figures = {
         f"{kind.replace(' ', '_')}_{scheme}": float(np.mean(v)) for (kind, scheme), v in rejected.items()

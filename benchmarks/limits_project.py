@@ -24,7 +24,7 @@ ELBOWS = 200
 JOINTS = ("lhumerus", "lradius")
 
 
-def pair_of(skeleton: Skeleton) -> Skeleton:
+def pair_skeleton(skeleton: Skeleton) -> Skeleton:
     """Make a skeleton of the two joints alone."""
     rows = [skeleton.index(name) for name in JOINTS]
     return make_skeleton(
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     motions, rng = cmu_motions(shared_folder()), np.random.default_rng(3)
-    skeleton = pair_of(motions[0][0])
+    skeleton = pair_skeleton(motions[0][0])
     samples = gather_samples(motions, JOINTS[1], JOINTS[0])
     assert samples.parent is not None
     limits = learn_limits({JOINTS[0]: samples.parent, JOINTS[1]: samples})

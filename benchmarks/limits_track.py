@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 import jaxcap as jc
 from benchmarks._depth import depth_frames, fit_frames
 from benchmarks._scenes import human_motion, shared_folder, takes_of
-from benchmarks._stereo import ARM, STEREO, Seen, see_arm, twists
+from benchmarks._stereo import ARM, STEREO, ArmFrames, simulate_arm, twists
 from benchmarks.report import finish, progress
 from jaxcap.body.limits.limit_surface import SurfaceLimits
 from jaxcap.body.people.anatomy import rest_deviations
@@ -45,26 +45,26 @@ from jaxcap.limits.samples import gather_samples
 
 TAKES = ("02_05", "02_07", "02_08", "02_09", "02_10")
 #: degrees of twist beyond which a frame is bad
-BAD = 30.0
+MAX_TWIST_ERROR = 30.0
 #: joints whose twists are judged
-JUDGED = ARM[:2]
+SCORED_JOINTS = ARM[:2]
 #: Gauss-Newton steps on a frame
 STEPS = 4
 #: deviation of points, and the distance at which they lose their pull, metres
 DEVIATION, ROBUST = 0.015, 0.1
 #: radians that a joint may turn from one frame to the next, and that it is allowed beyond its limits
-MOTION, BEYOND = 0.3, 0.1
+MAX_FRAME_ROTATION, LIMIT_DEVIATION = 0.3, 0.1
 #: constant on the diagonal of the normal equations
 DAMPING = 1e-3
 #: shoulders with elbows and hips with knees, both sides, for the depth frames
-WHOLE = tuple(
+LIMITED_JOINTS = tuple(
     (side + joint, None if parent is None else side + parent)
     for side in ("Left", "Right")
     for joint, parent in (("Arm", None), ("ForeArm", "Arm"), ("UpLeg", None), ("Leg", "UpLeg"))
 )
 
 
-class Contender(eqx.Module):
+class Method(eqx.Module):
     """A method that fits a frame."""
 
     #: an energy among others, or before all else where steps are strict
@@ -80,7 +80,7 @@ class Contender(eqx.Module):
         if self.strict:
             groups = (data,) if limits is None else (limits, data)
             return jax.lax.fori_loop(0, STEPS, lambda _, pose: priority_step(groups, body, pose), pose)
-        energy = data if limits is None else data + (1 / BEYOND**2) * limits
+        energy = data if limits is None else data + (1 / LIMIT_DEVIATION**2) * limits
         return jax.lax.fori_loop(0, STEPS, lambda _, pose: gauss_newton_step(energy, body, pose), pose)
 
 
@@ -95,8 +95,8 @@ class Outcome(NamedTuple):
     milliseconds: float
 
     @property
-    def bad(self) -> np.ndarray:
-        return np.any(self.twists > BAD, axis=1)
+    def is_bad(self) -> np.ndarray:
+        return np.any(self.twists > MAX_TWIST_ERROR, axis=1)
 
 
 def gauss_newton_step(energy: jc.AbstractEnergy, body: jc.Body, pose: jc.Pose) -> jc.Pose:
@@ -116,10 +116,10 @@ def arm_body(body: jc.Body) -> jc.Body:
 
 
 @eqx.filter_jit
-def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) -> Float[Array, "F 3 4"]:
+def track_arm(contender: Method, body: jc.Body, soft: SoftObject, seen: ArmFrames) -> Float[Array, "F 3 4"]:
     """Track the rotations of the arm's joints; the first frame of a motion starts at the true pose."""
     arm = jnp.array([body.skeleton.index(name) for name in ARM])
-    free = jnp.full(body.skeleton.num_dofs, MOTION, seen.truth.rotations.dtype)
+    free = jnp.full(body.skeleton.num_dofs, MAX_FRAME_ROTATION, seen.truth.rotations.dtype)
 
     def frame(rotations, now):
         truth, points, weights, first = now
@@ -134,7 +134,9 @@ def follow(contender: Contender, body: jc.Body, soft: SoftObject, seen: Seen) ->
     return jax.lax.scan(frame, start, tuple(seen))[1]
 
 
-def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats: int) -> dict[str, Outcome]:
+def compare(
+    contenders: dict[str, Method], body: jc.Body, seen: ArmFrames, repeats: int
+) -> dict[str, Outcome]:
     """Run all methods alternately on the same data; seconds are medians without the first round."""
     skeleton, soft = body.skeleton, make_soft_object(body)
     moving, taken = arm_body(body), {name: [] for name in contenders}
@@ -143,7 +145,7 @@ def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats
     for turn in range(repeats + 1):
         for name, contender in contenders.items():
             start = time.perf_counter()
-            found[name] = np.asarray(follow(contender, moving, soft, on_device))
+            found[name] = np.asarray(track_arm(contender, moving, soft, on_device))
             taken[name].append(time.perf_counter() - start)
         progress(f"round {turn}: " + ", ".join(f"{name} {t[-1]:.1f} s" for name, t in taken.items()))
     arm = [skeleton.index(name) for name in ARM]
@@ -151,7 +153,7 @@ def compare(contenders: dict[str, Contender], body: jc.Body, seen: Seen, repeats
     true_places = _places(body, seen.truth)
     outcomes = {}
     for name, rotations in found.items():
-        twist = [twists(skeleton, j, truth[:, i], rotations[:, i]) for i, j in enumerate(JUDGED)]
+        twist = [twists(skeleton, j, truth[:, i], rotations[:, i]) for i, j in enumerate(SCORED_JOINTS)]
         places = _places(body, with_arm(skeleton, seen.truth, rotations))
         apart = 1000 * np.linalg.norm(places - true_places, axis=-1)[:, arm[1:]]
         median = 1000 * float(np.median(taken[name][1:] or taken[name])) / len(truth)
@@ -186,14 +188,14 @@ def learn_from(shared: Path, takes: list[str], body: jc.Body, pairs) -> SurfaceL
     return limits
 
 
-def make_contenders(body: jc.Body, limits: SurfaceLimits) -> dict[str, Contender]:
+def make_contenders(body: jc.Body, limits: SurfaceLimits) -> dict[str, Method]:
     rest = jnp.asarray(rest_deviations(body.skeleton), body.vertices.dtype)
     return {
-        "none": Contender(),
-        "energy": Contender(limits),
-        "priorities": Contender(limits, strict=True),
-        "none_strict": Contender(strict=True),
-        "rest_prior": Contender(rest=rest),
+        "none": Method(),
+        "energy": Method(limits),
+        "priorities": Method(limits, strict=True),
+        "none_strict": Method(strict=True),
+        "rest_prior": Method(rest=rest),
     }
 
 
@@ -208,24 +210,28 @@ def tracking(
     learned = [take for take in takes_of(shared, "01") + takes_of(shared, "02") if take not in takes]
     progress(f"learned from {', '.join(learned)}; tracked {', '.join(takes)}")
     limits = learn_from(shared, learned, body, arm_pairs())
-    seen = see_arm(shared, takes, body, frames, every)
+    seen = simulate_arm(shared, takes, body, frames, every)
     progress(f"{len(seen.first)} frames with {np.median(seen.weights.sum(1)):.0f} points")
     outcomes = compare(make_contenders(body, limits), body, seen, repeats)
     figures: dict[str, float] = {"frames": len(seen.first)}
     number = np.cumsum(seen.first) - 1
     for name, outcome in outcomes.items():
-        shares = [100 * outcome.bad[number == k].mean() for k in range(len(takes))]
+        shares = [100 * outcome.is_bad[number == k].mean() for k in range(len(takes))]
         by_take = ", ".join(f"{take} {share:.1f} %" for take, share in zip(takes, shares, strict=True))
-        progress(f"{name}: {100 * outcome.bad.mean():.2f} % bad ({by_take}), {outcome.milliseconds:.2f} ms")
-        figures[f"bad_percent_{name}"] = 100 * float(outcome.bad.mean())
+        progress(
+            f"{name}: {100 * outcome.is_bad.mean():.2f} % bad ({by_take}), {outcome.milliseconds:.2f} ms"
+        )
+        figures[f"bad_percent_{name}"] = 100 * float(outcome.is_bad.mean())
         for k, joint in enumerate(("shoulder", "elbow")):
-            figures[f"bad_{joint}_percent_{name}"] = 100 * float((outcome.twists[:, k] > BAD).mean())
+            figures[f"bad_{joint}_percent_{name}"] = 100 * float(
+                (outcome.twists[:, k] > MAX_TWIST_ERROR).mean()
+            )
             figures[f"twist_{joint}_degrees_{name}"] = float(outcome.twists[:, k].mean())
         figures[f"elbow_mm_{name}"], figures[f"wrist_mm_{name}"] = map(float, outcome.joints.mean(0))
         figures[f"frame_ms_{name}"] = outcome.milliseconds
     none = outcomes["none"]
     for name in ("energy", "priorities"):
-        figures[f"bad_frames_ratio_{name}"] = float(outcomes[name].bad.sum() / none.bad.sum())
+        figures[f"bad_frames_ratio_{name}"] = float(outcomes[name].is_bad.sum() / none.is_bad.sum())
         figures[f"time_ratio_{name}"] = outcomes[name].milliseconds / none.milliseconds
     own = outcomes["none_strict"].milliseconds
     figures["time_ratio_priorities_own_solver"] = outcomes["priorities"].milliseconds / own
@@ -234,13 +240,12 @@ def tracking(
 
 def depth(shared: Path, count: int | None) -> dict[str, float]:
     body = jc.human(resolution="low", joints="tracking")
-    limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, WHOLE)
+    limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, LIMITED_JOINTS)
     fitted = fit_frames(depth_frames(shared)[:count], limits)
     return {
         "depth_frames": len(fitted),
         "depth_valid_percent": 100 * float(np.mean([one.valid.all() for one in fitted])),
-        "depth_valid_after_search_percent": 100
-        * float(np.mean([one.searched_valid.all() for one in fitted])),
+        "depth_valid_after_search_percent": 100 * float(np.mean([one.initial_valid.all() for one in fitted])),
         "depth_median_mm": float(np.median([one.distance_mm for one in fitted])),
     }
 

@@ -28,12 +28,12 @@ from benchmarks.report import finish, progress
 from jaxcap.io.archives.journal import read_header
 
 #: seconds between two looks, and between two words
-LOOK, SPEAK = 0.05, 15.0
+SAMPLE_INTERVAL, PROGRESS_INTERVAL = 0.05, 15.0
 #: looks from one timing of the fixed work to the next
-REFER = 10
+REFERENCE_EVERY = 10
 
 
-class Look(NamedTuple):
+class ProcessSample(NamedTuple):
     """The measurements of a run at one time."""
 
     seconds: float
@@ -46,10 +46,10 @@ class Look(NamedTuple):
     reference: float
 
 
-class Watched(NamedTuple):
+class RunRecord(NamedTuple):
     """The measurements of a whole run, and its exit code."""
 
-    looks: list[Look]
+    looks: list[ProcessSample]
     end: float
     code: int
 
@@ -64,45 +64,47 @@ def fixed_work() -> float:
     return time.thread_time() - start
 
 
-def look_at(process: int, journal: Path, start: float, reference: float) -> Look:
+def sample_process(process: int, journal: Path, start: float, reference: float) -> ProcessSample:
     """Measure a running process and its journal."""
     frames = 0
     if journal.is_file():
         width = int(str(read_header(journal)["width"]))
-        frames = (journal.stat().st_size - _begin(journal)) // (8 * width + 4)
+        frames = (journal.stat().st_size - _records_offset(journal)) // (8 * width + 4)
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     ticks = os.sysconf("SC_CLK_TCK")
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     processor = (int(fields[11]) + int(fields[12])) / ticks
-    return Look(time.perf_counter() - start, frames, processor, pages * os.sysconf("SC_PAGE_SIZE"), reference)
+    return ProcessSample(
+        time.perf_counter() - start, frames, processor, pages * os.sysconf("SC_PAGE_SIZE"), reference
+    )
 
 
-def _begin(journal: Path) -> int:
+def _records_offset(journal: Path) -> int:
     """Find the offset of the records of a journal."""
     with open(journal, "rb") as file:
         return 12 + int.from_bytes(file.read(12)[8:], "little")
 
 
-def watch(command: list[str], journal: Path) -> Watched:
+def watch(command: list[str], journal: Path) -> RunRecord:
     """Run a command and measure it until it ends."""
     start, looks, said, reference = time.perf_counter(), [], 0.0, fixed_work()
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         while running.poll() is None:
-            time.sleep(LOOK)
+            time.sleep(SAMPLE_INTERVAL)
             try:
-                if len(looks) % REFER == 0:
+                if len(looks) % REFERENCE_EVERY == 0:
                     reference = fixed_work()
-                look = look_at(running.pid, journal, start, reference)
+                look = sample_process(running.pid, journal, start, reference)
             except (OSError, IndexError, jc.InputError):
                 # it has ended, or not written its journal's head
                 continue
             if not look.memory:
                 continue
             looks.append(look)
-            if look.seconds - said > SPEAK:
+            if look.seconds - said > PROGRESS_INTERVAL:
                 said = look.seconds
                 progress(f"{look.frames} frames, {look.seconds:.0f} s, {look.memory / 1e6:.0f} MB")
-    return Watched(looks, time.perf_counter() - start, running.returncode)
+    return RunRecord(looks, time.perf_counter() - start, running.returncode)
 
 
 class Block(NamedTuple):
@@ -115,7 +117,7 @@ class Block(NamedTuple):
     reference: float
 
 
-def block_figures(looks: list[Look], first: int, last: int) -> Block:
+def block_figures(looks: list[ProcessSample], first: int, last: int) -> Block:
     """Summarise the measurements of the frames from `first` to `last`."""
     done = np.array([look.frames for look in looks])
     edges = np.interp([first, last], done, [look.seconds for look in looks])

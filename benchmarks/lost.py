@@ -27,21 +27,27 @@ from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
-from benchmarks._scenes import Noise, Visible, clothes_of, human_motion, scan_frame, shared_folder
+from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw
-from jaxcap.fit.judgement.surface import judged_surface
-from jaxcap.fit.judgement.usual import nothing_usual
-from jaxcap.fit.tracking.recover import Patience, TrackedFrame, judge, next_frame, settled
+from jaxcap.demo.picture import View, draw_views
+from jaxcap.fit.judgement.surface import sampled_surface
+from jaxcap.fit.judgement.usual import initial_values
+from jaxcap.fit.tracking.recover import (
+    SearchPause,
+    TrackedFrame,
+    judge_frame,
+    reset_velocity,
+    track_frame_jit,
+)
 from jaxcap.fit.tracking.track_frame import start_state
 from jaxcap.metrics import scan_to_surface
 
 #: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres
-RIGHT, WRONG = 60.0, 150.0
+MAX_RIGHT_ERROR, MIN_WRONG_ERROR = 60.0, 150.0
 #: steps of the tracker from a made pose
 STEPS = 4
 #: joints that errors are taken at
-MAIN = (
+MAIN_JOINTS = (
     "Hips", "LeftLeg", "LeftFoot", "RightLeg", "RightFoot", "Spine1", "Head",
     "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand",
 )  # fmt: skip
@@ -72,12 +78,12 @@ HARD: dict[str, str] = {
 #: degrees a frame by which a limb leaves the points, and frames
 SLOW, SLOW_FRAMES = 0.25, 300
 #: frames without anyone
-NOBODY = 4
+NUM_EMPTY_FRAMES = 4
 
 _posed = eqx.filter_jit(jc.pose_body)
 
 
-class Judged(NamedTuple):
+class JudgedPose(NamedTuple):
     """A pose and its verdict."""
 
     kind: str
@@ -95,7 +101,9 @@ class Judged(NamedTuple):
         """True if the frame is flagged, or all wrong parts are reported as unseen."""
         unseen = set(self.tracked.unseen)
         wrong = [
-            unseen & parts for parts, error in zip(self.parts, self.errors, strict=False) if error > WRONG
+            unseen & parts
+            for parts, error in zip(self.parts, self.errors, strict=False)
+            if error > MIN_WRONG_ERROR
         ]
         return self.tracked.verdict != "good" or (bool(wrong) and all(wrong))
 
@@ -104,7 +112,7 @@ def joints_of(body: jc.Body, pose: jc.Pose) -> np.ndarray:
     return np.asarray(_posed(body, pose).joints, float)
 
 
-def turned_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
+def rotate_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
     """Rotate one joint of a pose in its parent's frame."""
     rotations = np.array(pose.rotations)
     now = Rotation.from_quat(rotations[joint], scalar_first=True)
@@ -112,35 +120,35 @@ def turned_joint(pose: jc.Pose, joint: int, turn: Rotation) -> jc.Pose:
     return jc.Pose(pose.translations, jnp.asarray(rotations, pose.rotations.dtype), pose.scale)
 
 
-def reaching(body: jc.Body, pose: jc.Pose, chain: list[int], targets: np.ndarray) -> jc.Pose:
+def point_chain(body: jc.Body, pose: jc.Pose, chain: list[int], targets: np.ndarray) -> jc.Pose:
     """Rotate the bones of a chain so that they point to `targets (n, 3)`."""
     for joint, child, target in zip(chain[:-1], chain[1:], targets, strict=True):
         posed = _posed(body, pose)
         joints, bones = np.asarray(posed.joints, float), np.asarray(posed.transforms.rotations, float)
         turn, _ = Rotation.align_vectors(target - joints[joint], joints[child] - joints[joint])
         parent = Rotation.from_matrix(bones[body.skeleton.parents[joint]] / float(pose.scale))
-        pose = turned_joint(pose, joint, parent.inv() * turn * parent)
+        pose = rotate_joint(pose, joint, parent.inv() * turn * parent)
     return pose
 
 
-def made_wrong(body: jc.Body, pose: jc.Pose, rng: np.random.Generator) -> dict[str, jc.Pose]:
+def make_wrong_poses(body: jc.Body, pose: jc.Pose, rng: np.random.Generator) -> dict[str, jc.Pose]:
     """Make wrong poses from a right one."""
     skeleton, joints = body.skeleton, joints_of(body, pose)
     wrong = {}
     for name, limb in LIMBS.items():
         sides = [[skeleton.index(f"{side}{part}") for part in limb] for side in ("Left", "Right")]
-        swapped = reaching(body, pose, sides[0], joints[sides[1]][1:])
-        wrong[name] = reaching(body, swapped, sides[1], joints[sides[0]][1:])
+        swapped = point_chain(body, pose, sides[0], joints[sides[1]][1:])
+        wrong[name] = point_chain(body, swapped, sides[1], joints[sides[0]][1:])
     for name in ("folded", "folded_more"):
         folded = pose
         for part in rng.choice(FOLDING, 1 if name == "folded" else 3, replace=False):
             joint = skeleton.index(f"{rng.choice(['Left', 'Right'])}{part}")
             axis = rng.normal(size=3)
             angle = np.radians(rng.uniform(80, 170))
-            folded = turned_joint(folded, joint, Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)))
+            folded = rotate_joint(folded, joint, Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)))
         wrong[name] = folded
     middle = np.median(np.asarray(_posed(body, pose).vertices, float), 0)
-    about = turned_joint(pose, 0, Rotation.from_rotvec([0.0, np.pi, 0.0]))
+    about = rotate_joint(pose, 0, Rotation.from_rotvec([0.0, np.pi, 0.0]))
     shift = (np.array([-1.0, 1.0, -1.0]) * (joints[0] - middle) + middle - joints[0]) / float(pose.scale)
     places = about.translations.at[0].add(jnp.asarray(shift, about.translations.dtype))
     wrong["half_turn"] = jc.Pose(places, about.rotations, about.scale)
@@ -151,30 +159,30 @@ class Scene:
     """A body, its clouds and its true joints, tracked and judged frame by frame."""
 
     def __init__(self, body: jc.Body, clouds: list[jc.Cloud], errors, others: list, every: int, seed: int):
-        self.tracker, self.surface = jc.make_tracker(body), judged_surface(body)
+        self.tracker, self.surface = jc.make_tracker(body), sampled_surface(body)
         self.body, self.clouds, self.errors, self.others = body, clouds, errors, others
         self.every, self.rng = every, np.random.default_rng(seed)
 
     def fitted(self, pose: jc.Pose, cloud: jc.Cloud, usual) -> TrackedFrame:
         state = start_state(self.tracker, pose, 0.02)
         for _ in range(STEPS):
-            state, statistics = next_frame(self.tracker, settled(self.tracker, state), cloud)
-        return judge(self.surface, cloud, state, statistics, usual, Patience())
+            state, statistics = track_frame_jit(self.tracker, reset_velocity(self.tracker, state), cloud)
+        return judge_frame(self.surface, cloud, state, statistics, usual, SearchPause())
 
-    def run(self, start: jc.Pose | None, search: bool | Literal["auto"] = False) -> list[Judged]:
+    def run(self, start: jc.Pose | None, search: bool | Literal["auto"] = False) -> list[JudgedPose]:
         judged, frames = [], jc.fit.track_frames(self.tracker, self.clouds, start, search=search, sigma=0.05)
         usual, parts = None, parts_of(self.body)
         for number, (frame, cloud) in enumerate(zip(frames, self.clouds, strict=True)):
             errors = self.errors(number, frame.pose)
             # the crane's errors are of parts
             judged.append(
-                Judged("right", number, errors, frame, cloud, parts if len(errors) == len(parts) else ())
+                JudgedPose("right", number, errors, frame, cloud, parts if len(errors) == len(parts) else ())
             )
             if self.every and number % self.every == self.every - 1:
                 assert usual is not None
-                for kind, pose in made_wrong(self.body, frame.pose, self.rng).items():
+                for kind, pose in make_wrong_poses(self.body, frame.pose, self.rng).items():
                     made = self.fitted(pose, cloud, usual)
-                    judged.append(Judged(kind, number, self.errors(number, made.pose), made, cloud))
+                    judged.append(JudgedPose(kind, number, self.errors(number, made.pose), made, cloud))
                 if self.others:
                     other, joints = self.others[number % len(self.others)]
                     here = joints_of(self.body, frame.pose)[0] - joints[0]
@@ -184,38 +192,38 @@ class Scene:
                         lambda c: c.points, other, other.points + jnp.asarray(shift, other.points.dtype)
                     )
                     made = self.fitted(frame.pose, moved, usual)
-                    main = [self.body.skeleton.index(name) for name in MAIN]
+                    main = [self.body.skeleton.index(name) for name in MAIN_JOINTS]
                     differences = joints_of(self.body, made.pose)[main] - (joints + shift)[main]
                     errors = 1000 * np.linalg.norm(differences, axis=1)
-                    judged.append(Judged("other_person", number, errors, made, moved))
-            usual = frame.usual
+                    judged.append(JudgedPose("other_person", number, errors, made, moved))
+            usual = frame.normal_values
         return judged
 
 
 def parts_of(body: jc.Body) -> tuple[frozenset[str], ...]:
-    """List for each of `MAIN` the joint and its parent."""
+    """List for each of `MAIN_JOINTS` the joint and its parent."""
     names, parents = body.skeleton.names, body.skeleton.parents
     return tuple(
         frozenset({name, *((names[parents[names.index(name)]],) if parents[names.index(name)] >= 0 else ())})
-        for name in MAIN
+        for name in MAIN_JOINTS
     )
 
 
-def slow_fault(scene: Scene, motion: jc.Motion, joint: str) -> list[Judged]:
+def slow_fault(scene: Scene, motion: jc.Motion, joint: str) -> list[JudgedPose]:
     """Judge true poses with one joint that rotates further in each frame; good frames update the usual values."""
-    judged, usual = [], nothing_usual(scene.surface)
+    judged, usual = [], initial_values(scene.surface)
     for number, cloud in enumerate(scene.clouds):
         turn = Rotation.from_rotvec([0.0, 0.0, np.radians(SLOW * max(0, number - 10))])
-        pose = turned_joint(motion[number], scene.body.skeleton.index(joint), turn)
+        pose = rotate_joint(motion[number], scene.body.skeleton.index(joint), turn)
         state = start_state(scene.tracker, pose, 0.02)
-        _, statistics = next_frame(scene.tracker, settled(scene.tracker, state), cloud)
-        frame = judge(scene.surface, cloud, state, statistics, usual, Patience())
-        usual = frame.usual
-        judged.append(Judged("slow", number, scene.errors(number, pose), frame, cloud))
+        _, statistics = track_frame_jit(scene.tracker, reset_velocity(scene.tracker, state), cloud)
+        frame = judge_frame(scene.surface, cloud, state, statistics, usual, SearchPause())
+        usual = frame.normal_values
+        judged.append(JudgedPose("slow", number, scene.errors(number, pose), frame, cloud))
     return judged
 
 
-def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 30) -> list[Judged]:
+def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 30) -> list[JudgedPose]:
     kind = name.removeprefix("held_") if name in HARD else ""
     sex, take, visible, clothed, noise = SCENES[HARD.get(name, name)]
     if kind == "slow":
@@ -225,36 +233,38 @@ def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 3
     motion = human_motion(shared, take, performer)
     first = max(0, min(first, motion.num_frames - frames))
     motion = motion.slice(slice(first, first + frames))
-    clothes = clothes_of(performer) if clothed else None
+    clothes = clothing_offsets(performer) if clothed else None
     rngs = [np.random.default_rng([len(name), frame]) for frame in range(motion.num_frames)]
     scans = [
         scan_frame(performer, motion[k], rng, noise, visible, clothes=clothes) for k, rng in enumerate(rngs)
     ]
     theirs = human_motion(shared, "02_03" if sex == "male" else "01_11", stranger).slice(slice(0, 120, 17))
     others = [scan_frame(stranger, theirs[k], rngs[0], noise, visible) for k in range(theirs.num_frames)]
-    main = [body.skeleton.index(joint) for joint in MAIN]
+    main = [body.skeleton.index(joint) for joint in MAIN_JOINTS]
 
     def errors(number: int, pose: jc.Pose) -> np.ndarray:
         return 1000 * np.linalg.norm((joints_of(body, pose) - scans[number].joints)[main], axis=1)
 
     clouds = [scan.cloud for scan in scans]
     if kind == "late":
-        nobody = [rngs[k].uniform(-1.0, 1.0, (500, 3)) for k in range(NOBODY)]
-        clouds[:NOBODY] = [jc.make_cloud(points, rngs[0].normal(size=points.shape)) for points in nobody]
+        nobody = [rngs[k].uniform(-1.0, 1.0, (500, 3)) for k in range(NUM_EMPTY_FRAMES)]
+        clouds[:NUM_EMPTY_FRAMES] = [
+            jc.make_cloud(points, rngs[0].normal(size=points.shape)) for points in nobody
+        ]
     strangers = [] if kind else [(scan.cloud, scan.joints) for scan in others]
     scene = Scene(body, clouds, errors, strangers, 0 if kind else every, 1)
     if kind == "slow":
         return slow_fault(scene, motion, "LeftArm" if sex == "male" else "RightUpLeg")
     if kind == "swapped":
-        return scene.run(made_wrong(body, motion[0], np.random.default_rng(3))["legs"], "auto")
+        return scene.run(make_wrong_poses(body, motion[0], np.random.default_rng(3))["legs"], "auto")
     return scene.run(None, "auto") if kind else scene.run(motion[0])
 
 
-def crane_scene(shared: Path, frames: int, every: int) -> list[Judged]:
+def crane_scene(shared: Path, frames: int, every: int) -> list[JudgedPose]:
     """Track the crane performer. The error of a part is the mean distance of its vertices; 13 mm of it are due to clothes."""
     crane = load_crane(shared)
     body = rig_crane(crane)
-    parts = np.asarray(body.skin.parts())
+    parts = np.asarray(body.skin.dominant_bones())
 
     def errors(number: int, pose: jc.Pose) -> np.ndarray:
         distances = 1000 * true_distances(crane, number, np.asarray(_posed(body, pose).vertices))
@@ -264,11 +274,19 @@ def crane_scene(shared: Path, frames: int, every: int) -> list[Judged]:
     return Scene(body, clouds, errors, [], every, 2).run(jc.rest_pose(body.skeleton))
 
 
-def counted(judged: list[Judged]) -> dict[str, object]:
-    right = [one for one in judged if one.kind == "right" and one.errors.max() < RIGHT and one.frame > 0]
-    made = [one for one in judged if one.kind != "right" and one.errors.max() > WRONG]
-    tracked = [one for one in judged if one.kind == "right" and one.errors.max() > WRONG and one.frame > 0]
-    between = [one for one in judged if one.kind == "right" and RIGHT <= one.errors.max() <= WRONG]
+def count_verdicts(judged: list[JudgedPose]) -> dict[str, object]:
+    right = [
+        one for one in judged if one.kind == "right" and one.errors.max() < MAX_RIGHT_ERROR and one.frame > 0
+    ]
+    made = [one for one in judged if one.kind != "right" and one.errors.max() > MIN_WRONG_ERROR]
+    tracked = [
+        one for one in judged if one.kind == "right" and one.errors.max() > MIN_WRONG_ERROR and one.frame > 0
+    ]
+    between = [
+        one
+        for one in judged
+        if one.kind == "right" and MAX_RIGHT_ERROR <= one.errors.max() <= MIN_WRONG_ERROR
+    ]
     kinds = sorted({one.kind for one in made})
     of_kind = {kind: [one for one in made if one.kind == kind] for kind in kinds}
     return {
@@ -288,7 +306,7 @@ def counted(judged: list[Judged]) -> dict[str, object]:
     }
 
 
-def picture(path: Path, name: str, body: jc.Body, judged: list[Judged]) -> None:
+def picture(path: Path, name: str, body: jc.Body, judged: list[JudgedPose]) -> None:
     """Draw one case of each kind."""
     views, faces = [], np.asarray(body.faces)
     for kind in sorted({one.kind for one in judged}):
@@ -299,7 +317,7 @@ def picture(path: Path, name: str, body: jc.Body, judged: list[Judged]) -> None:
         title = f"{kind}: {one.tracked.verdict}"
         distances = scan_to_surface(points, vertices, faces)
         views.append(View(title, vertices - middle, points - middle, distances))
-    draw(path, views, faces, name)
+    draw_views(path, views, faces, name)
     progress(f"picture: {path}")
 
 
@@ -322,11 +340,13 @@ def main() -> None:
         else:
             judged = human_scene(name, shared, options.frames, options.every)
         seconds[name] = time.perf_counter() - start
-        scenes[name] = counted(judged)
+        scenes[name] = count_verdicts(judged)
         progress(f"{name}: {scenes[name]}, {seconds[name]:.0f} s")
         for one in judged:
-            wrong = one.kind == "right" and one.errors.max() < RIGHT and one.tracked.verdict != "good"
-            missed = one.errors.max() > WRONG and not one.flagged
+            wrong = (
+                one.kind == "right" and one.errors.max() < MAX_RIGHT_ERROR and one.tracked.verdict != "good"
+            )
+            missed = one.errors.max() > MIN_WRONG_ERROR and not one.flagged
             if wrong or missed:
                 what = f"{one.tracked.verdict}, {', '.join(one.tracked.reasons)}" if wrong else "missed"
                 progress(f"  {one.kind} {one.frame}: {one.errors.max():.0f} mm, {what}")
@@ -349,7 +369,12 @@ def main() -> None:
             limits[f"{prefix}false_alarms_percent"] = ("<", 1.0)
             limits[f"{prefix}flagged_percent"] = (">", 98.0)
             limits[f"{prefix}tracked_flagged_percent"] = (">", 98.0)
-    sizes = {"frames": options.frames, "every": options.every, "right_mm": RIGHT, "wrong_mm": WRONG}
+    sizes = {
+        "frames": options.frames,
+        "every": options.every,
+        "right_mm": MAX_RIGHT_ERROR,
+        "wrong_mm": MIN_WRONG_ERROR,
+    }
     finish("lost", figures, limits, sizes, seconds)
 
 

@@ -12,12 +12,12 @@ import numpy as np
 from benchmarks._scenes import shared_folder
 from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
-from jaxcap.markers.rotation_centres.centres import Method, find_joint
+from jaxcap.markers.rotation_centres.centres import CentreMethod, find_joint
 from jaxcap.markers.rotation_centres.joint import Joint
 from jaxcap.markers.segments.partition import find_partition
-from jaxcap.markers.segments.relative_motion import relative
+from jaxcap.markers.segments.relative_motion import relative_motion
 from jaxcap.markers.segments.segment import Segments, make_segments
-from jaxcap.markers.segments.segment_frames import SegmentFrames, fit_frames
+from jaxcap.markers.segments.segment_frames import SegmentFrames, fit_segment_frames
 
 TRIALS = ("static", "right_hip", "right_knee")
 PELVIS = ("LASIS", "RASIS", "LPSIS", "RPSIS")
@@ -25,9 +25,9 @@ THIGH = ("RTHI1", "RTHI2", "RTHI3")
 SHANK = ("RLEG1", "RLEG2", "RLEG3")
 
 
-def holder(segments: Segments, labels: tuple[str, ...], names: tuple[str, ...]) -> int:
+def dominant_segment(segments: Segments, labels: tuple[str, ...], names: tuple[str, ...]) -> int:
     """Find the segment with most of some markers."""
-    owners = segments.of_marker[[labels.index(name) for name in names]]
+    owners = segments.marker_segments[[labels.index(name) for name in names]]
     return int(np.bincount(owners[owners >= 0], minlength=segments.num_segments).argmax())
 
 
@@ -37,14 +37,14 @@ class Trial:
     def __init__(self, places: np.ndarray, segments: Segments):
         self.places, self.segments = places, segments
         self.seen = np.ones(places.shape[:2], bool)
-        self.frames = fit_frames(places, self.seen, segments)
+        self.frames = fit_segment_frames(places, self.seen, segments)
 
-    def joint(self, parent: int, child: int, chosen: slice, method: Method) -> Joint:
+    def joint(self, parent: int, child: int, chosen: slice, method: CentreMethod) -> Joint:
         frames = self.frames
         some = SegmentFrames(
-            frames.rotations[chosen], frames.origins[chosen], frames.known[chosen], frames.template
+            frames.rotations[chosen], frames.origins[chosen], frames.known[chosen], frames.local_positions
         )
-        between = relative(self.places[chosen], self.seen[chosen], self.segments, some, parent, child)
+        between = relative_motion(self.places[chosen], self.seen[chosen], self.segments, some, parent, child)
         assert between is not None
         return find_joint(between, parent, child, method)
 
@@ -59,11 +59,11 @@ def thigh_lengths(trial: Trial, hip: Joint, knee: Joint, chosen: slice) -> np.nd
     return np.linalg.norm(ends[1] - ends[0], axis=1)
 
 
-def say(name: str, joint: Joint) -> None:
+def print_joint(name: str, joint: Joint) -> None:
     what = " across its axis, a hinge" if joint.axis_in_parent is not None else ""
-    across = joint.precision[:2] if what else joint.precision
+    across = joint.deviations[:2] if what else joint.deviations
     progress(
-        f"{joint.method}, {name}: residual {1e3 * joint.residual:.1f} mm, swept {np.degrees(joint.swept):.0f} degrees, "
+        f"{joint.method}, {name}: residual {1e3 * joint.residual:.1f} mm, swept {np.degrees(joint.swept_angle):.0f} degrees, "
         f"standard deviations {', '.join(f'{1e3 * d:.1f}' for d in across)} mm{what}"
     )
 
@@ -73,12 +73,14 @@ def main() -> None:
     read = [read_markers(folder / f"biobuddy_{name}.c3d") for name in TRIALS]
     labels = read[0].labels
     order = [[one.labels.index(label) for label in labels] for one in read]
-    places = np.concatenate([np.asarray(one.places, float)[:, o] for one, o in zip(read, order, strict=True)])
+    places = np.concatenate(
+        [np.asarray(one.positions, float)[:, o] for one, o in zip(read, order, strict=True)]
+    )
     ends = np.cumsum([len(one) for one in read])
     hip_trial, knee_trial = slice(ends[0], ends[1]), slice(ends[1], ends[2])
     timer = Timer()
     found = timer(find_partition, places, np.ones(places.shape[:2], bool)).segments
-    pelvis, thigh, shank = (holder(found, labels, names) for names in (PELVIS, THIGH, SHANK))
+    pelvis, thigh, shank = (dominant_segment(found, labels, names) for names in (PELVIS, THIGH, SHANK))
     for name, segment in (("pelvis", pelvis), ("thigh", thigh), ("shank", shank)):
         progress(f"{name}: {', '.join(labels[m] for m in found.members[segment])}")
     chosen = [found.members[k] for k in (pelvis, thigh, shank)]
@@ -96,7 +98,7 @@ def main() -> None:
             ("hip", hip),
             ("knee", knee),
         ):
-            say(name, joint)
+            print_joint(name, joint)
         lengths = [thigh_lengths(trial, hip, knee, some) for some in (hip_trial, knee_trial)]
         hip_mm, knee_mm = (1e3 * float(np.median(some)) for some in lengths)
         end = "" if method == "score" else f"_{method}"

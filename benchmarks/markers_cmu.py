@@ -26,12 +26,12 @@ TAKE = "02_05"
 AXES = [1, 2, 0]
 
 
-def hidden(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[str, ...]]:
+def hide_labels(frames: jc.MarkerFrames, seed: int) -> tuple[jc.MarkerFrames, tuple[str, ...]]:
     """Permute markers and replace their labels by numbers, in the database's axes; also return the labels."""
     order = np.random.default_rng(seed).permutation(len(frames.labels))
-    places = np.asarray(frames.places)[:, order][..., AXES]
+    places = np.asarray(frames.positions)[:, order][..., AXES]
     names = tuple(f"point{i}" for i in range(len(order)))
-    shuffled = jc.MarkerFrames(places, np.asarray(frames.seen)[:, order], names, frames.rate)
+    shuffled = jc.MarkerFrames(places, np.asarray(frames.visible)[:, order], names, frames.rate)
     return shuffled, tuple(frames.labels[i] for i in order)
 
 
@@ -46,13 +46,13 @@ def bone_frames(skeleton: jc.Skeleton, motion: jc.Motion) -> tuple[np.ndarray, n
     return r, t, np.einsum("fjab,jb->fja", r, np.asarray(skeleton.centres, float)) + t
 
 
-def varying(rotations: np.ndarray, origins: np.ndarray, points: np.ndarray) -> np.ndarray:
+def offset_spread(rotations: np.ndarray, origins: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Compute the distances (F,) of points from their best constant position in a moving frame, metres."""
     local = np.einsum("fba,fb->fa", rotations, points - origins)
     return np.linalg.norm(local - local.mean(0), axis=1)
 
 
-def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
+def bones_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
     """List the bones on the path from one bone to another, both included."""
     up = [[start], [end]]
     for path in up:
@@ -65,7 +65,7 @@ def on_the_way(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
     """List the joints between two bones."""
-    way = on_the_way(skeleton, start, end)
+    way = bones_between(skeleton, start, end)
     return [bone for bone in way if skeleton.parents[bone] in way]
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     frames = jc.read_markers(shared / "data" / "markers" / f"cmu_{TAKE}.c3d")[: options.frames]
     motion, skeleton = cmu_motion(shared, TAKE)
     motion = motion.slice(slice(options.frames))
-    frames, called = hidden(frames, options.seed)
+    frames, called = hide_labels(frames, options.seed)
     timer = Timer()
     found = timer(jc.markers.fit_local, frames)
     for name, members in zip(found.segments.names, found.segments.members, strict=True):
@@ -95,10 +95,12 @@ def main() -> None:
 
     r, t, centres = bone_frames(skeleton, motion)
     _, _, ours = bone_frames(subject.skeleton, solution.motion)
-    seen, places = np.asarray(frames.seen), np.asarray(frames.places, float)
+    seen, places = np.asarray(frames.visible), np.asarray(frames.positions, float)
     best, squares = np.full(places.shape[:2], np.nan), np.zeros((places.shape[1], skeleton.num_joints))
     for marker, shown in enumerate(seen.T):
-        each = [varying(r[shown, j], t[shown, j], places[shown, marker]) for j in range(skeleton.num_joints)]
+        each = [
+            offset_spread(r[shown, j], t[shown, j], places[shown, marker]) for j in range(skeleton.num_joints)
+        ]
         squares[marker] = [float(np.mean(one**2)) for one in each]
         best[shown, marker] = each[int(squares[marker].argmin())]
     # the database's bone of each of our bones: the one that carries its markers best
@@ -111,7 +113,7 @@ def main() -> None:
             continue
         between = joints_between(skeleton, theirs[mine], theirs[parent])
         # somebody else's bone on the way: these two are not neighbours
-        inside = set(on_the_way(skeleton, theirs[mine], theirs[parent])) - {theirs[mine], theirs[parent]}
+        inside = set(bones_between(skeleton, theirs[mine], theirs[parent])) - {theirs[mine], theirs[parent]}
         astray = bool(inside & set(theirs))
         wrong += astray
         apart = {
@@ -121,7 +123,7 @@ def main() -> None:
         joint = min(apart, key=lambda j: apart[j])
         name = f"{subject.skeleton.names[mine]} {skeleton.names[joint]}"
         above = skeleton.parents[joint]
-        off[name] = 1e3 * float(varying(r[:, above], centres[:, above], ours[:, mine]).mean())
+        off[name] = 1e3 * float(offset_spread(r[:, above], centres[:, above], ours[:, mine]).mean())
         raw[name] = 1e3 * apart[joint]
         progress(
             f"{name}: {off[name]:.1f} mm after the offset, {raw[name]:.1f} mm before{', not neighbours' if astray else ''}"

@@ -18,7 +18,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks._markers import Scene, Trouble, known_part, performer, pose_all, scene_of, turns, wrong
+from benchmarks._markers import (
+    MarkerNoise,
+    Scene,
+    determined_projection,
+    performer,
+    perturb_template,
+    pose_all,
+    rotation_spread,
+    scene_of,
+)
 from benchmarks._rivals.environments import RIVALS, environment, run_rival
 from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.report import finish, progress
@@ -28,18 +37,18 @@ from jaxcap.markers.calibration.calibrate import Calibration, calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.subject import Subject
 
-TURNS = np.radians(20.0)
+MIN_ANGLE = np.radians(20.0)
 BONES, PLACEMENT = 0.08, 0.014
 
 
-def the_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
+def make_rival_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
     """Make frames that are spread over the take, close enough for each to start at the previous one."""
     truth = performer()
     motion, skeleton = cmu_motion(shared, take)
     step = max(1, len(motion) // frames)
     motion = retarget(motion.slice(slice(None, None, step)).slice(slice(frames)), skeleton, truth.skeleton)
-    scene = scene_of(truth, jax.tree.map(lambda leaf: leaf.astype(jnp.float32), motion), Trouble(), seed)
-    return scene._replace(template=wrong(truth, np.random.default_rng(seed), BONES, PLACEMENT))
+    scene = scene_of(truth, jax.tree.map(lambda leaf: leaf.astype(jnp.float32), motion), MarkerNoise(), seed)
+    return scene._replace(template=perturb_template(truth, np.random.default_rng(seed), BONES, PLACEMENT))
 
 
 def mirrored(names: tuple[str, ...]) -> np.ndarray:
@@ -64,7 +73,9 @@ def pairs(names: tuple[str, ...]) -> list[tuple[str, str]]:
     return [(name, names[other[joint]]) for joint, name in enumerate(names) if other[joint] > joint]
 
 
-def told_errors(scene: Scene, found: Calibration, joints: np.ndarray, turning: np.ndarray) -> np.ndarray:
+def determined_errors(
+    scene: Scene, found: Calibration, joints: np.ndarray, turning: np.ndarray
+) -> np.ndarray:
     """Compute errors of joints (F, K), metres, without directions that our calibration reports as poorly determined, such as
     the axis of a hinge."""
     away, skeleton = joints - scene.joints, scene.truth.skeleton
@@ -73,7 +84,7 @@ def told_errors(scene: Scene, found: Calibration, joints: np.ndarray, turning: n
     for joint in found.joints:
         if joint in turning:
             local = np.einsum("fba,fb->fa", turned[:, skeleton.parents[joint]], away[:, joint])
-            errors.append(np.linalg.norm(local @ known_part(found, joint), axis=1))
+            errors.append(np.linalg.norm(local @ determined_projection(found, joint), axis=1))
     return np.array(errors).T
 
 
@@ -90,8 +101,8 @@ def write_scene(path: Path, scene: Scene, chosen: np.ndarray, own: Subject) -> N
         bones=np.asarray(template.bones),
         offsets=np.asarray(template.offsets, float),
         labels=np.array(template.labels),
-        places=np.asarray(scene.frames.places, float),
-        seen=np.asarray(scene.frames.seen),
+        places=np.asarray(scene.frames.positions, float),
+        seen=np.asarray(scene.frames.visible),
         rate=scene.frames.rate,
         chosen=chosen,
         own_centres=np.asarray(own.skeleton.centres, float),
@@ -99,7 +110,7 @@ def write_scene(path: Path, scene: Scene, chosen: np.ndarray, own: Subject) -> N
     )
 
 
-def ours(
+def measure_ours(
     scene: Scene, chosen: np.ndarray, repeats: int = 3
 ) -> tuple[Calibration, dict[str, float | np.ndarray]]:
     symmetry = pairs(scene.template.skeleton.names)
@@ -113,7 +124,7 @@ def ours(
         solved = solve_markers(found.subject, scene.frames)
         jax.block_until_ready(solved.motion)
         each.append((time.perf_counter() - start) / len(scene.frames))
-    _, joints = pose_all(found.subject, solved.motion.poses, jnp.zeros_like(scene.frames.places))
+    _, joints = pose_all(found.subject, solved.motion.poses, jnp.zeros_like(scene.frames.positions))
     return found, {
         "joints": np.asarray(joints, float),
         "calibrate_seconds": float(np.median(taken[1:])),
@@ -137,9 +148,9 @@ def main() -> None:
     )
     parser.add_argument("--limit", type=float, default=3000.0, help="time limit of each rival, seconds")
     options = parser.parse_args()
-    scene = the_scene(shared_folder(), options.take, options.frames, options.seed)
+    scene = make_rival_scene(shared_folder(), options.take, options.frames, options.seed)
     chosen = np.linspace(0, len(scene.frames) - 1, options.count).round().astype(int)
-    turning = np.flatnonzero(turns(scene.motion) >= TURNS)
+    turning = np.flatnonzero(rotation_spread(scene.motion) >= MIN_ANGLE)
     turning = turning[turning > 0]
     begun, left_out = {}, []
     figures: dict[str, float] = {}
@@ -148,7 +159,7 @@ def main() -> None:
     def judge(name: str, outcome) -> None:
         joints = np.asarray(outcome["joints"], float)
         away = np.linalg.norm(joints - scene.joints, axis=-1)
-        told = told_errors(scene, own, joints, turning)
+        told = determined_errors(scene, own, joints, turning)
         reached = {
             "solve_joints_mm": 1000 * float(away[:, turning].mean()),
             "solve_told_mm": 1000 * float(told.mean()),
@@ -162,7 +173,7 @@ def main() -> None:
         figures.update({f"{name}_{figure}": value for figure, value in reached.items()})
         progress(f"{name}: " + ", ".join(f"{figure} {value:.4g}" for figure, value in reached.items()))
 
-    own, outcome = ours(scene, chosen, options.repeats)
+    own, outcome = measure_ours(scene, chosen, options.repeats)
     judge("jaxcap", outcome)
     with tempfile.TemporaryDirectory() as folder:
         given = Path(folder) / "scene.npz"

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks._markers import Trouble, make_scene
+from benchmarks._markers import MarkerNoise, make_scene
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.markers.calibration.calibrate import calibrate
@@ -30,7 +30,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
-    scene = make_scene(shared_folder(), options.take, Trouble(gaps=0.05, swaps=0.005), frames=options.frames)
+    scene = make_scene(
+        shared_folder(), options.take, MarkerNoise(gaps=0.05, swaps=0.005), frames=options.frames
+    )
     subject = eqx.tree_at(lambda s: s.deviations, scene.truth, jnp.full(scene.truth.num_markers, 1e-3))
     count = len(scene.frames)
 
@@ -42,7 +44,7 @@ def main() -> None:
         progress(f"solved {count} frames in {solving[-1]:.2f} s")
 
     streamer, state = make_streamer(subject)
-    places, seen = np.asarray(scene.frames.places), np.asarray(scene.frames.seen)
+    places, seen = np.asarray(scene.frames.positions), np.asarray(scene.frames.visible)
     latencies = []
     for place, there in zip(places[:1000], seen[:1000], strict=True):
         start = time.perf_counter()

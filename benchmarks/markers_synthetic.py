@@ -15,33 +15,40 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._markers import Scene, Trouble, known_part, make_scene, pose_all, turns
+from benchmarks._markers import (
+    MarkerNoise,
+    Scene,
+    determined_projection,
+    make_scene,
+    pose_all,
+    rotation_spread,
+)
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.markers.calibration.calibrate import Calibration, calibrate
-from jaxcap.markers.calibration.observability import length_deviations
+from jaxcap.markers.calibration.observability import bone_length_deviations
 
 TAKES = ("02_05", "02_01", "01_01")
-CASES = {"noise": Trouble(), "gaps": Trouble(gaps=0.1, swaps=0.01), "skin": Trouble(skin=0.015)}
+CASES = {"noise": MarkerNoise(), "gaps": MarkerNoise(gaps=0.1, swaps=0.01), "skin": MarkerNoise(skin=0.015)}
 #: radians that a joint turns to be judged
-TURNS = np.radians(20.0)
+MIN_ANGLE = np.radians(20.0)
 NORMAL90 = 1.645
 
 
-def errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray | float]:
+def calibration_errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray | float]:
     subject, skeleton = found.subject, found.subject.skeleton
-    _, joints = pose_all(subject, found.motion.poses, jnp.zeros_like(scene.frames.places))
+    _, joints = pose_all(subject, found.motion.poses, jnp.zeros_like(scene.frames.positions))
     away = np.asarray(joints) - scene.joints
-    turned = turns(scene.motion)
+    turned = rotation_spread(scene.motion)
     rotations = np.asarray(_rotations(skeleton, found.motion.poses))
     told, full, between = [], [], []
     for joint in found.joints:
-        if turned[joint] < TURNS:
+        if turned[joint] < MIN_ANGLE:
             continue
         # directions are at rest, in the bone that the joint is the end of
         local = np.einsum("fba,fb->fa", rotations[:, skeleton.parents[joint]], away[:, joint])
-        told.append(np.linalg.norm(local @ known_part(found, joint), axis=1).mean())
+        told.append(np.linalg.norm(local @ determined_projection(found, joint), axis=1).mean())
         full.append(np.linalg.norm(away[:, joint], axis=1).mean())
     ends = np.array([joint for joint in found.joints if skeleton.parents[joint] in found.joints])
     starts = np.array(skeleton.parents)[ends]
@@ -50,8 +57,8 @@ def errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray | float]:
         return np.linalg.norm(np.asarray(centres)[ends] - np.asarray(centres)[starts], axis=1)
 
     off = lengths(skeleton.centres) - lengths(scene.truth.skeleton.centres)
-    deviations = length_deviations(subject, found.joints, found.covariance)[ends]
-    known = (deviations < 0.005) & (turned[ends] > TURNS) & (turned[starts] > TURNS)
+    deviations = bone_length_deviations(subject, found.joints, found.covariance)[ends]
+    known = (deviations < 0.005) & (turned[ends] > MIN_ANGLE) & (turned[starts] > MIN_ANGLE)
     between = np.abs(off) <= NORMAL90 * deviations
     return {
         "told_mm": 1000 * float(np.mean(told)),
@@ -83,15 +90,15 @@ def main() -> None:
             take = options.takes[seed % len(options.takes)]
             scene = make_scene(shared, take, CASES[case], seed, rate=60.0, frames=options.frames)
             start = time.perf_counter()
-            found = calibrate(scene.frames, scene.template, count=options.count)
+            found = calibrate(scene.frames, scene.template, num_frames=options.count)
             taken.append(time.perf_counter() - start)
-            rows.append(errors(scene, found))
+            rows.append(calibration_errors(scene, found))
             good = found.converged and rows[-1]["told_mm"] < (15.0 if case == "skin" else 5.0)
             converged += good
             progress(
                 f"{case} {take} seed {seed}: {rows[-1]['told_mm']:.2f} mm ({rows[-1]['full_mm']:.2f} in full), lengths "
                 f"{rows[-1]['length_mm']:.2f} mm, inside {np.mean(rows[-1]['inside']):.2f}, {taken[-1]:.1f} s, "
-                f"{'converged' if good else 'NOT converged'}; {len(found.told)} messages"
+                f"{'converged' if good else 'NOT converged'}; {len(found.messages)} messages"
             )
         for name in ("told_mm", "full_mm", "length_mm"):
             figures[f"{case}_{name}"] = float(np.nanmean([row[name] for row in rows]))

@@ -19,16 +19,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from benchmarks._markers import Trouble, performer, scene_of
+from benchmarks._markers import MarkerNoise, performer, scene_of
 from benchmarks.report import finish, progress
-from jaxcap.body.body import Body, deform_all, pose_body, take_vertices
+from jaxcap.body.body import Body, pose_body, posed_vertices, take_vertices
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose, rest_pose, retract
-from jaxcap.body.shape_modes import Modes, joint_modes
+from jaxcap.body.shape_modes import ShapeModes, joint_modes
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.energy.stacked import SmoothTurns, stack_energies
+from jaxcap.energy.stacked import SmoothRotations, stack_energies
 from jaxcap.fit.linear.block_arrow import BlockArrow
 from jaxcap.fit.linear.block_banded import BlockBanded
 from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
@@ -39,7 +39,7 @@ from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.skeleton.joints import make_curvature
 from jaxcap.learn.skeleton.solve_joints import solve_joints
-from jaxcap.markers.calibration.calibration_parameters import Trust, solved_joints
+from jaxcap.markers.calibration.calibration_parameters import TemplatePrior, solved_joints
 from jaxcap.markers.calibration.problem import CalibrationEstimate, make_calibration_problem
 from jaxcap.markers.calibration.solve_calibration import solve_calibration
 from jaxcap.markers.motion.label_matching import match_markers
@@ -47,25 +47,25 @@ from jaxcap.markers.motion.label_matching import match_markers
 MARKS = 120
 NOISE = 0.003
 #: to the end of what the precision shows: data hold some directions by little, and a tolerance of the energy ends long before
-TIGHT, STEPS = LevenbergMarquardt(rtol=0.0, atol=0.0), 400
+REFERENCE_SOLVER, STEPS = LevenbergMarquardt(rtol=0.0, atol=0.0), 400
 DENSE = GaussNewton(rtol=1e-15, atol=1e-11, damping=1e-12)
 solve = eqx.filter_jit(solve_sequence)
 
 
-def in_precision(tree, dtype):
+def cast(tree, dtype):
     """Convert all floating-point arrays of a pytree to one precision."""
     return jax.tree.map(lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, tree)
 
 
-def marked_human() -> tuple[Body, Modes]:
+def human_with_landmarks() -> tuple[Body, ShapeModes]:
     """Make the embedded human with some landmarks instead of its surface, and the modes of its joints."""
-    body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
+    body = cast(human(resolution="low", joints="tracking"), jnp.float64)
     rows = np.random.default_rng(0).choice(len(body.vertices), MARKS, replace=False)
     modes = joint_modes(body)
-    return take_vertices(body, jnp.asarray(rows)), Modes(modes.centres[3:], modes.vertices[3:, rows])
+    return take_vertices(body, jnp.asarray(rows)), ShapeModes(modes.centres[3:], modes.vertices[3:, rows])
 
 
-def shared_unknowns(body: Body, modes: Modes) -> dict[str, dict[str, AbstractUnknown]]:
+def shared_unknowns(body: Body, modes: ShapeModes) -> dict[str, dict[str, AbstractUnknown]]:
     """List the shared unknowns of each recipe."""
     inner = tuple(joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0)[:8]
     return {
@@ -107,16 +107,16 @@ def scene(body: Body, unknowns: dict[str, AbstractUnknown], frames: int) -> tupl
         seen + 1e-5 * near,
         jnp.arange(float(frames)),
         unknowns,
-        (SmoothTurns(jnp.asarray(1e-3)),),
+        (SmoothRotations(jnp.asarray(1e-3)),),
         (
             1e-2 * VertexLandmarks(rows, body.vertices, jnp.ones(len(rows))),
-            *([_centres_held(body)] if names else []),
+            *([_fix_centres(body)] if names else []),
         ),
     )
     return problem, poses
 
 
-def _centres_held(body: Body):
+def _fix_centres(body: Body):
     from jaxcap.energy.data.landmarks import joint_landmarks
 
     return 1e-2 * joint_landmarks(body.skeleton.centres)
@@ -137,7 +137,7 @@ def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float
                 problem.frames.terms[0].energy.targets.at[1, 5, 0].add(datum),
             ),
         )
-        found = solve_sequence(there, start, TIGHT, STEPS)
+        found = solve_sequence(there, start, REFERENCE_SOLVER, STEPS)
         shared = ravel_pytree(found.values)[0]
         return jnp.concatenate([found.poses.rotations[1].ravel(), found.poses.translations[1, 0], shared])
 
@@ -151,11 +151,11 @@ def derivative_error(problem: SequenceProblem, start: SequenceEstimate) -> float
     return worst
 
 
-def minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float]:
+def compare_minima(problem: SequenceProblem, start: SequenceEstimate) -> dict[str, float]:
     """Compare the minimum with that of a dense solver, and that in float32 with that in float64."""
-    found, dense = solve(problem, start, TIGHT, STEPS), solve(problem, start, DENSE)
+    found, dense = solve(problem, start, REFERENCE_SOLVER, STEPS), solve(problem, start, DENSE)
     with jax.enable_x64(False):
-        single = solve(in_precision(problem, jnp.float32), in_precision(start, jnp.float32), TIGHT, STEPS)
+        single = solve(cast(problem, jnp.float32), cast(start, jnp.float32), REFERENCE_SOLVER, STEPS)
 
     def places(solution):
         return jax.vmap(lambda pose: pose_body(solution.body, pose).joints)(solution.poses)
@@ -176,13 +176,15 @@ def marker_recipe() -> dict[str, float]:
     skeleton = truth.skeleton
     tangents = 0.3 * rng.normal(size=(8, skeleton.num_dofs))
     poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))
-    seen = scene_of(truth, Motion(poses, 30.0), Trouble(), 0)
+    seen = scene_of(truth, Motion(poses, 30.0), MarkerNoise(), 0)
     joints = solved_joints(truth, np.ones(truth.num_markers, bool))
     frames = match_markers(truth, seen.frames)
-    places = jnp.asarray(frames.places, jnp.float64)
+    places = jnp.asarray(frames.positions, jnp.float64)
     # a template that is trusted more than usual, so that differences of minima have enough digits
-    trust = Trust(lengths=0.02, joints=0.002, placements=0.005)
-    problem = make_calibration_problem(seen.template, places, jnp.asarray(frames.seen), joints, trust=trust)
+    trust = TemplatePrior(lengths=0.02, joints=0.002, placements=0.005)
+    problem = make_calibration_problem(
+        seen.template, places, jnp.asarray(frames.seen), joints, template_prior=trust
+    )
     none = jnp.zeros((0, truth.num_markers, 3))
     start = CalibrationEstimate(poses, jnp.zeros(3 * (len(joints) + truth.num_markers)), none)
     ends = jnp.asarray([joint for joint in joints if skeleton.parents[joint] in joints])
@@ -193,7 +195,7 @@ def marker_recipe() -> dict[str, float]:
         there = eqx.tree_at(
             lambda p: (p.places, p.deviations),
             problem,
-            (problem.places.at[2, 7, 1].add(changes[0]), problem.deviations.at[5].add(changes[1])),
+            (problem.positions.at[2, 7, 1].add(changes[0]), problem.deviations.at[5].add(changes[1])),
         )
         found = solve_calibration(there, start, max_steps=400)
         centres = found.subject.skeleton.centres
@@ -219,11 +221,11 @@ def learning_recipe() -> dict[str, float]:
     """Check the minimum over learned joints and poses: derivatives of posed vertices by the shape weight and by a datum against
     central differences. The position of a hinge's centre along its axis is unobservable, so bone lengths have no derivative."""
     rng = np.random.default_rng(4)
-    body = in_precision(human(resolution="low", joints="tracking"), jnp.float64)
+    body = cast(human(resolution="low", joints="tracking"), jnp.float64)
     skeleton = body.skeleton
     tangents = 0.3 * rng.normal(size=(6, skeleton.num_dofs))
     poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))
-    targets = deform_all(body, poses) + NOISE * rng.normal(size=(6, len(body.vertices), 3))
+    targets = posed_vertices(body, poses) + NOISE * rng.normal(size=(6, len(body.vertices), 3))
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), 10.0)
     curvature = make_curvature(metric)
 
@@ -231,7 +233,7 @@ def learning_recipe() -> dict[str, float]:
     def places(changes, body, poses):
         there = eqx.tree_at(lambda m: m.alpha, metric, metric.alpha * (1.0 + changes[0]))
         found = solve_joints(body, poses, targets.at[2, 700, 1].add(changes[1]), there, curvature, 200)
-        return deform_all(found.body, found.poses)[:, ::50], found
+        return posed_vertices(found.body, found.poses)[:, ::50], found
 
     zero = jnp.zeros(2)
     found = places(zero, body, poses)[1]
@@ -247,7 +249,7 @@ def learning_recipe() -> dict[str, float]:
     return {"derivative_apart": worst, "trustworthy": bool(found.trustworthy)}
 
 
-def least_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
+def min_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
     """Measure the seconds of the first call, and the minimum of some others."""
     begun = time.perf_counter()
     jax.block_until_ready(function(*arguments))
@@ -279,7 +281,7 @@ def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
         jnp.asarray(gram[:, dofs:, dofs:].sum(0)),
     )
     side = jnp.ones((frames, dofs), jnp.float32), jnp.ones(shared, jnp.float32)
-    return least_seconds(jax.jit(lambda arrow, side: arrow.factorise().solve(side)), arrow, side)[1]
+    return min_seconds(jax.jit(lambda arrow, side: arrow.factorise().solve(side)), arrow, side)[1]
 
 
 def main():
@@ -290,11 +292,11 @@ def main():
     )
     frames = parser.parse_args().frames
     figures, limits = {}, {}
-    body, modes = marked_human()
+    body, modes = human_with_landmarks()
     for name, unknowns in shared_unknowns(body, modes).items():
         problem, poses = scene(body, unknowns, 6)
         start = problem.start(poses)
-        found = minima(problem, start) | {"derivative_apart": derivative_error(problem, start)}
+        found = compare_minima(problem, start) | {"derivative_apart": derivative_error(problem, start)}
         progress(f"{name}: {found}")
         figures |= {f"{name}_{key}": value for key, value in found.items()}
         limits |= {
@@ -313,8 +315,8 @@ def main():
     for count in (frames // 4, frames // 2, frames, 2 * frames):
         problem, poses = scene(body, shared_unknowns(body, modes)["adaptation"], count)
         with jax.enable_x64(False):
-            single = in_precision((problem, problem.start(poses)), jnp.float32)
-            first, least = least_seconds(gauss_newton_step, *single)
+            single = cast((problem, problem.start(poses)), jnp.float32)
+            first, least = min_seconds(gauss_newton_step, *single)
         figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = least, first
         progress(
             f"{count} frames, {problem.num_shared} shared unknowns: {least:.3f} s per step, first step {first:.1f} s"

@@ -72,7 +72,7 @@ def progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def misses(figures: Mapping[str, Any], limits: Mapping[str, tuple[str, float]]) -> list[str]:
+def missed_limits(figures: Mapping[str, Any], limits: Mapping[str, tuple[str, float]]) -> list[str]:
     """List the names of violated limits; missing and NaN figures violate them."""
     return [
         name
@@ -94,7 +94,7 @@ def finish(
     `(sign, bound)` with a sign of `<= >= < > ==`; `sizes` of the problem; `seconds`, such as `Timer().seconds`.
     """
     limits = limits or {}
-    missed = misses(figures, limits)
+    missed = missed_limits(figures, limits)
     for miss in missed:
         sign, bound = limits[miss]
         progress(f"{name}: {miss} is {figures.get(miss, 'missing')}; expected {sign} {bound:g}.")

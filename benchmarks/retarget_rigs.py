@@ -22,12 +22,12 @@ from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
 from benchmarks._foreign_rigs import HELD_OUT, LACKING, TUNED
-from benchmarks._rigs import Rig, acting, make_rig
-from benchmarks._scenes import CAPTURED, RATE, cmu_motion, shared_folder
+from benchmarks._rigs import Rig, make_rig, world_motion
+from benchmarks._scenes import CAPTURE_RATE, RATE, cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.edit.matching.limbs import find_limbs
-from jaxcap.edit.matching.names import read_name
-from jaxcap.edit.matching.reference import posed
+from jaxcap.edit.matching.names import parse_joint_name
+from jaxcap.edit.matching.reference import joint_transforms
 from jaxcap.io.registry import read_motion
 
 TAKES = ("02_01", "02_05", "01_01")
@@ -40,7 +40,7 @@ LIMBS = tuple(
 
 def bone_rotations(skeleton: jc.Skeleton, motion: jc.Motion) -> dict[str, Rotation]:
     """Compute rotations of limbs: of upper arms and thighs in the world, of the others relative to the parent bone."""
-    _, turns = posed(skeleton, motion.poses)
+    _, turns = joint_transforms(skeleton, motion.poses)
     whole = {name: Rotation.from_quat(turns[:, skeleton.index(name)][:, [1, 2, 3, 0]]) for name in LIMBS}
     above = {"ForeArm": "Arm", "Hand": "ForeArm", "Leg": "UpLeg", "Foot": "Leg"}
     found = {}
@@ -51,7 +51,7 @@ def bone_rotations(skeleton: jc.Skeleton, motion: jc.Motion) -> dict[str, Rotati
     return found
 
 
-def silent(matches: jc.edit.JointMatches, motion: jc.Motion) -> list[str]:
+def unreported_joints(matches: jc.edit.JointMatches, motion: jc.Motion) -> list[str]:
     """List rotating source joints that the report does not mention."""
     said = " ".join(matches.lines())
     rotations = np.asarray(motion.poses.rotations, float)
@@ -85,11 +85,11 @@ def measure(
             here = axes.inv() * here
         worst[name] = float(np.degrees((wanted[name].inv() * here).magnitude()).max())
     # rest poses of files with joint frames of their own show no hand and no foot at rest, nor do hands that end at the wrist
-    hidden = {"Hand", "Foot"} if rig.framed else set() if "hand" in rig.names else {"Hand"}
+    hidden = {"Hand", "Foot"} if rig.has_joint_frames else set() if "hand" in rig.names else {"Hand"}
     shown = [name for name in LIMBS if name.removeprefix("Left").removeprefix("Right") not in hidden]
     joints = [human.skeleton.index(name) for name in ("LeftFoot", "RightFoot", "LeftToeBase", "RightToeBase")]
     heights = [
-        posed(human.skeleton, poses)[0][:, joints] @ up
+        joint_transforms(human.skeleton, poses)[0][:, joints] @ up
         for poses, up in ((direct.poses, np.array([0, 1.0, 0])), (moved.poses, plan.up))
     ]
     return {
@@ -100,16 +100,16 @@ def measure(
         "ratio_percent": 100 * abs(plan.ratio * rig.size / ratio - 1),
         "feet_mm": 1000
         * float(np.abs((heights[1] - heights[1].min()) - (heights[0] - heights[0].min())).max()),
-        "silent": silent(plan.matches, motion),
+        "silent": unreported_joints(plan.matches, motion),
         "warnings": list(plan.matches.warnings),
         "limbs": {name: round(value, 2) for name, value in worst.items()},
     }
 
 
-def by_tree_alone(skeleton: jc.Skeleton) -> str:
+def match_without_names(skeleton: jc.Skeleton) -> str:
     """Match the limbs of a skeleton without names: right, refused or wrong, compared with matches by names."""
-    named = find_limbs(skeleton, [read_name(name) for name in skeleton.names])
-    alone = find_limbs(skeleton, [read_name(f"joint{row}") for row in range(skeleton.num_joints)])
+    named = find_limbs(skeleton, [parse_joint_name(name) for name in skeleton.names])
+    alone = find_limbs(skeleton, [parse_joint_name(f"joint{row}") for row in range(skeleton.num_joints)])
     wanted, found = ([{limb.joints for limb in kind} for kind in limbs] for limbs in (named, alone))
     if found == wanted:
         return "right"
@@ -134,14 +134,14 @@ def main() -> None:
     alone: list[str] = []
     for take in options.takes:
         motion, skeleton = cmu_motion(shared, take)
-        motion = motion.slice(slice(None, None, round(CAPTURED / RATE))).slice(slice(options.frames))
+        motion = motion.slice(slice(None, None, round(CAPTURE_RATE / RATE))).slice(slice(options.frames))
         plan = jc.edit.plan_retarget(skeleton, human.skeleton, None, motion)
         direct = jc.retarget(motion, skeleton, human.skeleton, plan=plan)
-        acted = acting(skeleton, motion)
-        alone.append(by_tree_alone(skeleton))
+        acted = world_motion(skeleton, motion)
+        alone.append(match_without_names(skeleton))
         with tempfile.TemporaryDirectory() as folder:
             for name in options.rigs:
-                alone.append(by_tree_alone(make_rig(acted, rigs[name])[0]))
+                alone.append(match_without_names(make_rig(acted, rigs[name])[0]))
                 row = rows[take, name] = measure(
                     rigs[name], take, acted, direct, plan.ratio, human, Path(folder)
                 )

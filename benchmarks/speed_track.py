@@ -30,7 +30,15 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks._estep import brute_force_posterior, part_members
-from benchmarks._scenes import NOISE, Noise, Scanned, human_motion, scan_frame, scan_motion, shared_folder
+from benchmarks._scenes import (
+    NOISE,
+    Noise,
+    ScannedFrame,
+    human_motion,
+    scan_frame,
+    scan_motion,
+    shared_folder,
+)
 from benchmarks.report import finish, progress
 from jaxcap.fit.tracking.em import box_volume
 from jaxcap.metrics import joint_errors
@@ -38,7 +46,7 @@ from jaxcap.metrics import joint_errors
 TAKE, FRAMES = "02_05", 150
 #: deviation at which E-steps are compared: the one that tracking this noise settles at, metres
 SIGMA = 0.008
-WISHED = 60.0
+TARGET_RATE = 60.0
 POINTS, RESOLUTIONS = (1250, 2500, 5000, 10000, 20000), ("low", "medium", "full")
 
 _posed = eqx.filter_jit(jc.pose_body)
@@ -53,10 +61,10 @@ class Scene(NamedTuple):
     motion: jc.Motion
     starts: jc.Motion
     tracker: jc.fit.Tracker
-    scans: list[Scanned]
+    scans: list[ScannedFrame]
 
 
-def in_turns(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
+def alternating_medians(functions: dict[str, Callable], repeats: int) -> dict[str, float]:
     """Measure the median seconds of compiled functions in alternation, so that other load affects all of them."""
 
     def timed(function):
@@ -112,7 +120,7 @@ def compare_e_steps(scene: Scene, repeats: int):
     ours = functools.partial(e_step, tracker, vertices, posed.normals, cloud, sigma)
     weights, _ = brute()
     apart = np.abs(np.asarray(ours().outlier)[:count] - np.asarray(weights)[:, -1])
-    median = in_turns({"ours": ours, "brute": brute}, repeats)
+    median = alternating_medians({"ours": ours, "brute": brute}, repeats)
     figures = {
         "e_step_ms": 1000 * median["ours"],
         "e_step_brute_force_ms": 1000 * median["brute"],
@@ -143,7 +151,7 @@ def track_steadily(scene: Scene):
         "frame_p90_ms": 1000 * np.percentile(steady, 90),
         "frames_per_second": 1 / np.median(steady),
         "frames_per_second_mean": len(steady) / steady.sum(),
-        "reaches_60": bool(1 / np.median(steady) >= WISHED),
+        "reaches_60": bool(1 / np.median(steady) >= TARGET_RATE),
         "tracked_mean_mm": errors.mean(),
         "tracked_lost": lost,
     }
@@ -204,7 +212,7 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
         compiled = time.perf_counter() - begun
         search = functools.partial(e_step, tracker, posed.vertices, posed.normals, cloud, jnp.asarray(SIGMA))
         frame = functools.partial(_track_frame, tracker, state, cloud)
-        median = in_turns({"e_step": search, "frame": frame}, repeats)
+        median = alternating_medians({"e_step": search, "frame": frame}, repeats)
         rows.append(
             {
                 "points": count,
@@ -256,7 +264,7 @@ def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int
         axis.minorticks_off()
         axis.set_xlabel(f"{size}, with {held:,} {fixed}")
         axis.grid(True, alpha=0.25)
-        axis.axhline(1000 / WISHED, color="grey", linewidth=0.8, linestyle="--")
+        axis.axhline(1000 / TARGET_RATE, color="grey", linewidth=0.8, linestyle="--")
     axis.legend(frameon=False)
     figure.axes[0].set_yticks(
         [1, 2, 5, 10, 20, 50, 100, 200], ["1", "2", "5", "10", "20", "50", "100", "200"]

@@ -21,9 +21,9 @@ import jax
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._scenes import NOISE, Scanned, Visible, human_motion, scan_motion, shared_folder
+from benchmarks._scenes import NOISE, ScannedFrame, Visible, human_motion, scan_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw
+from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import joint_errors, scan_to_surface
 
 TAKES = ("02_05", "02_07", "01_01")
@@ -45,7 +45,7 @@ class Tracked(NamedTuple):
     seconds: tuple[float, list[float]]
 
 
-def track_take(tracker: jc.fit.Tracker, scans: list[Scanned]) -> Tracked:
+def track_take(tracker: jc.fit.Tracker, scans: list[ScannedFrame]) -> Tracked:
     frames, taken = [], []
     stream = jc.fit.track_frames(tracker, [scan.cloud for scan in scans], search=True)
     for _ in scans:
@@ -71,7 +71,7 @@ def summary(tracked: Tracked) -> dict[str, float]:
     }
 
 
-def say(take: str, visible: str, names, tracked: Tracked) -> None:
+def print_summary(take: str, visible: str, names, tracked: Tracked) -> None:
     figures = summary(tracked)
     progress(
         f"{take}, {visible}: mean {figures['mean_mm']:.2f} mm, 99th percentile {figures['p99_mm']:.2f} mm, "
@@ -86,7 +86,7 @@ def say(take: str, visible: str, names, tracked: Tracked) -> None:
         progress(f"  {names[joint]:<18}{error.mean():8.2f}{np.percentile(error, 99):8.2f}{error.max():8.2f}")
 
 
-def picture(path: Path, take: str, body: jc.Body, scans: list[Scanned], tracked: Tracked) -> None:
+def picture(path: Path, take: str, body: jc.Body, scans: list[ScannedFrame], tracked: Tracked) -> None:
     """Draw three frames, evenly spread."""
     views, faces = [], np.asarray(body.faces)
     for frame in sorted({0, len(scans) // 2, len(scans) - 1}):
@@ -97,7 +97,7 @@ def picture(path: Path, take: str, body: jc.Body, scans: list[Scanned], tracked:
         distances = scan_to_surface(points, vertices, faces)
         title = f"frame {frame}: mean joint error {tracked.errors[frame].mean():.1f} mm"
         views.append(View(title, vertices - middle, points - middle, distances))
-    draw(path, views, faces, f"CMU {take}, tracked")
+    draw_views(path, views, faces, f"CMU {take}, tracked")
     progress(f"picture: {path}")
 
 
@@ -121,7 +121,7 @@ def main() -> None:
         for visible in options.views:
             scans = scan_motion(performer, motion, noise, visible)
             tracked = by_view[visible][take] = track_take(tracker, scans)
-            say(take, visible, names, tracked)
+            print_summary(take, visible, names, tracked)
             if options.picture and take == options.takes[0] and visible == options.views[0]:
                 picture(options.picture, take, tracker.body, scans, tracked)
 

@@ -21,7 +21,7 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw
+from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import scan_to_surface
 
 _posed = eqx.filter_jit(jc.pose_body)
@@ -29,7 +29,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 
 def swapped_parts(body: jc.Body, vertices: np.ndarray, truth: np.ndarray) -> list[str]:
     """List parts that are nearer to the true position of their mirrored part than to their own."""
-    names, parts = body.skeleton.names, np.asarray(body.skin.parts())
+    names, parts = body.skeleton.names, np.asarray(body.skin.dominant_bones())
     middles = {name: parts == bone for bone, name in enumerate(names) if (parts == bone).any()}
     swapped = []
     for name, members in middles.items():
@@ -82,7 +82,7 @@ def main() -> None:
             points = np.asarray(clouds[f].points, float)
             distances = scan_to_surface(points, meshes[f].astype(float), np.asarray(body.faces))
             views.append(View(f"frame {f}: {errors[f]:.1f} mm", meshes[f], points, distances))
-        draw(options.picture, views, np.asarray(body.faces), "crane, tracked")
+        draw_views(options.picture, views, np.asarray(body.faces), "crane, tracked")
         progress(f"picture: {options.picture}")
     figures = {
         "mean_mm": float(np.mean(errors)),

@@ -26,16 +26,16 @@ import jax
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._browser import ANGLES, GEOMETRY, RENDERER, launched, open_page, wait_for_node
+from benchmarks._browser import ANGLES, GEOMETRY, RENDERER, launch_browser, open_page, wait_for_node
 from benchmarks.report import finish, progress
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.io.archives.npz import save_body, save_motion
 
 ROOT = Path(__file__).resolve().parents[1]
 RATE, SURFACE = 60.0, "/0/body/surface"
 #: arrays of vertices that are new at a drawing, and drawings, in so many seconds
-COUNT = f"""async ([names, seconds]) => {{
+COUNT_SCRIPT = f"""async ([names, seconds]) => {{
     const arrays = () => names.map(name => ({GEOMETRY})(name));
     let last = arrays(), frames = 0, drawings = 0, worst = 0;
     const start = performance.now();
@@ -74,7 +74,7 @@ def main() -> None:
         folder = Path(scratch)
         write_scene(folder, body, motion)
         files = ("motion.npz", "--body", "body.npz", "--clouds", "clouds.npz")
-        with launched(options.angle) as browser, viewer(sys.executable, folder, *files) as url:
+        with launch_browser(options.angle) as browser, run_viewer(sys.executable, folder, *files) as url:
             page = open_page(browser, url, tuple(options.size), 120.0)
             renderer = page.evaluate(RENDERER)
             wait_for_node(page, SURFACE)
@@ -82,7 +82,7 @@ def main() -> None:
             page.get_by_label("Scan").uncheck()
             page.get_by_role("button", name="Play").click()
             page.wait_for_timeout(3000)
-            counted = page.evaluate(COUNT, [[SURFACE], options.seconds])
+            counted = page.evaluate(COUNT_SCRIPT, [[SURFACE], options.seconds])
             figures["frames_per_second"], figures["drawings_per_second"], figures["longest_gap_ms"] = counted
             progress(f"surface: {counted[0]:.1f} frames per second of {counted[1]:.1f} drawings")
             page.get_by_label("Colours").click()
@@ -90,11 +90,11 @@ def main() -> None:
             # all distances once, so that what is counted is sending and drawing
             page.wait_for_timeout(1000 * (2 + 0.3 * options.frames))
             bands = [f"/0/body/colour{band}" for band in range(13)]
-            counted = page.evaluate(COUNT, [bands, options.seconds])
+            counted = page.evaluate(COUNT_SCRIPT, [bands, options.seconds])
             figures["heat_map_frames_per_second"] = counted[0]
             progress(f"heat map: {counted[0]:.1f} frames per second of {counted[1]:.1f} drawings")
         if not options.no_install:
-            seconds = from_nothing(folder, options.angle)
+            seconds = measure_installation(folder, options.angle)
             figures["install_to_picture_seconds"] = seconds["picture"]
     sizes = {
         "vertices": len(body.vertices), "frames": options.frames, "window": list(options.size),
@@ -108,14 +108,14 @@ def write_scene(folder: Path, body: jc.Body, motion: jc.Motion) -> None:
     rng = np.random.default_rng(0)
     save_body(folder / "body.npz", body)
     save_motion(folder / "motion.npz", motion, body.skeleton)
-    posed = np.asarray(jax.block_until_ready(deform_all(body, motion.poses)))
+    posed = np.asarray(jax.block_until_ready(posed_vertices(body, motion.poses)))
     chosen = rng.integers(0, posed.shape[1], (len(posed), 3000))
     points = np.take_along_axis(posed, chosen[..., None], 1)
     np.savez(folder / "clouds.npz", points=points + 0.005 * rng.normal(size=points.shape))
 
 
 @contextlib.contextmanager
-def viewer(
+def run_viewer(
     python: str, folder: Path, *arguments: str, environment: dict[str, str] | None = None
 ) -> Iterator[str]:
     """Run `jaxcap view` for the duration of the context, and return its address."""
@@ -135,7 +135,7 @@ def viewer(
             program.wait(60)
 
 
-def from_nothing(folder: Path, angle: str) -> dict[str, float]:
+def measure_installation(folder: Path, angle: str) -> dict[str, float]:
     """Measure the seconds from `pip install` to the human in the browser, in a fresh virtual environment."""
     home = folder / "environment"
     subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
@@ -148,7 +148,7 @@ def from_nothing(folder: Path, angle: str) -> dict[str, float]:
     # a copy, as building writes beside the sources
     source = folder / "source"
     shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".git", "build", "dist"))
-    with launched(angle) as browser:
+    with launch_browser(angle) as browser:
         start = time.perf_counter()
         subprocess.run(
             [python, "-m", "pip", "install", "--quiet", f"{source}[view]"],
@@ -158,7 +158,7 @@ def from_nothing(folder: Path, angle: str) -> dict[str, float]:
         )
         stages = {"install": time.perf_counter() - start}
         progress(f"installed after {stages['install']:.1f} s")
-        with viewer(python, folder, "human", environment=clean) as url:
+        with run_viewer(python, folder, "human", environment=clean) as url:
             stages["address"] = time.perf_counter() - start
             page = open_page(browser, url, (800, 600), 300.0)
             wait_for_node(page, SURFACE)

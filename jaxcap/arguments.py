@@ -19,11 +19,11 @@ from typing import Any, Literal, TypeVar, Union
 
 import numpy as np
 
-from .errors import InputError, is_sentence, sentence_of
+from .errors import InputError, is_user_error, user_message
 
 Function = TypeVar("Function", bound=Callable)
 #: largest width of a body or scene, metres; sizes of other units, metres
-LARGEST = 50.0
+MAX_EXTENT = 50.0
 _UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 #: length of each named dimension, with the field or argument that has it
 Lengths = dict[str, tuple[Any, str]]
@@ -43,7 +43,7 @@ def check_fields(module: Any) -> Lengths:
     return lengths
 
 
-def lengths_of(module: Any) -> Lengths:
+def dimension_lengths(module: Any) -> Lengths:
     """Collect the lengths of the named dimensions of a checked module's arrays."""
     lengths: Lengths = {}
     for name, annotation in _fields(type(module)):
@@ -51,15 +51,15 @@ def lengths_of(module: Any) -> Lengths:
     return lengths
 
 
-def check_length(module: Any, name: str, there: int, lengths: Lengths, dim: str) -> None:
+def check_length(module: Any, name: str, length: int, lengths: Lengths, dim: str) -> None:
     """Check that the length of a field equals the dimension `dim` of other fields.
 
     **Raises:** `InputError` with the class, the field, the given value and the expected one.
     """
-    size, owner = lengths.get(dim, (there, name))
-    if there != size:
+    size, owner = lengths.get(dim, (length, name))
+    if length != size:
         raise InputError(
-            f"{type(module).__name__}: `{name}` has length {there}; expected {size}, dimension {dim} of `{owner}`."
+            f"{type(module).__name__}: `{name}` has length {length}; expected {size}, dimension {dim} of `{owner}`."
         )
 
 
@@ -78,7 +78,7 @@ def check_metres(where: str, name: str, points: np.ndarray) -> None:
     if len(points) == 0:
         return
     extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
-    if extent > LARGEST:
+    if extent > MAX_EXTENT:
         likely = {unit: f"{size:g}" for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0}
         unit = (
             f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or give the "
@@ -87,14 +87,14 @@ def check_metres(where: str, name: str, points: np.ndarray) -> None:
             else "check the unit"
         )
         raise InputError(
-            f"{where}: `{name}` is {extent:.4g} wide; expected metres, at most {LARGEST:g}; {unit}."
+            f"{where}: `{name}` is {extent:.4g} wide; expected metres, at most {MAX_EXTENT:g}; {unit}."
         )
 
 
 @functools.cache
-def _fields(kind: Any) -> tuple[tuple[str, Any], ...]:
+def _fields(cls: Any) -> tuple[tuple[str, Any], ...]:
     return tuple(
-        (field.name, field.type) for field in dataclasses.fields(kind) if not isinstance(field.type, str)
+        (field.name, field.type) for field in dataclasses.fields(cls) if not isinstance(field.type, str)
     )
 
 
@@ -123,7 +123,9 @@ def checked(function: Function) -> Function:
         try:
             given = signature.bind(*arguments, **named).arguments
         except TypeError as error:
-            raise InputError(f"{name}: {error}; expected arguments: {signature_words(signature)}.") from None
+            raise InputError(
+                f"{name}: {error}; expected arguments: {describe_signature(signature)}."
+            ) from None
         lengths: Lengths = {}
         for key, value in given.items():
             kind = signature.parameters[key].kind
@@ -134,16 +136,16 @@ def checked(function: Function) -> Function:
             return function(*arguments, **named)
         except ValueError as error:
             # the name becomes that of the outermost function, which the user has called
-            if not is_sentence(error) or (isinstance(error, InputError) and not error.function):
+            if not is_user_error(error) or (isinstance(error, InputError) and not error.function):
                 raise
             if type(error) not in (ValueError, InputError):
                 raise  # an error with fields of its own
-            raise InputError(sentence_of(error), name) from None
+            raise InputError(user_message(error), name) from None
 
     return typing.cast(Function, wrapper)
 
 
-def signature_words(signature: inspect.Signature) -> str:
+def describe_signature(signature: inspect.Signature) -> str:
     """List the names of a function's arguments, optional ones in brackets."""
     words = [
         key if value.default is value.empty else f"[{key}]" for key, value in signature.parameters.items()
@@ -158,7 +160,7 @@ def describe(value: Any) -> str:
     if isinstance(value, (str, Path)):
         return f"is {str(value)[:40]!r}"
     if _is_array(value):
-        return f"is {_with_article(_kind(value))} array of shape {_shape(value)}"
+        return f"is {_with_article(_dtype_name(value))} array of shape {_shape(value)}"
     if isinstance(value, type):
         return f"is the class {value.__name__} itself"
     return f"is {_with_article(type(value).__name__)}"
@@ -168,7 +170,7 @@ def _with_article(words: str) -> str:
     return f"{'an' if words[:1].lower() in tuple('aeiou') else 'a'} {words}"
 
 
-def array(value: Any) -> Any:
+def as_jax_array(value: Any) -> Any:
     """Convert a field to a JAX array where possible; leave any other value to `check_fields`."""
     import jax.numpy as jnp
 
@@ -178,7 +180,7 @@ def array(value: Any) -> Any:
         return value
 
 
-def numbers_of(where: str, name: str, value: Any) -> np.ndarray:
+def as_real_array(where: str, name: str, value: Any) -> np.ndarray:
     """Convert any real numbers to a floating-point array. Raises `InputError` for anything else."""
     try:
         given = np.asarray(value)
@@ -198,7 +200,7 @@ def _check(where: str, name: str, annotation: Any, value: Any, lengths: Lengths)
 
 def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str | None:
     """Compare a value with an annotation: return None where it fits, else the expected value in words."""
-    is_array, origin, parts = _parsed(annotation)
+    is_array, origin, parts = _parse_annotation(annotation)
     if is_array:
         return _array_mismatch(annotation, value, lengths, name)
     if origin in (Union, types.UnionType):
@@ -211,11 +213,11 @@ def _mismatch(annotation: Any, value: Any, lengths: Lengths, name: str) -> str |
         return _generic_mismatch(origin, parts, value, lengths, name)
     if not isinstance(annotation, type):
         return None
-    return None if _is_instance(value, annotation) else _named(annotation)
+    return None if _is_instance(value, annotation) else _describe_type(annotation)
 
 
 @functools.cache
-def _parsed(annotation: Any) -> tuple[bool, Any, tuple]:
+def _parse_annotation(annotation: Any) -> tuple[bool, Any, tuple]:
     """Parse an annotation: if it is of an array, and the origin and parts of a generic type."""
     is_array = hasattr(annotation, "dim_str") and hasattr(annotation, "dtypes")
     return is_array, typing.get_origin(annotation), typing.get_args(annotation)
@@ -240,7 +242,7 @@ def _generic_mismatch(origin: Any, parts: tuple, value: Any, lengths: Lengths, n
         return None if isinstance(value, collections.abc.Mapping) else "a mapping"
     if origin not in (list, tuple, collections.abc.Sequence, collections.abc.Iterable):
         return None
-    of = _named(parts[0]) if parts and isinstance(parts[0], type) else "its elements"
+    of = _describe_type(parts[0]) if parts and isinstance(parts[0], type) else "its elements"
     if isinstance(value, (str, bytes)) or not (hasattr(value, "__iter__") or hasattr(value, "__getitem__")):
         return f"a sequence of {of.removeprefix('a ').removeprefix('an ')}"
     fixed = origin is tuple and parts and parts[-1] is not Ellipsis
@@ -255,18 +257,20 @@ def _generic_mismatch(origin: Any, parts: tuple, value: Any, lengths: Lengths, n
     return None
 
 
-def _is_instance(value: Any, kind: type) -> bool:
+def _is_instance(value: Any, cls: type) -> bool:
     scalar = _is_array(value) and _shape(value) == ()
-    if kind is float:
-        return isinstance(value, numbers.Real) or (scalar and _kind(value) in ("floating-point", "integer"))
-    if kind is int:
-        return isinstance(value, numbers.Integral) or (scalar and _kind(value) == "integer")
-    if kind is bool:
-        return isinstance(value, (bool, np.bool_)) or (scalar and _kind(value) == "boolean")
-    if kind is Path:
+    if cls is float:
+        return isinstance(value, numbers.Real) or (
+            scalar and _dtype_name(value) in ("floating-point", "integer")
+        )
+    if cls is int:
+        return isinstance(value, numbers.Integral) or (scalar and _dtype_name(value) == "integer")
+    if cls is bool:
+        return isinstance(value, (bool, np.bool_)) or (scalar and _dtype_name(value) == "boolean")
+    if cls is Path:
         return isinstance(value, (str, os.PathLike))
     try:
-        return isinstance(value, kind)
+        return isinstance(value, cls)
     except TypeError:
         # a protocol that is not checkable at run time
         return True
@@ -347,13 +351,13 @@ def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: st
     return True
 
 
-def _check_joints(where: str, given: dict[str, Any]) -> None:
+def _check_joints(where: str, arguments: dict[str, Any]) -> None:
     """Check that poses and motions have as many joints as the one body or skeleton passed with them."""
-    owners = {key: count for key, value in given.items() if (count := _owned_joints(value)) is not None}
+    owners = {key: count for key, value in arguments.items() if (count := _num_joints(value)) is not None}
     if len(owners) != 1:
         return
     ((owner, count),) = owners.items()
-    for key, value in given.items():
+    for key, value in arguments.items():
         rotations: Any = getattr(getattr(value, "poses", value), "rotations", None)
         if key != owner and hasattr(rotations, "shape") and hasattr(getattr(value, "poses", value), "scale"):
             there = rotations.shape[-2] if len(rotations.shape) > 1 else None
@@ -364,20 +368,20 @@ def _check_joints(where: str, given: dict[str, Any]) -> None:
                 )
 
 
-def _owned_joints(value: Any, deep: int = 2) -> int | None:
+def _num_joints(value: Any, depth: int = 2) -> int | None:
     """Return the number of joints of a skeleton or of an object that contains one; None where there is
     none, or where several differ."""
     joints = getattr(value, "num_joints", None)
     if isinstance(joints, int):
         return joints
-    within = vars(value).values() if deep and dataclasses.is_dataclass(value) else ()
-    counts = {count for field in within if (count := _owned_joints(field, deep - 1)) is not None}
+    within = vars(value).values() if depth and dataclasses.is_dataclass(value) else ()
+    counts = {count for field in within if (count := _num_joints(field, depth - 1)) is not None}
     return counts.pop() if len(counts) == 1 else None
 
 
-def _named(kind: type) -> str:
+def _describe_type(cls: type) -> str:
     plain = {int: "an integer", float: "a number", bool: "True or False", str: "a string", Path: "a path"}
-    return plain.get(kind, _with_article(kind.__name__))
+    return plain.get(cls, _with_article(cls.__name__))
 
 
 def _is_array(value: Any) -> bool:
@@ -388,7 +392,7 @@ def _shape(value: Any) -> tuple:
     return tuple(value.shape)
 
 
-def _kind(value: Any) -> str:
+def _dtype_name(value: Any) -> str:
     kinds = {"f": "floating-point", "i": "integer", "u": "unsigned integer", "b": "boolean", "c": "complex"}
     name = str(value.dtype)
     return "floating-point" if "float" in name else kinds.get(getattr(value.dtype, "kind", ""), name)

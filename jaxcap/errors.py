@@ -14,20 +14,20 @@ class InputError(ValueError):
     input is put before the sentence.
     """
 
-    def __init__(self, sentence: str, function: str = ""):
-        super().__init__(f"{function}: {sentence}" if function else sentence)
-        self.sentence, self.function = sentence, function
+    def __init__(self, message: str, function: str = ""):
+        super().__init__(f"{function}: {message}" if function else message)
+        self.message, self.function = message, function
 
 
-def sentence_of(error: BaseException) -> str:
+def user_message(error: BaseException) -> str:
     """Return the message of an error without the name of a library function.
 
     It is for files and the command line, whose users have not called that function.
     """
-    return error.sentence if isinstance(error, InputError) else str(error)
+    return error.message if isinstance(error, InputError) else str(error)
 
 
-def is_sentence(error: BaseException) -> bool:
+def is_user_error(error: BaseException) -> bool:
     """Test if the message of an error was written for users.
 
     That of an `InputError` is, and that of a `ValueError` from a `raise` statement of this package. A

@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .arguments import (
-    array,
+    as_jax_array,
+    as_real_array,
     check_fields,
     check_length,
     check_metres,
     check_rate,
     checked,
     describe,
-    numbers_of,
 )
 from .errors import InputError
 from .geometry.morton_order import spatial_order
@@ -27,11 +27,11 @@ from .geometry.stacking import stack
 from .values import check_faces
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
-FARTHEST = 1e4
-#: largest valid coordinate in any unit; single ones beyond `FARTHEST` are outliers
-WILD = 1e9
+MAX_DISTANCE = 1e4
+#: largest valid coordinate in any unit; single ones beyond `MAX_DISTANCE` are outliers
+MAX_COORDINATE = 1e9
 #: smallest width of a cloud of more than one position, metres
-SPECK = 5e-3
+MIN_EXTENT = 5e-3
 
 
 class Cloud(eqx.Module):
@@ -67,9 +67,9 @@ class MeshSequence(eqx.Module):
     `(V, 3)`; a slice or an array of indices a shorter sequence.
     """
 
-    vertices: Float[Array, "F V 3"] = eqx.field(converter=array)
+    vertices: Float[Array, "F V 3"] = eqx.field(converter=as_jax_array)
     #: counter-clockwise as seen from outside
-    faces: Int[Array, "T 3"] = eqx.field(converter=array)
+    faces: Int[Array, "T 3"] = eqx.field(converter=as_jax_array)
     #: meshes per second
     rate: float = eqx.field(static=True, default=30.0)
 
@@ -101,8 +101,8 @@ class MarkerFrames(eqx.Module):
     `make_markers` checks its input and accepts NaN for occluded markers.
     """
 
-    places: Float[Array, "F M 3"] = eqx.field(converter=array)
-    seen: Bool[Array, "F M"] = eqx.field(converter=array)
+    positions: Float[Array, "F M 3"] = eqx.field(converter=as_jax_array)
+    visible: Bool[Array, "F M"] = eqx.field(converter=as_jax_array)
     labels: tuple[str, ...] = eqx.field(static=True)
     #: frames per second
     rate: float = eqx.field(static=True, default=100.0)
@@ -113,15 +113,15 @@ class MarkerFrames(eqx.Module):
         check_rate("MarkerFrames", self.rate)
 
     def __len__(self) -> int:
-        return self.places.shape[0]
+        return self.positions.shape[0]
 
     def __getitem__(self, frames: slice | np.ndarray) -> "MarkerFrames":
         step = abs(frames.step or 1) if isinstance(frames, slice) else 1
-        return MarkerFrames(self.places[frames], self.seen[frames], self.labels, self.rate / step)
+        return MarkerFrames(self.positions[frames], self.visible[frames], self.labels, self.rate / step)
 
 
 @checked
-def make_markers(places, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
+def make_markers(positions, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
     """Create checked `MarkerFrames`; a marker with NaN in any coordinate is occluded in that frame.
 
     **Arguments:** `places (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames per second;
@@ -132,17 +132,17 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
     that is not above zero.
     """
     labels = tuple(str(label) for label in labels)
-    single = getattr(places, "dtype", None) == np.float32
-    places = np.asarray(places) if single else numbers_of("make_markers", "places", places)
-    if places.ndim != 3 or places.shape[2] != 3:
-        raise InputError(f"{name} have an array of shape {places.shape}; expected (F, M, 3).")
-    if places.shape[1] == 0:
+    single = getattr(positions, "dtype", None) == np.float32
+    positions = np.asarray(positions) if single else as_real_array("make_markers", "places", positions)
+    if positions.ndim != 3 or positions.shape[2] != 3:
+        raise InputError(f"{name} have an array of shape {positions.shape}; expected (F, M, 3).")
+    if positions.shape[1] == 0:
         raise InputError(f"{name}: there are no markers; give at least one.")
-    if len(places) == 0:
+    if len(positions) == 0:
         raise InputError(f"{name}: there are no frames; give at least one.")
-    if len(labels) != places.shape[1]:
+    if len(labels) != positions.shape[1]:
         raise InputError(
-            f"{name}: {places.shape[1]} markers have {len(labels)} labels; expected one for each marker."
+            f"{name}: {positions.shape[1]} markers have {len(labels)} labels; expected one for each marker."
         )
     twice = [label for label, count in Counter(labels).items() if count > 1]
     if twice or "" in labels:
@@ -150,18 +150,18 @@ def make_markers(places, labels, rate: float, *, name: str = "the markers") -> M
         raise InputError(f"{name}: {what}; give each marker a unique label.")
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"{name}: `rate` is {rate} frames per second; expected a finite number above 0.")
-    infinite = np.argwhere(np.isinf(places))
+    infinite = np.argwhere(np.isinf(positions))
     if len(infinite):
         raise InputError(
             f"{name}: marker '{labels[infinite[0, 1]]}' has an infinite coordinate; use NaN for an "
             "occluded marker."
         )
-    seen = np.asarray(~np.isnan(places).any(2))
+    seen = np.asarray(~np.isnan(positions).any(2))
     # relative to the median of each frame, as people walk far
-    shown = np.where(seen[..., None], places, np.nan)[seen.any(1)]
+    shown = np.where(seen[..., None], positions, np.nan)[seen.any(1)]
     shown = shown - np.nanmedian(shown, 1, keepdims=True)
     check_metres("make_markers", "places", shown[~np.isnan(shown).any(2)])
-    return MarkerFrames(np.where(seen[..., None], places, 0), seen, labels, float(rate))
+    return MarkerFrames(np.where(seen[..., None], positions, 0), seen, labels, float(rate))
 
 
 @checked
@@ -176,7 +176,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     **Raises:** `InputError` with one sentence for an empty cloud, a coordinate that is not finite, a
     negative weight, arrays of different lengths, and points that cannot be in metres or are too far away.
     """
-    points = numbers_of("make_cloud", "points", points)
+    points = as_real_array("make_cloud", "points", points)
     if points.ndim != 2 or points.shape[1:] != (3,):
         raise InputError(f"{name} has an array of shape {points.shape}; expected (N, 3).")
     if len(points) == 0:
@@ -187,9 +187,9 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
             f"{name} has {bad.size} points that are not finite, first point {bad[0]}; remove them."
         )
     check_metres("make_cloud", "points" if name == "the cloud" else name, points)
-    check_place(points, name)
-    normals = estimate_normals(points) if normals is None else numbers_of("make_cloud", "normals", normals)
-    weights = np.ones(len(points)) if weights is None else numbers_of("make_cloud", "weights", weights)
+    check_coordinates(points, name)
+    normals = estimate_normals(points) if normals is None else as_real_array("make_cloud", "normals", normals)
+    weights = np.ones(len(points)) if weights is None else as_real_array("make_cloud", "weights", weights)
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
         raise InputError(
             f"{name} has {len(points)} points, but normals of shape {normals.shape} and weights of "
@@ -202,24 +202,24 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     return ordered_cloud(points, unit_normals(normals), weights)
 
 
-def check_place(points: Float[np.ndarray, "N 3"], name: str) -> None:
+def check_coordinates(points: Float[np.ndarray, "N 3"], name: str) -> None:
     """Check that points are near enough to the origin for single precision, and that the cloud is not too
     small, metres.
 
     **Raises:** `InputError` where they are not.
     """
     away, beyond = float(np.abs(np.median(points, axis=0)).max()), float(np.abs(points).max())
-    if away > FARTHEST or beyond > WILD:
-        far = away if away > FARTHEST else beyond
+    if away > MAX_DISTANCE or beyond > MAX_COORDINATE:
+        far = away if away > MAX_DISTANCE else beyond
         raise InputError(
-            f"{name} has points {far:.3g} m from the origin; expected at most {FARTHEST:g} m, as single "
+            f"{name} has points {far:.3g} m from the origin; expected at most {MAX_DISTANCE:g} m, as single "
             "precision does not resolve millimetres beyond; check the unit, or subtract the position of "
             "the scene from all points."
         )
     extent = float(np.ptp(points, axis=0).max())
-    if 0 < extent < SPECK:
+    if 0 < extent < MIN_EXTENT:
         raise InputError(
-            f"{name} is {extent:.3g} m wide; expected metres, at least {SPECK:g}; check the unit, which "
+            f"{name} is {extent:.3g} m wide; expected metres, at least {MIN_EXTENT:g}; check the unit, which "
             "may be kilometres."
         )
 
@@ -250,16 +250,16 @@ def unit_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         )
 
 
-def padded_size(count: int, rungs: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:
+def padded_size(count: int, sizes: Sequence[int] = (64, 80, 96, 112), growth: int = 2) -> int:
     """Find the smallest size of a ladder that is large enough, so that few sizes are compiled.
 
-    The ladder is the ascending `rungs`, then `growth` times each, and so on; by default 64, 80, 96, 112,
+    The ladder is the ascending `sizes`, then `growth` times each, and so on; by default 64, 80, 96, 112,
     128, 160, ..., four rungs to a doubling.
     """
     scale = 1
-    while count > scale * rungs[-1]:
+    while count > scale * sizes[-1]:
         scale *= growth
-    return next(scale * rung for rung in rungs if count <= scale * rung)
+    return next(scale * rung for rung in sizes if count <= scale * rung)
 
 
 class CloudFrames(Sequence[Cloud]):

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from .errors import InputError
 
 
-def known(value: Any) -> np.ndarray | None:
+def concrete_values(value: Any) -> np.ndarray | None:
     """Return the numbers of a value, or None where it is traced or has none."""
     if value is None or isinstance(value, Tracer):
         return None
@@ -25,16 +25,16 @@ def known(value: Any) -> np.ndarray | None:
         return None
 
 
-def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, **given: Any) -> None:
+def check_values(where: str, condition: Callable[[np.ndarray], Any], expected: str, **given: Any) -> None:
     """Check that all numbers of some arguments, by their names, satisfy a condition; NaN never does.
 
     **Raises:** `InputError` with the argument, the first number that fails, and the expected values.
     """
     for name, value in given.items():
-        numbers = known(value)
+        numbers = concrete_values(value)
         if numbers is None:
             continue
-        wrong = ~np.broadcast_to(fits(numbers), numbers.shape)
+        wrong = ~np.broadcast_to(condition(numbers), numbers.shape)
         if wrong.any():
             verb = "has" if numbers.ndim else "is"
             raise InputError(f"{where}: `{name}` {verb} {numbers[wrong][0]:g}; expected {expected}.")
@@ -42,20 +42,25 @@ def check_values(where: str, fits: Callable[[np.ndarray], Any], expected: str, *
 
 def check_positive(where: str, unit: str = "", **given: Any) -> None:
     """Check that numbers are finite and above zero, with a `unit` for the message. Raises `InputError`."""
-    check_values(where, lambda x: (x > 0) & (x < np.inf), f"a finite number above 0{_of(unit)}", **given)
-
-
-def check_at_least(where: str, least: float | int, **given: Any) -> None:
-    """Check that numbers are finite and at least `least`. Raises `InputError`."""
     check_values(
-        where, lambda x: (x >= least) & (x < np.inf), f"a finite number of at least {least:g}", **given
+        where, lambda x: (x > 0) & (x < np.inf), f"a finite number above 0{_unit_suffix(unit)}", **given
+    )
+
+
+def check_at_least(where: str, minimum: float | int, **given: Any) -> None:
+    """Check that numbers are finite and at least `minimum`. Raises `InputError`."""
+    check_values(
+        where, lambda x: (x >= minimum) & (x < np.inf), f"a finite number of at least {minimum:g}", **given
     )
 
 
 def check_within(where: str, low: float | int, high: float | int, unit: str = "", **given: Any) -> None:
     """Check that numbers are from `low` to `high`. Raises `InputError`."""
     check_values(
-        where, lambda x: (x >= low) & (x <= high), f"a number from {low:g} to {high:g}{_of(unit)}", **given
+        where,
+        lambda x: (x >= low) & (x <= high),
+        f"a number from {low:g} to {high:g}{_unit_suffix(unit)}",
+        **given,
     )
 
 
@@ -69,7 +74,7 @@ def check_deviations(where: str, **given: Any) -> None:
 def check_direction(where: str, **given: Any) -> None:
     """Check that vectors have a direction: three finite numbers, not all zero. Raises `InputError`."""
     for name, value in given.items():
-        numbers = known(value)
+        numbers = concrete_values(value)
         if numbers is None:
             continue
         length = np.linalg.norm(numbers) if numbers.shape == (3,) else 0.0
@@ -80,15 +85,15 @@ def check_direction(where: str, **given: Any) -> None:
             )
 
 
-def check_faces(where: str, faces: Any, count: int) -> None:
+def check_faces(where: str, faces: Any, num_vertices: int) -> None:
     """Check that triangles have only existing vertices. Raises `InputError`."""
     if not isinstance(faces, Tracer):
         corners = np.asarray(faces)
-        wrong = (corners < 0) | (corners >= count)
+        wrong = (corners < 0) | (corners >= num_vertices)
         if wrong.any():
             raise InputError(
-                f"{where}: `faces` has vertex {corners[wrong][0]}, but there are {count} vertices; "
-                f"expected indices from 0 to {count - 1}."
+                f"{where}: `faces` has vertex {corners[wrong][0]}, but there are {num_vertices} vertices; "
+                f"expected indices from 0 to {num_vertices - 1}."
             )
 
 
@@ -97,5 +102,5 @@ def as_number(value: Any) -> Float[Array, ""]:
     return jnp.asarray(value, jnp.result_type(value, float))
 
 
-def _of(unit: str) -> str:
+def _unit_suffix(unit: str) -> str:
     return f" {unit}" if unit else ""

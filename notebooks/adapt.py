@@ -23,7 +23,15 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.report.plots import BLUE, chart, distance_bar, draw_person, draw_scan, frame_together, say
+from jaxcap.report.plots import (
+    BLUE,
+    distance_bar,
+    draw_person,
+    draw_scan,
+    frame_together,
+    label_point,
+    style_chart,
+)
 
 # %% [markdown]
 # The actor: a woman, small and heavier than the template, seen by four cameras with 3 mm of noise.
@@ -55,7 +63,7 @@ task = jc.make_adapt_task(
     template,
     clouds,
     start=jc.rest_pose(template.skeleton),
-    settings=jc.adapt.AdaptSettings(frames=4, alone=3, rounds=(2,), temporal=0.0),
+    settings=jc.adapt.AdaptSettings(frames=4, proportion_rounds=3, rounds=(2,), temporal=0.0),
 )
 states = []
 for state in jc.adapt_body(task):
@@ -125,6 +133,6 @@ plot.plot(values, color=BLUE, marker="o", ms=4)
 plot.set_xticks(range(len(names)), names, rotation=30, ha="right")
 plot.set_ylim(0, 1.15 * max(values))
 for stage in (0, len(values) - 1):
-    say(plot, f"{values[stage]:.1f} mm", (stage, values[stage]), BLUE, xytext=(-2, 8))
-chart(plot, "Proportions bring most; new pairs may cost a little for once", up="pairs, mm")
+    label_point(plot, f"{values[stage]:.1f} mm", (stage, values[stage]), BLUE, xytext=(-2, 8))
+style_chart(plot, "Proportions bring most; new pairs may cost a little for once", y_label="pairs, mm")
 plt.show()

@@ -36,12 +36,12 @@ from jaxcap.report.plots import (
     GREEN,
     QUIET,
     RED,
-    chart,
     distance_bar,
     draw_person,
     draw_scan,
     frame_together,
-    say,
+    label_point,
+    style_chart,
 )
 
 jax.devices()
@@ -148,7 +148,7 @@ plot.scatter(number, after, s=34, color=colours, zorder=3)
 plot.set(yscale="log", xticks=number, ylim=(5, 1000))
 for device in range(4):
     first = device * BATCH // 4
-    say(
+    label_point(
         plot,
         f"device {device}",
         (first, 0.92),
@@ -156,8 +156,8 @@ for device in range(4):
         xycoords=("data", "axes fraction"),
         xytext=(-4, 0),
     )
-say(plot, "start", (0, before[0]), QUIET, xytext=(-6, 7))
-chart(
+label_point(plot, "start", (0, before[0]), QUIET, xytext=(-6, 7))
+style_chart(
     plot,
     "From decimetres to a centimetre on each device; one of sixteen stays wrong",
     "cloud",

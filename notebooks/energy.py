@@ -27,10 +27,10 @@ from jaxtyping import Array, Float
 
 import jaxcap as jc
 from jaxcap.body.people.anatomy import rest_deviations
-from jaxcap.report.plots import BLUE, chart, draw_person, frame_together, say
-from jaxcap.report.render import raised, turned
+from jaxcap.report.plots import BLUE, draw_person, frame_together, label_point, style_chart
+from jaxcap.report.render import raise_view, rotate_view
 
-VIEW = raised(turned(np.eye(3), 40.0), 10.0)
+VIEW = raise_view(rotate_view(np.eye(3), 40.0), 10.0)
 body = jc.human(resolution="low", joints="tracking")
 skeleton = body.skeleton
 rest = jc.rest_pose(skeleton)
@@ -118,9 +118,9 @@ history = np.asarray(solution.history)
 history = history[np.isfinite(history)]
 figure, plot = plt.subplots(figsize=(7.0, 2.8))
 plot.semilogy(history, color=BLUE, marker="o", ms=4)
-chart(plot, "Every step lowers the energy; most of it goes in the first ones", "step", "E")
-say(plot, f"{history[0]:.3g}", (0, history[0]), BLUE)
-say(plot, f"{history[-1]:.3g}", (len(history) - 1, history[-1]), BLUE, xytext=(0, 7), ha="right")
+style_chart(plot, "Every step lowers the energy; most of it goes in the first ones", "step", "E")
+label_point(plot, f"{history[0]:.3g}", (0, history[0]), BLUE)
+label_point(plot, f"{history[-1]:.3g}", (len(history) - 1, history[-1]), BLUE, xytext=(0, 7), ha="right")
 plt.show()
 
 # %% [markdown]

@@ -39,7 +39,7 @@ from jaxcap.body.vertex_jacobian import (
     translate_operator,
 )
 from jaxcap.geometry import rotation
-from jaxcap.report.plots import BLUE, GREEN, RED, chart, say
+from jaxcap.report.plots import BLUE, GREEN, RED, label_point, style_chart
 
 # %% [markdown]
 # A chain with every kind of joint, and a surface of a few hundred points around it, each fixed to a bone.
@@ -81,7 +81,7 @@ points = np.concatenate([posed.vertices, np.ones((300, 1))], 1)
 shifts, turns = world_axes(skeleton, pose, posed.transforms)
 paper = np.zeros(autodiff.shape)
 for joint, kind in enumerate(KINDS):
-    rides = skeleton.descent[joint][np.asarray(bones)][:, None]
+    rides = skeleton.descendants[joint][np.asarray(bones)][:, None]
     for number in range(3):
         slot = layout.translations[joint, number]
         if slot < skeleton.num_dofs:
@@ -118,12 +118,14 @@ figure, plot = plt.subplots(figsize=(7.0, 3.6))
 for dtype, colour in ((jnp.float64, BLUE), (jnp.float32, RED)):
     errors = [float(jnp.abs(difference(step, dtype) - autodiff).max()) for step in steps]
     plot.loglog(steps, errors, marker="o", ms=3.5, color=colour)
-    say(plot, f"differences, places in {dtype.__name__}", (steps[2], errors[2]), colour, xytext=(4, 8))
+    label_point(
+        plot, f"differences, places in {dtype.__name__}", (steps[2], errors[2]), colour, xytext=(4, 8)
+    )
 exact = max(float(np.abs(closed - autodiff).max()), 1e-17)
 plot.axhline(exact, color=GREEN, linewidth=2)
-say(plot, "closed form, no step at all", (steps[0], exact), GREEN, xytext=(0, 6))
+label_point(plot, "closed form, no step at all", (steps[0], exact), GREEN, xytext=(0, 6))
 plot.set_ylim(exact / 30, 1e3)
-chart(
+style_chart(
     plot, "No step is right for differences: too long bends, too short rounds", "step, metres and radians",
     "largest distance from autodiff",
 )  # fmt: skip

@@ -29,12 +29,12 @@ from jaxcap.report.plots import (
     BLUE,
     PERSON,
     SKIN,
-    chart,
     distance_bar,
     distance_colours,
     draw_person,
     frame_together,
-    say,
+    label_point,
+    style_chart,
 )
 from jaxcap.report.render import INK, distinct_colours, draw_shadow, draw_surface
 from jaxcap.report.scores import score_meshes
@@ -80,8 +80,8 @@ plot.yaxis.set_minor_formatter("{x:g}")
 plot.set_ylim(None, 1.4 * max(values))
 plot.set_xticks(range(len(steps)), steps, rotation=50, ha="right")
 for step in (0, len(values) - 1):
-    say(plot, f"{values[step]:.2g}", (step, values[step]), BLUE, xytext=(0, 8))
-chart(plot, "No step raises the objective", up="Q, m²")
+    label_point(plot, f"{values[step]:.2g}", (step, values[step]), BLUE, xytext=(0, 8))
+style_chart(plot, "No step raises the objective", y_label="Q, m²")
 plt.show()
 
 # %% [markdown]
@@ -89,7 +89,7 @@ plt.show()
 
 # %%
 body = learned.body
-parts, parents = np.asarray(body.skin.parts()), body.skeleton.parents
+parts, parents = np.asarray(body.skin.dominant_bones()), body.skeleton.parents
 surface = np.asarray(body.vertices, float)
 figure, plots = plt.subplots(1, 2, figsize=(6.4, 4.6))
 figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.93, wspace=0.0)

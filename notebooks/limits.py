@@ -24,7 +24,7 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.limits.charts import chart_places
+from jaxcap.limits.charts import chart_coordinates
 from jaxcap.report.limit_pictures import draw_limits
 from jaxcap.report.motion_strip import draw_strip
 
@@ -51,10 +51,12 @@ limits = jc.limits.learn_limits(
 pictures = []
 for surface, one in zip(limits.surfaces, (samples.parent, samples), strict=True):
     parents = (
-        None if surface.parent_chart is None else chart_places(surface.parent_chart, samples.parent.rotations)
+        None
+        if surface.parent_chart is None
+        else chart_coordinates(surface.parent_chart, samples.parent.rotations)
     )
     pictures.append(folder / f"{surface.joint}.png")
-    draw_limits(pictures[-1], surface, chart_places(surface.chart, one.rotations), parents)
+    draw_limits(pictures[-1], surface, chart_coordinates(surface.chart, one.rotations), parents)
 
 # %% [markdown]
 # Another motion, wilder than what was learned from: which frames are beyond, how far, how comfortable they are; and

@@ -27,8 +27,8 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.geometry import rotation
-from jaxcap.report.plots import BLUE, RED, chart
-from jaxcap.report.render import INK, distinct_colours, frame
+from jaxcap.report.plots import BLUE, RED, style_chart
+from jaxcap.report.render import INK, distinct_colours, set_frame
 
 # %% [markdown]
 # A trunk with two arms, four markers on each segment, in random motion; a millimetre of noise, a tenth of the frames of some markers are missing,
@@ -51,7 +51,7 @@ turns = 0.6 * np.sin(phases + speeds * time[:, None, None])
 shifts = np.zeros((FRAMES, 5, 3))
 shifts[:, 0, 0] = 0.3 * time
 poses = jc.Pose(jnp.asarray(shifts), rotation.exp(jnp.asarray(turns)), jnp.ones(FRAMES))
-places = np.array(eqx.filter_jit(jax.vmap(jc.markers.marker_places, (None, 0)))(performer, poses))
+places = np.array(eqx.filter_jit(jax.vmap(jc.markers.marker_positions, (None, 0)))(performer, poses))
 truth = places.copy()
 places += 0.001 * rng.normal(size=places.shape)
 for marker in rng.choice(20, 6, replace=False):
@@ -62,10 +62,10 @@ for number in range(0, FRAMES, 40):
     places[number, [one, other]] = places[number, [other, one]]
 order = rng.permutation(20)
 frames = jc.make_markers(places[:, order], [f"m{number:02d}" for number in range(20)], rate=RATE)
-frames.places.shape, f"{float(frames.seen.mean()):.1%} seen"
+frames.positions.shape, f"{float(frames.visible.mean()):.1%} seen"
 
 # %%
-seen = np.asarray(frames.seen)
+seen = np.asarray(frames.visible)
 figure, plot = plt.subplots(figsize=(7.0, 3.2))
 for marker in range(seen.shape[1]):
     edges = np.flatnonzero(np.diff(np.pad(seen[:, marker].astype(int), 1)))
@@ -73,7 +73,7 @@ for marker in range(seen.shape[1]):
     for begin, end in zip(edges[1:-1:2], edges[2::2], strict=True):
         plot.hlines(marker, begin, end - 1, color=RED, linewidth=1.5)
 plot.set_yticks(range(0, 20, 5), [frames.labels[marker] for marker in range(0, 20, 5)])
-chart(plot, "Six markers are missing for 24 frames each (thin and red)", "frame")
+style_chart(plot, "Six markers are missing for 24 frames each (thin and red)", "frame")
 plt.show()
 
 # %% [markdown]
@@ -84,7 +84,7 @@ plt.show()
 
 # %%
 found = jc.markers.fit_local(frames)
-print(*found.told, sep="\n")
+print(*found.messages, sep="\n")
 print(f"{len(found.segments.members)} segments, {found.skeleton.num_joints} bones: {found.skeleton.kinds}")
 
 # %% [markdown]
@@ -94,7 +94,7 @@ print(f"{len(found.segments.members)} segments, {found.skeleton.num_joints} bone
 
 # %%
 calibrated = jc.markers.calibrate(found.markers, found.subject)
-print(*(calibrated.told or ("the frames tell all of it",)), sep="\n")
+print(*(calibrated.messages or ("the frames tell all of it",)), sep="\n")
 centres = np.asarray(calibrated.subject.skeleton.centres)
 lengths = sorted(
     float(np.linalg.norm(centres[joint] - centres[parent]))
@@ -109,21 +109,21 @@ print("bones between joints:", [f"{1000 * length:.1f} mm" for length in lengths]
 # %%
 solution = jc.markers.solve_markers(calibrated.subject, frames)
 whole = jc.markers.fill_gaps(calibrated.subject, solution.motion, frames, lost=solution.lost)
-hidden = ~np.asarray(frames.seen)
-off = 1000 * np.linalg.norm(np.asarray(whole.places) - truth[:, order], axis=2)
+hidden = ~np.asarray(frames.visible)
+off = 1000 * np.linalg.norm(np.asarray(whole.positions) - truth[:, order], axis=2)
 print(f"{len(solution.lost)} frames solved, {int(solution.lost.sum())} lost")
 print(f"markers in gaps come back within {np.median(off[hidden]):.1f} mm at the median")
 
 # %%
 figure, plots = plt.subplots(1, 3, figsize=(9.0, 3.0))
 figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.9, wspace=0.0)
-joints = np.asarray(jc.markers.joint_frames(calibrated.subject.skeleton, solution.motion).places)
+joints = np.asarray(jc.markers.joint_frames(calibrated.subject.skeleton, solution.motion).positions)
 parents = calibrated.subject.skeleton.parents
 bones = np.asarray(calibrated.subject.bones)
 colours = distinct_colours(len(parents))
 for plot, number in zip(plots, (20, 110, 210), strict=True):
     middle = joints[number].mean(0)
-    here, markers_here = joints[number] - middle, np.asarray(whole.places)[number] - middle
+    here, markers_here = joints[number] - middle, np.asarray(whole.positions)[number] - middle
     for marker, bone in enumerate(bones):
         line = np.stack([here[bone], markers_here[marker]])
         plot.plot(*line[:, :2].T, color=colours[bone], lw=0.8, alpha=0.6, zorder=1)
@@ -137,7 +137,7 @@ for plot, number in zip(plots, (20, 110, 210), strict=True):
     )
     plot.scatter(*here[:, :2].T, s=30, c="white", edgecolors=INK, linewidths=1.2, zorder=5)
     count = int(found_again.sum())
-    frame(
+    set_frame(
         plot, np.array([-0.9, -0.75]), np.array([0.9, 0.75]),
         f"frame {number}" + (f": ring, {count} filled" if count else ""),
     )  # fmt: skip

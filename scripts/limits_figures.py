@@ -17,11 +17,19 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._depth import FOCAL, depth_frames, fit_frames
 from benchmarks._scenes import shared_folder, takes_of
-from benchmarks._stereo import ARM, below, see_arm
-from benchmarks.limits_track import TAKES, WHOLE, arm_pairs, compare, learn_from, make_contenders, with_arm
+from benchmarks._stereo import ARM, descendants, simulate_arm
+from benchmarks.limits_track import (
+    LIMITED_JOINTS,
+    TAKES,
+    arm_pairs,
+    compare,
+    learn_from,
+    make_contenders,
+    with_arm,
+)
 from jaxcap.geometry import rotation
 from jaxcap.report.pictures import new_figure
-from jaxcap.report.render import CLAY, INK, draw_surface, frame, turned
+from jaxcap.report.render import CLAY, INK, draw_surface, rotate_view, set_frame
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 #: the take that is drawn, and how many of its frames
@@ -51,14 +59,14 @@ def draw_tracking(path: Path, frames: int | None) -> None:
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
     learned = [take for take in takes_of(shared, "01") + takes_of(shared, "02") if take not in TAKES]
     limits = learn_from(shared, learned, body, arm_pairs())
-    seen = see_arm(shared, (TAKE,), body, frames)
+    seen = simulate_arm(shared, (TAKE,), body, frames)
     contenders = make_contenders(body, limits)
     found = compare({name: contenders[name] for name in ("none", "energy")}, body, seen, 0)
     poses = {"truth": seen.truth} | {
         name: with_arm(body.skeleton, seen.truth, outcome.rotations) for name, outcome in found.items()
     }
     shown = np.linspace(0, len(seen.first) - 1, SHOWN + 1).astype(int)[1:]
-    view, colours = turned(np.eye(3), SIDE), arm_colours(body)
+    view, colours = rotate_view(np.eye(3), SIDE), arm_colours(body)
     canvas, figure = new_figure(1.9 * SHOWN, 5.6)
     plots = figure.subplots(len(ROWS), SHOWN)
     for row, (name, label) in zip(plots, ROWS.items(), strict=True):
@@ -76,7 +84,7 @@ def draw_tracking(path: Path, frames: int | None) -> None:
             else:
                 shoulder, elbow = found[name].twists[number]
                 title = f"shoulder {shoulder:.0f}°, elbow {elbow:.0f}°"
-            frame(plot, np.array([-0.75, -0.05]), np.array([0.58, 0.95]), title)
+            set_frame(plot, np.array([-0.75, -0.05]), np.array([0.58, 0.95]), title)
             plot.title.set_fontsize(7)
         row[0].text(
             -0.02,
@@ -98,11 +106,11 @@ def draw_tracking(path: Path, frames: int | None) -> None:
 def arm_colours(body: jc.Body) -> np.ndarray:
     """Make vertex colours `(V, 3)`: two on the right arm, clay elsewhere."""
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
-    parts = np.asarray(body.skin.parts())
+    parts = np.asarray(body.skin.dominant_bones())
     colours = np.tile(CLAY, (len(vertices), 1))
     for joint in ARM:
         j = skeleton.index(joint)
-        inside = below(skeleton, joint)[parts]
+        inside = descendants(skeleton, joint)[parts]
         across = np.asarray(rotation.to_matrix(skeleton.orientations[j]), float)[:, 1]
         side = (vertices - np.asarray(skeleton.centres[j], float)) @ across > 0
         colours[inside] = SIDES[side[inside].astype(int)]
@@ -112,7 +120,7 @@ def arm_colours(body: jc.Body) -> np.ndarray:
 def draw_depth(path: Path) -> None:
     """Draw the points of every frame, and the fitted body, from the camera's position."""
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
-    limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, WHOLE)
+    limits = learn_from(shared, takes_of(shared, "01") + takes_of(shared, "02"), body, LIMITED_JOINTS)
     fitted = fit_frames(depth_frames(shared), limits)
     canvas, figure = new_figure(10.0, 6.6)
     plots = figure.subplots(3, 4).reshape(-1)
@@ -127,7 +135,7 @@ def draw_depth(path: Path) -> None:
         plot.scatter(seen[:, 0], seen[:, 1], s=0.5, c=DOT, linewidths=0, rasterized=True)
         valid = "valid" if one.valid.all() else "not valid"
         title = f"{number + 1}: {valid}, {one.distance_mm:.0f} mm"
-        frame(plot, np.array([-2.0, -0.55]), np.array([0.7, 0.75]), title)
+        set_frame(plot, np.array([-2.0, -0.55]), np.array([0.7, 0.75]), title)
         plot.title.set_fontsize(8)
     figure.suptitle(
         f"Twelve frames of a depth camera (focal length {FOCAL:.0f} pixels) and the fitted poses",

@@ -27,7 +27,7 @@ from benchmarks._crane import frame_cloud, load_crane, rig_crane
 from benchmarks._scenes import shared_folder
 from jaxcap.metrics import joint_errors
 from jaxcap.report.pictures import new_figure
-from jaxcap.report.render import INK, draw_surface, turned
+from jaxcap.report.render import INK, draw_surface, rotate_view
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 FIRST, RATE = 88, 30
@@ -40,12 +40,12 @@ SKIN = np.array([0.56, 0.71, 0.86])
 FAR, NEAR = np.array([0.80, 0.84, 0.88]), np.array([0.10, 0.25, 0.42])
 BONE, SHADOW = "#d7473d", "#e9ecef"
 #: the eye is above the performer and the light falls from the upper left, degrees and metres a metre of height
-TURN, TILT, FALL = 24.0, 8.0, (0.35, -0.25)
+TURN, TILT, LIGHT_SLOPE = 24.0, 8.0, (0.35, -0.25)
 
 _posed = eqx.filter_jit(jc.pose_body)
 
 
-class Shown(NamedTuple):
+class DrawnFrame(NamedTuple):
     """The input and the result of one frame, metres."""
 
     points: Float[np.ndarray, "N 3"]
@@ -95,7 +95,7 @@ def perform(skeleton: jc.Skeleton) -> jc.Motion:
     return jc.retarget(motion, body.skeleton, skeleton).slice(slice(FIRST, None))
 
 
-def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Shown]:
+def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[DrawnFrame]:
     """Track an actor in simulated scans with a body."""
     surfaces = [
         np.asarray(_posed(actor, performance[n]).vertices, float) for n in range(performance.num_frames)
@@ -111,12 +111,12 @@ def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Sh
         scans, jc.fit.track_frames(jc.make_tracker(body), clouds, search=True), strict=True
     ):
         posed = _posed(body, tracked.pose)
-        yield Shown(scan.points, np.asarray(posed.vertices, float), np.asarray(posed.joints, float))
+        yield DrawnFrame(scan.points, np.asarray(posed.vertices, float), np.asarray(posed.joints, float))
 
 
-def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Image:
+def draw(shown: DrawnFrame, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Image:
     """Draw both halves side by side, centred at the performer."""
-    view = tilted(turned(np.eye(3), TURN), TILT)
+    view = raise_view(rotate_view(np.eye(3), TURN), TILT)
     # the floor goes with the lower foot
     centre = [shown.vertices[:, 0].mean(), shown.vertices[:, 1].min(), shown.vertices[:, 2].mean()]
     points, vertices, joints = shown.points - centre, shown.vertices - centre, shown.joints - centre
@@ -139,7 +139,7 @@ def draw(shown: Shown, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Ima
     return wide.resize((PIXELS, round(PIXELS * HEIGHT / (2 * WIDE))), Image.Resampling.LANCZOS)
 
 
-def tilted(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
+def raise_view(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
     """Raise the viewpoint of a view."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
@@ -149,7 +149,7 @@ def cast_shadow(plot, vertices: np.ndarray, faces: np.ndarray, view: np.ndarray)
     """Draw the projection of the body's triangles along the light on the floor."""
     from matplotlib.collections import PolyCollection
 
-    floor = vertices + vertices[:, 1:2] * [FALL[0], -1.0, FALL[1]]
+    floor = vertices + vertices[:, 1:2] * [LIGHT_SLOPE[0], -1.0, LIGHT_SLOPE[1]]
     corners = (floor @ view.T)[faces][:, :, :2]
     plot.add_collection(PolyCollection(list(corners), facecolors=SHADOW, edgecolors=SHADOW, zorder=1))
 

@@ -7,7 +7,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask
-from jaxcap.adapt.shape.scale import resized
+from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
@@ -23,7 +23,7 @@ _posed = eqx.filter_jit(jc.pose_body)
 def make_scene():
     """A small body, larger than its template, in six poses, and its scans."""
     rng, template = np.random.default_rng(5), chain_body("linear", 10, 8)
-    actor = resized(template, jnp.asarray(1.1))
+    actor = scale_body(template, jnp.asarray(1.1))
     way = 0.02 * rng.normal(size=actor.skeleton.num_dofs)
     poses = [retract(actor.skeleton, rest_pose(actor.skeleton), jnp.asarray(n * way)) for n in range(FRAMES)]
     clouds = []
@@ -56,7 +56,7 @@ def words(folder, *more) -> tuple:
 def task_of(scene, **changes) -> AdaptTask:
     template, _, poses, clouds = scene
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=3, alone=1, rounds=(1,))
+    settings = AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,))
     whole = [jc.make_cloud(*cloud) for cloud in clouds]
     return AdaptTask(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(
         **changes

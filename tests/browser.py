@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from benchmarks._browser import GEOMETRY, find_chromium, launched, open_page
+from benchmarks._browser import GEOMETRY, find_chromium, launch_browser, open_page
 from benchmarks._browser import wait_for_node as wait_for_node
 
 #: small, as every pixel is drawn by the processor; the controls take a third of it
@@ -21,7 +21,7 @@ def chromium() -> Iterator[Callable]:
     pytest.importorskip("playwright.sync_api", reason="needs Playwright")
     if find_chromium() is None:
         pytest.skip("needs Chromium")
-    with launched() as browser:
+    with launch_browser() as browser:
         yield lambda url: open_page(browser, url, SIZE)
 
 

@@ -22,7 +22,7 @@ from jaxcap.scanner.settings import Scanner
 
 FRAMES, POINTS = 5, 600
 # words in a silence depend on how busy the machine is; `test_cli_start` has them by its own clock
-heartbeat.QUIET = float("inf")
+heartbeat.SILENCE_SECONDS = float("inf")
 _pose_body = eqx.filter_jit(pose_body)
 
 

@@ -72,16 +72,16 @@ def markers_page(folder: Path) -> dict[str, object]:
     names = [f"{side}{mark}" for side in "LR" for mark in ("ASIS", "PSIS", "LFE", "MFE", "LM", "MM", "SAE")]
     names += ["C7", "SUP"]
     held = anatomical_markers(names, "low")
-    spots = np.asarray(held.places(jc.pose_body(body, pose)), float)
+    spots = np.asarray(held.positions(jc.pose_body(body, pose)), float)
     jc.write_markers(
         folder / "standing.c3d", jc.make_markers(np.repeat(spots[None], 5, 0), held.labels, 100.0)
     )
     nearest = np.argmin(np.linalg.norm(spots[:, None] - np.asarray(body.vertices), axis=2), axis=1)
     turned = jc.body.sample_poses(body.skeleton, count=2)
     return {
-        "trajectories": np.asarray(frames.places),
+        "trajectories": np.asarray(frames.positions),
         "labels": frames.labels,
-        "places": np.asarray(frames.places[0]),
+        "places": np.asarray(frames.positions[0]),
         "skeleton": template.skeleton,
         "bones": np.asarray(template.bones),
         "offsets": np.asarray(template.offsets),

@@ -16,7 +16,7 @@ from jaxcap.body.limits.limit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
-from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.archives.limits import save_limits
 from jaxcap.io.archives.npz import save_arrays, save_body, save_motion, skeleton_arrays
 from jaxcap.io.gltf.gltf import write_gltf
@@ -126,14 +126,14 @@ def write_files(folder: Path) -> None:
     (folder / "notes").write_text("one two three four\n")
     (folder / "plot.png").write_bytes(b"\x89PNG\r\n")
     (folder / "page.html").write_text("<html></html>")
-    begin_journal(folder / "journal", {"joints": list(skeleton.names)}, 4).close()
+    create_journal(folder / "journal", {"joints": list(skeleton.names)}, 4).close()
     for name in ("empty folder", "folder of markers", "folder of motions", "run", "unfinished", "scans"):
         (folder / name).mkdir()
     (folder / "folder of markers" / "takes.c3d").write_bytes((folder / "takes.c3d").read_bytes())
     write_bvh(folder / "folder of motions" / "walk.bvh", skeleton, motion)
     save_motion(folder / "run" / "motion.npz", motion, skeleton)
     (folder / "run" / "statistics.json").write_text((folder / "statistics.json").read_text())
-    begin_journal(folder / "unfinished" / "journal", {"joints": list(skeleton.names)}, 4).close()
+    create_journal(folder / "unfinished" / "journal", {"joints": list(skeleton.names)}, 4).close()
     (folder / "scans" / "cameras.json").write_text((folder / "cameras.json").read_text())
     (folder / "scans" / "scan_0000.ply").write_bytes((folder / "cloud.ply").read_bytes())
 

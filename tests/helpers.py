@@ -11,7 +11,7 @@ from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
 from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from jaxcap.fit.correspondence.correspond import Pairs
+from jaxcap.fit.correspondence.correspond import PointPairs
 
 SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
 
@@ -79,16 +79,16 @@ class OtherSkin(AbstractSkin):
     def deform(self, vertices, skeleton, pose, transforms):
         return vertices
 
-    def parts(self):
+    def dominant_bones(self):
         return jnp.zeros(0, int)
 
-    def influence(self, num_bones):
+    def bone_weights(self, num_bones):
         return jnp.zeros((0, num_bones))
 
     def take(self, vertices):
         return self
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         return self
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
@@ -183,7 +183,7 @@ def _tube(vertices, faces, start, end, rings: int, sides: int):
     return vertices, faces
 
 
-def random_pairs(body: Body, rng, count: int = 40, corners: int = 1) -> Pairs:
+def random_pairs(body: Body, rng, count: int = 40, corners: int = 1) -> PointPairs:
     """Pairs at vertices, or in triangles, some of them at a corner that is there three times."""
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -197,6 +197,6 @@ def random_pairs(body: Body, rng, count: int = 40, corners: int = 1) -> Pairs:
     points = np.einsum("ck,cka->ca", shares, np.asarray(body.vertices)[rows])
     points += 0.05 * rng.normal(size=(count, 3))
     along = rng.uniform(0, 1, count) * (np.arange(count) % 5 > 0)
-    return Pairs(
+    return PointPairs(
         jnp.asarray(rows, jnp.int32), *(jnp.asarray(x) for x in (shares, points, normals, weights, along))
     )

@@ -8,7 +8,7 @@ import numpy as np
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry import rotation
-from jaxcap.markers.subject import Subject, make_subject, marker_places
+from jaxcap.markers.subject import Subject, make_subject, marker_positions
 from jaxcap.observe import MarkerFrames
 
 NAMES = ("trunk", "left_arm", "left_hand", "right_arm", "right_hand")
@@ -37,7 +37,9 @@ def moving(rng, frames: int = 40, hinge: int | None = None, size: float = 0.5, d
     return Motion(Pose(jnp.asarray(shifts, dtype), rotations, jnp.ones(frames, dtype)), 100.0)
 
 
-_all_places = eqx.filter_jit(lambda subject, poses: jax.lax.map(lambda p: marker_places(subject, p), poses))
+_all_places = eqx.filter_jit(
+    lambda subject, poses: jax.lax.map(lambda p: marker_positions(subject, p), poses)
+)
 
 
 def seen_by(subject: Subject, motion: Motion, rng, noise: float = 1e-3) -> MarkerFrames:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks._browser import launched
+from benchmarks._browser import launch_browser
 from benchmarks._rivals.environments import Rival, install
 from benchmarks.report import progress
 
@@ -69,7 +69,7 @@ def in_blender(
             return dict(found)
 
 
-def validated(home: Path, files: list[Path]) -> dict[str, dict[str, Any]]:
+def validate(home: Path, files: list[Path]) -> dict[str, dict[str, Any]]:
     """Validate files; return the validator's results by file name."""
     command = ["node", str(HERE / "validate.mjs"), *map(str, files)]
     outcome = subprocess.run(command, capture_output=True, text=True, cwd=home, timeout=600, check=True)
@@ -82,7 +82,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
+def serve(folder: Path) -> Iterator[str]:
     """Serve a folder on the local machine, and yield its address."""
     server = http.server.ThreadingHTTPServer(
         ("127.0.0.1", 0), functools.partial(_Quiet, directory=str(folder))
@@ -104,7 +104,7 @@ def in_three(
         (site / "node_modules").symlink_to(home / "node_modules")
         shutil.copy(HERE / "page.html", site)
         shutil.copy(file, site / "body.glb")
-        with served(site) as address, launched() as browser:
+        with serve(site) as address, launch_browser() as browser:
             page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             said: list[str] = []
             page.on("pageerror", lambda error: said.append(str(error)))

@@ -28,7 +28,7 @@ RIVALS = {
 }  # fmt: skip
 
 
-def interpreter(versions: tuple[str, ...]) -> str | None:
+def find_python(versions: tuple[str, ...]) -> str | None:
     """Find a Python of one of these versions on the path or in pyenv."""
     roots = sorted(
         Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/*"), reverse=True
@@ -53,7 +53,7 @@ def install(name: str, rival: Rival, folder: Path) -> Path | None:
     python, done = home / "bin" / "python", home / "complete"
     if done.exists():
         return python
-    base = interpreter(rival.pythons)
+    base = find_python(rival.pythons)
     if base is None:
         progress(f"{name} is skipped: Python {' or '.join(rival.pythons)} was not found")
         return None
@@ -76,14 +76,14 @@ def library(name: str) -> str | None:
     return next((str(Path(folder) / name) for folder in folders if (Path(folder) / name).exists()), None)
 
 
-def run_rival(name: str, python: Path, given: Path, limit: float) -> dict[str, np.ndarray] | None:
-    result = given.with_name(f"{name}.npz")
+def run_rival(name: str, python: Path, scene_path: Path, limit: float) -> dict[str, np.ndarray] | None:
+    result = scene_path.with_name(f"{name}.npz")
     script = Path(__file__).with_name(f"run_{name}.py")
     preload = ":".join(found for one in RIVALS[name].preload if (found := library(one)))
     surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     surroundings |= {"LD_PRELOAD": preload} if preload else {}
     try:
-        command = [str(python), str(script), str(given), str(result)]
+        command = [str(python), str(script), str(scene_path), str(result)]
         outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:
         progress(f"{name} is skipped: it did not finish within {limit:.0f} s")

@@ -79,7 +79,7 @@ def markers_of(scene, chosen):
     ]
 
 
-def calibrated(scene, chosen, settings):
+def calibrate(scene, chosen, settings):
     character = character_of(scene)
     data = markers_of(scene, chosen)
     config = tracking.CalibrationConfig(calib_frames=len(chosen), **settings)
@@ -106,7 +106,7 @@ def rms(character, motion, scene, frames):
     return float(np.sqrt((away**2).sum(-1).mean()))
 
 
-def followed(character, identity, scene, settings):
+def track(character, identity, scene, settings):
     """Solve every frame from the previous one, with the Gauss-Newton solver and Cholesky."""
     locators, labels = character.locators, [str(label) for label in scene["labels"]]
     parents = np.array([one.parent for one in locators], np.int32)
@@ -145,7 +145,7 @@ def main():
     for regularization in REGULARIZATIONS:
         for major in MAJOR:
             settings = dict(regularization=regularization, major_iter=major, max_iter=30)
-            character, identity, seconds, left = calibrated(scene, chosen, settings)
+            character, identity, seconds, left = calibrate(scene, chosen, settings)
             if np.isfinite(left):
                 tried.append((left, seconds, character, identity, settings))
             print(f"momentum {settings}: {10 * left:.3f} mm at the markers, {seconds:.1f} s", file=sys.stderr)
@@ -159,7 +159,7 @@ def main():
         dict(iterations=4, regularization=0.01, threshold=1.0, block=True),
         dict(iterations=8, regularization=0.01, threshold=1.0, block=True),
     ):
-        motion, each = followed(character, identity, scene, trial)
+        motion, each = track(character, identity, scene, trial)
         error = rms(character, motion, scene, np.arange(len(motion)))
         print(f"momentum {trial}: {10 * error:.3f} mm at the markers, {1000 * each:.3f} ms", file=sys.stderr)
         if best is None or error < 0.99 * best[0] or (error < 1.01 * best[0] and each < best[2]):

@@ -20,7 +20,7 @@ SETTINGS = (
     dict(stiffness=10.0, uniform=False, centres=True),
 )
 #: no further setting is tried after so many seconds
-ENOUGH = 500.0
+MAX_DISTANCE_MM = 500.0
 #: of its solves: damping of its least squares, and whether it searches along each step
 SOLVES = (dict(damping=1e-2, search=True), dict(damping=1e-4, search=False))
 
@@ -67,7 +67,7 @@ def markers_of(scene, bodies, offsets, centres):
     }
 
 
-def observed(scene, frames):
+def observe(scene, frames):
     return [
         {
             str(label): scene["places"][frame, marker].astype(float)
@@ -78,7 +78,7 @@ def observed(scene, frames):
     ]
 
 
-def calibrated(scene, folder, stiffness, uniform, centres):
+def calibrate(scene, folder, stiffness, uniform, centres):
     """Calibrate; return the skeleton, its marker offsets, seconds, and marker errors, metres."""
     skeleton, bodies = skeleton_of(scene, scene["centres"])
     add_meshes(scene, bodies, scene["centres"], folder)
@@ -98,7 +98,7 @@ def calibrated(scene, folder, stiffness, uniform, centres):
     if not centres:
         fitter.setMaxJointWeight(0.0)
         fitter.setMaxAxisWeight(0.0)
-    seen = observed(scene, scene["chosen"])
+    seen = observe(scene, scene["chosen"])
     start = time.perf_counter()
     found = fitter.runKinematicsPipeline(
         seen, [False] * len(seen), nimble.biomechanics.InitialMarkerFitParams(), 50
@@ -111,7 +111,7 @@ def calibrated(scene, folder, stiffness, uniform, centres):
     return skeleton, bodies, markers, np.array(found.poses[:, 0]), seconds, float(off)
 
 
-def followed(scene, skeleton, bodies, markers, pose, damping, search):
+def track(scene, skeleton, bodies, markers, pose, damping, search):
     """Solve every frame from the previous one; return joints, seconds per frame, and marker errors, metres."""
     order, count = list(markers.values()), len(scene["places"])
     joints, seconds, left = np.zeros((count, len(bodies), 3)), [], []
@@ -132,9 +132,9 @@ def main():
     tried, begun = [], time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         for settings in SETTINGS:
-            if tried and time.perf_counter() - begun > ENOUGH:
+            if tried and time.perf_counter() - begun > MAX_DISTANCE_MM:
                 break
-            tried.append((*calibrated(scene, folder, **settings), settings))
+            tried.append((*calibrate(scene, folder, **settings), settings))
             *_, seconds, off, _ = tried[-1]
             print(
                 f"nimblephysics {settings}: {1000 * off:.3f} mm at the markers, {seconds:.1f} s",
@@ -144,7 +144,7 @@ def main():
         skeleton, bodies, markers, pose, seconds, _, settings = min(tried, key=lambda one: one[5])
         best = None
         for trial in SOLVES:
-            joints, each, off = followed(scene, skeleton, bodies, markers, pose, **trial)
+            joints, each, off = track(scene, skeleton, bodies, markers, pose, **trial)
             print(
                 f"nimblephysics {trial}: {1000 * off:.3f} mm at the markers, {1000 * each:.3f} ms",
                 file=sys.stderr,

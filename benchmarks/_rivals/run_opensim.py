@@ -58,7 +58,7 @@ def write_trc(path, scene):
             )
 
 
-def solved(scene, path, accuracy):
+def solve(scene, path, accuracy):
     model, labels = model_of(scene), [str(label) for label in scene["labels"]]
     weights = opensim.SetMarkerWeights()
     for label in labels:
@@ -92,7 +92,7 @@ def main():
         path = os.path.join(folder, "markers.trc")
         write_trc(path, scene)
         for accuracy in ACCURACIES:
-            joints, each, left = solved(scene, path, accuracy)
+            joints, each, left = solve(scene, path, accuracy)
             print(
                 f"opensim accuracy {accuracy}: {left:.3f} mm at the markers, {1000 * each:.3f} ms",
                 file=sys.stderr,

@@ -12,14 +12,14 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspondence.correspond import Pairs, Scan
+from ..fit.correspondence.correspond import IndexedScan, PointPairs
 from ..fit.tracking.likeliest import likelier_pose
-from ..fit.tracking.limb_flips import turn_over
+from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
 from .flagged import flag_frames
-from .objective import balanced, motion_energy
-from .poses.sliding_window import FRAMES, smooth_windows
-from .poses.task_pairs import TaskPairs, pairs_at, poses_at, some_of, told
+from .objective import balancing_weight, motion_energy
+from .poses.sliding_window import WINDOW_FRAMES, smooth_windows
+from .poses.task_pairs import TaskPairs, append_history, pairs_at, poses_at, select_evenly
 from .poses.unordered import find_poses
 from .rounds import adapt_round
 from .rounds import shape_weight as shape_weight
@@ -29,22 +29,22 @@ from .task import AdaptSettings as AdaptSettings
 from .task import AdaptState as AdaptState
 from .task import AdaptTask as AdaptTask
 from .task import Stage as Stage
-from .task import plan as plan
-from .task import tracker_of
+from .task import make_task_tracker
+from .task import plan_stages as plan_stages
 
 _LOG = logging.getLogger(__name__)
 
 #: number of frames from which the actor's size is estimated
-SIZED = 3
+NUM_SIZE_FRAMES = 3
 #: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16):
 #: the full weights roll forearms towards rest until hands are flipped, and oversmooth motions
-BALANCE = 0.1
+BALANCE_SHARE = 0.1
 #: weight of the pose prior while the first poses are found, if it is balanced with the data afterwards
-FIRST_WEIGHT = 1e-6
+INITIAL_PRIOR_WEIGHT = 1e-6
 
 #: mean log-likelihood by which a pose from before the flip of hands must be better, as hands have few of the
 #: points
-TURNED = 0.05
+MIN_FLIP_GAIN = 0.05
 
 #: yields the states within a stage, and returns the one at its end
 Steps = Generator[AdaptState, None, AdaptState]
@@ -54,7 +54,7 @@ Steps = Generator[AdaptState, None, AdaptState]
 def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0) -> Iterator[AdaptState]:
     """Adapt a template to an actor, and yield the state after every stage.
 
-    The stages (`plan`) are: estimate the actor's size in the first frames; track all frames; estimate
+    The stages (`plan_stages`) are: estimate the actor's size in the first frames; track all frames; estimate
     proportions and correct flipped hands; adapt vertices and joints, in rounds, to some frames that are
     spread over the motion; track and adapt again; fit every pose by itself; smooth all poses.
 
@@ -66,13 +66,13 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
     frames within the stages that process single frames (tracking, single poses and smoothing).
     """
     meetings = TaskPairs(task)
-    stages = plan(task.settings)
+    stages = plan_stages(task.settings)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:
             continue
         _LOG.info("adapting, stage %d of %d: %s", number + 1, len(stages), stage)
         if stage.name == "size":
-            state = _size(task)
+            state = _estimate_size(task)
         else:
             assert state is not None
             if stage.name == "adapt":
@@ -84,28 +84,28 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
         yield (state := state._replace(done=number + 1))
 
 
-def _size(task: AdaptTask) -> AdaptState:
+def _estimate_size(task: AdaptTask) -> AdaptState:
     """Estimate the first poses and the actor's size."""
     # the first of unordered scans does not lead to the next one
-    frames = task.scanned[: 1 if task.settings.unordered else SIZED]
+    frames = task.scanned[: 1 if task.settings.unordered else NUM_SIZE_FRAMES]
     scans = [task.scan(n) for n in frames]
-    found = [_sized(task, scans, frames, task.template, 1.0)]
+    found = [_estimate_size_from(task, scans, frames, task.template, 1.0)]
     if task.start is None:
         # a body of about the right size may find a better pose, and more reliably
-        found.append(_sized(task, scans, frames, found[0].body, found[0].size))
+        found.append(_estimate_size_from(task, scans, frames, found[0].body, found[0].size))
     best = min(found, key=lambda state: state.history[-1][1])
     poses = {frame: best.motion[n] for n, frame in enumerate(frames)}
-    return best._replace(motion=_every_frame(task, poses))
+    return best._replace(motion=_interpolate_missing(task, poses))
 
 
-def _sized(
-    task: AdaptTask, scans: Sequence[Scan], frames: Sequence[int], body: Body, size: float
+def _estimate_size_from(
+    task: AdaptTask, scans: Sequence[IndexedScan], frames: Sequence[int], body: Body, size: float
 ) -> AdaptState:
     """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
-    weight = FIRST_WEIGHT if settings.pose is None else settings.pose
+    weight = INITIAL_PRIOR_WEIGHT if settings.pose is None else settings.pose
     clouds = (task.cloud(n) for n in frames)
-    tracked = track_frames(tracker_of(task, body), clouds, task.start, search=search)
+    tracked = track_frames(make_task_tracker(task, body), clouds, task.start, search=search)
     poses = [frame.pose for frame in tracked]
     body, poses, step = fit_size(
         body,
@@ -117,20 +117,20 @@ def _sized(
         cameras=task.cameras,
         boxes=task.boxes,
         terms=task.terms,
-        already=size,
+        initial_size=size,
     )
     motion = stack_poses(poses, task.rate)
     state = AdaptState(0, body, size * step, motion, weight=weight)
-    state = told(task.some(frames), state, "size", range(len(frames)))
+    state = append_history(task.subset(frames), state, "size", range(len(frames)))
     if settings.pose is None:
         # first poses are often at rest, later ones are not: a correct prior has an energy of one per degree
         # of freedom
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
-        weight = BALANCE * balanced(state.terms[0].data, worth)
+        weight = BALANCE_SHARE * balancing_weight(state.terms[0].data, worth)
     return state._replace(weight=weight)
 
 
-def _every_frame(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
+def _interpolate_missing(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
     """Fill in the poses of all frames by linear interpolation between the known ones."""
     known, every = sorted(poses), []
     for frame in range(task.frames):
@@ -140,49 +140,49 @@ def _every_frame(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
         before = max((n for n in known if n < frame), default=known[0])
         after = min((n for n in known if n > frame), default=known[-1])
         share = (frame - before) / (after - before) if after > before else 0.0
-        every.append(_between(task.template.skeleton, poses[before], poses[after], jnp.asarray(share)))
+        every.append(_interpolate(task.template.skeleton, poses[before], poses[after], jnp.asarray(share)))
     return stack_poses(every, task.rate)
 
 
 @eqx.filter_jit
-def _between(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, ""]) -> Pose:
+def _interpolate(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Array, ""]) -> Pose:
     """Interpolate between two poses; `share` is from 0 to 1."""
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
-def _turn(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _correct_flips(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Correct flipped hands, which show with the actor's proportions, and track all frames again."""
     if task.settings.unordered:
-        return (yield from _turn_each(task, state, stage, every))
+        return (yield from _correct_flips_unordered(task, state, stage, every))
     if state.within:
         return (yield from _track(task, state, stage, every))
-    first, tracker = task.scanned[:SIZED], tracker_of(task, state.body)
+    first, tracker = task.scanned[:NUM_SIZE_FRAMES], make_task_tracker(task, state.body)
     clouds = [task.cloud(n) for n in first]
     # these were tracked with an earlier body
     poses = [
         frame.pose
         for frame in track_frames(tracker, clouds, state.motion[first[0]], search=False, sigma=0.03)
     ]
-    turned = turn_over(tracker, clouds, poses)
+    turned = flip_limb_ends(tracker, clouds, poses)
     if turned[0] is poses[0]:
-        return told(task, state, str(stage), some_of(task.scanned))
+        return append_history(task, state, str(stage), select_evenly(task.scanned))
     return (yield from _track(task, state, stage, every, turned[0]))
 
 
-def _turn_each(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _correct_flips_unordered(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Correct flipped hands in each of unordered scans by itself."""
-    tracker, there = tracker_of(task, state.body), task.scanned
+    tracker, there = make_task_tracker(task, state.body), task.scanned
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
         for n in some:
             cloud = task.cloud(n)
-            (turned,) = turn_over(tracker, [cloud], [poses[n]])
+            (turned,) = flip_limb_ends(tracker, [cloud], [poses[n]])
             poses[n] = likelier_pose(tracker, poses[n], turned, cloud)
-        state = state._replace(motion=_every_frame(task, poses), within=state.within + len(some))
+        state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state
-    return told(task, state._replace(within=0), str(stage), some_of(there))
+    return append_history(task, state._replace(within=0), str(stage), select_evenly(there))
 
 
 def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
@@ -191,7 +191,7 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
     A frame keeps its pose if the tracker finds none that explains it better.
     """
     if task.settings.unordered:
-        return (yield from _find(task, state, stage, every))
+        return (yield from _find_unordered(task, state, stage, every))
     there, passed = task.frames_of(stage), state.within
     if not passed:
         state = state._replace(lost=tuple(task.missing), reasons=(), chosen=())
@@ -203,16 +203,16 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
         return [own[n] for n in there[number : number + 2]]
 
     own = state.motion
-    worth = TURNED if stage.name == "turn" else 0.0
+    worth = MIN_FLIP_GAIN if stage.name == "turn" else 0.0
     frames = track_frames(
-        tracker_of(task, state.body),
+        make_task_tracker(task, state.body),
         clouds,
         before,
         search=False,
         sigma=0.03,
         first=passed,
-        known=known,
-        worth=worth,
+        candidates=known,
+        margin=worth,
     )
     poses, lost = {n: state.motion[n] for n in there[:passed]}, set(state.lost)
     for done, (n, frame) in enumerate(zip(there[passed:], frames, strict=True), passed + 1):
@@ -220,28 +220,30 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
         if frame.lost:
             lost.add(n)
         if every and done % every == 0 and done < len(there):
-            motion = _every_frame(task, {n: state.motion[n] for n in task.scanned} | poses)
+            motion = _interpolate_missing(task, {n: state.motion[n] for n in task.scanned} | poses)
             yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
-    motion = _every_frame(task, poses)
+    motion = _interpolate_missing(task, poses)
     state = state._replace(motion=motion, lost=tuple(sorted(lost)), within=0, tracked=None)
     # normal values need all frames; for the first ones keep the tracker's own judgement
     state = flag_frames(task, state) if stage.frames is None else state
-    return told(task, state, str(stage), some_of(task.scanned) if stage.frames is None else there[-1:])
+    return append_history(
+        task, state, str(stage), select_evenly(task.scanned) if stage.frames is None else there[-1:]
+    )
 
 
-def _find(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _find_unordered(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Find the poses of unordered scans, each from the most similar ones."""
     there = task.scanned
     poses = {n: state.motion[n] for n in there}
-    for found, number in find_poses(task, state.body, poses, known=state.done > 1, done=state.within):
+    for found, number in find_poses(task, state.body, poses, is_known=state.done > 1, num_done=state.within):
         poses |= found.poses
         if every and number % every == 0 and number < len(there):
-            yield state._replace(motion=_every_frame(task, poses), within=number)
-    state = state._replace(motion=_every_frame(task, poses), chosen=(), within=0)
-    return told(task, flag_frames(task, state), str(stage), some_of(there))
+            yield state._replace(motion=_interpolate_missing(task, poses), within=number)
+    state = state._replace(motion=_interpolate_missing(task, poses), chosen=(), within=0)
+    return append_history(task, flag_frames(task, state), str(stage), select_evenly(there))
 
 
-def _poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
+def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Fit every pose by itself with pairs in both directions, `every` frames at a time."""
     there = task.scanned
     while state.within < len(there):
@@ -249,10 +251,10 @@ def _poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Step
         poses = {n: state.motion[n] for n in there}
         found = poses_at(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
         poses |= dict(zip(some, found, strict=True))
-        state = state._replace(motion=_every_frame(task, poses), within=state.within + len(some))
+        state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state
-    return told(task, state._replace(within=0), str(stage), some_of(task.scanned))
+    return append_history(task, state._replace(within=0), str(stage), select_evenly(task.scanned))
 
 
 def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
@@ -262,14 +264,14 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
         temporal = settings.temporal
         if temporal is None:
             # a wrong pose has a large energy, so its weight would smooth too little
-            rough = motion_energy(body.skeleton, state.motion, without={*state.lost, *task.missing})
-            temporal = BALANCE * balanced(state.terms[-1].data, rough)
+            rough = motion_energy(body.skeleton, state.motion, excluded={*state.lost, *task.missing})
+            temporal = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
         state = state._replace(temporal=temporal)
 
     # every frame is in several windows, and read in each of their steps
-    scan_at = functools.lru_cache(FRAMES)(lambda number: task.scan(there[number]))
+    scan_at = functools.lru_cache(WINDOW_FRAMES)(lambda number: task.scan(there[number]))
 
-    def pairs_in(number: int, pose: Pose) -> Pairs:
+    def pairs_in(number: int, pose: Pose) -> PointPairs:
         return pairs_at(task, body, pose, scan_at(number))
 
     windows = smooth_windows(
@@ -282,21 +284,21 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
         boxes=task.boxes,
         terms=task.terms,
         times=there,
-        begin=state.within,
+        resume_frame=state.within,
     )
     for poses, done in windows:
         last = done == len(there)
         if last or (every and done - state.within >= every):
-            motion = _every_frame(task, dict(zip(there, poses, strict=True)))
+            motion = _interpolate_missing(task, dict(zip(there, poses, strict=True)))
             state = state._replace(motion=motion, within=0 if last else done)
             if not last:
                 yield state
-    return told(task, state, str(stage), some_of(task.scanned))
+    return append_history(task, state, str(stage), select_evenly(task.scanned))
 
 
 _STAGES: dict[str, Callable[[AdaptTask, AdaptState, Stage, int], Steps]] = {
     "track": _track,
-    "turn": _turn,
-    "pose": _poses,
+    "turn": _correct_flips,
+    "pose": _fit_poses,
     "smooth": _smooth,
 }

@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..errors import InputError
-from ..fit.correspondence.correspond import Scan, make_scan, within_aperture
-from ..geometry.camera import Camera, check_sees
+from ..fit.correspondence.correspond import IndexedScan, make_scan, within_aperture
+from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
 from ..observe import Cloud, make_cloud
 from .adapt_body import adapt_body
@@ -21,33 +21,33 @@ from .task import AdaptState, AdaptTask
 
 #: largest distance of an explained point, as a share of the body's height, and least cosine between the
 #: normals
-NEAR, FACING = 0.05, 0.8
+MAX_EXPLAINED_DISTANCE, MIN_NORMAL_COSINE = 0.05, 0.8
 #: least share of nearby points that the body explains if they are a person's; a body curled up in a box or
 #: along a post explains fewer. The second share is for a person with a load, if the explained points extend
 #: over the third share of the body's height
-EXPLAINED, LOADED, UPRIGHT = 0.62, 0.42, 0.85
+MIN_EXPLAINED, MIN_EXPLAINED_WITH_LOAD, MIN_EXTENT_WITH_LOAD = 0.62, 0.42, 0.85
 #: least extent of a folded person, as a share of the height
-FOLDED = 0.4
+MIN_FOLDED_EXTENT = 0.4
 #: distance, as a share of the body's height, beyond which points belong to another object
-FAR = 0.15
+MIN_OBJECT_DISTANCE = 0.15
 #: another object may be a person if it has at least this share of the points, at least this share of the
 #: body's height, and at most this width, as a share of the same height
-SHARE, HEIGHT, WIDTH = 0.15, 0.5, 1.3
+MIN_OBJECT_SHARE, MIN_OBJECT_HEIGHT, MAX_OBJECT_WIDTH = 0.15, 0.5, 1.3
 #: share of a scan's points that may lie below its floor
-LOWEST = 0.02
+FLOOR_QUANTILE = 0.02
 #: link length of connected points, as a share of the body's height
-LINK = 0.06
+LINK_LENGTH = 0.06
 #: least share of the scans' points inside the images of the cameras, and largest distance of a camera from
 #: them, metres
-SEEN, FURTHEST = 0.5, 100.0
+MIN_VISIBLE_SHARE, MAX_CAMERA_DISTANCE = 0.5, 100.0
 
 #: quantiles of the points that bound an extent, robust to outliers
-OUTERMOST = (0.01, 0.99)
+EXTENT_QUANTILES = (0.01, 0.99)
 
 _posed = eqx.filter_jit(pose_body)
 
 
-class Likeness(NamedTuple):
+class FitQuality(NamedTuple):
     """How well a body explains the points around it."""
 
     #: explained points as a share of the nearby points
@@ -68,13 +68,13 @@ def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, 
     middle = np.median(points, 0)
     for number, camera in enumerate(cameras):
         apart = float(np.linalg.norm(np.asarray(camera.eye) - middle))
-        if apart > FURTHEST:
+        if apart > MAX_CAMERA_DISTANCE:
             raise InputError(
                 f"{where}: camera {number} is {apart:.4g} m away from the scans; give translations in metres."
             )
-    check_sees(cameras, points, where)
+    check_views(cameras, points, where)
     share = float(np.mean(within_aperture(cameras, points)))
-    if share < SEEN:
+    if share < MIN_VISIBLE_SHARE:
         raise InputError(
             f"{where}: {100 * (1 - share):.0f} % of the scans' points are outside the images of all cameras; "
             "give the cameras that took these scans."
@@ -91,14 +91,14 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
     """
     first = task.scanned[0]
     scan, height = task.scan(first), height_of(state.body)
-    like, apart = likeness(state, first, scan)
+    like, apart = fit_quality(state, first, scan)
     # a floor would link all objects on it
-    floor = float(np.quantile(scan.points[:, 1], LOWEST)) + LINK * height
-    far = np.flatnonzero((apart > FAR * height) & (scan.points[:, 1] > floor))
-    for group in large_groups(scan.points[far], height, len(scan.points)):
+    floor = float(np.quantile(scan.points[:, 1], FLOOR_QUANTILE)) + LINK_LENGTH * height
+    far = np.flatnonzero((apart > MIN_OBJECT_DISTANCE * height) & (scan.points[:, 1] > floor))
+    for group in person_sized_groups(scan.points[far], height, len(scan.points)):
         rows = far[group]
-        other = _likeness_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))
-        if is_person(other) and other.length >= FOLDED:
+        other = _fit_quality_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))
+        if is_person(other) and other.length >= MIN_FOLDED_EXTENT:
             place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
             raise InputError(
                 f"{where}: this scan contains more than one person, another one near ({place}); crop the scans to "
@@ -108,34 +108,39 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
         raise InputError(
             f"{where}: this scan does not resemble a person. The best-fitting body is {height:.2f} m tall and explains "
             f"{100 * like.share:.0f} % of the nearby points, over a length of {like.length * height:.2f} m; expected at "
-            f"least {100 * asked(like):.0f} %; give scans of one person without floor and walls, and their unit."
+            f"least {100 * min_explained_share(like):.0f} %; give scans of one person without floor and walls, and their unit."
         )
 
 
-def asked(like: Likeness) -> float:
+def min_explained_share(like: FitQuality) -> float:
     """Return the least share of nearby points to explain, given the length of the explained ones."""
-    return LOADED if like.length >= UPRIGHT else EXPLAINED
+    return MIN_EXPLAINED_WITH_LOAD if like.length >= MIN_EXTENT_WITH_LOAD else MIN_EXPLAINED
 
 
-def is_person(like: Likeness) -> bool:
+def is_person(like: FitQuality) -> bool:
     """Test if points that a body explains so well are a person's; boxes, balls, chairs and dogs are not."""
-    return like.share >= asked(like)
+    return like.share >= min_explained_share(like)
 
 
-def likeness(state: AdaptState, frame: int, scan: Scan) -> tuple[Likeness, Float[np.ndarray, "N"]]:
+def fit_quality(
+    state: AdaptState, frame: int, scan: IndexedScan
+) -> tuple[FitQuality, Float[np.ndarray, "N"]]:
     """Measure how well a posed body explains a scan; also return the distances of all points, metres."""
     posed, faces = _posed(state.body, state.motion[frame]), np.asarray(state.body.faces)
     there = nearest_on_surface(scan.points, np.asarray(posed.vertices, float), faces)
-    own = np.einsum("nk,nka->na", there.shares, np.asarray(posed.normals, float)[faces[there.triangles]])
+    own = np.einsum("nk,nka->na", there.barycentric, np.asarray(posed.normals, float)[faces[there.triangles]])
     length, height = np.linalg.norm(own, axis=1), height_of(state.body)
     # an unknown normal matches any direction
-    facing = np.sum(own * scan.normals, 1) >= FACING * length
+    facing = np.sum(own * scan.normals, 1) >= MIN_NORMAL_COSINE * length
     facing |= ~scan.normals.any(1)
-    around, good = there.distances <= FAR * height, facing & (there.distances <= NEAR * height)
+    around, good = (
+        there.distances <= MIN_OBJECT_DISTANCE * height,
+        facing & (there.distances <= MAX_EXPLAINED_DISTANCE * height),
+    )
     if not good.any():
-        return Likeness(0.0, 0.0), there.distances
-    low, high = np.quantile(scan.points[good], OUTERMOST, axis=0)
-    return Likeness(float(good.sum() / around.sum()), float((high - low).max()) / height), there.distances
+        return FitQuality(0.0, 0.0), there.distances
+    low, high = np.quantile(scan.points[good], EXTENT_QUANTILES, axis=0)
+    return FitQuality(float(good.sum() / around.sum()), float((high - low).max()) / height), there.distances
 
 
 def height_of(body: Body) -> float:
@@ -143,37 +148,39 @@ def height_of(body: Body) -> float:
     return float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
 
 
-def large_groups(points: Float[np.ndarray, "N 3"], height: float, whole: int) -> list[Int[np.ndarray, "_"]]:
+def person_sized_groups(
+    points: Float[np.ndarray, "N 3"], height: float, num_scan_points: int
+) -> list[Int[np.ndarray, "_"]]:
     """Find connected groups of points that may be a person about `height` metres tall, y up.
 
-    Floors, walls and small groups are excluded. `whole` is the number of points of the scan. Return the rows
+    Floors, walls and small groups are excluded. `num_scan_points` is the number of points of the scan. Return the rows
     of each group, largest first.
     """
-    labels = connected(points, LINK * height)
+    labels = connected_labels(points, LINK_LENGTH * height)
     found = []
     for label in np.unique(labels):
         rows = np.flatnonzero(labels == label)
-        low, high = np.quantile(points[rows], OUTERMOST, axis=0)
+        low, high = np.quantile(points[rows], EXTENT_QUANTILES, axis=0)
         size = high - low
-        tall, slim = size[1] >= HEIGHT * height, max(size[0], size[2]) <= WIDTH * height
-        if tall and slim and len(rows) >= SHARE * whole:
+        tall, slim = size[1] >= MIN_OBJECT_HEIGHT * height, max(size[0], size[2]) <= MAX_OBJECT_WIDTH * height
+        if tall and slim and len(rows) >= MIN_OBJECT_SHARE * num_scan_points:
             found.append(rows)
     return sorted(found, key=len, reverse=True)
 
 
-def connected(points: Float[np.ndarray, "N 3"], link: float) -> Int[np.ndarray, "N"]:
+def connected_labels(points: Float[np.ndarray, "N 3"], link_length: float) -> Int[np.ndarray, "N"]:
     """Label connected components of points.
 
-    Cells have a side of half a `link`, metres. Occupied cells are connected if their distance is at most two
+    Cells have a side of half a `link_length`, metres. Occupied cells are connected if their distance is at most two
     sides.
     """
-    cells, cell_of = np.unique(np.floor(points / (link / 2)).astype(int), axis=0, return_inverse=True)
+    cells, cell_of = np.unique(np.floor(points / (link_length / 2)).astype(int), axis=0, return_inverse=True)
     pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     return connected_components(graph, directed=False)[1][cell_of.reshape(-1)]
 
 
-def _likeness_alone(task: AdaptTask, cloud: Cloud) -> Likeness:
+def _fit_quality_alone(task: AdaptTask, cloud: Cloud) -> FitQuality:
     """Fit the template, with its size, to a cloud alone and measure how well it explains it."""
     alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=(), mesh=None)
-    return likeness(next(adapt_body(alone)), 0, make_scan(cloud))[0]
+    return fit_quality(next(adapt_body(alone)), 0, make_scan(cloud))[0]

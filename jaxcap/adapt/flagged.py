@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..fit.judgement.evidence import Evidence, gather_evidence
-from ..fit.judgement.surface import judged_surface
-from ..fit.judgement.usual import sensors_of, usual_of
+from ..fit.judgement.surface import sampled_surface
+from ..fit.judgement.usual import median_values, sensor_directions
 from ..fit.judgement.verdict import Judgement, judge_evidence
 from ..geometry.camera import Camera
 from ..geometry.closest import nearest_on_surface
@@ -23,9 +23,9 @@ from .task import AdaptState, AdaptTask
 POINTS = 1000
 #: a frame is lost if its median distance exceeds the sequence's by this many deviations and by at least this,
 #: metres
-DEVIATIONS, OFF = 5.0, 0.003
+MAX_DEVIATIONS, MIN_EXCESS = 5.0, 0.003
 #: median distance from which on a frame of a finished motion is lost in any case, metres
-MOST = 0.015
+MAX_DISTANCE = 0.015
 NO_SCAN = "no usable scan"
 
 _posed = eqx.filter_jit(pose_body)
@@ -42,7 +42,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
     distances = {n: median_distance(state.body, state.motion[n], task.cloud(n)) for n in task.scanned}
     all_distances = np.array(list(distances.values()))
     limit, middle = distance_limit(all_distances), 1000 * float(np.median(all_distances))
-    limit = min(limit, MOST) if final else limit
+    limit = min(limit, MAX_DISTANCE) if final else limit
     for (frame, distance), judgement in zip(distances.items(), judge_parts(task, state), strict=True):
         found = list(judgement.reasons) if judgement.verdict == "lost" else []
         if not distance <= limit:
@@ -57,7 +57,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
 
 def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     """Compare each scanned frame by part with the usual values of all frames."""
-    surface = judged_surface(state.body)
+    surface = sampled_surface(state.body)
 
     def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
         return [gather_evidence(surface, state.motion[n], task.cloud(n), sensors) for n in task.scanned]
@@ -65,8 +65,8 @@ def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     evidence = gather(task.cameras)
     if not task.cameras:
         # estimate the sensors from all frames together
-        evidence = gather(sensors_of(usual_of(_stack(evidence))))
-    usual = usual_of(_stack(evidence))
+        evidence = gather(sensor_directions(median_values(_stack(evidence))))
+    usual = median_values(_stack(evidence))
     return [judge_evidence(surface, usual, one) for one in evidence]
 
 
@@ -78,7 +78,7 @@ def distance_limit(distances: Float[np.ndarray, "F"]) -> float:
     """Compute the limit of a frame's median distance, metres, from the median and MAD of all frames."""
     middle = float(np.median(distances))
     spread = 1.4826 * float(np.median(np.abs(distances - middle)))
-    return middle + max(DEVIATIONS * spread, OFF, 0.5 * middle)
+    return middle + max(MAX_DEVIATIONS * spread, MIN_EXCESS, 0.5 * middle)
 
 
 def median_distance(body: Body, pose: Pose, cloud: Cloud) -> float:

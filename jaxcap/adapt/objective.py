@@ -31,7 +31,7 @@ class Terms(NamedTuple):
     #: summed squared differences of paired bones' lengths (eq. 4.13), metres squared
     symmetry: float
     #: mean over frames of the user's energies, in units of a log-likelihood
-    own: float = 0.0
+    user: float = 0.0
 
 
 def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
@@ -45,20 +45,20 @@ def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> 
     return float(jnp.sum(differences**2))
 
 
-def motion_energy(skeleton: Skeleton, motion: Motion, without: Collection[int] = ()) -> float:
+def motion_energy(skeleton: Skeleton, motion: Motion, excluded: Collection[int] = ()) -> float:
     """Compute the temporal energy of a motion (eq. 4.9); zero for fewer than three frames.
 
-    The frames `without` are excluded if at least three others are left; else all are used.
+    The frames `excluded` are excluded if at least three others are left; else all are used.
     """
     every = np.arange(len(motion))
-    frames = np.setdiff1d(every, list(without))
+    frames = np.setdiff1d(every, list(excluded))
     frames = frames if len(frames) > 2 else every
     poses = jax.tree.map(lambda leaf: leaf[frames], motion.poses)
     since = jnp.asarray(np.diff(frames), float)
     return float(temporal_energy(skeleton, poses, since)) if len(frames) > 2 else 0.0
 
 
-def balanced(data: float, term: float) -> float:
+def balancing_weight(data: float, term: float) -> float:
     """Compute the weight that balances a term with the data (eqs. 4.15, 4.16); zero for a zero term."""
     return data / term if term > 1e-12 else 0.0
 

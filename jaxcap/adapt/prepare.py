@@ -10,11 +10,11 @@ from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import mirrored_joints
-from ..energy.check import OwnTerms, own_terms
+from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
 from ..energy.priors.prior import RestPrior
 from ..errors import InputError
-from ..fit.correspondence.correspond import Scan
+from ..fit.correspondence.correspond import IndexedScan
 from ..geometry.camera import Camera
 from ..observe import Cloud, CloudFrames
 from .poses.similarity import is_unordered
@@ -30,15 +30,15 @@ def make_adapt_task(
     rate: float = 30.0,
     *,
     start: Pose | None = None,
-    likely: AbstractEnergy | None = None,
+    pose_prior: AbstractEnergy | None = None,
     settings: AdaptSettings = AdaptSettings(),
     cameras: Sequence[Camera] = (),
     missing: Sequence[int] = (),
     boxes: PoseBoxes | None = None,
     shape: ShapePrior | None = None,
-    mesh: Callable[[int], Scan] | None = None,
-    terms: OwnTerms = (),
-    whole: Body | None = None,
+    mesh: Callable[[int], IndexedScan] | None = None,
+    terms: UserTerms = (),
+    full_body: Body | None = None,
 ) -> AdaptTask:
     """Make the task of `adapt_body`.
 
@@ -47,9 +47,9 @@ def make_adapt_task(
 
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, loaded on demand, or the result of
     `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
-    None; `likely`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
+    None; `pose_prior`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
     energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
-    act in all stages; `whole`, the body that the template was reduced from; the others as in `AdaptTask`. The
+    act in all stages; `full_body`, the body that the template was reduced from; the others as in `AdaptTask`. The
     order of the scans in time is detected from some of them, unless `settings.unordered` is given.
 
     **Raises:** `InputError` if no frame has a cloud, a setting is out of its range, or `settings` are
@@ -81,14 +81,14 @@ def make_adapt_task(
         frames=len(clouds),
         rate=rate,
         start=start,
-        prior=prior if likely is None else prior + likely,
+        prior=prior if pose_prior is None else prior + pose_prior,
         mirrored=mirrored_joints(skeleton),
         settings=settings,
-        people=people_like(template, whole),
+        people=people_like(template, full_body),
         cameras=tuple(cameras),
         missing=missing,
         boxes=boxes,
         shape=shape,
         mesh=mesh,
-        terms=own_terms("adapt_body", terms, template),
+        terms=sum_user_terms("adapt_body", terms, template),
     )

@@ -7,8 +7,8 @@ from ..body.body import Body
 from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
-from ..errors import InputError, sentence_of
-from ..fit.correspondence.correspond import Matching, Scan, make_scan
+from ..errors import InputError, user_message
+from ..fit.correspondence.correspond import IndexedScan, Matching, make_scan
 from ..fit.tracking.recover import TrackedFrame
 from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
@@ -19,7 +19,7 @@ from .shape.shape_prior import ShapePrior
 from .shape.shape_space import People
 
 #: number of adaptations of a body during tracking
-TIMES = 10
+NUM_ADAPTATIONS = 10
 
 
 class AdaptSettings(NamedTuple):
@@ -33,7 +33,7 @@ class AdaptSettings(NamedTuple):
     frames: int = 40
     #: rounds of joints with their skin, or of shape coefficients if a shape space is known, before vertices
     #: are adapted
-    alone: int = 6
+    proportion_rounds: int = 6
     #: rounds of vertices and joints in each pass
     rounds: tuple[int, ...] = (5, 6)
     #: weight of the Laplacian term in the first and the last round
@@ -53,7 +53,7 @@ class AdaptSettings(NamedTuple):
     deviation: float = 0.003
     matching: Matching = Matching()
     #: solve for vertices, joints and poses in one step of each round, not one after the other
-    together: bool = False
+    simultaneous: bool = False
     #: the scans are not ordered in time: no term couples them, and the search for a pose starts from the most
     #: similar scans; None lets `make_adapt_task` determine it from the scans
     unordered: bool | None = None
@@ -71,7 +71,7 @@ def check_settings(settings: AdaptSettings) -> None:
     """
     where = "AdaptSettings"
     check_at_least(where, 1, frames=settings.frames)
-    check_at_least(where, 0, alone=settings.alone, rounds=settings.rounds, every=settings.every)
+    check_at_least(where, 0, alone=settings.proportion_rounds, rounds=settings.rounds, every=settings.every)
     check_at_least(where, 0, shape=settings.shape, pose=settings.pose, temporal=settings.temporal)
     check_positive(where, "metres", joint=settings.joint, deviation=settings.deviation)
 
@@ -137,7 +137,7 @@ class AdaptTask(NamedTuple):
     terms: AbstractEnergy | None = None
     #: the scan of a frame with its triangles, if scans are meshes; None builds scans from the points of
     #: clouds
-    mesh: Callable[[int], Scan] | None = None
+    mesh: Callable[[int], IndexedScan] | None = None
 
     @property
     def scanned(self) -> list[int]:
@@ -148,7 +148,7 @@ class AdaptTask(NamedTuple):
         """List the frames with a scan that a stage processes."""
         return [n for n in self.scanned if stage.frames is None or n < stage.frames] or self.scanned[:1]
 
-    def scan(self, frame: int) -> Scan:
+    def scan(self, frame: int) -> IndexedScan:
         """Return the scan of a frame, in which pairs are found.
 
         **Raises:** `InputError` if the cloud of the frame has no points.
@@ -160,10 +160,10 @@ class AdaptTask(NamedTuple):
             return make_scan(cloud)
         except ValueError as error:
             raise InputError(
-                f"frame {frame}: {sentence_of(error)} Add it to the `missing` frames."
+                f"frame {frame}: {user_message(error)} Add it to the `missing` frames."
             ) from None
 
-    def some(self, frames: Sequence[int]) -> "AdaptTask":
+    def subset(self, frames: Sequence[int]) -> "AdaptTask":
         """Restrict the task to some of the frames, numbered from 0."""
         mesh = self.mesh
         return self._replace(
@@ -177,11 +177,11 @@ class AdaptTask(NamedTuple):
 class Stage(NamedTuple):
     """One stage of an adaptation.
 
-    Passes (`number`) and rounds count from 1. Pass 0 comes before any vertex is adapted.
+    Passes (`pass_number`) and rounds count from 1. Pass 0 comes before any vertex is adapted.
     """
 
     name: str
-    number: int = 0
+    pass_number: int = 0
     round: int = 0
     #: number of leading frames that the stage is limited to; None is all
     frames: int | None = None
@@ -192,20 +192,24 @@ class Stage(NamedTuple):
         if self.name != "adapt":
             return self.name
         return (
-            f"pass {self.number}, round {self.round}" if self.number else f"proportions, round {self.round}"
+            f"pass {self.pass_number}, round {self.round}"
+            if self.pass_number
+            else f"proportions, round {self.round}"
         )
 
 
-def plan(settings: AdaptSettings) -> list[Stage]:
+def plan_stages(settings: AdaptSettings) -> list[Stage]:
     """List the stages of an adaptation in order."""
     stages = [Stage("size")]
     if settings.every:
-        for time in range(1, TIMES + 1):
+        for time in range(1, NUM_ADAPTATIONS + 1):
             stages.append(Stage("track", frames=time * settings.every))
-            alone = time <= settings.alone // 2
+            alone = time <= settings.proportion_rounds // 2
             stages.append(Stage("adapt", 0 if alone else 1, time if alone else 1, time * settings.every))
     stages.append(Stage("track"))
-    stages += [Stage("adapt", 0, step + 1) for step in range(0 if settings.every else settings.alone)]
+    stages += [
+        Stage("adapt", 0, step + 1) for step in range(0 if settings.every else settings.proportion_rounds)
+    ]
     stages += [Stage("turn")] if stages[-1].name == "adapt" and not settings.every else []
     for number, rounds in enumerate(settings.rounds):
         stages += [Stage("track")] if number else []
@@ -215,6 +219,6 @@ def plan(settings: AdaptSettings) -> list[Stage]:
     return [*stages, Stage("smooth")] if settings.smooth else stages
 
 
-def tracker_of(task: AdaptTask, body: Body) -> Tracker:
+def make_task_tracker(task: AdaptTask, body: Body) -> Tracker:
     """Make a tracker of the current body with the task's terms."""
     return make_tracker(body, terms=() if task.terms is None else terms_of(task.terms))

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from ..arguments import check_fields, check_length, checked, lengths_of
+from ..arguments import check_fields, check_length, checked, dimension_lengths
 from ..errors import InputError
 from ..geometry.mesh import vertex_normals
 from ..values import check_faces
@@ -29,15 +29,15 @@ class Body(eqx.Module):
 
     def __check_init__(self):
         lengths = {**check_fields(self), "J": (self.skeleton.num_joints, "skeleton")}
-        of_skin = lengths_of(self.skin)
+        of_skin = dimension_lengths(self.skin)
         for dim in ("V", "J"):
             if dim in of_skin:
                 check_length(self, "skin", of_skin[dim][0], lengths, dim)
         check_faces("Body", self.faces, len(self.vertices))
-        check_skin(self.skin)
+        check_skin_weights(self.skin)
 
 
-def check_skin(skin: AbstractSkin) -> None:
+def check_skin_weights(skin: AbstractSkin) -> None:
     """Check that every vertex of a skin has a positive sum of weights; traced weights and skins without
     weights pass.
 
@@ -91,7 +91,7 @@ def take_vertices(body: Body, rows: Int[Array, "R"], faces: Int[Array, "F 3"] | 
 
 
 @eqx.filter_jit
-def deform_all(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
+def posed_vertices(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
     """Compute the vertices of a body in every pose of a stack, metres."""
     return jax.lax.map(lambda pose: pose_body(body, pose).vertices, poses)
 

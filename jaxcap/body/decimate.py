@@ -11,7 +11,7 @@ from ..geometry.mesh import triangle_sides
 from .body import Body
 
 #: number of vertices of the smallest closed surface, a tetrahedron
-LEAST_VERTICES = 4
+MIN_VERTICES = 4
 
 
 class Attachment(NamedTuple):
@@ -24,7 +24,7 @@ class Attachment(NamedTuple):
     #: vertices of the nearest triangle
     corners: Int[np.ndarray, "N 3"]
     #: barycentric coordinates of the foot of the perpendicular; they may leave [0, 1] by a little
-    shares: Float[np.ndarray, "N 3"]
+    barycentric: Float[np.ndarray, "N 3"]
     #: heights above the triangle, metres
     heights: Float[np.ndarray, "N"]
 
@@ -41,53 +41,53 @@ def reduce_body(body: Body, vertices: int) -> Body:
     **Raises:** `InputError` with one sentence when fewer than 4 vertices are asked for, or when the surface
     cannot be reduced so far.
     """
-    if vertices < LEAST_VERTICES:
-        raise ValueError(
-            f"A body cannot be reduced to {vertices} vertices; ask for {LEAST_VERTICES} or more."
-        )
+    if vertices < MIN_VERTICES:
+        raise ValueError(f"A body cannot be reduced to {vertices} vertices; ask for {MIN_VERTICES} or more.")
     if len(body.vertices) <= vertices:
         return body
     shape, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     points, triangles = decimate(shape, faces, vertices)
-    hold = attach(points, shape, faces)
+    hold = attach_points(points, shape, faces)
     return Body(
         body.skeleton,
-        body.skin.carry(hold.corners, hold.shares, body.skeleton),
+        body.skin.transfer(hold.corners, hold.barycentric, body.skeleton),
         jnp.asarray(points, body.vertices.dtype),
         jnp.asarray(triangles, body.faces.dtype),
     )
 
 
 def decimate(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], num_vertices: int
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "G 3"]]:
-    """Decimate a surface to about `count` vertices, without unused vertices or degenerate triangles.
+    """Decimate a surface to about `num_vertices` vertices, without unused vertices or degenerate triangles.
 
     **Raises:** `ValueError` with one sentence when the surface cannot be reduced so far.
     """
     closed, present = _is_closed(faces), len(np.unique(faces))
     # an edge collapse removes one vertex and two triangles in the interior, fewer triangles at the border
-    target = len(faces) - 2 * (present - count) if closed else round(len(faces) * count / present)
-    target = max(target, LEAST_VERTICES)
+    target = (
+        len(faces) - 2 * (present - num_vertices) if closed else round(len(faces) * num_vertices / present)
+    )
+    target = max(target, MIN_VERTICES)
     best = None
     # the least aggressive collapse that suffices: others distort the shape and may open a closed surface
     for haste in (3.0, 4.0, 5.0, 6.0, 7.0):
-        points, triangles = _tidy(*_collapse(vertices, faces, target, haste))
+        points, triangles = _remove_degenerate(*_collapse_edges(vertices, faces, target, haste))
         if len(triangles) and _is_closed(triangles) >= closed:
             best = points, triangles
             if len(triangles) <= 1.02 * target + 2:
                 return best
     found = "no" if best is None else f"{len(best[0])}"
     raise ValueError(
-        f"A surface of {present} vertices could not be decimated to {count}; the smallest result has {found} "
+        f"A surface of {present} vertices could not be decimated to {num_vertices}; the smallest result has {found} "
         "vertices; ask for more vertices."
     )
 
 
-def _collapse(
-    vertices: np.ndarray, faces: np.ndarray, target: int, haste: float
+def _collapse_edges(
+    vertices: np.ndarray, faces: np.ndarray, target: int, aggressiveness: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Collapse edges until `target` triangles are left, or as few as `haste` allows."""
+    """Collapse edges until `target` triangles are left, or as few as `aggressiveness` allows."""
     import fast_simplification  # imported here, as most programs never decimate
 
     # repeated halving recomputes the quadric errors, which preserves the volume better than one pass
@@ -98,14 +98,14 @@ def _collapse(
             np.array(vertices, float),
             np.array(faces, np.int32),
             target_count=max(target, before // 2),
-            agg=haste,
+            agg=aggressiveness,
         )[:2]
         if len(faces) in (0, before):
             break
     return np.asarray(vertices, float), np.asarray(faces)
 
 
-def attach(
+def attach_points(
     points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Attachment:
     """Attach `points` to a surface. Works in metres or any other unit."""
@@ -117,19 +117,21 @@ def attach(
     surface = trimesh.Trimesh(vertices, faces, process=False)
     _, _, nearest = trimesh.proximity.closest_point(surface, points)
     corners = faces[nearest]
-    origin, normal = _frames(vertices, corners)
+    origin, normal = _triangle_planes(vertices, corners)
     shares = trimesh.triangles.points_to_barycentric(vertices[corners], points, "cross")
     return Attachment(corners, shares, np.sum((points - origin) * normal, axis=1))
 
 
-def follow(attachment: Attachment, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
+def attached_positions(
+    attachment: Attachment, vertices: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "N 3"]:
     """Compute the positions of attached points on another shape of the surface."""
-    _, normal = _frames(vertices, attachment.corners)
-    foot = np.einsum("nc,nca->na", attachment.shares, vertices[attachment.corners])
+    _, normal = _triangle_planes(vertices, attachment.corners)
+    foot = np.einsum("nc,nca->na", attachment.barycentric, vertices[attachment.corners])
     return foot + attachment.heights[:, None] * normal
 
 
-def _frames(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:
+def _triangle_planes(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:
     """Compute origin and unit normal (each (N, 3)) of triangles."""
     origin, second, third = np.moveaxis(vertices[corners], 1, 0)
     normal = np.cross(second - origin, third - origin)
@@ -144,7 +146,7 @@ def _is_closed(faces: np.ndarray) -> bool:
     return np.array_equal(np.unique(edges, axis=0), np.unique(edges[:, ::-1], axis=0))
 
 
-def _tidy(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _remove_degenerate(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Remove degenerate triangles, then unused vertices."""
     first, second = np.moveaxis(points[triangles[:, 1:]] - points[triangles[:, :1]], 1, 0)
     triangles = triangles[np.linalg.norm(np.cross(first, second), axis=1) > 0]

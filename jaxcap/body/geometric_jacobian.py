@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..geometry import rotation
-from .joint_swing_twist import Split, split_joints, split_motions
+from .joint_swing_twist import SwingTwist, decompose_joints, decompose_motions
 from .kinematics import Transforms, joint_positions, world_axes
 from .pose import Pose, retract
 from .skeleton import Skeleton, dof_layout
 
 
-class Rates(eqx.Module):
+class GeometricJacobian(eqx.Module):
     """Rates of N parameters, each of which belongs to one joint; metres and radians per unit."""
 
     #: the joint of each parameter
@@ -31,7 +31,7 @@ class Rates(eqx.Module):
     swing: Float[Array, "N 3 4"]
 
 
-def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
+def pose_jacobian(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> GeometricJacobian:
     """Compute the rates by the D parameters `d` of `retract(skeleton, pose, d)` at `d = 0`, in the order of
     `dof_layout`.
 
@@ -39,7 +39,7 @@ def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
     (Kineben, eqs. 10 and 13). For a translation along `a` it is `(0, a)` (eq. 8, with the axis transformed
     by the joint's ancestors and by the scale).
     """
-    joints, numbers, turning = _slots(skeleton)
+    joints, numbers, turning = _parameter_axes(skeleton)
     shifts, turns = world_axes(skeleton, pose, transforms)
     centres = joint_positions(skeleton, transforms)[joints]
     axes = jnp.where(turning[:, None], turns[joints, numbers], shifts[joints, numbers])
@@ -48,11 +48,15 @@ def pose_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
     # joints share no parameters, so one pass differentiates by one parameter of every joint
     kinds = 3 * turning + numbers
     directions = jnp.asarray(np.arange(6)[:, None] == kinds, centres.dtype)
-    split = _rates(lambda d: split_joints(skeleton, retract(skeleton, pose, d)), directions)
-    return Rates(tuple(joints.tolist()), angular, linear, *(rate[kinds, joints] for rate in split))
+    split = _differentiate_swing_twist(
+        lambda d: decompose_joints(skeleton, retract(skeleton, pose, d)), directions
+    )
+    return GeometricJacobian(
+        tuple(joints.tolist()), angular, linear, *(rate[kinds, joints] for rate in split)
+    )
 
 
-def joint_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates:
+def joint_jacobian(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> GeometricJacobian:
     """Compute the rates by 6 J parameters of the joints: for each joint, three of its centre along the axes
     of the world at rest, and three of its orientation, `o <- o exp(w)`. The pose stays as it is.
 
@@ -69,34 +73,36 @@ def joint_rates(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Rates
     def moved(d):
         d = jnp.broadcast_to(d, (count, 6))
         turned = rotation.multiply(skeleton.orientations, rotation.exp(d[:, 3:]))
-        return split_motions(pose.rotations, pose.translations, skeleton.centres + d[:, :3], turned)
+        return decompose_motions(pose.rotations, pose.translations, skeleton.centres + d[:, :3], turned)
 
-    split = _rates(moved, jnp.eye(6, dtype=dtype))
+    split = _differentiate_swing_twist(moved, jnp.eye(6, dtype=dtype))
     twist, swing = (jnp.moveaxis(rate, 0, 1).reshape(-1, *rate.shape[2:]) for rate in split)
-    return Rates(tuple(np.repeat(np.arange(count), 6).tolist()), jnp.zeros_like(linear), linear, twist, swing)
+    return GeometricJacobian(
+        tuple(np.repeat(np.arange(count), 6).tolist()), jnp.zeros_like(linear), linear, twist, swing
+    )
 
 
-def stack_rates(*rates: Rates) -> Rates:
-    """Concatenate the parameters of several `Rates`."""
+def concatenate_jacobians(*rates: GeometricJacobian) -> GeometricJacobian:
+    """Concatenate the parameters of several `GeometricJacobian`."""
     joints = sum((some.joints for some in rates), ())
     moving = [(some.angular, some.linear, some.twist, some.swing) for some in rates]
-    return Rates(joints, *(jnp.concatenate(parts) for parts in zip(*moving, strict=True)))
+    return GeometricJacobian(joints, *(jnp.concatenate(parts) for parts in zip(*moving, strict=True)))
 
 
-def take_rates(rates: Rates, numbers: Int[np.ndarray, "M"]) -> Rates:
-    """Select some of the parameters, in the given order; `numbers` must be known at trace time."""
-    joints = tuple(rates.joints[number] for number in numbers.tolist())
+def select_parameters(rates: GeometricJacobian, indices: Int[np.ndarray, "M"]) -> GeometricJacobian:
+    """Select some of the parameters, in the given order; `indices` must be known at trace time."""
+    joints = tuple(rates.joints[number] for number in indices.tolist())
     moving = (rates.angular, rates.linear, rates.twist, rates.swing)
-    return Rates(joints, *(some[numbers] for some in moving))
+    return GeometricJacobian(joints, *(some[indices] for some in moving))
 
 
-def bones_below(skeleton: Skeleton, rates: Rates) -> Float[Array, "J N"]:
+def descendant_matrix(skeleton: Skeleton, rates: GeometricJacobian) -> Float[Array, "J N"]:
     """Compute the matrix that is one where a bone moves with a parameter's joint, else zero."""
-    return jnp.asarray(skeleton.descent[list(rates.joints)].T, rates.linear.dtype)
+    return jnp.asarray(skeleton.descendants[list(rates.joints)].T, rates.linear.dtype)
 
 
-def field_rows(
-    points: Float[Array, "V 3"], directions: Float[Array, "V R 3"], rates: Rates
+def project_velocities(
+    points: Float[Array, "V 3"], directions: Float[Array, "V R 3"], rates: GeometricJacobian
 ) -> Float[Array, "V R N"]:
     """Compute `n . (a x p + b)` along directions `n`, as if all points `p` were descendants of all joints.
 
@@ -108,13 +114,13 @@ def field_rows(
     return wrench @ jnp.concatenate([rates.angular, rates.linear], 1).T
 
 
-def _rates(function, directions: Float[Array, "K D"]) -> Split:
-    """Differentiate a function that returns a `Split` at zero along each direction."""
+def _differentiate_swing_twist(function, directions: Float[Array, "K D"]) -> SwingTwist:
+    """Differentiate a function that returns a `SwingTwist` at zero along each direction."""
     still = jnp.zeros_like(directions[0])
     return jax.vmap(lambda direction: jax.jvp(function, (still,), (direction,))[1])(directions)
 
 
-def _slots(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parameter_axes(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the joint of each parameter of a tangent, the index of its axis, and if it is a rotation."""
     layout = dof_layout(skeleton)
     numbers = np.zeros(skeleton.num_dofs, int)

@@ -10,7 +10,7 @@ from .pose import Pose
 from .skeleton import Skeleton
 
 
-class Split(NamedTuple):
+class SwingTwist(NamedTuple):
     """The joints' own motions, `swing after twist`, in the rest frame of the world."""
 
     #: unit dual quaternions of the rotations about the joints' own x axes through their centres
@@ -19,17 +19,17 @@ class Split(NamedTuple):
     swings: Float[Array, "*joints 3 4"]
 
 
-def split_joints(skeleton: Skeleton, pose: Pose) -> Split:
+def decompose_joints(skeleton: Skeleton, pose: Pose) -> SwingTwist:
     """Decompose every joint's own motion, `Translate(t) . Rot(q about c)`, into swing after twist."""
-    return split_motions(pose.rotations, pose.translations, skeleton.centres, skeleton.orientations)
+    return decompose_motions(pose.rotations, pose.translations, skeleton.centres, skeleton.orientations)
 
 
-def split_motions(
+def decompose_motions(
     rotations: Float[Array, "*joints 4"],
     translations: Float[Array, "*joints 3"],
     centres: Float[Array, "*joints 3"],
     orientations: Float[Array, "*joints 4"],
-) -> Split:
+) -> SwingTwist:
     """Decompose motions of joints into swing and twist (Adaptation, eqs. 3.13 and 3.14); metres, unit
     quaternions.
 
@@ -49,4 +49,6 @@ def split_motions(
     swings, twists = rotation.swing_twist(rotations, axes)
     matrices = rotation.to_matrix(swings)
     shifts = translations + centres - jnp.einsum("...ab,...b->...a", matrices, centres)
-    return Split(dualquat.about_centre(twists, centres), jnp.concatenate([matrices, shifts[..., None]], -1))
+    return SwingTwist(
+        dualquat.about_centre(twists, centres), jnp.concatenate([matrices, shifts[..., None]], -1)
+    )

@@ -15,12 +15,12 @@ from scipy.optimize import minimize
 
 from ..arguments import check_fields, checked
 from ..geometry import rotation
-from .limits.rotation_vector_boxes import turning_joints
-from .pose import Pose, own_vectors
+from .limits.rotation_vector_boxes import rotating_joints
+from .pose import Pose, local_rotation_vectors
 from .skeleton import Skeleton
 
 #: frames at rest that differ by more than this, radians, belong to different rest poses
-TURNED = np.radians(35.0)
+MAX_FRAME_ANGLE = np.radians(35.0)
 
 
 class PairPrior(eqx.Module):
@@ -44,7 +44,7 @@ class PairPrior(eqx.Module):
     modes: Float[Array, "P 6"]
     log_peaks: Float[Array, "P"]
     #: `B` with `-B B^T` the Hessian of the log-density at the mode
-    bends: Float[Array, "P 6 6"]
+    curvature_factors: Float[Array, "P 6 6"]
 
     def __check_init__(self):
         check_fields(self)
@@ -67,10 +67,10 @@ def pair_indices(prior: PairPrior, skeleton: Skeleton) -> Int[np.ndarray, "P 2"]
 
 def pair_vectors(prior: PairPrior, skeleton: Skeleton, pose: Pose) -> Float[Array, "P 6"]:
     """Compute the rotation vectors of every pair in a pose: the parent's, then the child's."""
-    return own_vectors(skeleton, pose)[pair_indices(prior, skeleton)].reshape(-1, 6)
+    return local_rotation_vectors(skeleton, pose)[pair_indices(prior, skeleton)].reshape(-1, 6)
 
 
-def component_offsets(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K 6"]:
+def whitened_offsets(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P K 6"]:
     """Compute the whitened offset `L^T (x - mu)` to every component."""
     return jnp.einsum("pkji,pkj->pki", prior.factors, x[:, None] - prior.means)
 
@@ -79,7 +79,7 @@ def log_components(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P 
     """Compute the logarithm of weight times density of each component; minus infinity for padding."""
     present = prior.weights > 0
     weights = jnp.where(present, jnp.log(jnp.where(present, prior.weights, 1.0)), -jnp.inf)
-    return weights + prior.log_norms - 0.5 * jnp.sum(component_offsets(prior, x) ** 2, -1)
+    return weights + prior.log_norms - 0.5 * jnp.sum(whitened_offsets(prior, x) ** 2, -1)
 
 
 def log_density(prior: PairPrior, x: Float[Array, "P 6"]) -> Float[Array, "P"]:
@@ -100,7 +100,7 @@ def successive_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
 
     Joints that do not rotate are skipped. Roots are in no pair, as they only orient the whole body.
     """
-    turning = set(turning_joints(skeleton))
+    turning = set(rotating_joints(skeleton))
     pairs = []
     for joint in sorted(turning):
         above = skeleton.parents[joint]
@@ -111,7 +111,7 @@ def successive_pairs(skeleton: Skeleton) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
+def describe_mismatch(prior: PairPrior, skeleton: Skeleton) -> str | None:
     """Describe why a prior does not fit a skeleton, as half a sentence; return None where it fits.
 
     The frames are compared too, as rotations from another rest pose have another meaning.
@@ -123,7 +123,7 @@ def misfit(prior: PairPrior, skeleton: Skeleton) -> str | None:
                 return f"there is no joint '{name}' among {', '.join(skeleton.names)}"
             own = skeleton.orientations[skeleton.index(name)]
             turned = float(rotation.distance(jnp.asarray(frame, own.dtype), own))
-            if turned > TURNED:
+            if turned > MAX_FRAME_ANGLE:
                 return f"the rest frame of '{name}' differs by {np.degrees(turned):.0f}°"
         if pair not in there:
             return f"'{pair[1]}' is not the next rotating joint below '{pair[0]}'"
@@ -170,7 +170,7 @@ def make_pair_prior(
     if np.triu(factors, 1).any():
         raise ValueError("The factors of the precisions are not lower triangular; learn the prior again.")
     peaks = [
-        mixture_peak(*(part[share > 0] for part in (share, mean, factor)))
+        mixture_mode(*(part[share > 0] for part in (share, mean, factor)))
         for share, mean, factor in zip(weights, means, factors, strict=True)
     ]
     modes, heights, bends = (np.array(parts) for parts in zip(*peaks, strict=True))
@@ -178,7 +178,7 @@ def make_pair_prior(
     return PairPrior(tuple(pairs), *(jnp.asarray(values, float) for values in arrays))
 
 
-def mixture_peak(
+def mixture_mode(
     weights: Float[np.ndarray, "K"], means: Float[np.ndarray, "K D"], factors: Float[np.ndarray, "K D D"]
 ) -> tuple[Float[np.ndarray, "D"], float, Float[np.ndarray, "D D"]]:
     """Find the mode of a mixture, its log-density there, and `B` with `-B B^T` its Hessian there.

@@ -121,7 +121,7 @@ def retract(skeleton: Skeleton, pose: Pose, d: Float[Array, "D"]) -> Pose:
     translations = pose.translations + padded[layout.translations]
     step = _rotation_vectors(skeleton, padded[layout.rotations])
     rotations = rotation.normalise(rotation.multiply(pose.rotations, rotation.exp(step)))
-    pairs = _of_kind(skeleton, "universal")
+    pairs = _joints_of_kind(skeleton, "universal")
     if pairs.size:
         angles = universal_angles(skeleton, pose)[pairs] + padded[layout.rotations[pairs, :2]]
         turned = [rotation.about_axis(skeleton.axes[pairs, i], angles[:, i]) for i in range(2)]
@@ -135,11 +135,11 @@ def difference(skeleton: Skeleton, a: Pose, b: Pose) -> Float[Array, "D"]:
     """Compute the tangent `d` with `retract(a, d) = b`, where the joints' kinds allow `b`."""
     layout = dof_layout(skeleton)
     relative = rotation.log(rotation.multiply(rotation.conjugate(a.rotations), b.rotations))
-    revolute = _of_kind(skeleton, "revolute")
+    revolute = _joints_of_kind(skeleton, "revolute")
     if revolute.size:
         along = jnp.sum(relative[revolute] * skeleton.axes[revolute, 0], -1)
         relative = relative.at[revolute, 0].set(along)
-    pairs = _of_kind(skeleton, "universal")
+    pairs = _joints_of_kind(skeleton, "universal")
     if pairs.size:
         change = universal_angles(skeleton, b)[pairs] - universal_angles(skeleton, a)[pairs]
         wrapped = (change + jnp.pi) % (2 * jnp.pi) - jnp.pi
@@ -183,17 +183,17 @@ def universal_angles(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 2"]:
 
 
 @partial(jax.jit, inline=True)
-def own_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
+def local_rotation_vectors(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 3"]:
     """Compute every joint's rotation from rest as a rotation vector in the joint's own frame, radians."""
     return rotation.rotate(rotation.conjugate(skeleton.orientations), rotation.log(pose.rotations))
 
 
-def _rotation_vectors(skeleton: Skeleton, numbers: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
+def _rotation_vectors(skeleton: Skeleton, parameters: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
     """Compute each joint's right update as a rotation vector, from its one or three parameters."""
     kinds = np.array(skeleton.kinds)[:, None]
-    along = numbers[:, :1] * skeleton.axes[:, 0]
-    return jnp.where(kinds == "revolute", along, jnp.where(kinds == "universal", 0.0, numbers))
+    along = parameters[:, :1] * skeleton.axes[:, 0]
+    return jnp.where(kinds == "revolute", along, jnp.where(kinds == "universal", 0.0, parameters))
 
 
-def _of_kind(skeleton: Skeleton, kind: str) -> np.ndarray:
+def _joints_of_kind(skeleton: Skeleton, kind: str) -> np.ndarray:
     return np.flatnonzero(np.array(skeleton.kinds) == kind)

@@ -9,7 +9,7 @@ from .body import Body
 from .skeleton import Skeleton
 
 
-class Modes(eqx.Module):
+class ShapeModes(eqx.Module):
     """Displacements at rest: with amounts `z` the joints are at `c + z . centres` and the vertices at
     `x + z . vertices`, metres."""
 
@@ -17,42 +17,42 @@ class Modes(eqx.Module):
     vertices: Float[Array, "K V 3"]
 
 
-def moved(body: Body, modes: Modes, amounts: Float[Array, "K"]) -> Body:
+def apply_modes(body: Body, modes: ShapeModes, coefficients: Float[Array, "K"]) -> Body:
     """Displace the joints and the surface of a body by amounts of its modes."""
     return eqx.tree_at(
         lambda b: (b.skeleton.centres, b.vertices),
         body,
         (
-            body.skeleton.centres + jnp.tensordot(amounts, modes.centres, 1),
-            body.vertices + jnp.tensordot(amounts, modes.vertices, 1),
+            body.skeleton.centres + jnp.tensordot(coefficients, modes.centres, 1),
+            body.vertices + jnp.tensordot(coefficients, modes.vertices, 1),
         ),
     )
 
 
-def joint_modes(body: Body, follow: bool = True) -> Modes:
+def joint_modes(body: Body, move_surface: bool = True) -> ShapeModes:
     """Create the `3 J` modes that displace every joint along every axis.
 
-    With `follow` the surface moves with its bones, as a bone that grows stretches its skin. A vertex near
+    With `move_surface` the surface moves with its bones, as a bone that grows stretches its skin. A vertex near
     the start of a bone moves with the start, one near the end with the joint there. Vertices of a joint
     without children move with that joint.
     """
     count = body.skeleton.num_joints
     axes = np.eye(3)
     centres = np.einsum("ij,ab->iajb", np.eye(count), axes).reshape(-1, count, 3)
-    shares = _shares(body) if follow else np.zeros((len(body.vertices), count))
+    shares = _displacement_weights(body) if move_surface else np.zeros((len(body.vertices), count))
     vertices = np.einsum("vj,ab->javb", shares, axes).reshape(-1, len(shares), 3)
     dtype = body.vertices.dtype
-    return Modes(jnp.asarray(centres, dtype), jnp.asarray(vertices, dtype))
+    return ShapeModes(jnp.asarray(centres, dtype), jnp.asarray(vertices, dtype))
 
 
-def _shares(body: Body) -> Float[np.ndarray, "V J"]:
+def _displacement_weights(body: Body) -> Float[np.ndarray, "V J"]:
     """Compute the weight of each joint's displacement for each vertex.
 
     A bone's influence is interpolated between the joints at its two ends, by the position of the vertex
     along the bone.
     """
     skeleton: Skeleton = body.skeleton
-    influence = np.asarray(body.skin.influence(skeleton.num_joints), float)
+    influence = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
     vertices, centres = np.asarray(body.vertices, float), np.asarray(skeleton.centres, float)
     shares = np.zeros_like(influence)
     for joint in range(skeleton.num_joints):

@@ -14,7 +14,7 @@ from ..errors import InputError
 
 #: largest angle between bones of one rest pose, degrees; smallest length of compared bones, relative to the
 #: skeleton's size
-TURNED, SHORT = 20.0, 0.03
+MAX_BONE_ANGLE, MIN_BONE_LENGTH = 20.0, 0.03
 #: degrees of freedom of each kind of joint, as (translations, rotations)
 KINDS: dict[str, tuple[int, int]] = {
     "fixed": (0, 0),
@@ -87,7 +87,7 @@ class Skeleton(eqx.Module):
         return depth
 
     @property
-    def descent(self) -> np.ndarray:
+    def descendants(self) -> np.ndarray:
         """(J, J) of bool: `descent[a, d]` where bone `d` moves with joint `a`."""
         descends = np.eye(self.num_joints, dtype=bool)
         for joint, parent in enumerate(self.parents):
@@ -186,7 +186,7 @@ def make_skeleton(
         )
     if not np.isfinite(axes).all():
         raise ValueError("The axes of a joint are not finite; give two directions of three finite numbers.")
-    order = _parents_first(names, parents)
+    order = _topological_order(names, parents)
     place = {old: new for new, old in enumerate(order)}
     lengths = np.linalg.norm(axes, axis=-1, keepdims=True)
     return Skeleton(
@@ -199,52 +199,56 @@ def make_skeleton(
     )
 
 
-def same_joints(one: Skeleton, other: Skeleton) -> bool:
+def has_same_joints(first: Skeleton, second: Skeleton) -> bool:
     """Test that two skeletons have the same joints in the same order with the same parents; positions may
     differ."""
-    return (one.names, one.parents) == (other.names, other.parents)
+    return (first.names, first.parents) == (second.names, second.parents)
 
 
-def rest_distance(one: Skeleton, other: Skeleton) -> float:
+def rest_distance(first: Skeleton, second: Skeleton) -> float:
     """Compute the largest distance between the same joint of two skeletons at rest, metres."""
-    apart = np.asarray(one.centres, float) - np.asarray(other.centres, float)
+    apart = np.asarray(first.centres, float) - np.asarray(second.centres, float)
     return float(np.linalg.norm(apart, axis=1).max())
 
 
-def rest_difference(one: Skeleton, other: Skeleton) -> str | None:
+def describe_rest_difference(first: Skeleton, second: Skeleton) -> str | None:
     """Describe a difference between two skeletons with the same names by which poses have another meaning;
     None where there is none.
 
     Such a difference is another parent of a joint, or a bone whose direction at rest differs by more than
-    `TURNED` degrees, as between raised and lowered arms. Bone lengths may differ. The words follow "whose".
+    `MAX_BONE_ANGLE` degrees, as between raised and lowered arms. Bone lengths may differ. The words follow "whose".
     """
-    for name, parent, there in zip(one.names, one.parents, other.parents, strict=True):
+    for name, parent, there in zip(first.names, first.parents, second.parents, strict=True):
         if parent != there:
             ends = [
-                names[p] if p >= 0 else "none" for names, p in ((one.names, parent), (other.names, there))
+                names[p] if p >= 0 else "none" for names, p in ((first.names, parent), (second.names, there))
             ]
             return f"joint '{name}' has parent {ends[0]}, not {ends[1]}"
-    bones = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
-    above = [one.parents[joint] for joint in bones]
-    centres = [np.asarray(skeleton.centres, float) for skeleton in (one, other)]
+    bones = [joint for joint, parent in enumerate(first.parents) if parent >= 0]
+    above = [first.parents[joint] for joint in bones]
+    centres = [np.asarray(skeleton.centres, float) for skeleton in (first, second)]
     long = [there[bones] - there[above] for there in centres]
     length = [np.linalg.norm(bone, axis=1) for bone in long]
     # the direction of a short bone is not reliable
     counts = np.all(
-        [some > SHORT * np.ptp(there, 0).max() for some, there in zip(length, centres, strict=True)], 0
+        [
+            some > MIN_BONE_LENGTH * np.ptp(there, 0).max()
+            for some, there in zip(length, centres, strict=True)
+        ],
+        0,
     )
     cosine = np.sum(long[0] * long[1], 1) / np.where(counts, length[0] * length[1], 1.0)
     turned = np.degrees(np.arccos(np.clip(cosine, -1, 1))) * counts
-    if not turned.max(initial=0.0) > TURNED:
+    if not turned.max(initial=0.0) > MAX_BONE_ANGLE:
         return None
     worst = int(turned.argmax())
     return (
-        f"bone from '{one.names[above[worst]]}' to '{one.names[bones[worst]]}' differs by "
+        f"bone from '{first.names[above[worst]]}' to '{first.names[bones[worst]]}' differs by "
         f"{turned[worst]:.0f} degrees in direction at rest"
     )
 
 
-def _parents_first(names: list[str], parents: list[int]) -> list[int]:
+def _topological_order(names: list[str], parents: list[int]) -> list[int]:
     """Sort joints parents first: their own order where it is valid, else depth first; a cycle is an error."""
     if all(parent < joint for joint, parent in enumerate(parents)):
         return list(range(len(names)))

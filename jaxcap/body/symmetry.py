@@ -12,10 +12,10 @@ from jaxtyping import Array, Float, Int
 from .skeleton import Skeleton
 
 #: pairs of joints, the left one first
-Pairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
+JointPairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
 
 
-def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
+def left_right_candidates(names: Sequence[str]) -> list[tuple[int, int]]:
     """Find pairs of left and right joints whose names are equal but for the side."""
     places = {name: joint for joint, name in enumerate(names)}
     found = []
@@ -33,13 +33,15 @@ def twin_joints(names: Sequence[str]) -> list[tuple[int, int]]:
 def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     """Find disjoint pairs of left and right joints by their names."""
     found: list[tuple[int, int]] = []
-    for pair in twin_joints(skeleton.names):
+    for pair in left_right_candidates(skeleton.names):
         if not any(joint in other for other in found for joint in pair):
             found.append(pair)
     return tuple(found)
 
 
-def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
+def length_differences(
+    skeleton: Skeleton, pairs: JointPairs
+) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
     """Compute the length of the left bone minus that of the right bone of each pair, metres, and its
     derivative by the joint centres.
 
@@ -50,7 +52,7 @@ def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "
     """
     count = skeleton.num_joints
     parents = np.array(skeleton.parents)
-    pairs = bones_of(skeleton, pairs)
+    pairs = bone_pairs(skeleton, pairs)
     total = jnp.zeros(len(pairs), skeleton.centres.dtype)
     slopes = jnp.zeros((len(pairs), count, 3), skeleton.centres.dtype)
     rows = np.arange(len(pairs))
@@ -64,23 +66,25 @@ def length_differences(skeleton: Skeleton, pairs: Pairs) -> tuple[Float[Array, "
     return total, slopes
 
 
-def bones_of(skeleton: Skeleton, pairs: Pairs) -> Int[np.ndarray, "B 2"]:
+def bone_pairs(skeleton: Skeleton, pairs: JointPairs) -> Int[np.ndarray, "B 2"]:
     """Select the pairs that end bones: those whose parents have parents."""
     pairs = np.asarray(pairs, int).reshape(-1, 2)
     grand = np.array([-1 if parent < 0 else skeleton.parents[parent] for parent in skeleton.parents], int)
     return pairs[(grand[pairs] >= 0).all(1) if len(pairs) else slice(0)]
 
 
-def symmetrise(skeleton: Skeleton, pairs: Pairs, steps: int = 20) -> Skeleton:
+def symmetrise(skeleton: Skeleton, pairs: JointPairs, steps: int = 20) -> Skeleton:
     """Make paired bones equally long, by the smallest displacements of the joint centres."""
-    if len(bones_of(skeleton, pairs)) == 0:
+    if len(bone_pairs(skeleton, pairs)) == 0:
         return skeleton
-    bones = tuple((int(left), int(right)) for left, right in bones_of(skeleton, pairs))
-    return _with_centres(skeleton, _evened(skeleton, bones, steps))
+    bones = tuple((int(left), int(right)) for left, right in bone_pairs(skeleton, pairs))
+    return _with_centres(skeleton, _symmetric_centres(skeleton, bones, steps))
 
 
 @eqx.filter_jit
-def _evened(skeleton: Skeleton, bones: tuple[tuple[int, int], ...], steps: int) -> Float[Array, "J 3"]:
+def _symmetric_centres(
+    skeleton: Skeleton, bones: tuple[tuple[int, int], ...], steps: int
+) -> Float[Array, "J 3"]:
     eps = float(jnp.finfo(skeleton.centres.dtype).eps)
     # the SVD gives the minimum-norm step of the underdetermined system
     solver = optx.GaussNewton(rtol=eps, atol=eps, linear_solver=lx.SVD())

@@ -1,7 +1,7 @@
 """Jacobians of posed vertices by the parameters of a pose, in closed form.
 
 These are derivatives at `d = 0` of the vertices of `pose_body(body, retract(skeleton, pose, d))`. The
-body's skin computes them from the rates of its joints (`AbstractSkin.jacobian`, `pose_rates`). The paper's
+body's skin computes them from the rates of its joints (`AbstractSkin.jacobian`, `pose_jacobian`). The paper's
 own operators (Kineben, eqs. 8 to 16) are at the end.
 """
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .body import Posed
-from .geometric_jacobian import pose_rates
+from .geometric_jacobian import pose_jacobian
 
 
 def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3 D"]:
@@ -18,7 +18,7 @@ def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3
     **Arguments:** `vertices (C,)` are indices of body vertices.
     """
     axes = jnp.eye(3, dtype=posed.vertices.dtype)
-    return vertex_rows(posed, vertices, jnp.broadcast_to(axes, (len(vertices), 3, 3)))
+    return directional_jacobian(posed, vertices, jnp.broadcast_to(axes, (len(vertices), 3, 3)))
 
 
 def projected_jacobian(
@@ -28,15 +28,15 @@ def projected_jacobian(
 
     The `(C, 3, D)` Jacobian is never formed.
     """
-    return vertex_rows(posed, vertices, directions[:, None])[:, 0]
+    return directional_jacobian(posed, vertices, directions[:, None])[:, 0]
 
 
-def vertex_rows(
+def directional_jacobian(
     posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C R 3"]
 ) -> Float[Array, "C R D"]:
     """Compute rows `n_v . dx_v/dd` along R directions for each of the chosen vertices."""
     body = posed.body
-    rates = pose_rates(body.skeleton, posed.pose, posed.transforms)
+    rates = pose_jacobian(body.skeleton, posed.pose, posed.transforms)
     return body.skin.take(vertices).jacobian(
         body.vertices[vertices], directions, body.skeleton, posed.pose, posed.transforms, rates
     )
@@ -62,15 +62,15 @@ def revolute_operator(axis: Float[Array, "3"], centre: Float[Array, "3"]) -> Flo
 
 
 def ball_operator(
-    rotation: Float[Array, "3 3"], centre: Float[Array, "3"], number: int
+    rotation: Float[Array, "3 3"], centre: Float[Array, "3"], component: int
 ) -> Float[Array, "4 4"]:
-    """Compute the derivative of points under component `number` of a ball joint's update (Kineben, eqs. 12,
+    """Compute the derivative of points under component `component` of a ball joint's update (Kineben, eqs. 12,
     13 and 41).
 
     It is a rotation about that column of the joint's total `rotation` `R_1..i` through its world `centre`,
     `R_1..i q + t_1..i` in the paper.
     """
-    return revolute_operator(rotation[:, number], centre)
+    return revolute_operator(rotation[:, component], centre)
 
 
 def cone_gradient(axis: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:

@@ -3,9 +3,9 @@
 import sys
 from collections.abc import Sequence
 
-from .console.errors import told
+from .console.errors import report_errors
 from .console.groups import JAXCAP
-from .console.heartbeat import break_silence
+from .console.heartbeat import periodic_status
 from .console.verbs import run_verb
 
 #: option of every verb: compile without the cache
@@ -15,12 +15,12 @@ NO_CACHE = "--no-cache"
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one verb. An input error prints one line on stderr and raises `SystemExit(2)`."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    with told(), break_silence():
+    with report_errors(), periodic_status():
         if arguments == ["--version"]:
             sys.stdout.write(f"jaxcap {_version()}\n")
             return
         words = [word for word in arguments if word != NO_CACHE]
-        run_verb(JAXCAP, "jaxcap", words, keep=NO_CACHE not in arguments)
+        run_verb(JAXCAP, "jaxcap", words, use_cache=NO_CACHE not in arguments)
 
 
 def _version() -> str:

@@ -12,21 +12,22 @@ from ..body.kinematics import forward_kinematics, joint_positions
 from ..body.people.human import human
 from ..body.pose import Motion
 from ..demo.performance import walk_and_wave
-from ..demo.picture import View, draw
+from ..demo.picture import View, draw_views
 from ..errors import InputError
 from ..fit.tracking.track import track_frames, verdict_sentences
 from ..fit.tracking.track_frame import make_tracker
 from ..geometry.camera import ring_of_cameras
-from ..io.system.atomic import replacing, write_text
+from ..io.meshes.clouds import save_clouds
+from ..io.system.atomic import atomic_path, write_text
 from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe import make_cloud
 from ..scanner.scan import scan_frame
 from ..scanner.settings import Scanner
-from .console.console import progress, say, table, warn
+from .console.console import print_table, progress, say, warn
 from .console.options import Flag, OptionalCount, arg
 from .console.timed import timed
-from .track.frame_records import pack, results_of, row_template
+from .track.frame_records import pack, row_template, unpack_results
 from .track.results import FILES, check_folder, make_writable, write_results
 
 _pose_body = eqx.filter_jit(pose_body)
@@ -44,7 +45,7 @@ SHOWN = 5000
 class Demo:
     """Pose the embedded human, scan it with virtual noisy cameras, and track the scans.
 
-    Writes motion.bvh, motion.npz, statistics and demo.png."""
+    Writes the scans (clouds.npz), motion.bvh, motion.npz, statistics and demo.png."""
 
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("jaxcap-demo")
     """Output folder. A new folder gets a .gitignore, so git ignores it."""
@@ -88,10 +89,12 @@ class Demo:
             f"tracking {self.points} points per frame with {len(body.vertices)} vertices; the first frame compiles"
         )
         clouds = [make_cloud(scan.points, scan.normals, name=f"frame {k}") for k, scan in enumerate(scans)]
-        write_clouds(self.out / CLOUDS, [scan.points for scan in scans], [scan.normals for scan in scans])
+        save_clouds(self.out / CLOUDS, clouds)
         tracker = make_tracker(body)
         steps = progress(timed(track_frames(tracker, clouds)), len(clouds))
-        results = results_of(row_template(tracker), np.stack([pack(frame, took) for frame, took in steps]))
+        results = unpack_results(
+            row_template(tracker), np.stack([pack(frame, took) for frame, took in steps])
+        )
         names, seconds = [f"scan {number}" for number in range(len(clouds))], results.seconds
         write_results(self.out, body.skeleton, results, truth.rate, names)
         motion = Motion(results.poses, truth.rate)
@@ -99,7 +102,7 @@ class Demo:
         errors = joint_errors(places, np.array(joints))
         self.picture(body, motion, clouds, errors)
         summary = distance_summary(errors.reshape(-1))
-        table(
+        print_table(
             ["joint centres, mm", "mean", "median", "99 %", "worst"],
             [
                 [
@@ -117,7 +120,7 @@ class Demo:
         )
         for sentence in verdict_sentences(results.verdicts):
             warn(sentence)
-        say(f"{', '.join(FILES)} and demo.png are in {self.out}")
+        say(f"{CLOUDS}, {', '.join(FILES)} and {PICTURE} are in {self.out}")
 
     def make_folder(self) -> None:
         """Make the folder; a new one gets a `.gitignore` file. Raises `InputError`."""
@@ -128,7 +131,7 @@ class Demo:
 
     def check_folder(self) -> None:
         """Check that the folder has no results, or that they may be replaced. Raises `InputError`."""
-        if not self.overwrite and any((self.out / name).exists() for name in (*FILES, PICTURE)):
+        if not self.overwrite and any((self.out / name).exists() for name in (*FILES, CLOUDS, PICTURE)):
             raise InputError(
                 f"{self.out}: this folder contains the results of a run; give --overwrite to replace them, or choose "
                 "another folder with -o."
@@ -149,9 +152,9 @@ class Demo:
                     scan_to_surface(points, vertices, np.asarray(body.faces)),
                 )
             )
-        with replacing(self.out / PICTURE) as beside:
+        with atomic_path(self.out / PICTURE) as beside:
             title = f"jaxcap: {self.points:,} noisy points per frame, mean joint error {1000 * errors.mean():.1f} mm"
-            draw(beside, views, np.asarray(body.faces), title)
+            draw_views(beside, views, np.asarray(body.faces), title)
 
 
 @eqx.filter_jit

@@ -17,7 +17,7 @@ from ..io.archives.npz import get_array
 from ..io.meshes.clouds import read_clouds
 from ..io.table import write_json
 from ..metrics import Summary, distance_summary, joint_errors, scan_to_surface
-from .console.console import progress, say, table
+from .console.console import print_table, progress, say
 from .console.options import (
     BodySpec,
     CloudsSpec,
@@ -30,7 +30,7 @@ from .console.options import (
     Vj,
     arg,
 )
-from .motions import load_motion, load_motion_of
+from .motions import load_body_motion, load_motion
 from .sources import load_body, up_rotation
 
 _pose_body = eqx.filter_jit(pose_body)
@@ -67,7 +67,7 @@ class Evaluate:
             raise InputError(f"--points is {self.points}; it must be at least 1.")
         body, _ = load_body(self.body, self.skl, self.vj, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        motion = load_motion_of(body, self.motion)
+        motion = load_body_motion(body, self.motion)
         if motion.num_frames != len(scans):
             raise InputError(
                 f"{self.motion}: the motion has {motion.num_frames} frames, but there are {len(scans)} clouds; "
@@ -101,7 +101,7 @@ class Evaluate:
                 "percentile_99": float(np.quantile(errors, 0.99)),
                 "by_joint": dict(zip(names, errors.mean(0).tolist(), strict=True)),
             }
-        table(["millimetres", "mean", "sd", "median", "MAD", "IQR", "count"], rows)
+        print_table(["millimetres", "mean", "sd", "median", "MAD", "IQR", "count"], rows)
         if self.out is not None:
             write_json(self.out, report)
             say(f"saved in {self.out}")
@@ -116,7 +116,7 @@ def read_truth(path: Path, skeleton: Skeleton, frames: int) -> tuple[list[str], 
         names = list(skeleton.names)
         if "names" in arrays:
             names = get_array(arrays, "names", path, (None,), "text").tolist()
-        joints = get_array(arrays, "joints", path, (None, len(names), 3), rows="frame")
+        joints = get_array(arrays, "joints", path, (None, len(names), 3), row_name="frame")
     else:
         own, motion = load_motion(path)
         names, joints = list(own.names), np.asarray(joint_paths(own, motion.poses))

@@ -9,26 +9,26 @@ import tyro
 from jaxtyping import Int
 
 from ..body.body import Body
-from ..errors import InputError, sentence_of
+from ..errors import InputError, user_message
 from ..fit.fit_meshes import fit_meshes
 from ..io.archives.npz import save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.table import write_json
 from ..observe import MeshSequence
 from ..report.pictures import error_pictures
-from .console.console import counted, say, warn
+from .console.console import pluralise, say, warn
 from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
-from .scoring import score_motion, tell_scores
+from .scoring import print_scores, score_motion
 from .sources import load_body
-from .terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
+from .terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 OptionalRate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")]
 
 #: size ratio that no pose causes, but a wrong unit does, except feet for metres
-OTHER_UNIT = 5.0
+MAX_SIZE_RATIO = 5.0
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Fit:
     report: OptionalFolder = None
     """Output folder for report.json and heat maps of the error."""
     limits: LimitsFile = None
-    prior: LikelyFile = None
+    prior: PriorFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     unit: Unit = "m"
@@ -67,15 +67,15 @@ class Fit:
         try:
             fit = fit_meshes(body, sequence, terms=terms)
         except ValueError as error:
-            raise InputError(f"{self.meshes[0]}: {sentence_of(error)}") from None
+            raise InputError(f"{self.meshes[0]}: {user_message(error)}") from None
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
             warn(
                 f"{self.meshes[0]}: the triangles differ from those of {self.body}; vertices are matched by their order"
             )
         save_motion(self.out, fit.motion, body.skeleton)
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
-        tell_scores({"all": scores}, each=True)
-        say(f"{self.out}: {counted(fit.motion.num_frames, 'pose')}")
+        print_scores({"all": scores}, per_mesh=True)
+        say(f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}")
         if self.report is not None:
             make_folder(self.report)
             write_json(self.report / "report.json", {"body": self.body, **scores.report()})
@@ -99,7 +99,7 @@ def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
     """Check that meshes were read in the right unit. Raises `InputError`."""
     there = float(np.median(np.ptp(np.asarray(sequence.vertices, float), axis=1).max(1)))
     here = float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
-    if not here / OTHER_UNIT < there < here * OTHER_UNIT:
+    if not here / MAX_SIZE_RATIO < there < here * MAX_SIZE_RATIO:
         raise InputError(
             f"{where}: the meshes are {there:.4g} m long and the body {here:.4g} m; "
             "give the unit of the meshes with --unit."

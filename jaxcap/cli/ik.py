@@ -9,7 +9,7 @@ import numpy as np
 from ..body.limits.limits import AbstractLimits, AllLimits
 from ..body.pose import Pose, stack_poses
 from ..edit.ik import session as ik
-from ..edit.ik.constraints import describe
+from ..edit.ik.constraints import describe_point
 from ..edit.ik.session import IkSession, IkSettings
 from ..edit.ik.solve import Solver
 from ..energy.priors.pair_prior import MahalanobisPrior
@@ -19,19 +19,19 @@ from ..io.archives.prior import load_prior
 from ..io.constraints import read_constraints
 from ..io.registry import MOTION_WRITERS, write_motion
 from ..view.windows.serve import HOST
-from .console.console import say, table, warn
+from .console.console import print_table, say, warn
 from .console.options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from .console.window import Port, keep_window
-from .motions import load_motion_of
+from .console.window import Port, run_window
+from .motions import load_body_motion
 from .outputs import check_new
 from .sources import load_body
 
 #: maximum number of solves for a file of constraints, each from the previous pose, until convergence
-ROUNDS = 20
+MAX_SOLVES = 20
 #: error above which a target is reported as not reached, metres
 REACHED = 0.005
 #: distance of a target above which it is likely in another unit, metres
-FAR = 50.0
+MAX_TARGET_DISTANCE = 50.0
 
 
 @dataclass
@@ -113,7 +113,7 @@ class Ik:
         prior = None if self.prior is None else MahalanobisPrior(load_prior(self.prior, body.skeleton))
         pose = None
         if self.pose is not None:
-            pose = self.one_pose(load_motion_of(body, self.pose).poses, self.pose)
+            pose = self.select_pose(load_body_motion(body, self.pose).poses, self.pose)
         settings = IkSettings(self.solver, True, prior is not None, self.hold_root)
         session = ik.begin_session(body, pose, limits, prior, settings)
         if self.constraints is None:
@@ -121,11 +121,11 @@ class Ik:
         held = read_constraints(self.constraints, body)
         middle = np.mean(np.asarray(body.vertices, float), axis=0)
         away = max((float(np.linalg.norm(np.asarray(one.target) - middle)) for one in held), default=0.0)
-        if away > FAR:
+        if away > MAX_TARGET_DISTANCE:
             warn(f"{self.constraints}: a target is {away:.0f} m from the body; targets are in metres")
         return session._replace(state=session.state._replace(constraints=held))
 
-    def one_pose(self, poses: Pose, path: Path) -> Pose:
+    def select_pose(self, poses: Pose, path: Path) -> Pose:
         """Select the requested frame. Raises `InputError` if there is none."""
         count, frame = len(poses.scale), self.frame or 0
         if not count:
@@ -138,18 +138,19 @@ class Ik:
 
     def write(self, out: Path, session: IkSession) -> None:
         """Solve, write the pose, and print the distances to all targets."""
-        session = ik.grab(session)
-        for _ in range(ROUNDS):
+        session = ik.begin_drag(session)
+        for _ in range(MAX_SOLVES):
             before = np.asarray(session.state.pose.rotations)
-            session = ik.solved(session)
+            session = ik.solve_session(session)
             if np.abs(np.asarray(session.state.pose.rotations) - before).max() < 1e-5:
                 break
-        held, apart = session.state.constraints, ik.distances(session)
+        held, apart = session.state.constraints, ik.target_distances(session)
         write_motion(out, session.body.skeleton, stack_poses([session.state.pose]))
         rows = [
-            [describe(one.point), f"{1000 * metres:.1f}"] for one, metres in zip(held, apart, strict=True)
+            [describe_point(one.point), f"{1000 * metres:.1f}"]
+            for one, metres in zip(held, apart, strict=True)
         ]
-        table(["constraint", "distance to target, mm"], rows)
+        print_table(["constraint", "distance to target, mm"], rows)
         say(f"written: {out}")
         missed = [row[0] for row, metres in zip(rows, apart, strict=True) if metres > REACHED]
         if missed:
@@ -160,8 +161,8 @@ class Ik:
         from ..view.ik.window import serve_ik
 
         if session.state.constraints:
-            session = ik.solved(session)
-        keep_window(
+            session = ik.solve_session(session)
+        run_window(
             "ik",
             self.body,
             lambda server: serve_ik(server, session),

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from ..io.kinds import identify, wrong_kind
+from ..io.kinds import identify, wrong_kind_error
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (
     MARKER_READERS,
@@ -16,20 +16,26 @@ from ..io.registry import (
 from ..io.skinned.clip import split_clip
 from .console.console import say
 from .console.options import OptionalUnit, arg
-from .contents.arrays import tell_arrays
-from .contents.bodies import tell_body, tell_bvh, tell_mesh, tell_moving, tell_skinned
-from .contents.folders import tell_clouds, tell_folder
-from .contents.next_verb import next_verbs
-from .contents.texts import (
-    tell_asf,
-    tell_journal,
-    tell_json,
-    tell_kineben,
-    tell_markers,
-    tell_statistics,
-    tell_text,
+from .contents.arrays import describe_arrays
+from .contents.bodies import (
+    describe_body,
+    describe_bvh,
+    describe_mesh,
+    describe_motion_file,
+    describe_skinned,
 )
-from .sources import load_body, names_human
+from .contents.folders import describe_clouds, describe_folder
+from .contents.next_verb import suggest_commands
+from .contents.texts import (
+    describe_asf,
+    describe_journal,
+    describe_json,
+    describe_kineben,
+    describe_markers,
+    describe_statistics,
+    describe_text,
+)
+from .sources import is_human_spec, load_body
 
 #: suffixes of all files that some verb reads
 KNOWN = tuple(
@@ -51,47 +57,47 @@ class Info:
     def run(self) -> None:
         path = Path(self.file)
         if identify(path) == "bvh":
-            kind, unit = tell_bvh(path, self.unit)
-            say(next_verbs(kind, self.file, unit))
+            kind, unit = describe_bvh(path, self.unit)
+            say(suggest_commands(kind, self.file, unit))
         else:
-            say(next_verbs(self.tell(), self.file))
+            say(suggest_commands(self.describe(), self.file))
 
-    def tell(self) -> str:
+    def describe(self) -> str:
         """Print a description of the contents, and return their kind. Raises `InputError`."""
         path, unit = Path(self.file), self.unit or "m"
-        if names_human(self.file):
-            tell_body(load_body(self.file)[0])
+        if is_human_spec(self.file):
+            describe_body(load_body(self.file)[0])
             return "body"
         if path.is_dir():
-            return tell_folder(path, unit)
+            return describe_folder(path, unit)
         if not split_clip(path)[0].is_file():
-            return tell_clouds(self.file, unit)
+            return describe_clouds(self.file, unit)
         kind = identify(path)
         match kind:
             case "skinned" | "usd":
-                return tell_skinned(path)
+                return describe_skinned(path)
             case "rigged":
-                tell_body(load_body(self.file, unit=unit)[0])
+                describe_body(load_body(self.file, unit=unit)[0])
                 return "rigged"
             case "mesh":
-                return tell_mesh(path, unit)
+                return describe_mesh(path, unit)
             case "amc":
-                return tell_moving(path, self.unit)
+                return describe_motion_file(path, self.unit)
             case "asf":
-                return tell_asf(path)
+                return describe_asf(path)
             case "skl" | "cst" | "vj":
-                return tell_kineben(path, self.unit)
+                return describe_kineben(path, self.unit)
             case "markers":
-                return tell_markers(path, self.unit)
+                return describe_markers(path, self.unit)
             case "statistics" if path.suffix.lower() == ".csv":
-                tell_statistics(path)
+                describe_statistics(path)
                 return "statistics"
             case "journal":
-                return tell_journal(path)
+                return describe_journal(path)
             case "text":
-                return tell_text(path)
+                return describe_text(path)
             case "picture":
                 return "picture"
             case None:
-                raise wrong_kind(path, "something that a verb reads", KNOWN)
-        return tell_json(path) if path.suffix.lower() == ".json" else tell_arrays(path, unit)
+                raise wrong_kind_error(path, "something that a verb reads", KNOWN)
+        return describe_json(path) if path.suffix.lower() == ".json" else describe_arrays(path, unit)

@@ -20,20 +20,20 @@ from ..io.meshes.meshes import read_named_meshes
 from ..io.skinned.clip import split_clip
 from ..io.system.lock import run_lock
 from ..learn.check import check_meshes
-from ..learn.learn_body import COARSE, Learned, LearnState, learn_body
+from ..learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ..learn.parts.check_parts import check_learned
 from ..observe import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
 from .console.console import say, warn
-from .console.heartbeat import doing
-from .console.options import SKELETON_WORDS, Flag, OptionalCount, OptionalFile, Unit, arg
-from .console.rounds import Rounds
+from .console.heartbeat import set_activity
+from .console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg
+from .console.rounds import RoundProgress
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
 from .motions import load_skeleton
-from .outputs import check_npz, check_parent, make_folder, nothing_left
-from .scoring import mesh_hashes, score_motion, tell_scores
-from .sources import names_human
+from .outputs import check_npz, check_parent, is_run_complete, make_folder
+from .scoring import mesh_hashes, print_scores, score_motion
+from .sources import is_human_spec
 from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 
 OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior_hint="")]
@@ -63,7 +63,7 @@ class Learn:
     skeleton: Annotated[
         OptionalFile,
         arg(
-            help=f"Skeleton aligned with the first mesh, instead of one found from the motion: {SKELETON_WORDS}."
+            help=f"Skeleton aligned with the first mesh, instead of one found from the motion: {SKELETON_FORMATS}."
         ),
     ] = None
     keep_joints: Flag = False
@@ -100,18 +100,18 @@ class Learn:
             check_parent(path)
         with run_lock(self.out, motion_path):
             # a run that was killed while it wrote its results resumes from its last round
-            if self.resume and nothing_left((self.out, motion_path), kept):
+            if self.resume and is_run_complete((self.out, motion_path), kept):
                 return
             replace = self.overwrite or (self.resume and kept.is_file())
             check_npz(self.out, replace, "a body")
             check_npz(motion_path, replace)
             self.learn_all(motion_path, kept)
 
-    def learn_all(self, motion_path: Path, kept: Path) -> None:
+    def learn_all(self, motion_path: Path, checkpoint_path: Path) -> None:
         """Read, learn, write and score, while the lock excludes other runs with the same output files."""
-        doing("reading the meshes")
+        set_activity("reading the meshes")
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
-        train, held = split(len(sequence), self.hold_out)
+        train, held = split_held_out(len(sequence), self.hold_out)
         if self.hold_out is not None and not held.size:
             raise InputError(
                 f"--hold-out {self.hold_out} leaves out none of {len(sequence)} meshes; give a lower number."
@@ -120,11 +120,11 @@ class Learn:
             warn(told)
         skeleton = None if self.skeleton is None else load_skeleton(self.skeleton, self.unit)
         header = {**self.settings(), **mesh_hashes(sequence[train])}
-        resumed = self.start(kept, header)
+        resumed = self.start(checkpoint_path, header)
         if self.report is not None:
             make_folder(self.report)
-        learned = self.learn(sequence[train], skeleton, kept, header, resumed)
-        doing("writing the body and checking it")
+        learned = self.learn(sequence[train], skeleton, checkpoint_path, header, resumed)
+        set_activity("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
         body = learned.body
@@ -134,7 +134,7 @@ class Learn:
         for told in check_learned(body, learned.motion):
             warn(told)
         self.score(learned, sequence, names, train, held)
-        kept.unlink(missing_ok=True)
+        checkpoint_path.unlink(missing_ok=True)
 
     def check(self) -> None:
         """Check that options are in range and compatible. Raises `InputError`."""
@@ -192,17 +192,20 @@ class Learn:
         body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
         return read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor)
 
-    def start(self, kept: Path, header: dict[str, object]) -> LearnState | None:
+    def start(self, checkpoint_path: Path, header: dict[str, object]) -> LearnState | None:
         """Load the state to resume from; None to start again. Raises `InputError` if another run's checkpoint
         exists."""
         if self.resume:
-            if kept.is_file():
-                return state_of(load_checkpoint(kept, header, ("pairs", "damping", "round", "curve")), kept)
+            if checkpoint_path.is_file():
+                return restore_state(
+                    load_checkpoint(checkpoint_path, header, ("pairs", "damping", "round", "curve")),
+                    checkpoint_path,
+                )
             # without a file the run was probably stopped before the end of its first round
             return None
-        if kept.exists() and not self.overwrite:
+        if checkpoint_path.exists() and not self.overwrite:
             raise InputError(
-                f"{kept}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
+                f"{checkpoint_path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
             )
         return None
 
@@ -210,7 +213,7 @@ class Learn:
         self,
         meshes: MeshSequence,
         skeleton: Skeleton | None,
-        kept: Path,
+        checkpoint_path: Path,
         header: dict[str, object],
         resumed: LearnState | None,
     ) -> Learned:
@@ -223,15 +226,15 @@ class Learn:
         )
         say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; {begins}")
         symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
-        with Rounds(self.rounds, done) as bar:
+        with RoundProgress(self.rounds, done) as bar:
 
             def on_round(state: LearnState) -> None:
                 nonlocal done
-                save_checkpoint(kept, checkpoint_of(state), header)
+                save_checkpoint(checkpoint_path, make_checkpoint(state), header)
                 done = state.round
                 step, value = state.history[-1]
-                some = f" on {len(state.body.vertices)} vertices" if step.startswith(COARSE) else ""
-                bar.tell(done, f"Q {value:.5g} m²{some}")
+                some = f" on {len(state.body.vertices)} vertices" if step.startswith(COARSE_PREFIX) else ""
+                bar.update(done, f"Q {value:.5g} m²{some}")
 
             try:
                 return learn_body(
@@ -250,7 +253,11 @@ class Learn:
                 )
             except KeyboardInterrupt:
                 # a checkpoint that exists before the first round is of a run that this one replaces
-                told = f"round {done} is saved in {kept}; --resume continues" if done else "no round is complete"
+                told = (
+                    f"round {done} is saved in {checkpoint_path}; --resume continues"
+                    if done
+                    else "no round is complete"
+                )
                 raise KeyboardInterrupt(f"stopped; {told}") from None
 
     def score(
@@ -259,14 +266,14 @@ class Learn:
         sequence: MeshSequence,
         names: tuple[str, ...],
         train: np.ndarray,
-        held: np.ndarray,
+        held_out: np.ndarray,
     ) -> None:
         """Score the body on training and on held-out meshes; print and report the scores."""
         groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
-        if held.size:
-            doing("fitting the held-out meshes")
-            fit = fit_meshes(learned.body, sequence[held])
-            groups["held out"] = (fit.motion, np.asarray(fit.converged), held)
+        if held_out.size:
+            set_activity("fitting the held-out meshes")
+            fit = fit_meshes(learned.body, sequence[held_out])
+            groups["held out"] = (fit.motion, np.asarray(fit.converged), held_out)
         scores: dict[str, Scores] = {
             label: score_motion(
                 learned.body,
@@ -278,24 +285,24 @@ class Learn:
             )
             for label, (motion, fitted, rows) in groups.items()
         }
-        tell_scores(scores)
+        print_scores(scores)
         if self.report is not None:
             shown = {
                 label: (motion, sequence[rows], scores[label]) for label, (motion, _, rows) in groups.items()
             }
-            doing("drawing the report")
+            set_activity("drawing the report")
             report_learning(self.report, learned.body, shown, learned.history, learned.curve, self.settings())
             say(f"report.json and pictures are in {self.report}")
 
 
 def skeleton_digest(spec: Path) -> str:
     """Return an identifier of a skeleton: the hash of its file, or the options of `human`."""
-    if names_human(str(spec)):
+    if is_human_spec(str(spec)):
         return str(spec)
     return hashlib.sha256(split_clip(spec)[0].read_bytes()).hexdigest()
 
 
-def split(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:
+def split_held_out(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Split mesh indices into training and held-out: every `hold_out`-th is held out."""
     numbers = np.arange(count)
     held = np.zeros(count, bool) if hold_out is None else numbers % hold_out == hold_out - 1
@@ -327,7 +334,7 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
     return np.array(rows)
 
 
-def checkpoint_of(state: LearnState) -> Checkpoint:
+def make_checkpoint(state: LearnState) -> Checkpoint:
     """Convert a state to a checkpoint."""
     arrays = {
         "pairs": np.asarray(state.pairs, int),
@@ -338,20 +345,22 @@ def checkpoint_of(state: LearnState) -> Checkpoint:
     return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
 
 
-def state_of(kept: Checkpoint, path: Path) -> LearnState:
-    """Restore the state of a checkpoint by `checkpoint_of`, bit for bit; `path`, its file, is for messages.
+def restore_state(checkpoint: Checkpoint, path: Path) -> LearnState:
+    """Restore the state of a checkpoint by `make_checkpoint`, bit for bit; `path`, its file, is for messages.
 
     **Raises:** `InputError` if an array is invalid.
     """
-    pairs = get_array(kept.arrays, "pairs", path, (None, 2), "whole")
-    if pairs.size and not 0 <= pairs.min() <= pairs.max() < kept.body.skeleton.num_joints:
-        raise InputError(f"{path}: the array 'pairs' contains joints that do not exist; give --overwrite to begin anew.")
+    pairs = get_array(checkpoint.arrays, "pairs", path, (None, 2), "whole")
+    if pairs.size and not 0 <= pairs.min() <= pairs.max() < checkpoint.body.skeleton.num_joints:
+        raise InputError(
+            f"{path}: the array 'pairs' contains joints that do not exist; give --overwrite to begin anew."
+        )
     return LearnState(
-        body=kept.body,
-        motion=kept.motion,
+        body=checkpoint.body,
+        motion=checkpoint.motion,
         pairs=pairs,
-        damping=get_array(kept.arrays, "damping", path, ()).item(),
-        history=kept.history,
-        round=get_array(kept.arrays, "round", path, (), "whole").item(),
-        curve=get_array(kept.arrays, "curve", path, (None,)),
+        damping=get_array(checkpoint.arrays, "damping", path, ()).item(),
+        history=checkpoint.history,
+        round=get_array(checkpoint.arrays, "round", path, (), "whole").item(),
+        curve=get_array(checkpoint.arrays, "curve", path, (None,)),
     )

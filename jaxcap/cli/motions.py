@@ -7,29 +7,29 @@ import numpy as np
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..io.registry import clip_sentence, read_motion, read_skeleton
-from ..io.skeletons.body_motion import read_motion_of
+from ..io.registry import default_clip_message, read_motion, read_skeleton
+from ..io.skeletons.body_motion import read_body_motion
 from .console.console import warn
-from .sources import load_body, names_human
+from .sources import is_human_spec, load_body
 
 
 def load_motion(path: str | Path, unit: str | None = None) -> tuple[Skeleton, Motion]:
     """Load a motion with its skeleton, from any file that has both. Raises `InputError`."""
     skeleton, motion = read_motion(path, unit)
-    tell_clip(path)
+    warn_of_clip(path)
     return skeleton, motion
 
 
-def load_motion_of(body: Body, path: str | Path, unit: str | None = None) -> Motion:
+def load_body_motion(body: Body, path: str | Path, unit: str | None = None) -> Motion:
     """Load a motion of a body, from any file that has one. Raises `InputError` if it is of another body."""
-    motion = read_motion_of(body, Path(path), unit)
-    tell_clip(path)
+    motion = read_body_motion(body, Path(path), unit)
+    warn_of_clip(path)
     return motion
 
 
 def load_skeleton(spec: str | Path, unit: str | None = None) -> Skeleton:
     """Load a skeleton: that of `human` with options, or of any file that has one. Raises `InputError`."""
-    return load_body(str(spec))[0].skeleton if names_human(str(spec)) else read_skeleton(spec, unit)
+    return load_body(str(spec))[0].skeleton if is_human_spec(str(spec)) else read_skeleton(spec, unit)
 
 
 def extent(skeleton: Skeleton) -> float:
@@ -37,8 +37,8 @@ def extent(skeleton: Skeleton) -> float:
     return float(np.ptp(np.asarray(skeleton.centres, float), axis=0).max())
 
 
-def tell_clip(path: str | Path) -> None:
+def warn_of_clip(path: str | Path) -> None:
     """Print the name of the clip that is read, if a file has several and none was named."""
-    sentence = clip_sentence(path)
+    sentence = default_clip_message(path)
     if sentence is not None:
         warn(sentence)

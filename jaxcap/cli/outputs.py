@@ -47,11 +47,11 @@ def check_npz(path: Path, overwrite: bool, what: str = "a motion") -> None:
     check_new(path, overwrite)
 
 
-def nothing_left(results: Iterable[Path], kept: Path) -> bool:
-    """Check if a run to resume has all its `results`, and print a line if so; `kept` is the checkpoint of an
+def is_run_complete(results: Iterable[Path], checkpoint: Path) -> bool:
+    """Check if a run to resume has all its `results`, and print a line if so; `checkpoint` is the checkpoint of an
     unfinished run."""
     results = list(results)
-    if kept.exists() or not all(path.is_file() for path in results):
+    if checkpoint.exists() or not all(path.is_file() for path in results):
         return False
     say(
         f"{results[0]}: this run is already complete; its options and input files are not compared with those "

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from ..errors import InputError, sentence_of
+from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
 from ..io.meshes.mesh import check_mesh, check_size, read_mesh
 from ..rig.rig import rig_mesh
 from .console.console import say
-from .console.options import SKELETON_WORDS, Flag, OptionalFile, Unit, Up, arg
+from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
 from .motions import load_skeleton
 from .outputs import check_npz
 from .sources import up_rotation, upright_skeleton
@@ -29,7 +29,7 @@ class Rig:
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """Output file for the body, .npz."""
     skeleton: Annotated[
-        OptionalFile, arg(help=f"Skeleton that is already aligned with the mesh: {SKELETON_WORDS}.")
+        OptionalFile, arg(help=f"Skeleton that is already aligned with the mesh: {SKELETON_FORMATS}.")
     ] = None
     method: Literal["automatic", "envelopes", "heat"] = "automatic"
     """Skinning weights: those of the human model, or heat with --skeleton (automatic); one bone per vertex
@@ -53,6 +53,6 @@ class Rig:
         try:
             body = rig_mesh(vertices, mesh.faces, skeleton, self.method)
         except ValueError as error:
-            raise InputError(f"{self.mesh}: {sentence_of(error)}") from None
+            raise InputError(f"{self.mesh}: {user_message(error)}") from None
         save_body(self.out, body)
         say(f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints")

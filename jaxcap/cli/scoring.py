@@ -9,10 +9,10 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..observe import MeshSequence
 from ..report.scores import MeshScore, Scores, score_meshes
-from .console.console import progress, table, warn
+from .console.console import print_table, progress, warn
 
 #: maximum number of meshes with a row each
-TOLD = 12
+MAX_ROWS = 12
 
 
 def score_motion(
@@ -27,7 +27,9 @@ def score_motion(
     if not fitted.all():
         missed = [names[frame] for frame in np.flatnonzero(~fitted)]
         told = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
-        warn(f"{len(missed)} of {len(names)} meshes could not be fitted, and are excluded from the means: {told}")
+        warn(
+            f"{len(missed)} of {len(names)} meshes could not be fitted, and are excluded from the means: {told}"
+        )
 
     def each(scores):
         return progress(scores, len(sequence), label=label)
@@ -35,21 +37,21 @@ def score_motion(
     return score_meshes(body, motion, sequence, names, fitted, each)
 
 
-def tell_scores(groups: dict[str, Scores], each: bool = False) -> None:
-    """Print a table of totals, and of single meshes if `each`: mean and standard deviation of the distance
+def print_scores(groups: dict[str, Scores], per_mesh: bool = False) -> None:
+    """Print a table of totals, and of single meshes if `per_mesh`: mean and standard deviation of the distance
     from vertex to surface, and the vertex RMSE, millimetres."""
     rows = []
     for label, scores in groups.items():
-        if each:
+        if per_mesh:
             told = list(scores.meshes)
-            if len(told) > TOLD:
+            if len(told) > MAX_ROWS:
                 # NaN marks meshes that were not fitted; they are last
-                told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:TOLD]
+                told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:MAX_ROWS]
             rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in told]
             if len(told) < len(scores.meshes):
-                rows.append([f"... {len(scores.meshes) - TOLD} meshes with smaller errors", "", "", ""])
+                rows.append([f"... {len(scores.meshes) - MAX_ROWS} meshes with smaller errors", "", "", ""])
         rows.append(_row(f"{label}, {len(scores.meshes)} meshes", scores))
-    table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)
+    print_table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)
 
 
 def mesh_hashes(sequence: MeshSequence) -> dict[str, object]:

@@ -13,8 +13,8 @@ from ..body.decimate import reduce_body
 from ..body.limits.limits import JointRanges
 from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
-from ..errors import InputError, sentence_of
-from ..fit.correspondence.correspond import Scan, make_mesh_scan, make_scan
+from ..errors import InputError, user_message
+from ..fit.correspondence.correspond import IndexedScan, make_mesh_scan, make_scan
 from ..fit.tracking.check import check_extent
 from ..geometry import rotation
 from ..io.meshes.clouds import Scans
@@ -27,13 +27,13 @@ from ..observe import Scan as ReadScan
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
-BODY_WORDS = (
+BODY_FORMATS = (
     "`human` (with options, as in `human:female,height=1.7`), a body .npz, a skinned .glb, .gltf or USD, or a mesh with "
     ".skl and .vj in its folder"
 )
 
 
-def names_human(spec: str) -> bool:
+def is_human_spec(spec: str) -> bool:
     """Check if an argument means the embedded `human`, with or without options, and not a file of that
     name."""
     return spec.split(":")[0] == "human" and not Path(spec).exists()
@@ -57,17 +57,17 @@ def load_body(
 
     **Raises:** `InputError`.
     """
-    path, made = split_clip(spec)[0], names_human(spec)
+    path, made = split_clip(spec)[0], is_human_spec(spec)
     if not made and not path.exists():
-        raise InputError(f"{path}: there is no such file; give {BODY_WORDS}.")
+        raise InputError(f"{path}: there is no such file; give {BODY_FORMATS}.")
     mesh = not made and path.suffix.lower() in SUFFIXES and not (skl is None and is_skinned(path))
     if made:
         body = _human(spec, vertices)
     elif mesh and path.is_file():
         if skl is None and path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file():
             return read_body(path), None
-        skl = _in_folder(path, skl, ".skl")
-        body = read_body(path, skl, _in_folder(path, vj, ".vj"), unit)
+        skl = _find_companion(path, skl, ".skl")
+        body = read_body(path, skl, _find_companion(path, vj, ".vj"), unit)
     else:
         body = read_body(spec)
     limits = None if cst is None else read_cst(cst, body.skeleton).ranges
@@ -77,7 +77,7 @@ def load_body(
         try:
             body = reduce_body(body, vertices)
         except ValueError as error:
-            raise InputError(f"{spec}: {sentence_of(error)}") from None
+            raise InputError(f"{spec}: {user_message(error)}") from None
     return body, limits
 
 
@@ -114,7 +114,7 @@ class Clouds(Sequence[Cloud]):
             return Clouds(self._scans[index], self._body, self._up)
         return load_cloud(self._scans, index, self._body, self._up)
 
-    def mesh(self, frame: int) -> Scan:
+    def mesh(self, frame: int) -> IndexedScan:
         """Load a frame with its triangles, if it has any."""
         scan, turn = self._scans[frame], up_rotation(self._up)
         cloud = _cloud_of(scan, self._body, self._up)
@@ -123,7 +123,7 @@ class Clouds(Sequence[Cloud]):
         try:
             return make_mesh_scan(scan.points @ turn.T, scan.normals @ turn.T, scan.faces)
         except ValueError as error:
-            raise InputError(f"{scan.name}: {sentence_of(error)}") from None
+            raise InputError(f"{scan.name}: {user_message(error)}") from None
 
 
 def up_rotation(up: Up) -> np.ndarray:
@@ -173,11 +173,11 @@ def _human(spec: str, vertices: int | None) -> Body:
     try:
         return human(**options)
     except ValueError as error:
-        raise InputError(f"{spec}: {sentence_of(error)}") from None
+        raise InputError(f"{spec}: {user_message(error)}") from None
 
 
-def _in_folder(mesh: Path, given: Path | None, suffix: str) -> Path:
-    path = mesh.with_suffix(suffix) if given is None else given
+def _find_companion(mesh: Path, explicit: Path | None, suffix: str) -> Path:
+    path = mesh.with_suffix(suffix) if explicit is None else explicit
     if not path.is_file():
         raise InputError(
             f"{mesh}: a body from a mesh needs a skeleton (.skl) and the joint of each vertex (.vj), but {path} does not "

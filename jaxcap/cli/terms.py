@@ -30,7 +30,7 @@ FloorHeight = Annotated[
         help="Height of the floor along the up axis, metres; the body, or its markers, stay above it. Default: no floor.",
     ),
 ]
-LikelyFile = Annotated[OptionalFile, arg(help="Pose prior of this body, a result of `jaxcap prior learn`.")]
+PriorFile = Annotated[OptionalFile, arg(help="Pose prior of this body, a result of `jaxcap prior learn`.")]
 
 
 def read_terms(

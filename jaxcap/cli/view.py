@@ -13,9 +13,9 @@ from ..view.app import serve_contents
 from ..view.load import load
 from ..view.windows.serve import HOST
 from .console.console import warn
-from .console.options import BODY_WORDS, Flag, OptionalUnit, Up, arg
-from .console.window import Port, keep_window
-from .sources import load_body, names_human, up_rotation
+from .console.options import BODY_FORMATS, Flag, OptionalUnit, Up, arg
+from .console.window import Port, run_window
+from .sources import is_human_spec, load_body, up_rotation
 
 Names = Annotated[tuple[str, ...], arg(metavar="...")]
 
@@ -28,7 +28,7 @@ class View:
 
     files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
     """Files, folders of runs or scans, patterns of clouds, or `human`. Several motions are shown side by side."""
-    body: Annotated[Names, arg(help=f"Bodies to apply to the motions: {BODY_WORDS}.")] = ()
+    body: Annotated[Names, arg(help=f"Bodies to apply to the motions: {BODY_FORMATS}.")] = ()
     clouds: Names = ()
     """Clouds for comparison: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False
@@ -59,18 +59,18 @@ class View:
             bodies,
             self.clouds,
             unit=self.unit,
-            turn=up_rotation(self.up),
+            upright_rotation=up_rotation(self.up),
             rate=self.rate,
             follow=self.follow,
         )
-        if contents.empty:
+        if contents.is_empty:
             raise InputError(
-                " ".join(contents.told)
+                " ".join(contents.notes)
                 or "There is nothing to show; give a body, a motion, clouds, markers, meshes or cameras."
             )
-        for told in contents.told:
+        for told in contents.notes:
             warn(told)
-        keep_window(
+        run_window(
             "view",
             ", ".join(Path(name).name for name in self.files),
             lambda server: serve_contents(server, contents, self.spacing),
@@ -82,7 +82,7 @@ class View:
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
         """Load the bodies given by name or as a mesh with its skeleton files, and list the remaining
         files."""
-        named = [name for name in self.files if names_human(name) or is_rigged(name)]
+        named = [name for name in self.files if is_human_spec(name) or is_rigged(name)]
         return (
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
             [name for name in self.files if name not in named],

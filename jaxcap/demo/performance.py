@@ -19,7 +19,7 @@ def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) 
     Angles are about the axes of the world at rest: x to the left, y up, z to the front.
     """
     time = np.arange(round(seconds * rate)) / rate
-    begin = _smooth(time / 0.5)
+    begin = _smoothstep(time / 0.5)
     stride = 2 * np.pi * STEPS * time
     turns: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
 
@@ -35,7 +35,7 @@ def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) 
     turn("LeftArm", Z, -22 + 0 * time)
     turn("LeftArm", X, 26 * np.sin(stride))
     turn("LeftForeArm", X, -18 + 12 * np.sin(stride))
-    raised = _smooth((time - 0.1) / 0.7)
+    raised = _smoothstep((time - 0.1) / 0.7)
     wave = np.sin(2 * np.pi * SWINGS * time)
     turn("RightArm", Z, -78 * raised)
     turn("RightForeArm", Z, raised * (-38 + 26 * wave))
@@ -60,7 +60,7 @@ def walk_and_wave(skeleton: Skeleton, seconds: float = 2.0, rate: float = 30.0) 
     return Motion(poses, rate)
 
 
-def _smooth(share: np.ndarray) -> np.ndarray:
+def _smoothstep(share: np.ndarray) -> np.ndarray:
     """Interpolate from 0 to 1 with zero slope at both ends (smoothstep)."""
     share = np.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)

@@ -19,12 +19,12 @@ class View(NamedTuple):
 
 
 #: points farther from the surface than this have the last colour, metres
-FAR = 0.012
+MAX_DISTANCE = 0.012
 SKIN, PAPER, INK = np.array([0.62, 0.69, 0.78]), "#ffffff", "#1f2933"
 LIGHT = np.array([-0.45, 0.6, 0.66])
 
 
-def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"], title: str) -> None:
+def draw_views(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"], title: str) -> None:
     """Write a PNG with the views side by side, seen from the front and slightly from the side."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
@@ -32,8 +32,8 @@ def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"],
     from matplotlib.figure import Figure
 
     colours = LinearSegmentedColormap.from_list("distance", ["#0b6e8f", "#17a398", "#f2b134", "#d7263d"])
-    scale = Normalize(0.0, 1000 * FAR)
-    turned = [(_turn(view.vertices), _turn(view.points)) for view in views]
+    scale = Normalize(0.0, 1000 * MAX_DISTANCE)
+    turned = [(_rotate_about_vertical(view.vertices), _rotate_about_vertical(view.points)) for view in views]
     low = np.min([vertices.min(0) for vertices, _ in turned], 0) - 0.1
     high = np.max([vertices.max(0) for vertices, _ in turned], 0) + 0.1
     figure = Figure(figsize=(4.0 * len(views), 6.6), dpi=150, facecolor=PAPER)
@@ -42,7 +42,7 @@ def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"],
     for axis, view, (vertices, points) in zip(axes, views, turned, strict=True):
         _shade(axis, vertices, np.asarray(faces))
         # only the front half of the cloud, far points below near ones
-        near = _in_front(vertices, points)
+        near = _visible_points(vertices, points)
         order = near[np.argsort(points[near, 2])]
         axis.scatter(
             points[order, 0],
@@ -68,7 +68,9 @@ def draw(path: str | Path, views: Sequence[View], faces: Int[np.ndarray, "F 3"],
     canvas.print_png(path)
 
 
-def _turn(points: Float[np.ndarray, "N 3"], degrees: float = -18.0) -> Float[np.ndarray, "N 3"]:
+def _rotate_about_vertical(
+    points: Float[np.ndarray, "N 3"], degrees: float = -18.0
+) -> Float[np.ndarray, "N 3"]:
     """Rotate points about the vertical; x is right, y up, z towards the viewer."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.asarray(points, float) @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
@@ -97,7 +99,7 @@ def _shade(axis, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     )
 
 
-def _in_front(
+def _visible_points(
     vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "N 3"], pixel: float = 0.03
 ) -> Int[np.ndarray, "M"]:
     """Find the indices of the points that the surface does not occlude."""

@@ -9,8 +9,8 @@ from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose, concatenate_poses, take_poses
 from ..body.skeleton import Skeleton
-from .interpolation import between, ease
-from .planar_transform import Planar, align, move, power
+from .interpolation import interpolate_poses, smooth_step
+from .planar_transform import PlanarTransform, apply_planar_transform, fit_planar_transform, planar_power
 
 
 class Loop(NamedTuple):
@@ -18,7 +18,7 @@ class Loop(NamedTuple):
 
     motion: Motion
     #: planar transform from the first frame to the last; the identity if the loop is in place
-    travel: Planar
+    travel: PlanarTransform
 
 
 @checked
@@ -54,7 +54,7 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     **Raises:** `ValueError` if a motion is shorter than the blend, has another number of joints than the
     skeleton, has no frames, or has another rate.
     """
-    _check(skeleton, a, b)
+    _check_motions(skeleton, a, b)
     if not 0 <= frames <= min(len(a), len(b)):
         raise ValueError(
             f"A blend over {frames} frames does not fit motions of {len(a)} and {len(b)} frames; give from 0 to "
@@ -67,11 +67,13 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
         # one more step along the floor, at the final speed
         before = np.asarray(joint_paths(skeleton, take_poses(a.poses, slice(len(a) - 2, len(a) - 1))))
         there = there + np.mean(there - before, axis=1, keepdims=True) * [1.0, 0.0, 1.0]
-    moved = move(skeleton, align(here.reshape(-1, 3), there.reshape(-1, 3)), b.poses)
+    moved = apply_planar_transform(
+        skeleton, fit_planar_transform(here.reshape(-1, 3), there.reshape(-1, 3)), b.poses
+    )
     parts = [take_poses(a.poses, slice(0, len(a) - frames)), take_poses(moved, slice(frames, None))]
     if frames:
-        share = ease((np.arange(frames) + 1.0) / (frames + 1.0))
-        blend = between(end, take_poses(moved, slice(0, frames)), jnp.asarray(share))
+        share = smooth_step((np.arange(frames) + 1.0) / (frames + 1.0))
+        blend = interpolate_poses(end, take_poses(moved, slice(0, frames)), jnp.asarray(share))
         parts = [parts[0], blend, parts[1]]
     return Motion(concatenate_poses(parts), a.rate)
 
@@ -92,7 +94,7 @@ def make_loop(
     **Raises:** `ValueError` if the frames are not in the motion, fewer than `frames` come before the first,
     or `frames` is less than 2 or more than the length of the loop.
     """
-    _check(skeleton, motion, motion)
+    _check_motions(skeleton, motion, motion)
     if not 0 <= first < last < len(motion):
         raise ValueError(
             f"Frames {first} to {last} of the loop are not in a motion of {len(motion)} frames; give a first and a "
@@ -109,25 +111,27 @@ def make_loop(
         )
     early, late = (slice(end - frames, end + 1) for end in (first, last))
     paths = np.asarray(joint_paths(skeleton, motion.poses))
-    travel = align(paths[early].reshape(-1, 3), paths[late].reshape(-1, 3))
-    lead = move(skeleton, travel, take_poses(motion.poses, early))
+    travel = fit_planar_transform(paths[early].reshape(-1, 3), paths[late].reshape(-1, 3))
+    lead = apply_planar_transform(skeleton, travel, take_poses(motion.poses, early))
     # the blend is complete one frame before the end
-    share = ease(np.arange(frames + 1) / (frames - 1.0))
-    blend = between(take_poses(motion.poses, late), lead, jnp.asarray(share))
+    share = smooth_step(np.arange(frames + 1) / (frames - 1.0))
+    blend = interpolate_poses(take_poses(motion.poses, late), lead, jnp.asarray(share))
     poses = concatenate_poses([take_poses(motion.poses, slice(first, last - frames)), blend])
     if in_place:
-        poses = move(skeleton, [power(travel, -t) for t in np.linspace(0.0, 1.0, last - first + 1)], poses)
-        poses = _closed(poses)
-        travel = Planar(0.0, np.zeros(2))
+        poses = apply_planar_transform(
+            skeleton, [planar_power(travel, -t) for t in np.linspace(0.0, 1.0, last - first + 1)], poses
+        )
+        poses = _close_loop(poses)
+        travel = PlanarTransform(0.0, np.zeros(2))
     return Loop(Motion(poses, motion.rate), travel)
 
 
-def _closed(poses: Pose) -> Pose:
+def _close_loop(poses: Pose) -> Pose:
     """Replace the last frame by the first, from which it differs only by rounding."""
     return concatenate_poses([take_poses(poses, slice(0, -1)), take_poses(poses, slice(0, 1))])
 
 
-def _check(skeleton: Skeleton, a: Motion, b: Motion) -> None:
+def _check_motions(skeleton: Skeleton, a: Motion, b: Motion) -> None:
     for motion in (a, b):
         joints = motion.poses.rotations.shape[1]
         if joints != skeleton.num_joints:

@@ -24,12 +24,12 @@ from ..geometry import rotation
 from .gaze_line import GazeLine
 
 #: fixed-point iterations that account for the motion of the eyes; each reduces the error at least four times
-ROUNDS = 30
+NUM_ITERATIONS = 30
 #: least distance of a target from the point between the eyes, metres
-NEAR = 0.25
+MIN_TARGET_DISTANCE = 0.25
 
 
-class Gaze(NamedTuple):
+class GazeResult(NamedTuple):
     """A motion with a new gaze, and its errors."""
 
     motion: Motion
@@ -39,7 +39,7 @@ class Gaze(NamedTuple):
     before: Float[np.ndarray, "F"]
     after: Float[np.ndarray, "F"]
     #: (F,) frames in which `most` or limits restrict the rotation
-    held: Bool[np.ndarray, "F"]
+    limited: Bool[np.ndarray, "F"]
 
 
 @checked
@@ -50,53 +50,53 @@ def look_at_target(
     target: Float[np.ndarray | Array, "3"] | Float[np.ndarray | Array, "F 3"],
     shares: Mapping[str, float],
     *,
-    direction: bool = False,
+    is_direction: bool = False,
     first: int = 0,
     last: int | None = None,
     fade: float = 0.5,
-    most: float | None = None,
+    max_angle: float | None = None,
     limits: AbstractLimits | None = None,
-) -> Gaze:
+) -> GazeResult:
     """Rotate the `line` of the head towards a target from frame `first` to `last`.
 
     All joints rotate about one world axis. Each takes its share of one angle, the smallest that aligns the
     line with the target, so the shares compose exactly to the whole rotation. Frames outside the range are
     returned unchanged.
 
-    **Arguments:** `target` a point, metres, or with `direction` a direction in the world; one for all frames
+    **Arguments:** `target` a point, metres, or with `is_direction` a direction in the world; one for all frames
     or one for each. `shares` names the joints, from the trunk to the head, with fractions that sum to 1; the
     last one carries the line (`gaze_shares` guesses them). `fade` is the duration of the fade at either end,
-    seconds; `most` the largest angle of the whole rotation, degrees. The joints are projected onto the
+    seconds; `max_angle` the largest angle of the whole rotation, degrees. The joints are projected onto the
     `limits`; joints that were recorded beyond them come back gradually with the fade.
 
     **Raises:** `ValueError` for joints that do not exist or are not a chain, shares that do not sum to 1, a
     range that is not in the motion or too short for its fades, or a target within 25 cm of the eyes.
     """
-    chain = _chain(skeleton, line, shares)
-    first, last = _range(motion, first, last)
+    chain = _make_chain(skeleton, line, shares)
+    first, last = _check_range(motion, first, last)
     magnitude = fade_weights(len(motion), first, last, fade * motion.rate)
-    if most is not None and not 0 < most <= 180:
+    if max_angle is not None and not 0 < max_angle <= 180:
         raise ValueError(
-            f"The largest rotation of the gaze is {most:g} degrees; expected above 0 and at most 180."
+            f"The largest rotation of the gaze is {max_angle:g} degrees; expected above 0 and at most 180."
         )
     goals = np.broadcast_to(np.asarray(target, float), (len(motion), 3))
     if not np.isfinite(goals).all():
         raise ValueError("The target of the gaze is not finite; give three finite numbers.")
     used = magnitude > 0
-    eyes, looks = (np.asarray(x) for x in _lines(skeleton, line, motion.poses))
-    lengths = np.linalg.norm(goals if direction else goals - eyes, axis=1)
-    close = used & (lengths < (1e-9 if direction else NEAR))
+    eyes, looks = (np.asarray(x) for x in _all_eyes_and_directions(skeleton, line, motion.poses))
+    lengths = np.linalg.norm(goals if is_direction else goals - eyes, axis=1)
+    close = used & (lengths < (1e-9 if is_direction else MIN_TARGET_DISTANCE))
     if close.any():
         frame = int(np.argmax(close))
         raise ValueError(
             "The direction of the gaze has zero length; give a vector that is not zero."
-            if direction
+            if is_direction
             else f"In frame {frame} the target is {100 * lengths[frame]:.0f} cm from the point between the eyes; expected "
-            f"at least {100 * NEAR:.0f} cm. Check its unit, and that it is in the world of the motion."
+            f"at least {100 * MIN_TARGET_DISTANCE:.0f} cm. Check its unit, and that it is in the world of the motion."
         )
     dtype = motion.poses.rotations.dtype
-    cap = np.radians(180.0 if most is None else most)
-    turned = _turn_frames(
+    cap = np.radians(180.0 if max_angle is None else max_angle)
+    turned = _rotate_frames(
         skeleton,
         motion.poses,
         line,
@@ -105,41 +105,41 @@ def look_at_target(
         jnp.asarray(magnitude, dtype),
         jnp.asarray(cap, dtype),
         limits,
-        direction,
+        is_direction,
     )
     rows = jnp.asarray(used)[:, None, None]
     poses = eqx.tree_at(
         lambda p: p.rotations, motion.poses, jnp.where(rows, turned.rotations, motion.poses.rotations)
     )
-    moved, looked = (np.asarray(x) for x in _lines(skeleton, line, poses))
-    before = _degrees(looks, goals if direction else goals - eyes)
-    after = _degrees(looked, goals if direction else goals - moved)
+    moved, looked = (np.asarray(x) for x in _all_eyes_and_directions(skeleton, line, poses))
+    before = _angles_between(looks, goals if is_direction else goals - eyes)
+    after = _angles_between(looked, goals if is_direction else goals - moved)
     # an error at full magnitude means that `most` or the limits are active
     held = (magnitude == 1.0) & (after > 0.1)
-    return Gaze(Motion(poses, motion.rate), magnitude, before, after, held)
+    return GazeResult(Motion(poses, motion.rate), magnitude, before, after, held)
 
 
-def fade_weights(count: int, first: int, last: int, frames: float) -> Float[np.ndarray, "F"]:
+def fade_weights(num_frames: int, first: int, last: int, fade_frames: float) -> Float[np.ndarray, "F"]:
     """Compute fade weights of each frame.
 
-    They are 0 outside `first` to `last`. Within the range they rise as a sigmoid over `frames` frames, stay
+    They are 0 outside `first` to `last`. Within the range they rise as a sigmoid over `fade_frames` frames, stay
     at 1, and fall again. The sigmoid is the logistic function of `1/(1-t) - 1/t`: 0 and 1 at its ends with
     every derivative zero.
 
     **Raises:** `ValueError` if the two fades do not fit into the range.
     """
-    if not 0 <= frames < np.inf:
-        raise ValueError(f"The fade takes {frames:g} frames; expected at least 0.")
-    if 2 * frames > last - first:
+    if not 0 <= fade_frames < np.inf:
+        raise ValueError(f"The fade takes {fade_frames:g} frames; expected at least 0.")
+    if 2 * fade_frames > last - first:
         raise ValueError(
-            f"Two fades of {frames:g} frames do not fit into frames {first} to {last}; use a longer range or a "
+            f"Two fades of {fade_frames:g} frames do not fit into frames {first} to {last}; use a longer range or a "
             "shorter fade."
         )
-    number = np.arange(count)
+    number = np.arange(num_frames)
     inside = (number >= first) & (number <= last)
-    if frames == 0:
+    if fade_frames == 0:
         return inside.astype(float)
-    share = np.clip(np.minimum(number - first, last - number) / frames, 0.0, 1.0)
+    share = np.clip(np.minimum(number - first, last - number) / fade_frames, 0.0, 1.0)
     between = (share > 0) & (share < 1)
     t = np.where(between, share, 0.5)
     exponent = np.clip(1.0 / t - 1.0 / (1.0 - t), -500.0, 500.0)
@@ -154,7 +154,7 @@ class _Chain(NamedTuple):
     shares: Float[Array, "C"]
 
 
-def _chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _Chain:
+def _make_chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _Chain:
     if not shares:
         raise ValueError("No joints are given for the gaze; name at least the head.")
     for name, share in shares.items():
@@ -166,17 +166,15 @@ def _chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _
         if not share > 0:
             raise ValueError(f"The share of '{name}' is {share:g}; expected above 0.")
     if abs(sum(shares.values()) - 1.0) > 1e-6:
-        raise ValueError(
-            f"The shares of the joints add up to {sum(shares.values()):g}; expected a sum of 1."
-        )
+        raise ValueError(f"The shares of the joints add up to {sum(shares.values()):g}; expected a sum of 1.")
     joints = [skeleton.names.index(name) for name in shares]
     for above, below in pairwise(joints):
-        if above == below or not skeleton.descent[above, below]:
+        if above == below or not skeleton.descendants[above, below]:
             raise ValueError(
                 f"The joint '{skeleton.names[below]}' is not a descendant of '{skeleton.names[above]}'; name joints "
                 "from the trunk to the head."
             )
-    if not skeleton.descent[joints[-1], line.joint]:
+    if not skeleton.descendants[joints[-1], line.joint]:
         raise ValueError(
             f"The gaze line is fixed to '{skeleton.names[line.joint]}', which is not a descendant of "
             f"'{skeleton.names[joints[-1]]}', the last joint that rotates; name joints of its chain."
@@ -187,7 +185,7 @@ def _chain(skeleton: Skeleton, line: GazeLine, shares: Mapping[str, float]) -> _
     return _Chain(jnp.asarray(joints), jnp.asarray(parents), jnp.asarray(parts, dtype))
 
 
-def _range(motion: Motion, first: int, last: int | None) -> tuple[int, int]:
+def _check_range(motion: Motion, first: int, last: int | None) -> tuple[int, int]:
     last = len(motion) - 1 if last is None else last
     if not 0 <= first <= last < len(motion):
         raise ValueError(
@@ -198,42 +196,46 @@ def _range(motion: Motion, first: int, last: int | None) -> tuple[int, int]:
 
 
 @eqx.filter_jit
-def _turn_frames(skeleton, poses: Pose, line, chain, goals, magnitude, cap, limits, direction: bool) -> Pose:
+def _rotate_frames(
+    skeleton, poses: Pose, line, chain, targets, magnitude, max_angle, limits, is_direction: bool
+) -> Pose:
     def one(frame):
         pose, goal, share = frame
         turn = jnp.zeros(3, pose.rotations.dtype)
 
         def again(_, turn):
-            eyes, look = gaze_of(skeleton, line, turn_chain(skeleton, pose, chain, turn))
-            wanted = goal if direction else goal - eyes
+            eyes, look = eyes_and_direction(skeleton, line, rotate_chain(skeleton, pose, chain, turn))
+            wanted = goal if is_direction else goal - eyes
             more = rotation.shortest_arc(look, wanted / jnp.linalg.norm(wanted))
             return rotation.log(rotation.multiply(more, rotation.exp(turn)))
 
-        turn = jax.lax.fori_loop(0, ROUNDS, again, turn)
+        turn = jax.lax.fori_loop(0, NUM_ITERATIONS, again, turn)
         angle = jnp.linalg.norm(turn)
-        turn = turn * (share * jnp.minimum(1.0, cap / jnp.maximum(angle, 1e-9)))
-        moved = turn_chain(skeleton, pose, chain, turn)
-        return moved if limits is None else _within(limits, skeleton, pose, moved, chain, share)
+        turn = turn * (share * jnp.minimum(1.0, max_angle / jnp.maximum(angle, 1e-9)))
+        moved = rotate_chain(skeleton, pose, chain, turn)
+        return moved if limits is None else _project_chain(limits, skeleton, pose, moved, chain, share)
 
-    return jax.lax.map(one, (poses, goals, magnitude))
+    return jax.lax.map(one, (poses, targets, magnitude))
 
 
-def turn_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, turn: Float[Array, "3"]) -> Pose:
-    """Rotate every joint of a chain by its share of the world rotation vector `turn`; one pose.
+def rotate_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, rotation_vector: Float[Array, "3"]) -> Pose:
+    """Rotate every joint of a chain by its share of the world rotation vector `rotation_vector`; one pose.
 
-    All joints share one axis, so the descendants of the last joint rotate by all of `turn`. The local
+    All joints share one axis, so the descendants of the last joint rotate by all of `rotation_vector`. The local
     rotation of a joint is `W^T exp(share turn) W`, with `W` the previous rotation of its parent.
     """
     before = forward_kinematics(skeleton, pose).rotations / pose.scale
     above = jnp.where(
         (chain.parents < 0)[:, None, None], jnp.eye(3, dtype=before.dtype), before[chain.parents]
     )
-    own = chain.shares[:, None] * jnp.einsum("cba,b->ca", above, turn)
+    own = chain.shares[:, None] * jnp.einsum("cba,b->ca", above, rotation_vector)
     local = rotation.multiply(rotation.exp(own), pose.rotations[chain.joints])
     return Pose(pose.translations, pose.rotations.at[chain.joints].set(rotation.normalise(local)), pose.scale)
 
 
-def gaze_of(skeleton: Skeleton, line: GazeLine, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+def eyes_and_direction(
+    skeleton: Skeleton, line: GazeLine, pose: Pose
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Compute the position of the eyes, metres, and the unit gaze direction of one pose."""
     transforms = forward_kinematics(skeleton, pose)
     r, t = transforms.rotations[line.joint], transforms.translations[line.joint]
@@ -241,22 +243,24 @@ def gaze_of(skeleton: Skeleton, line: GazeLine, pose: Pose) -> tuple[Float[Array
 
 
 @eqx.filter_jit
-def _lines(skeleton, line, poses: Pose):
-    return jax.lax.map(lambda pose: gaze_of(skeleton, line, pose), poses)
+def _all_eyes_and_directions(skeleton, line, poses: Pose):
+    return jax.lax.map(lambda pose: eyes_and_direction(skeleton, line, pose), poses)
 
 
-def _within(limits, skeleton, before: Pose, pose: Pose, chain: _Chain, share: Float[Array, ""]) -> Pose:
+def _project_chain(
+    limits, skeleton, original: Pose, pose: Pose, chain: _Chain, fade: Float[Array, ""]
+) -> Pose:
     """Project the joints of the chain onto their limits.
 
-    As far as the gaze is faded out, they keep the violation of the pose `before`. A joint that was recorded
+    As far as the gaze is faded out, they keep the violation of the pose `original`. A joint that was recorded
     beyond its limits so comes back into them as the gaze is faded in.
     """
-    held, own = (limits.nearest(skeleton, p).rotations[chain.joints] for p in (pose, before))
-    beyond = rotation.log(rotation.multiply(rotation.conjugate(own), before.rotations[chain.joints]))
-    held = rotation.multiply(held, rotation.exp((1.0 - share) * beyond))
+    held, own = (limits.nearest(skeleton, p).rotations[chain.joints] for p in (pose, original))
+    beyond = rotation.log(rotation.multiply(rotation.conjugate(own), original.rotations[chain.joints]))
+    held = rotation.multiply(held, rotation.exp((1.0 - fade) * beyond))
     return Pose(pose.translations, pose.rotations.at[chain.joints].set(rotation.normalise(held)), pose.scale)
 
 
-def _degrees(looks: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    sine = np.linalg.norm(np.cross(looks, wanted), axis=1)
-    return np.degrees(np.arctan2(sine, np.sum(looks * wanted, axis=1)))
+def _angles_between(directions: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    sine = np.linalg.norm(np.cross(directions, targets), axis=1)
+    return np.degrees(np.arctan2(sine, np.sum(directions * targets, axis=1)))

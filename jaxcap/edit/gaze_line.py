@@ -11,12 +11,12 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.people.human import human
 from ..body.skeleton import Skeleton
-from ..body.symmetry import twin_joints
+from ..body.symmetry import left_right_candidates
 from ..geometry.axes import nearest_axis
 
 #: of the embedded human, by resolution: vertices whose means are the back of the head and the point between
 #: the eyes
-HUMAN = {
+HUMAN_VERTICES = {
     "full": ((955,), (169,)),
     "medium": ((262,), (11, 29)),
     "low": ((71, 819), (3, 762)),
@@ -36,7 +36,7 @@ class GazeLine(eqx.Module):
 
 
 @checked
-def line_of_vertices(
+def gaze_line_of_vertices(
     body: Body, back: Sequence[int] | int, front: Sequence[int] | int, head: str
 ) -> GazeLine:
     """Make a gaze line from vertices at the back of the head to vertices between the eyes.
@@ -62,12 +62,12 @@ def line_of_vertices(
             "position, so they define no gaze line; give vertices at different positions."
         )
     dtype = body.skeleton.centres.dtype
-    joint = _joint(body.skeleton, head)
+    joint = _joint_index(body.skeleton, head)
     return GazeLine(joint, jnp.asarray(ends[1], dtype), jnp.asarray(along / length, dtype))
 
 
 @checked
-def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
+def gaze_line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
     """Make a gaze line for a skeleton without a known surface, from the middle of the head's bone to the
     front.
 
@@ -75,21 +75,21 @@ def line_of_joint(skeleton: Skeleton, head: str) -> GazeLine:
 
     **Raises:** `ValueError` if there is no such joint, or left and right cannot be determined.
     """
-    joint, centres = _joint(skeleton, head), np.asarray(skeleton.centres, float)
+    joint, centres = _joint_index(skeleton, head), np.asarray(skeleton.centres, float)
     below = [child for child, parent in enumerate(skeleton.parents) if parent == joint]
     eyes = centres[joint] if not below else 0.5 * (centres[joint] + centres[below].mean(0))
     dtype = skeleton.centres.dtype
-    return GazeLine(joint, jnp.asarray(eyes, dtype), jnp.asarray(_forward(skeleton, joint), dtype))
+    return GazeLine(joint, jnp.asarray(eyes, dtype), jnp.asarray(_front_direction(skeleton, joint), dtype))
 
 
 @checked
-def human_line(body: Body) -> GazeLine | None:
+def human_gaze_line(body: Body) -> GazeLine | None:
     """Make the gaze line of the embedded human, which is recognised by its triangles; None for any other
     body."""
-    for resolution, (back, front) in HUMAN.items():
+    for resolution, (back, front) in HUMAN_VERTICES.items():
         faces = np.asarray(human(resolution=resolution).faces)  # pyright: ignore[reportArgumentType]
         if faces.shape == body.faces.shape and np.array_equal(faces, np.asarray(body.faces)):
-            return line_of_vertices(body, back, front, "Head") if "Head" in body.skeleton.names else None
+            return gaze_line_of_vertices(body, back, front, "Head") if "Head" in body.skeleton.names else None
     return None
 
 
@@ -107,13 +107,13 @@ def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[
             raise ValueError(f"{len(names)} joints are named for the gaze; name three: chest, neck and head.")
         return dict(zip(names, SHARES, strict=True))
     ask = "name chest, neck and head"
-    heads = [joint for joint, name in enumerate(skeleton.names) if _plain(name) == "head"]
+    heads = [joint for joint, name in enumerate(skeleton.names) if _normalised_name(name) == "head"]
     if len(heads) != 1:
         raise ValueError(
             f"{len(heads)} of the joints are called head; {ask}, from {', '.join(skeleton.names)}."
         )
     neck, above = -1, skeleton.parents[heads[0]]
-    while above >= 0 and "neck" in _plain(skeleton.names[above]):
+    while above >= 0 and "neck" in _normalised_name(skeleton.names[above]):
         neck, above = above, skeleton.parents[above]
     if neck < 0 or above < 0:
         raise ValueError(
@@ -124,20 +124,20 @@ def gaze_shares(skeleton: Skeleton, names: Sequence[str] | None = None) -> dict[
     return dict(zip(found, SHARES, strict=True))
 
 
-def _plain(name: str) -> str:
+def _normalised_name(name: str) -> str:
     """Convert a joint name to lower case, without `prefix:`, `_` and blanks; ASF's upper neck is a neck."""
     return name.rsplit(":", 1)[-1].lower().replace("_", "").replace(" ", "").removeprefix("bip01")
 
 
-def _joint(skeleton: Skeleton, name: str) -> int:
+def _joint_index(skeleton: Skeleton, name: str) -> int:
     if name not in skeleton.names:
         raise ValueError(f"There is no joint '{name}'; the skeleton has {', '.join(skeleton.names)}.")
     return skeleton.names.index(name)
 
 
-def _forward(skeleton: Skeleton, head: int) -> np.ndarray:
+def _front_direction(skeleton: Skeleton, head: int) -> np.ndarray:
     """Compute the front at rest: the cross product of left and up, both along coordinate axes."""
-    pairs = np.array(twin_joints(skeleton.names)).reshape(-1, 2)
+    pairs = np.array(left_right_candidates(skeleton.names)).reshape(-1, 2)
     centres = np.asarray(skeleton.centres, float)
     left = (centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0)
     root = head

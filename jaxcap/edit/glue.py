@@ -27,7 +27,7 @@ class Glue(eqx.Module):
     #: the triangle
     shares: Float[Array, "N 3"]
     #: signed distance from the plane, metres
-    heights: Float[Array, "N"]
+    normal_offsets: Float[Array, "N"]
 
 
 @checked
@@ -35,11 +35,11 @@ def glue_scan(
     points: Float[Array | np.ndarray, "N 3"],
     vertices: Float[Array | np.ndarray, "V 3"],
     faces: Int[Array | np.ndarray, "F 3"],
-    reach: float = np.inf,
+    max_distance: float = np.inf,
 ) -> Glue:
     """Attach points to the closest triangles of a body in the pose of the scan, in NumPy and float64.
 
-    **Arguments:** `vertices` of the posed body, metres, and its `faces`; `reach` is the largest distance of a
+    **Arguments:** `vertices` of the posed body, metres, and its `faces`; `max_distance` is the largest distance of a
     point from the body, metres.
 
     **Raises:** `ValueError` if there are no faces or no points, a number is not finite, or a point is beyond
@@ -59,10 +59,10 @@ def glue_scan(
     # a degenerate triangle has no plane, and its sides belong to its neighbours too
     faces = faces[areas > 1e-12 * max(float(areas.max()), 1e-300)]
     nearest = nearest_on_surface(points, vertices, faces)
-    far = nearest.distances > reach
+    far = nearest.distances > max_distance
     if far.any():
         raise ValueError(
-            f"{int(far.sum())} of {len(points)} points of the scan are more than {reach:g} m from the body, the furthest "
+            f"{int(far.sum())} of {len(points)} points of the scan are more than {max_distance:g} m from the body, the furthest "
             f"{nearest.distances.max():.3g} m; check the scan's unit, and that the body has the pose of the scan."
         )
     corners = faces[nearest.triangles]
@@ -85,7 +85,7 @@ def glued_points(glue: Glue, vertices: Float[Array, "V 3"]) -> Float[Array, "N 3
     squared = jnp.sum(normal**2, 1, keepdims=True)
     # a triangle that a pose has collapsed has no normal; its points stay on it
     flat = squared < jnp.finfo(squared.dtype).tiny
-    return foot + glue.heights[:, None] * normal / jnp.sqrt(jnp.where(flat, 1.0, squared))
+    return foot + glue.normal_offsets[:, None] * normal / jnp.sqrt(jnp.where(flat, 1.0, squared))
 
 
 @checked

@@ -11,28 +11,28 @@ from ..geometry import rotation
 
 
 @jax.jit
-def between(here: Pose, there: Pose, share: Float[Array, "F"] | Float[Array, "F J"]) -> Pose:
-    """Interpolate from `here` to `there` by a `share` for each frame, or for each joint (Shoemake 1985).
+def interpolate_poses(start: Pose, end: Pose, fraction: Float[Array, "F"] | Float[Array, "F J"]) -> Pose:
+    """Interpolate from `start` to `end` by a `fraction` for each frame, or for each joint (Shoemake 1985).
 
-    The scale uses the share of the first joint. The result is exactly `here` at 0, and `there` at 1 up to
+    The scale uses the share of the first joint. The result is exactly `start` at 0, and `end` at 1 up to
     rounding. Stacks of F poses each.
     """
-    share = jnp.asarray(share, here.rotations.dtype)
-    shares = jnp.broadcast_to(share.reshape(len(share), -1), here.rotations.shape[:2])
+    fraction = jnp.asarray(fraction, start.rotations.dtype)
+    shares = jnp.broadcast_to(fraction.reshape(len(fraction), -1), start.rotations.shape[:2])
     each = shares[..., None]
-    rotations = rotation.normalise(rotation.slerp(here.rotations, there.rotations, shares))
-    rotations = jnp.where(each == 0, here.rotations, rotations)
-    rotations = jnp.where(each == 1, there.rotations, rotations)
-    translations = here.translations + each * (there.translations - here.translations)
-    scale = here.scale + shares[:, 0] * (there.scale - here.scale)
+    rotations = rotation.normalise(rotation.slerp(start.rotations, end.rotations, shares))
+    rotations = jnp.where(each == 0, start.rotations, rotations)
+    rotations = jnp.where(each == 1, end.rotations, rotations)
+    translations = start.translations + each * (end.translations - start.translations)
+    scale = start.scale + shares[:, 0] * (end.scale - start.scale)
     return Pose(translations, rotations, scale)
 
 
-def ease(share: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+def smooth_step(fraction: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
     """Compute a smooth step from 0 to 1 with zero slope at either end, `3 t^2 - 2 t^3` (Kovar et al. 2002,
     section 5)."""
-    share = np.clip(share, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    fraction = np.clip(fraction, 0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 @checked
@@ -54,7 +54,7 @@ def resample(motion: Motion, rate: float | int) -> Motion:
     times = np.where(np.abs(times - np.round(times)) < 1e-9 * len(motion), np.round(times), times)
     before = np.floor(times).astype(int)
     after = np.minimum(before + 1, len(motion) - 1)
-    poses = between(
+    poses = interpolate_poses(
         take_poses(motion.poses, before), take_poses(motion.poses, after), jnp.asarray(times - before)
     )
     return Motion(poses, float(rate))

@@ -17,14 +17,14 @@ from ..body.kinematics import joint_paths
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .interpolation import between
+from .interpolation import interpolate_poses
 
 
 class Keys(NamedTuple):
     """The key frames, and the motion that is interpolated from them."""
 
     #: (F, J) key frames of each joint; the same for all joints if whole poses are keys
-    keyed: Bool[np.ndarray, "F J"]
+    is_key: Bool[np.ndarray, "F J"]
     motion: Motion
     #: largest errors of that motion: joint rotation, degrees, and joint position, metres
     degrees: float
@@ -33,7 +33,7 @@ class Keys(NamedTuple):
     @property
     def count(self) -> int:
         """The number of keys of all joints together."""
-        return int(self.keyed.sum())
+        return int(self.is_key.sum())
 
 
 @checked
@@ -71,26 +71,26 @@ def find_keys(
     keyed[[0, -1]] = True
     tolerance = np.array([np.radians(degrees), metres])
     if per_joint:
-        _keys_of_joints(skeleton, motion.poses, paths, keyed, tolerance)
+        _find_joint_keys(skeleton, motion.poses, paths, keyed, tolerance)
     else:
-        keyed[:] = _keys_of_poses(skeleton, motion.poses, paths, keyed[:, 0], tolerance)[:, None]
+        keyed[:] = _find_pose_keys(skeleton, motion.poses, paths, keyed[:, 0], tolerance)[:, None]
     poses = interpolate_keys(motion.poses, keyed)
-    turned, moved = _errors(skeleton, motion.poses, paths, poses)
+    turned, moved = _interpolation_errors(skeleton, motion.poses, paths, poses)
     return Keys(
         keyed, Motion(poses, motion.rate), float(np.degrees(turned.max())), float(moved.max(initial=0.0))
     )
 
 
 @checked
-def interpolate_keys(poses: Pose, keyed: Bool[np.ndarray, "F J"]) -> Pose:
-    """Interpolate poses between keys, each joint between its own `keyed` frames.
+def interpolate_keys(poses: Pose, is_key: Bool[np.ndarray, "F J"]) -> Pose:
+    """Interpolate poses between keys, each joint between its own `is_key` frames.
 
     The scale uses the keys of the first joint. The first and last frames have to be keys.
     """
-    before, after = _neighbours(keyed)
-    frames = np.arange(len(keyed))[:, None]
+    before, after = _neighbour_keys(is_key)
+    frames = np.arange(len(is_key))[:, None]
     share = (frames - before) / np.maximum(after - before, 1)
-    return between(_poses_at(poses, before), _poses_at(poses, after), jnp.asarray(share))
+    return interpolate_poses(_poses_at(poses, before), _poses_at(poses, after), jnp.asarray(share))
 
 
 def _poses_at(poses: Pose, frames: Int[np.ndarray, "F J"]) -> Pose:
@@ -101,7 +101,7 @@ def _poses_at(poses: Pose, frames: Int[np.ndarray, "F J"]) -> Pose:
     )
 
 
-def _neighbours(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _neighbour_keys(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the last key at or before each frame, and the first at or after it."""
     frames = np.arange(len(keyed))[:, None]
     before = np.maximum.accumulate(np.where(keyed, frames, 0), axis=0)
@@ -109,25 +109,25 @@ def _neighbours(keyed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return before, after
 
 
-def _errors(
-    skeleton: Skeleton, poses: Pose, paths: np.ndarray, there: Pose
+def _interpolation_errors(
+    skeleton: Skeleton, poses: Pose, paths: np.ndarray, interpolated: Pose
 ) -> tuple[Float[np.ndarray, "F J"], Float[np.ndarray, "F J"]]:
     """Compute the errors of rotations (radians) and positions (metres)."""
-    turned = np.asarray(rotation.distance(poses.rotations, there.rotations), float)
-    moved = np.linalg.norm(np.asarray(joint_paths(skeleton, there), float) - paths, axis=-1)
+    turned = np.asarray(rotation.distance(poses.rotations, interpolated.rotations), float)
+    moved = np.linalg.norm(np.asarray(joint_paths(skeleton, interpolated), float) - paths, axis=-1)
     return turned, moved
 
 
-def _keys_of_poses(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
+def _find_pose_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
     def errors(marked: np.ndarray) -> np.ndarray:
         there = interpolate_keys(poses, np.repeat(marked[:, None], skeleton.num_joints, 1))
-        turned, moved = _errors(skeleton, poses, paths, there)
+        turned, moved = _interpolation_errors(skeleton, poses, paths, there)
         return np.maximum(turned.max(1) / tolerance[0], moved.max(1) / tolerance[1])
 
-    return _prune(_insert(keyed, errors), errors)
+    return _prune_keys(_insert_keys(keyed, errors), errors)
 
 
-def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> None:
+def _find_joint_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> None:
     """Mark the keys in `keyed`: for each joint by itself, then to limit accumulated errors."""
 
     def errors(marked: np.ndarray) -> np.ndarray:
@@ -139,11 +139,11 @@ def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: 
         )
         return np.maximum(turned / tolerance[0], np.maximum(slid, scaled) / (0.5 * tolerance[1]))
 
-    keyed[:] = _prune(_insert(keyed, errors), errors)
+    keyed[:] = _prune_keys(_insert_keys(keyed, errors), errors)
     descent = skeleton.descent
     while True:
         there = interpolate_keys(poses, keyed)
-        turned, moved = _errors(skeleton, poses, paths, there)
+        turned, moved = _interpolation_errors(skeleton, poses, paths, there)
         # a key changes the adjacent gaps, so rotations are checked again
         twisted, beyond = turned > tolerance[0], moved > tolerance[1]
         if not (twisted.any() or beyond.any()):
@@ -161,7 +161,7 @@ def _keys_of_joints(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: 
             keyed[frame, int(np.argmax(effect))] = True
 
 
-def _insert(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _insert_keys(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Insert a key at the worst frame of every gap that exceeds the tolerance, until none does.
 
     `keyed` is (F,), or (F, J) with a column of keys for each joint.
@@ -181,7 +181,7 @@ def _insert(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np
         keyed = columns.reshape(shape)
 
 
-def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _prune_keys(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Remove keys until none can be removed. Every second key is tried at once: their gaps do not overlap."""
     flat = keyed.reshape(len(keyed), -1).copy()
     needed = np.zeros_like(flat)
@@ -190,9 +190,9 @@ def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.
         needed[:] = False
         needed[[0, -1]] = True
         while (flat & ~needed).any():
-            tried = flat & ~_alternate(flat, needed)
+            tried = flat & ~_alternate_keys(flat, needed)
             off = errors(tried.reshape(keyed.shape)).reshape(flat.shape) > 1.0
-            before, after = _neighbours(tried)
+            before, after = _neighbour_keys(tried)
             for frame, column in zip(*np.nonzero(flat & ~tried), strict=True):
                 gap = slice(before[frame, column], after[frame, column] + 1)
                 needed[frame, column] = off[gap, column].any()
@@ -202,7 +202,7 @@ def _prune(keyed: np.ndarray, errors: Callable[[np.ndarray], np.ndarray]) -> np.
             return flat.reshape(keyed.shape)
 
 
-def _alternate(keyed: np.ndarray, needed: np.ndarray) -> np.ndarray:
+def _alternate_keys(keyed: np.ndarray, needed: np.ndarray) -> np.ndarray:
     """Choose removable keys in every column so that no two of them are neighbours."""
     chosen = np.zeros_like(keyed)
     for column in range(keyed.shape[1]):

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..body.symmetry import twin_joints
+from ..body.symmetry import left_right_candidates
 from ..geometry.axes import nearest_axis
 
 
@@ -28,7 +28,7 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
         raise ValueError(
             f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
         )
-    twins, side = _twins(skeleton), _side(skeleton)
+    twins, side = _counterpart_joints(skeleton), _lateral_axis(skeleton)
     # a reflection reverses rotations about the axes in the mirror plane
     sign = jnp.asarray(1.0 - 2.0 * side, motion.poses.rotations.dtype)
     flip = jnp.concatenate([jnp.ones(1, sign.dtype), -sign])
@@ -41,10 +41,10 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
     return Motion(Pose(translations, rotations, motion.poses.scale), motion.rate)
 
 
-def _twins(skeleton: Skeleton) -> np.ndarray:
+def _counterpart_joints(skeleton: Skeleton) -> np.ndarray:
     """Find the joint on the other side of each joint, (J,)."""
     twins = np.arange(skeleton.num_joints)
-    for left, right in twin_joints(skeleton.names):
+    for left, right in left_right_candidates(skeleton.names):
         twins[left], twins[right] = right, left
     if np.array_equal(twins, np.arange(len(twins))):
         raise ValueError(
@@ -63,9 +63,9 @@ def _twins(skeleton: Skeleton) -> np.ndarray:
     return twins
 
 
-def _side(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
+def _lateral_axis(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
     """Find the coordinate axis from right to left at rest, without its sign."""
-    pairs = np.array(twin_joints(skeleton.names))
+    pairs = np.array(left_right_candidates(skeleton.names))
     centres = np.asarray(skeleton.centres, float)
     side = nearest_axis(np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0))
     if not side.any():

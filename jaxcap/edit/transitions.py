@@ -60,32 +60,39 @@ def find_transitions(
     They are local minima of the distance, none within a window of a better one. Raises as
     `transition_distances` does.
     """
-    return _best(transition_distances(skeleton, a, b, window), window, count)
+    return _best_transitions(transition_distances(skeleton, a, b, window), window, count)
 
 
 @checked
 def find_loops(
-    skeleton: Skeleton, motion: Motion, window: int, least: int, most: int | None = None, count: int = 1
+    skeleton: Skeleton,
+    motion: Motion,
+    window: int,
+    min_length: int,
+    max_length: int | None = None,
+    count: int = 1,
 ) -> list[Transition]:
     """Find the best frames to close a loop, for `make_loop`.
 
     A loop goes from frame `first + window` to frame `second + window`, and the windows before these frames
     are similar.
 
-    **Arguments:** `least` and `most` are the shortest and longest lengths of a loop, frames.
+    **Arguments:** `min_length` and `max_length` are the shortest and longest lengths of a loop, frames.
 
     **Raises:** `ValueError` if no loop of these lengths fits into the motion.
     """
-    most = len(motion) if most is None else most
-    if not 1 <= least <= most or least + window >= len(motion):
+    max_length = len(motion) if max_length is None else max_length
+    if not 1 <= min_length <= max_length or min_length + window >= len(motion):
         raise ValueError(
-            f"A loop of {least} to {most} frames with {window} before it does not fit into a motion of "
+            f"A loop of {min_length} to {max_length} frames with {window} before it does not fit into a motion of "
             f"{len(motion)} frames; give a shorter one."
         )
     # the window includes the frame at which a loop begins, so it is one frame longer
     distances = transition_distances(skeleton, motion, motion, window + 1)
     length = np.arange(len(distances))[None] - np.arange(len(distances))[:, None]
-    return _best(np.where((length >= least) & (length <= most), distances, np.inf), window, count)
+    return _best_transitions(
+        np.where((length >= min_length) & (length <= max_length), distances, np.inf), window, count
+    )
 
 
 def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,11 +104,11 @@ def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarra
     return x - x.mean(1, keepdims=True), y, z - z.mean(1, keepdims=True)
 
 
-def _best(distances: np.ndarray, apart: int, count: int) -> list[Transition]:
+def _best_transitions(distances: np.ndarray, min_separation: int, count: int) -> list[Transition]:
     distances, found = distances.copy(), []
     while len(found) < count and np.isfinite(distances).any():
         row, column = np.unravel_index(int(np.argmin(distances)), distances.shape)
         found.append(Transition(int(row), int(column), float(distances[row, column])))
-        near = [slice(max(0, int(i) - apart), int(i) + apart + 1) for i in (row, column)]
+        near = [slice(max(0, int(i) - min_separation), int(i) + min_separation + 1) for i in (row, column)]
         distances[near[0], near[1]] = np.inf
     return found

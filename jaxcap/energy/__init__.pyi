@@ -19,6 +19,6 @@ from .priors.prior import tangent_deviations as tangent_deviations
 from .priors.symmetry import BoneSymmetry as BoneSymmetry
 from .priors.temporal import SecondDifference as SecondDifference
 from .stacked import AbstractNeighbourEnergy as AbstractNeighbourEnergy
-from .stacked import SmoothTurns as SmoothTurns
+from .stacked import SmoothRotations as SmoothRotations
 from .stacked import Stacked as Stacked
 from .stacked import stack_energies as stack_energies

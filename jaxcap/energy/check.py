@@ -14,14 +14,14 @@ from ..arguments import describe
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, rest_pose
 from ..errors import InputError
-from ..values import check_values, known
-from .energy import AbstractEnergy, Weighted, bare, name_of, sum_of, terms_of
+from ..values import check_values, concrete_values
+from .energy import AbstractEnergy, Weighted, energy_name, sum_energies, terms_of, unweighted
 
 #: energies of a user's own: one or several
-OwnTerms = AbstractEnergy | Sequence[AbstractEnergy]
+UserTerms = AbstractEnergy | Sequence[AbstractEnergy]
 
 #: fields of energies that are indices of vertices or of joints
-_NUMBERS = {"vertices": "vertices", "bones": "joints", "joints": "joints"}
+_INDEX_FIELDS = {"vertices": "vertices", "bones": "joints", "joints": "joints"}
 
 
 def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
@@ -34,7 +34,7 @@ def flat_terms(energy: AbstractEnergy) -> list[AbstractEnergy]:
     )
 
 
-def check_numbers(energy: AbstractEnergy, body: Body) -> None:
+def check_energy_arrays(energy: AbstractEnergy, body: Body) -> None:
     """Check the vertex and joint indices, weights and data of an energy against a body.
 
     Indices have to exist in the body, because JAX would clamp those beyond the last. Weights have to be at
@@ -46,25 +46,25 @@ def check_numbers(energy: AbstractEnergy, body: Body) -> None:
     counts = {"vertices": len(body.vertices), "joints": body.skeleton.num_joints}
     for term in flat_terms(energy):
         _check_weight(term)
-        _check_data(bare(term))
-        for field, what in _NUMBERS.items():
-            numbers = getattr(bare(term), field, None)
+        _check_data(unweighted(term))
+        for field, what in _INDEX_FIELDS.items():
+            numbers = getattr(unweighted(term), field, None)
             if isinstance(numbers, (jax.Array, np.ndarray)) and np.issubdtype(numbers.dtype, np.integer):
-                check_indices(name_of(term), field, numbers, what, counts[what])
+                check_indices(energy_name(term), field, numbers, what, counts[what])
 
 
-def check_indices(owner: str, field: str, numbers: Any, what: str, count: int) -> None:
+def check_indices(owner: str, field: str, indices: Any, item: str, count: int) -> None:
     """Check that indices of vertices or joints exist in a body.
 
     **Raises:** `InputError` with the first that does not.
     """
-    if isinstance(numbers, Tracer):
+    if isinstance(indices, Tracer):
         return
-    values = np.asarray(numbers, int)
+    values = np.asarray(indices, int)
     wrong = (values < 0) | (values >= count)
     if wrong.any():
         raise InputError(
-            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {what}; "
+            f"{owner}: `{field}` has {int(values[wrong][0])}, and the body has {count} {item}; "
             f"expected 0 to {count - 1}."
         )
 
@@ -76,7 +76,7 @@ def _check_weight(term: AbstractEnergy) -> None:
             # written so that NaN counts as wrong
             if not (weight >= 0).all():
                 raise InputError(
-                    f"{name_of(term)}: its weight is {float(weight.min()):g}; expected a number of at least 0."
+                    f"{energy_name(term)}: its weight is {float(weight.min()):g}; expected a number of at least 0."
                 )
         term = term.energy
 
@@ -87,11 +87,11 @@ def _check_data(term: AbstractEnergy) -> None:
         return
     weights = getattr(term, "weights", None)
     if not isinstance(weights, Tracer) and eqx.is_inexact_array_like(weights):
-        check_values(name_of(term), lambda w: w >= 0, "a weight of at least 0", weights=weights)
+        check_values(energy_name(term), lambda w: w >= 0, "a weight of at least 0", weights=weights)
     _check_finite(term)
 
 
-def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
+def sum_user_terms(where: str, terms: UserTerms, body: Body) -> AbstractEnergy | None:
     """Add up a user's own energies, after a check that they can be evaluated for a body; None where there are
     none.
 
@@ -104,20 +104,20 @@ def own_terms(where: str, terms: OwnTerms, body: Body) -> AbstractEnergy | None:
             raise InputError(
                 f"{where}: `terms` has a {type(term).__name__}; expected energies, such as make_floor(body)."
             )
-        check_numbers(term, body)
+        check_energy_arrays(term, body)
         for part in flat_terms(term):
             _check_finite(part)
             _check_residual(part, body, rest_pose(body.skeleton))
-    return sum_of(given)
+    return sum_energies(given)
 
 
 def _check_finite(term: AbstractEnergy) -> None:
     """Check that there is no NaN, except in rows of weight zero."""
-    term = bare(term)
+    term = unweighted(term)
     if isinstance(getattr(term, "weights", None), Tracer):
         # unknown weights do not show which rows count
         return
-    weights = known(getattr(term, "weights", None))
+    weights = concrete_values(getattr(term, "weights", None))
     for field in dataclasses.fields(term):
         for leaf in jax.tree.leaves(getattr(term, field.name)):
             if not isinstance(leaf, Tracer) and eqx.is_inexact_array_like(leaf):
@@ -138,19 +138,21 @@ def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
         try:
             shape = jax.eval_shape(lambda: term.residual(pose_body(body, pose)))
         except Exception as found:
-            raise InputError(_words(term, body, str(found).splitlines()[0])) from found
+            raise InputError(_residual_message(term, body, str(found).splitlines()[0])) from found
         if len(getattr(shape, "shape", ())) != 1:
             given = getattr(shape, "shape", type(shape).__name__)
-            raise InputError(_words(term, body, f"it is {given}; expected one row (R,)"))
+            raise InputError(_residual_message(term, body, f"it is {given}; expected one row (R,)"))
         lengths.append(shape.shape[0])
     if lengths[0] != lengths[1]:
         raise InputError(
-            _words(term, body, f"its length changes from call to call, from {lengths[0]} to {lengths[1]}")
+            _residual_message(
+                term, body, f"its length changes from call to call, from {lengths[0]} to {lengths[1]}"
+            )
         )
 
 
 @contextlib.contextmanager
-def explained(energy: AbstractEnergy, body: Body, pose: Pose | None = None) -> Iterator[None]:
+def explain_errors(energy: AbstractEnergy, body: Body, pose: Pose | None = None) -> Iterator[None]:
     """Explain an error that the arrays of a residual cause in the block; do nothing without an error.
 
     **Raises:** `InputError` with the first term whose residual cannot be evaluated, its fields and the error.
@@ -165,8 +167,8 @@ def explained(energy: AbstractEnergy, body: Body, pose: Pose | None = None) -> I
         raise
 
 
-def _words(term: AbstractEnergy, body: Body, reason: str) -> str:
-    term = bare(term)
+def _residual_message(term: AbstractEnergy, body: Body, reason: str) -> str:
+    term = unweighted(term)
     fields = [f"`{field.name}` {describe(getattr(term, field.name))}" for field in dataclasses.fields(term)]
     return (
         f"{type(term).__name__}: its residual cannot be evaluated for a body of {body.skeleton.num_joints} joints and "

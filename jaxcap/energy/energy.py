@@ -48,7 +48,7 @@ class Weighted(AbstractEnergy):
     weight: Float[Array, ""]
 
     def residual(self, posed):
-        return root(self.weight) * self.energy.residual(posed)
+        return safe_sqrt(self.weight) * self.energy.residual(posed)
 
 
 class Sum(AbstractEnergy):
@@ -65,17 +65,17 @@ def weighted(weight, energy: AbstractEnergy) -> AbstractEnergy:
     if isinstance(energy, Sum):
         return Sum(tuple(weighted(weight, term) for term in energy.terms))
     if isinstance(energy, Weighted):
-        return Weighted(energy.energy, _number(weight * energy.weight))
-    return Weighted(energy, _number(weight))
+        return Weighted(energy.energy, _as_array(weight * energy.weight))
+    return Weighted(energy, _as_array(weight))
 
 
-def _number(weight) -> Float[Array, ""]:
+def _as_array(weight) -> Float[Array, ""]:
     """Convert a weight to an array, in its own precision if it is one already."""
     there = eqx.is_inexact_array(weight)
     return weight if there else jnp.asarray(weight, float)
 
 
-def sum_of(energies: Sequence[AbstractEnergy | None]) -> AbstractEnergy | None:
+def sum_energies(energies: Sequence[AbstractEnergy | None]) -> AbstractEnergy | None:
     """Add up energies without nesting sums; None where there are none."""
     terms = tuple(term for energy in energies if energy is not None for term in terms_of(energy))
     return Sum(terms) if terms else None
@@ -86,14 +86,14 @@ def terms_of(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
     return energy.terms if isinstance(energy, Sum) else (energy,)
 
 
-def name_of(energy: AbstractEnergy) -> str:
+def energy_name(energy: AbstractEnergy) -> str:
     """Get the class name of an energy without its weight: `JointLimits`."""
-    return type(bare(energy)).__name__
+    return type(unweighted(energy)).__name__
 
 
-def bare(energy: AbstractEnergy) -> AbstractEnergy:
+def unweighted(energy: AbstractEnergy) -> AbstractEnergy:
     """Strip the weight from an energy."""
-    return bare(energy.energy) if isinstance(energy, Weighted) else energy
+    return unweighted(energy.energy) if isinstance(energy, Weighted) else energy
 
 
 @checked
@@ -102,11 +102,11 @@ def energies(energy: AbstractEnergy, posed: Posed) -> dict[str, Float[Array, ""]
     values: dict[str, Float[Array, ""]] = {}
     for term in terms_of(energy):
         r = term.residual(posed)
-        values[name_of(term)] = values.get(name_of(term), jnp.zeros((), r.dtype)) + jnp.sum(r * r)
+        values[energy_name(term)] = values.get(energy_name(term), jnp.zeros((), r.dtype)) + jnp.sum(r * r)
     return values
 
 
-def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def safe_sqrt(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Compute the square root of weights, with slope zero where a weight is zero, so that missing data stay
     without effect under differentiation.
     """
@@ -114,6 +114,6 @@ def root(weights: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, weights, 1.0)), 0.0)
 
 
-def where_weighed(weights: Float[Array, "C"], rows: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
+def mask_unweighted(weights: Float[Array, "C"], rows: Float[Array, "C 3"]) -> Float[Array, "C 3"]:
     """Replace rows of weight zero by zeros, because unobserved data may be NaN."""
     return jnp.where((weights > 0)[:, None], rows, 0.0)

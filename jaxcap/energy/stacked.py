@@ -13,7 +13,7 @@ from ..arguments import check_fields, checked
 from ..body.body import Posed
 from ..errors import InputError
 from ..geometry.stacking import stack
-from .energy import AbstractEnergy, Sum, Weighted, name_of, root, terms_of, weighted
+from .energy import AbstractEnergy, Sum, Weighted, energy_name, safe_sqrt, terms_of, weighted
 from .priors.temporal import second_difference
 
 
@@ -28,7 +28,7 @@ class Stacked(AbstractEnergy):
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         raise InputError(
-            f"Stacked: the data of {name_of(self.energy)} belong to several frames, but there is one posed body; "
+            f"Stacked: the data of {energy_name(self.energy)} belong to several frames, but there is one posed body; "
             "solve for the sequence with a SequenceProblem."
         )
 
@@ -46,32 +46,32 @@ def stack_energies(energies: Sequence[AbstractEnergy]) -> Stacked:
     for frame in range(1, len(energies)):
         if (kinds[frame], shapes[frame]) != (kinds[0], shapes[0]):
             raise InputError(
-                f"stack_energies: the energy of frame {frame}, {name_of(energies[frame])} with arrays of shapes "
-                f"{shapes[frame]}, differs from that of frame 0, {name_of(energies[0])} with {shapes[0]}; pad missing "
+                f"stack_energies: the energy of frame {frame}, {energy_name(energies[frame])} with arrays of shapes "
+                f"{shapes[frame]}, differs from that of frame 0, {energy_name(energies[0])} with {shapes[0]}; pad missing "
                 "data with weights of zero."
             )
     return Stacked(jax.tree.map(lambda *leaves: stack([jnp.asarray(leaf) for leaf in leaves]), *energies))
 
 
-class WeighedFrames(AbstractEnergy):
-    """One energy that is the same in every frame, with a weight for each of F frames (`weigh_frames`)."""
+class FrameWeighted(AbstractEnergy):
+    """One energy that is the same in every frame, with a weight for each of F frames (`weight_frames`)."""
 
     energy: AbstractEnergy
     weights: Float[Array, "F"]
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         raise InputError(
-            f"WeighedFrames: the weights of {name_of(self.energy)} belong to {len(self.weights)} frames, but there "
+            f"WeighedFrames: the weights of {energy_name(self.energy)} belong to {len(self.weights)} frames, but there "
             "is one posed body; solve for the sequence with a SequenceProblem."
         )
 
 
 @checked
-def weigh_frames(weights: Float[Array, "F"], energy: AbstractEnergy) -> AbstractEnergy:
+def weight_frames(weights: Float[Array, "F"], energy: AbstractEnergy) -> AbstractEnergy:
     """Weight an energy by a number for each frame; a sum is weighted term by term."""
     if isinstance(energy, Sum):
-        return Sum(tuple(weigh_frames(weights, term) for term in energy.terms))
-    return WeighedFrames(energy, weights)
+        return Sum(tuple(weight_frames(weights, term) for term in energy.terms))
+    return FrameWeighted(energy, weights)
 
 
 class AbstractSharedEnergy(eqx.Module):
@@ -116,7 +116,7 @@ class AbstractNeighbourEnergy(eqx.Module):
         """
 
 
-class SmoothTurns(AbstractNeighbourEnergy):
+class SmoothRotations(AbstractNeighbourEnergy):
     """Deviation of all joints' rotations from the midpoint of the previous and the next: the mean over joints
     of squares, radians squared, times a weight (Adaptation, eqs. 4.9 and 4.10).
     """
@@ -130,40 +130,40 @@ class SmoothTurns(AbstractNeighbourEnergy):
     def residual(self, posed, gaps):
         turns = [one.pose.rotations for one in posed]
         apart = second_difference(turns[0], turns[1], turns[2], gaps[0], gaps[1])
-        return root(self.weight) * apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+        return safe_sqrt(self.weight) * apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
 
 
 def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy]:
     """Split an energy into the arrays of each frame, with `None` elsewhere, and the rest."""
 
     def own(node: Any) -> Any:
-        if isinstance(node, WeighedFrames):
-            inner = jax.tree.map(own, node.energy, is_leaf=_of_frames)
+        if isinstance(node, FrameWeighted):
+            inner = jax.tree.map(own, node.energy, is_leaf=_is_framewise)
             return eqx.tree_at(lambda n: (n.energy, n.weights), node, (inner, True))
         return jax.tree.map(eqx.is_array, node) if isinstance(node, Stacked) else False
 
-    return eqx.partition(energy, jax.tree.map(own, energy, is_leaf=_of_frames))
+    return eqx.partition(energy, jax.tree.map(own, energy, is_leaf=_is_framewise))
 
 
-def join_frame(own: AbstractEnergy, same: AbstractEnergy) -> AbstractEnergy:
+def join_frame(frame_part: AbstractEnergy, shared_part: AbstractEnergy) -> AbstractEnergy:
     """Combine the arrays of one frame with the rest to its energy, a flat sum."""
-    return Sum(_unwrapped(eqx.combine(own, same)))
+    return Sum(_flatten_terms(eqx.combine(frame_part, shared_part)))
 
 
-def num_frames_of(energy: AbstractEnergy) -> set[int]:
+def frame_counts(energy: AbstractEnergy) -> set[int]:
     """Find the frame counts of the stacked terms of an energy."""
     return {leaf.shape[0] for leaf in jax.tree.leaves(split_frames(energy)[0])}
 
 
-def _of_frames(node: Any) -> bool:
-    return isinstance(node, Stacked | WeighedFrames)
+def _is_framewise(node: Any) -> bool:
+    return isinstance(node, Stacked | FrameWeighted)
 
 
-def _unwrapped(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
+def _flatten_terms(energy: AbstractEnergy) -> tuple[AbstractEnergy, ...]:
     if isinstance(energy, Sum):
-        return sum((_unwrapped(term) for term in energy.terms), ())
+        return sum((_flatten_terms(term) for term in energy.terms), ())
     if isinstance(energy, Weighted):
-        return terms_of(weighted(energy.weight, Sum(_unwrapped(energy.energy))))
-    if isinstance(energy, WeighedFrames):
-        return terms_of(weighted(energy.weights, Sum(_unwrapped(energy.energy))))
-    return _unwrapped(energy.energy) if isinstance(energy, Stacked) else (energy,)
+        return terms_of(weighted(energy.weight, Sum(_flatten_terms(energy.energy))))
+    if isinstance(energy, FrameWeighted):
+        return terms_of(weighted(energy.weights, Sum(_flatten_terms(energy.energy))))
+    return _flatten_terms(energy.energy) if isinstance(energy, Stacked) else (energy,)

@@ -7,7 +7,7 @@ from .correspondence.correspond import SoftAssignment as SoftAssignment
 from .correspondence.correspond import find_pairs as find_pairs
 from .correspondence.correspond import make_mesh_scan as make_mesh_scan
 from .correspondence.correspond import make_scan as make_scan
-from .correspondence.correspond import places_on as places_on
+from .correspondence.correspond import pair_positions as pair_positions
 from .correspondence.part_blocks import make_parts as make_parts
 from .correspondence.posterior import posterior as posterior
 from .correspondence.visibility import visible_vertices as visible_vertices
@@ -39,7 +39,7 @@ from .tracking.batch import fit_batch as fit_batch
 from .tracking.batch import scan_track as scan_track
 from .tracking.em import Mixture as Mixture
 from .tracking.em import make_mixture as make_mixture
-from .tracking.limb_flips import turn_over as turn_over
+from .tracking.limb_flips import flip_limb_ends as flip_limb_ends
 from .tracking.recover import TrackedFrame as TrackedFrame
 from .tracking.track import track_frames as track_frames
 from .tracking.track_frame import Tracker as Tracker

@@ -20,10 +20,10 @@ _DONE, _UNFINISHED = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_r
 _LOG = logging.getLogger(__name__)
 
 #: damping above which steps are too short to be informative
-STUCK = 1e3
+MAX_DAMPING = 1e3
 
 
-class Alternation(NamedTuple):
+class AlternationResult(NamedTuple):
     """The best result of all rounds."""
 
     y: Any
@@ -36,34 +36,34 @@ class Alternation(NamedTuple):
 
 
 def alternate(
-    remake: Callable[[Any], AbstractProblem],
+    make_problem: Callable[[Any], AbstractProblem],
     start: Any,
     solver: LevenbergMarquardt,
     *,
     rounds: int,
     steps: int = 1,
-    enough: float = 0.0,
-    uphill: int = 0,
-) -> Alternation:
+    min_gain: float = 0.0,
+    patience: int = 0,
+) -> AlternationResult:
     """Build a problem, take steps on it, and repeat, each round from the end of the last.
 
     **Arguments:** `remake(y)` builds the problem at `y`, always of the same shapes; `rounds` of `steps` each.
-    A new problem may have a higher value than the last one at its end: the rounds end after `uphill` rounds
-    in a row that do not improve on the best by a share `enough`. The best is kept.
+    A new problem may have a higher value than the last one at its end: the rounds end after `patience` rounds
+    in a row that do not improve on the best by a share `min_gain`. The best is kept.
     """
     y, best, worse, history, lowered = start, None, 0, [], math.inf
     damping = jnp.asarray(solver.damping, float)
     for number in range(rounds + 1):
-        problem = remake(y)
+        problem = make_problem(y)
         value = float(_value(problem, y))
         history.append(value)
         if best is None or value < best.value:
-            best = Alternation(y, problem, value, ())
-        if value < lowered * (1 - enough) or not history[1:]:
+            best = AlternationResult(y, problem, value, ())
+        if value < lowered * (1 - min_gain) or not history[1:]:
             lowered, worse = value, 0
         else:
             worse += 1
-        if number == rounds or worse > uphill or not math.isfinite(value):
+        if number == rounds or worse > patience or not math.isfinite(value):
             break
         found = _improve(problem, y, solver, steps, damping)
         y, damping = found.y, found.damping
@@ -71,7 +71,7 @@ def alternate(
     return best._replace(history=tuple(history))
 
 
-class Renewal(NamedTuple):
+class ReweightingResult(NamedTuple):
     """The result of rounds of renewed problems."""
 
     y: Any
@@ -80,27 +80,27 @@ class Renewal(NamedTuple):
     #: `|r|^2` after every step; a rise marks a new problem
     history: tuple[float, ...]
     #: true if the last renewal hardly changed the problem, and the solver was able to step
-    settled: bool
+    converged: bool
 
 
-def renew(
+def minimise_reweighted(
     problem: AbstractProblem,
     start: Any,
-    renewed: Callable[[int, Any, Any], tuple[Any, Any, bool]],
+    update: Callable[[int, Any, Any], tuple[Any, Any, bool]],
     tolerance: Callable[[int], float],
     solver: LevenbergMarquardt,
     *,
     rounds: int,
     steps: int,
-    most: int,
-) -> Renewal:
+    max_steps: int,
+) -> ReweightingResult:
     """Minimise a problem, renew its weights, and repeat until they hardly change.
 
     Energies of successive problems are not comparable, as in fits with estimated variances.
 
     **Arguments:** `renewed(number, problem, y)` makes the next problem and start from the round's minimum,
     and returns if these have settled; `tolerance(number)` is the share of the energy that a round's last step
-    gains; `rounds` of `steps` at most, `most` steps in all.
+    gains; `rounds` of `steps` at most, `max_steps` steps in all.
     """
     y, history, settled = start, [], False
     for number in range(1, rounds + 1):
@@ -110,19 +110,21 @@ def renew(
             history.append(float(2.0 * _value(problem, y)))
         passed = np.asarray(found.history)
         history.extend(float(value) for value in passed[np.isfinite(passed)])
-        _LOG.info("fitting all frames together, round %d, %d of at most %d steps", number, len(history), most)
-        if len(history) > most:
-            return Renewal(found.y, problem, tuple(history), False)
-        problem, y, settled = renewed(number, problem, found.y)
+        _LOG.info(
+            "fitting all frames together, round %d, %d of at most %d steps", number, len(history), max_steps
+        )
+        if len(history) > max_steps:
+            return ReweightingResult(found.y, problem, tuple(history), False)
+        problem, y, settled = update(number, problem, found.y)
         if not (found.result == _DONE or found.result == _UNFINISHED):
-            return Renewal(y, problem, tuple(history), False)
+            return ReweightingResult(y, problem, tuple(history), False)
         if settled:
             break
-    return Renewal(y, problem, tuple(history), settled)
+    return ReweightingResult(y, problem, tuple(history), settled)
 
 
 def anneal(
-    remake: Callable[[Any, Any], AbstractProblem],
+    make_problem: Callable[[Any, Any], AbstractProblem],
     start: Any,
     solver: LevenbergMarquardt,
     stages: Iterable[Any],
@@ -137,35 +139,35 @@ def anneal(
     """
     y, damping = start, jnp.asarray(solver.damping, float)
     for stage in stages:
-        found = _improve(remake(y, stage), y, solver, steps, damping)
+        found = _improve(make_problem(y, stage), y, solver, steps, damping)
         y, damping = found.y, found.damping
     return y
 
 
-def reweigh(
-    remake: Callable[[Any], AbstractProblem],
+def reweighted_least_squares(
+    make_problem: Callable[[Any], AbstractProblem],
     start: Any,
     solver: LevenbergMarquardt,
     *,
     rounds: int,
     steps: int,
-    enough: float,
+    step_tolerance: float,
 ) -> tuple[Any, Int[Array, ""]]:
     """Iterate on a rebuilt problem under `jit`: iteratively reweighted least squares for one small problem of
     many.
 
     Build a problem `remake(y)`, take a few steps on it, and repeat. Returns the end point and the number of
-    steps: `rounds` of `steps` at most, fewer if no component of a step is above `enough`, or if steps are
+    steps: `rounds` of `steps` at most, fewer if no component of a step is above `step_tolerance`, or if steps are
     rejected again and again, which is the limit of the precision.
     """
 
     def going_on(carry):
         _, damping, length, count = carry
-        return (count < rounds * steps) & (length > enough) & (damping < STUCK)
+        return (count < rounds * steps) & (length > step_tolerance) & (damping < MAX_DAMPING)
 
     def improve(carry):
         y, damping, length, count = carry
-        found = minimise(remake(y), y, solver, steps, damping)
+        found = minimise(make_problem(y), y, solver, steps, damping)
         return (
             found.y,
             found.damping,

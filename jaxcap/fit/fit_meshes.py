@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
-from ..energy.check import OwnTerms, own_terms
+from ..energy.check import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
@@ -22,9 +22,9 @@ from .solvers.levenberg_marquardt import LevenbergMarquardt
 
 #: weight of the parent's rotation for a limb whose own vertices do not determine its rotation, as a share of
 #: the body's moment
-FOLLOW = 1e-6
+PARENT_WEIGHT = 1e-6
 #: one over the mean squared distance of vertices at which the solver's damping has equal weight, 1/m²
-EVIDENCE = 1e6
+DATA_WEIGHT = 1e6
 
 
 class MeshFit(eqx.Module):
@@ -46,7 +46,7 @@ def fit_meshes(
     start: Pose | None = None,
     vertices: Int[Array | np.ndarray, "C"] | None = None,
     max_steps: int = 40,
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
 ) -> MeshFit:
     """Fit the poses of a body to registered meshes, by Levenberg-Marquardt from `procrustes_poses`.
 
@@ -71,7 +71,7 @@ def fit_meshes(
     places = sequence.vertices.astype(body.vertices.dtype)
     poses = procrustes_poses(body, sequence) if start is None else start
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
-    own = own_terms("fit_meshes", terms, body)
+    own = sum_user_terms("fit_meshes", terms, body)
     poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, own, max_steps)
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
@@ -90,12 +90,12 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     # use the vertices that all meshes have, except for meshes with few known vertices
     whole = np.asarray(known[known.mean(1) > 0.5].all(0))
     places = np.where(known[:, :, None], places, 0.0)[:, whole]
-    shares = np.asarray(body.skin.influence(skeleton.num_joints), float).T[:, whole]
+    shares = np.asarray(body.skin.bone_weights(skeleton.num_joints), float).T[:, whole]
     moments = group_moments(shares, rest[whole], np.moveaxis(places, 0, 1))
     mass = np.where(moments.mass > 0, moments.mass, 1.0)
     cross = moments.cross - moments.target[..., None] * (moments.source / mass[:, None])[:, None, None]
     middles = moments.target / mass[:, None, None]
-    follow = FOLLOW * np.sum((rest - rest.mean(0)) ** 2)
+    follow = PARENT_WEIGHT * np.sum((rest - rest.mean(0)) ** 2)
     frames, joints = len(places), skeleton.num_joints
     turns, trunk = np.zeros((joints, frames, 3, 3)), nearest_rotation(cross.sum(0))
     for joint, parent in enumerate(skeleton.parents):
@@ -124,19 +124,19 @@ def _project_all(skeleton, poses: Pose) -> Pose:
 def _fit_all(
     body: Body,
     starts: Pose,
-    places: Float[Array, "F V 3"],
-    chosen: Int[Array, "C"],
-    own: AbstractEnergy | None,
+    targets: Float[Array, "F V 3"],
+    indices: Int[Array, "C"],
+    extra_energy: AbstractEnergy | None,
     max_steps: int,
 ) -> tuple[Pose, Float[Array, "F"], Int[Array, "F"], Bool[Array, "F"]]:
     def one(frame):
         start, place = frame
         known = jnp.isfinite(place).all(1)
         place = jnp.where(known[:, None], place, 0.0)
-        weights = known[chosen].astype(place.dtype)
-        weights = EVIDENCE * weights / jnp.maximum(weights.sum(), 1.0)
-        landmarks = VertexLandmarks(chosen, place[chosen], weights)
-        energy = Sum((landmarks, *(() if own is None else terms_of(own))))
+        weights = known[indices].astype(place.dtype)
+        weights = DATA_WEIGHT * weights / jnp.maximum(weights.sum(), 1.0)
+        landmarks = VertexLandmarks(indices, place[indices], weights)
+        energy = Sum((landmarks, *(() if extra_energy is None else terms_of(extra_energy))))
         solution = solve(energy, body, start, LevenbergMarquardt(), max_steps)
         gaps = jnp.sum((pose_body(body, solution.pose).vertices - place) ** 2, 1)
         total = known.sum()
@@ -145,4 +145,4 @@ def _fit_all(
         pose = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(rmse), new, old), solution.pose, start)
         return pose, rmse, solution.num_steps, fine
 
-    return jax.lax.map(one, (starts, places))
+    return jax.lax.map(one, (starts, targets))

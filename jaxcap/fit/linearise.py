@@ -10,11 +10,11 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, Posed, pose_body
-from ..body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
+from ..body.geometric_jacobian import concatenate_jacobians, joint_jacobian, pose_jacobian, select_parameters
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose, retract
 from ..energy.data.vertices import AbstractVertexEnergy
-from ..energy.energy import AbstractEnergy, Weighted, bare, root, terms_of
+from ..energy.energy import AbstractEnergy, Weighted, safe_sqrt, terms_of, unweighted
 from ..geometry import rotation
 
 #: points whose rows are summed together: as many as fit in a core's cache
@@ -26,11 +26,11 @@ class BodyTangent(eqx.Module):
 
     centres: Float[Array, "J 3 S"]
     #: rotations of the joints' orientations on the right, radians per unit; None if no parameter rotates them
-    turns: Float[Array, "J 3 S"] | None
+    rotations: Float[Array, "J 3 S"] | None
     vertices: Float[Array, "V 3 S"]
     #: derivatives of all other arrays of the body, such as skinning weights, with S as their last axis; None
     #: for constant ones
-    others: Body
+    other_arrays: Body
 
 
 def linearise(
@@ -43,10 +43,10 @@ def linearise(
     for each joint. All other terms use forward automatic differentiation, which pushes each of the D tangents
     through the whole skin.
     """
-    return frame_rows(energy, body, pose, None, None)
+    return frame_jacobian(energy, body, pose, None, None)
 
 
-def frame_rows(
+def frame_jacobian(
     energy: AbstractEnergy,
     body: Body,
     pose: Pose,
@@ -61,7 +61,7 @@ def frame_rows(
     """
     posed = pose_body(body, pose)
     terms = terms_of(energy)
-    others = tuple(term for term in terms if not isinstance(bare(term), AbstractVertexEnergy))
+    others = tuple(term for term in terms if not isinstance(unweighted(term), AbstractVertexEnergy))
     dofs = body.skeleton.num_dofs
     count = 0 if tangent is None else tangent.centres.shape[2]
 
@@ -76,24 +76,26 @@ def frame_rows(
     jacobians, residuals = jax.jacfwd(moved, has_aux=True)(zero) if others else ((), ())
     differentiated = iter(zip(residuals, jacobians, strict=True))
     rows = [
-        (term.residual(posed), _vertex_rows(term, posed, tangent))
-        if isinstance(bare(term), AbstractVertexEnergy)
+        (term.residual(posed), _term_jacobian(term, posed, tangent))
+        if isinstance(unweighted(term), AbstractVertexEnergy)
         else next(differentiated)
         for term in terms
     ]
     return jnp.concatenate([r for r, _ in rows]), jnp.concatenate([j for _, j in rows])
 
 
-def body_tangent(body_at: Callable[[Float[Array, "S"]], Body], body: Body, count: int) -> BodyTangent:
-    """Differentiate the body by `count` shared parameters at zero; `body` is the one at zero."""
-    zero = jnp.zeros(count, body.vertices.dtype)
-    changed = _changed(body_at, zero)
+def body_tangent(
+    body_at: Callable[[Float[Array, "S"]], Body], body: Body, num_parameters: int
+) -> BodyTangent:
+    """Differentiate the body by `num_parameters` shared parameters at zero; `body` is the one at zero."""
+    zero = jnp.zeros(num_parameters, body.vertices.dtype)
+    changed = _dependent_arrays(body_at, zero)
     by_number = jax.jacfwd(lambda s: eqx.filter(body_at(s), changed))(zero)
-    centres, turns, vertices = _in_closed_form(by_number)
+    centres, turns, vertices = _closed_form_arrays(by_number)
     if centres is None:
-        centres = jnp.zeros((*body.skeleton.centres.shape, count), zero.dtype)
+        centres = jnp.zeros((*body.skeleton.centres.shape, num_parameters), zero.dtype)
     if vertices is None:
-        vertices = jnp.zeros((*body.vertices.shape, count), zero.dtype)
+        vertices = jnp.zeros((*body.vertices.shape, num_parameters), zero.dtype)
     if turns is not None:
         # the derivative of q exp(w) is q (0, w) / 2
         back = jax.vmap(
@@ -102,15 +104,15 @@ def body_tangent(body_at: Callable[[Float[Array, "S"]], Body], body: Body, count
             )
         )(body.skeleton.orientations, turns)
         turns = 2.0 * back[:, 1:]
-    others = eqx.tree_at(_in_closed_form, by_number, replace=(None, None, None), is_leaf=_is_none)
+    others = eqx.tree_at(_closed_form_arrays, by_number, replace=(None, None, None), is_leaf=_is_none)
     return BodyTangent(centres, turns, vertices, others)
 
 
-def _in_closed_form(body: Body):
+def _closed_form_arrays(body: Body):
     return body.skeleton.centres, body.skeleton.orientations, body.vertices
 
 
-def _changed(body_at: Callable[[Float[Array, "S"]], Body], zero: Float[Array, "S"]) -> Body:
+def _dependent_arrays(body_at: Callable[[Float[Array, "S"]], Body], zero: Float[Array, "S"]) -> Body:
     """Find the arrays of a body that depend on the shared parameters: a tree of booleans."""
 
     def arrays(s):
@@ -141,7 +143,7 @@ def vertex_maps(body: Body, pose: Pose) -> tuple[Float[Array, "V 3 3"], Float[Ar
     return jnp.stack(columns, -1), still
 
 
-def place_rows(
+def point_jacobian(
     posed: Posed,
     vertices: Int[Array, "C K"],
     directions: Float[Array, "C K R 3"],
@@ -156,9 +158,9 @@ def place_rows(
     count = len(posed.vertices)
     if vertices.size <= count:
         every = vertices.reshape(-1)
-        rows = _skin_rows(posed, every, directions.reshape(-1, *directions.shape[2:]), tangent)
+        rows = _skin_jacobian(posed, every, directions.reshape(-1, *directions.shape[2:]), tangent)
         return jnp.sum(rows.reshape(*vertices.shape, *rows.shape[1:]), 1)
-    along_axes = vertex_rows(posed, tangent)
+    along_axes = vertex_jacobian(posed, tangent)
 
     def of_place(place):
         corners, along = place
@@ -170,14 +172,14 @@ def place_rows(
     return jax.lax.map(of_place, (vertices, directions), batch_size=BATCH)
 
 
-def vertex_rows(posed: Posed, tangent: BodyTangent | None = None) -> Float[Array, "V 3 N"]:
+def vertex_jacobian(posed: Posed, tangent: BodyTangent | None = None) -> Float[Array, "V 3 N"]:
     """Differentiate all posed vertices by the pose and by the shared parameters."""
     count, dtype = len(posed.vertices), posed.vertices.dtype
     axes = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (count, 3, 3))
-    return _skin_rows(posed, jnp.arange(count), axes, tangent)
+    return _skin_jacobian(posed, jnp.arange(count), axes, tangent)
 
 
-def _skin_rows(
+def _skin_jacobian(
     posed: Posed,
     vertices: Int[Array, "C"],
     directions: Float[Array, "C R 3"],
@@ -186,30 +188,34 @@ def _skin_rows(
     """Compute the rows of single vertices along their directions."""
     body, pose = posed.body, posed.pose
     skeleton = body.skeleton
-    rates = pose_rates(skeleton, pose, posed.transforms)
+    rates = pose_jacobian(skeleton, pose, posed.transforms)
     if tangent is not None:
-        known = range(3) if tangent.turns is None else range(6)
+        known = range(3) if tangent.rotations is None else range(6)
         slots = np.array([6 * joint + number for joint in range(skeleton.num_joints) for number in known])
-        rates = stack_rates(rates, take_rates(joint_rates(skeleton, pose, posed.transforms), slots))
+        rates = concatenate_jacobians(
+            rates, select_parameters(joint_jacobian(skeleton, pose, posed.transforms), slots)
+        )
     skin = body.skin.take(vertices)
     rows = skin.jacobian(body.vertices[vertices], directions, skeleton, pose, posed.transforms, rates)
     if tangent is None:
         return rows
     dofs = skeleton.num_dofs
     by_joint = (
-        tangent.centres if tangent.turns is None else jnp.concatenate([tangent.centres, tangent.turns], 1)
+        tangent.centres
+        if tangent.rotations is None
+        else jnp.concatenate([tangent.centres, tangent.rotations], 1)
     )
     maps, _ = vertex_maps(body, pose)
     pulled = jnp.einsum("cra,cab->crb", directions, maps[vertices])
     carried = jnp.einsum("crb,cbs->crs", pulled, tangent.vertices[vertices])
     shared = carried + rows[:, :, dofs:] @ by_joint.reshape(-1, by_joint.shape[2])
-    if jax.tree.leaves(tangent.others):
-        moved = _moved_by_others(body, pose, tangent.others)[vertices]
+    if jax.tree.leaves(tangent.other_arrays):
+        moved = _other_arrays_jacobian(body, pose, tangent.other_arrays)[vertices]
         shared = shared + jnp.einsum("cra,cas->crs", directions, moved)
     return jnp.concatenate([rows[:, :, :dofs], shared], 2)
 
 
-def _moved_by_others(body: Body, pose: Pose, others: Body) -> Float[Array, "V 3 S"]:
+def _other_arrays_jacobian(body: Body, pose: Pose, others: Body) -> Float[Array, "V 3 S"]:
     """Differentiate posed vertices by the shared parameters through arrays of the body without a closed form
     here.
     """
@@ -228,16 +234,18 @@ def _is_none(node: object) -> bool:
     return node is None
 
 
-def weighted_slopes(term: AbstractEnergy, posed: Posed) -> tuple[Int[Array, "C K"], Float[Array, "C K R 3"]]:
+def weighted_derivatives(
+    term: AbstractEnergy, posed: Posed
+) -> tuple[Int[Array, "C K"], Float[Array, "C K R 3"]]:
     """Differentiate a weighted term over vertices by their positions, as `AbstractVertexEnergy.slopes` does."""
     if isinstance(term, Weighted):
-        vertices, directions = weighted_slopes(term.energy, posed)
-        return vertices, root(term.weight) * directions
+        vertices, directions = weighted_derivatives(term.energy, posed)
+        return vertices, safe_sqrt(term.weight) * directions
     assert isinstance(term, AbstractVertexEnergy)
-    vertices, directions = term.slopes(posed)
+    vertices, directions = term.vertex_jacobian(posed)
     return (vertices[:, None], directions[:, None]) if vertices.ndim == 1 else (vertices, directions)
 
 
-def _vertex_rows(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
-    rows = place_rows(posed, *weighted_slopes(term, posed), tangent)
+def _term_jacobian(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
+    rows = point_jacobian(posed, *weighted_derivatives(term, posed), tangent)
     return rows.reshape(-1, rows.shape[2])

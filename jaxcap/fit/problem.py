@@ -4,18 +4,24 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, box_chart, chart_equations, move_within
+from ..body.limits.rotation_vector_boxes import (
+    BoxChart,
+    PoseBoxes,
+    make_box_chart,
+    retract_within,
+    transform_normal_equations,
+)
 from ..body.pose import Pose, retract
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations
-from .linear.dense import Dense
+from .linear.dense import DenseMatrix
 from .linearise import linearise as linearise
 from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.problem import AbstractDenseProblem
 
 #: metres that the rotation of a joint by a radian moves its descendants by, about
-LEVER = 0.3
+LEVER_ARM = 0.3
 
 
 class PoseProblem(AbstractDenseProblem[Pose]):
@@ -34,7 +40,7 @@ class PoseProblem(AbstractDenseProblem[Pose]):
 
     def linearise(self, y: Pose):
         residual, jacobian = linearise(self.energy, self.body, y)
-        return residual, jacobian if self.boxes is None else jacobian @ self._chart(self.boxes, y).turn
+        return residual, jacobian if self.boxes is None else jacobian @ self._chart(self.boxes, y).basis
 
     def information(self, y: Pose):
         scales = self.scales()
@@ -42,29 +48,29 @@ class PoseProblem(AbstractDenseProblem[Pose]):
         bounds = None
         if self.boxes is not None:
             chart = self._chart(self.boxes, y)
-            matrix, gradient = chart_equations(chart, matrix, gradient)
-            bounds = Constraints(chart.low / scales, chart.high / scales)
-        hessian = Dense(matrix * scales[:, None] * scales)
+            matrix, gradient = transform_normal_equations(chart, matrix, gradient)
+            bounds = Constraints(chart.lower / scales, chart.upper / scales)
+        hessian = DenseMatrix(matrix * scales[:, None] * scales)
         return ConstrainedInfo(value, gradient * scales, hessian, constraints=bounds)  # pyright: ignore[reportCallIssue]
 
     def retract(self, y: Pose, d: Float[Array, "D"]):
         skeleton = self.body.skeleton
         if self.boxes is None:
             return retract(skeleton, y, d)
-        return move_within(self.boxes, skeleton, y, self._chart(self.boxes, y), d)
+        return retract_within(self.boxes, skeleton, y, self._chart(self.boxes, y), d)
 
-    def constraint(self):
+    def describe_constraints(self):
         return None if self.boxes is None else "pose boxes"
 
     def scales(self):
         return pose_scales(self.body.skeleton)
 
     def _chart(self, boxes: PoseBoxes, y: Pose) -> BoxChart:
-        return box_chart(boxes, self.body.skeleton, y)
+        return make_box_chart(boxes, self.body.skeleton, y)
 
 
 def pose_scales(skeleton: Skeleton) -> Float[Array, "D"]:
     """Compute the scales that bring metres and radians of a pose's tangent to one measure."""
     layout = dof_layout(skeleton)
     scales = jnp.ones(skeleton.num_dofs + 1, skeleton.centres.dtype)
-    return scales.at[layout.translations].set(LEVER)[:-1]
+    return scales.at[layout.translations].set(LEVER_ARM)[:-1]

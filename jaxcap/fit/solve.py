@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
-from ..energy.check import check_numbers, explained
+from ..energy.check import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, energies
 from .problem import PoseProblem
 from .solvers.implicit import implicit_minimum, is_trustworthy
@@ -53,16 +53,16 @@ def solve(
     **Raises:** `InputError` for an object that is not a solver, and for an energy with inconsistent arrays or
     with indices of vertices or joints that the body does not have.
     """
-    check_numbers(energy, body)
+    check_energy_arrays(energy, body)
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
-    with explained(energy, body, start):
-        found = implicit_minimum(problem, project(body.skeleton, start), solver, max_steps, _onto)
+    with explain_errors(energy, body, start):
+        found = implicit_minimum(problem, project(body.skeleton, start), solver, max_steps, _project_pose)
         trustworthy = is_trustworthy(problem, found)
     terms = energies(energy, pose_body(body, found.y))
     return Solution(found.y, terms, found.history, found.num_steps, found.result, trustworthy)
 
 
-def _onto(problem: PoseProblem, pose: Pose) -> Pose:
+def _project_pose(problem: PoseProblem, pose: Pose) -> Pose:
     """Project onto the manifold of the joints' own axes, which may be parameters."""
     return project(problem.body.skeleton, pose)

@@ -17,18 +17,18 @@ from threadpoolctl import threadpool_limits
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
-from ..energy.check import check_numbers, explained
+from ..energy.check import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
 from .problem import PoseProblem
-from .solvers.hierarchical_least_squares import Damping, Rows, constrained, descend
-from .solvers.levenberg_marquardt import where
-from .solvers.minimise import HISTORY
+from .solvers.hierarchical_least_squares import Damping, LinearSystem, constrained_step, hierarchical_step
+from .solvers.levenberg_marquardt import tree_where
+from .solvers.minimise import HISTORY_LENGTH
 
 #: largest number of halvings of a step
-HALVINGS = 8
+MAX_HALVINGS = 8
 #: largest number of corrections that return a candidate to the groups above, which it left along their
 #: curvature
-REPAIRS = 6
+MAX_CORRECTIONS = 6
 
 
 class OrderedSolution(eqx.Module):
@@ -73,10 +73,10 @@ def solve_in_order(
     if not groups:
         raise ValueError("`groups` is empty; expected at least one energy, highest priority first.")
     for group in groups:
-        check_numbers(group, body)
+        check_energy_arrays(group, body)
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
     # threads of BLAS and of XLA wait for each other, and the matrices of a pose are small
-    with threadpool_limits(1, "blas"), explained(Sum(tuple(groups)), body, start):
+    with threadpool_limits(1, "blas"), explain_errors(Sum(tuple(groups)), body, start):
         return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
 
 
@@ -92,12 +92,12 @@ def priority_step(
     """
     dtype = body.vertices.dtype
     none = Damping(jnp.asarray(damping, dtype), jnp.zeros((), dtype))
-    return _step(_Order(tuple(groups), body), pose, none)[0]
+    return _step(_PriorityProblem(tuple(groups), body), pose, none)[0]
 
 
 @eqx.filter_jit
 def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
-    order = _Order(groups, body)
+    order = _PriorityProblem(groups, body)
 
     def going(carry):
         *_, steps, done = carry
@@ -115,24 +115,26 @@ def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> Orde
 
     pose = project(body.skeleton, start)
     first = order.values(pose)
-    history = jnp.full((HISTORY, len(groups)), jnp.nan, first.dtype)
+    history = jnp.full((HISTORY_LENGTH, len(groups)), jnp.nan, first.dtype)
     carry = pose, first, jnp.zeros_like(damping), history, jnp.array(0), jnp.array(False)
     pose, last, _, history, steps, done = jax.lax.while_loop(going, step, carry)
     good, bad = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
     result = optx.RESULTS.where(done, good, bad)
     result = optx.RESULTS.where(jnp.isfinite(last).all(), result, optx.RESULTS.nonfinite)
-    return OrderedSolution(pose, energies(_all(groups), pose_body(body, pose)), history, steps, result)
+    return OrderedSolution(
+        pose, energies(_concatenate_terms(groups), pose_body(body, pose)), history, steps, result
+    )
 
 
-class _Order(eqx.Module):
+class _PriorityProblem(eqx.Module):
     """Groups of energies on a body, with metres and radians in one measure."""
 
     groups: tuple[AbstractEnergy, ...]
     body: Body
 
     @property
-    def upper(self) -> "_Order":
-        return _Order(self.groups[:-1], self.body)
+    def upper(self) -> "_PriorityProblem":
+        return _PriorityProblem(self.groups[:-1], self.body)
 
     def values(self, pose: Pose) -> Float[Array, "G"]:
         residuals = self.residuals(pose)
@@ -142,36 +144,36 @@ class _Order(eqx.Module):
         posed = pose_body(self.body, pose)
         return [group.residual(posed) for group in self.groups]
 
-    def rows(self, pose: Pose) -> Rows:
+    def linearise(self, pose: Pose) -> LinearSystem:
         """Linearise all groups in one pass, concatenated."""
-        problem = PoseProblem(_all(self.groups), self.body)
+        problem = PoseProblem(_concatenate_terms(self.groups), self.body)
         residual, jacobian = problem.linearise(pose)
-        return Rows(residual, jacobian * problem.scales())
+        return LinearSystem(residual, jacobian * problem.scales())
 
-    def levels(self, pose: Pose) -> list[Rows]:
+    def linearise_levels(self, pose: Pose) -> list[LinearSystem]:
         edges = np.cumsum([len(r) for r in jax.eval_shape(self.residuals, pose)])[:-1]
-        parts = (jnp.split(array, edges) for array in self.rows(pose))
-        return [Rows(r, j) for r, j in zip(*parts, strict=True)]
+        parts = (jnp.split(array, edges) for array in self.linearise(pose))
+        return [LinearSystem(r, j) for r, j in zip(*parts, strict=True)]
 
-    def move(self, pose: Pose, d: Float[Array, "D"]) -> Pose:
-        problem = PoseProblem(_all(self.groups), self.body)
+    def retract(self, pose: Pose, d: Float[Array, "D"]) -> Pose:
+        problem = PoseProblem(_concatenate_terms(self.groups), self.body)
         return problem.retract(pose, problem.scales() * d)
 
 
-def _all(groups: tuple[AbstractEnergy, ...]) -> Sum:
+def _concatenate_terms(groups: tuple[AbstractEnergy, ...]) -> Sum:
     return Sum(tuple(term for group in groups for term in terms_of(group)))
 
 
-def _step(order: _Order, pose: Pose, damping):
+def _step(order: _PriorityProblem, pose: Pose, damping):
     """Take one step: `(pose, energies of the groups, their negligible changes, length of the step, share of
     it taken)`.
     """
-    levels = order.levels(pose)
+    levels = order.linearise_levels(pose)
     before = jnp.stack([level.residual @ level.residual for level in levels])
     if len(levels) == 1:
-        d, taken = descend(levels, damping), levels
+        d, taken = hierarchical_step(levels, damping), levels
     else:
-        d, taken = constrained(levels, lambda d: order.upper.rows(order.move(pose, d)), damping)
+        d, taken = constrained_step(levels, lambda d: order.upper.linearise(order.retract(pose, d)), damping)
     eps = jnp.finfo(d.dtype).eps
     # rounding, and the change by a move of the root of the precision in the stiffest direction
     stiffest = jnp.stack([jnp.linalg.norm(level.jacobian.T @ level.jacobian) for level in taken])
@@ -185,23 +187,23 @@ def _step(order: _Order, pose: Pose, damping):
 
     def failed(carry):
         _, _, better, _, halvings = carry
-        return ~better & (halvings <= HALVINGS)
+        return ~better & (halvings <= MAX_HALVINGS)
 
     def halve(carry):
         _, _, _, share, halvings = carry
         most = bounds(share)
-        moved = order.move(pose, share * d)
-        candidate, there = _repaired(order, moved, before, most, 1e-4 * smallest + rounding, damping)
-        better = _judge(there, before, most, slack)[0]
+        moved = order.retract(pose, share * d)
+        candidate, there = _correct(order, moved, before, most, 1e-4 * smallest + rounding, damping)
+        better = _compare_energies(there, before, most, slack)[0]
         return candidate, there, better, share / 2, halvings + 1
 
     start = pose, before, jnp.array(False), jnp.ones((), d.dtype), jnp.array(0)
     candidate, there, better, share, _ = jax.lax.while_loop(failed, halve, start)
-    pose, after = where(better, candidate, pose), jnp.where(better, there, before)
+    pose, after = tree_where(better, candidate, pose), jnp.where(better, there, before)
     return pose, after, slack, jnp.max(jnp.abs(d), initial=0.0), jnp.where(better, 2 * share, 0.0)
 
 
-def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+def _compare_energies(candidate, before, upper_bounds, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Test if a candidate is better, and if a group other than the last rejects it.
 
     It is better if a group has fallen and none above it has risen. It is also better if none has risen by
@@ -209,27 +211,27 @@ def _judge(there, before, most, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]
     energies.
     """
     level, fallen, spoilt = jnp.array(True), jnp.array(False), jnp.array(False)
-    for number in range(len(there)):
-        fallen = fallen | (level & (there[number] < before[number] - slack[number]))
-        level = level & (there[number] <= most[number] + slack[number])
-        spoilt = spoilt | (~fallen & ~level) if number < len(there) - 1 else spoilt
-    paid = level & (most > before + slack).any()
-    return (fallen | paid) & jnp.isfinite(there).all(), spoilt
+    for number in range(len(candidate)):
+        fallen = fallen | (level & (candidate[number] < before[number] - slack[number]))
+        level = level & (candidate[number] <= upper_bounds[number] + slack[number])
+        spoilt = spoilt | (~fallen & ~level) if number < len(candidate) - 1 else spoilt
+    paid = level & (upper_bounds > before + slack).any()
+    return (fallen | paid) & jnp.isfinite(candidate).all(), spoilt
 
 
-def _repaired(order: _Order, pose: Pose, before, most, slack, damping):
+def _correct(order: _PriorityProblem, pose: Pose, before, upper_bounds, slack, damping):
     """Correct a candidate back to its values of the upper groups; also return its energies."""
     if len(order.groups) == 1:
         return pose, order.values(pose)
 
     def spoilt(carry):
         _, there, rounds = carry
-        return _judge(there, before, most, slack)[1] & (rounds < REPAIRS)
+        return _compare_energies(there, before, upper_bounds, slack)[1] & (rounds < MAX_CORRECTIONS)
 
     def repair(carry):
         pose, _, rounds = carry
         whole = damping._replace(share=jnp.zeros_like(damping.share))
-        pose = order.move(pose, descend(order.upper.levels(pose), whole))
+        pose = order.retract(pose, hierarchical_step(order.upper.linearise_levels(pose), whole))
         return pose, order.values(pose), rounds + 1
 
     pose, there, _ = jax.lax.while_loop(spoilt, repair, (pose, order.values(pose), jnp.array(0)))

@@ -9,7 +9,7 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
-from ..energy.check import check_numbers, explained
+from ..energy.check import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy
 from .problem import PoseProblem
 
@@ -38,9 +38,9 @@ def uncertainty(
     largest; where not given that is D times the machine's precision, the rounding error of a curvature of
     zero.
     """
-    check_numbers(energy, body)
+    check_energy_arrays(energy, body)
     problem = PoseProblem(energy, body)
-    with explained(energy, body, pose):
+    with explain_errors(energy, body, pose):
         residual, jacobian = problem.linearise(pose)
     scales = problem.scales()
     scaled = jacobian * scales

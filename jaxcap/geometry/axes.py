@@ -10,7 +10,7 @@ def nearest_axis(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return np.sign(vector[largest]) * np.eye(3)[largest]
 
 
-def nearest_turn(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+def nearest_signed_permutation(matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     """Find the signed permutation matrix nearest to a rotation, greedily by the largest entries.
 
     It is a reflection where the matrix is one.

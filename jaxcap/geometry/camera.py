@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..arguments import array, check_fields, checked
+from ..arguments import as_jax_array, check_fields, checked
 from ..errors import InputError
-from ..values import check_at_least, check_positive, known
+from ..values import check_at_least, check_positive, concrete_values
 
 #: smallest side of an image, pixels; largest number of pixels, above that of any depth camera
-LEAST_PIXELS, MOST_PIXELS = 8, 25_000_000
+MIN_SIDE_PIXELS, MAX_PIXELS = 8, 25_000_000
 #: largest number of cameras of a ring
-MOST_CAMERAS = 1000
+MAX_CAMERAS = 1000
 #: largest error of products of the rows of a rotation: files may have only four digits
-TURNED = 1e-2
+ORTHONORMAL_TOLERANCE = 1e-2
 
 
 class Camera(eqx.Module):
@@ -27,12 +27,12 @@ class Camera(eqx.Module):
     is at (0, 0). NumPy arrays are accepted and become JAX arrays.
     """
 
-    rotation: Float[Array, "3 3"] = eqx.field(converter=array)
-    translation: Float[Array, "3"] = eqx.field(converter=array)
+    rotation: Float[Array, "3 3"] = eqx.field(converter=as_jax_array)
+    translation: Float[Array, "3"] = eqx.field(converter=as_jax_array)
     #: horizontal and vertical focal lengths, pixels
-    focal: Float[Array, "2"] = eqx.field(converter=array)
+    focal: Float[Array, "2"] = eqx.field(converter=as_jax_array)
     #: intersection of the optical axis with the image, pixels
-    principal_point: Float[Array, "2"] = eqx.field(converter=array)
+    principal_point: Float[Array, "2"] = eqx.field(converter=as_jax_array)
     #: number of columns and of rows, pixels
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
@@ -41,10 +41,10 @@ class Camera(eqx.Module):
         check_fields(self)
         check_positive("Camera", "pixels", focal=self.focal)
         check_at_least("Camera", 1, width=self.width, height=self.height)
-        axes = known(self.rotation)
+        axes = concrete_values(self.rotation)
         # negated so that NaN counts as wrong
         if axes is not None and not (
-            np.abs(axes @ axes.T - np.eye(3)).max() < TURNED and np.linalg.det(axes) > 0
+            np.abs(axes @ axes.T - np.eye(3)).max() < ORTHONORMAL_TOLERANCE and np.linalg.det(axes) > 0
         ):
             raise InputError(
                 f"Camera: `rotation` is {axes.round(4).tolist()}; expected a rotation matrix with orthonormal rows "
@@ -79,24 +79,24 @@ def unproject(
     return (there - camera.translation) @ camera.rotation
 
 
-def in_picture(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
+def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
     """Test which points lie in front of the camera and within its image, occluded or not."""
     pixels, depth = project(camera, points)
     size = jnp.array([camera.width, camera.height])
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
 
-def check_picture(width: int, height: int, where: str = "") -> None:
+def check_image_size(width: int, height: int, where: str = "") -> None:
     """Check the size of images. Raises `InputError`, which begins with `where`, for too few pixels or too
     many."""
     what = f"{where}: images" if where else "Images"
-    if min(width, height) < LEAST_PIXELS:
+    if min(width, height) < MIN_SIDE_PIXELS:
         raise InputError(
-            f"{what} of {width} x {height} pixels are too small; expected at least {LEAST_PIXELS} on each side."
+            f"{what} of {width} x {height} pixels are too small; expected at least {MIN_SIDE_PIXELS} on each side."
         )
-    if width * height > MOST_PIXELS:
+    if width * height > MAX_PIXELS:
         raise InputError(
-            f"{what} of {width} x {height} pixels are too large; expected at most {MOST_PIXELS} pixels in total."
+            f"{what} of {width} x {height} pixels are too large; expected at most {MAX_PIXELS} pixels in total."
         )
 
 
@@ -110,14 +110,14 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     **Raises:** `InputError` for images of fewer than 8 pixels a side, an angle outside of 1 to 170 degrees,
     and a target that coincides with the eye.
     """
-    check_picture(width, height)
+    check_image_size(width, height)
     if not 1 <= field_of_view <= 170:
         raise InputError(f"The field of view is {field_of_view:g} degrees; expected 1 to 170 degrees.")
     eye, target = np.asarray(eye, float), np.asarray(target, float)
     apart = np.linalg.norm(target - eye)
     if not (np.isfinite(apart) and apart > 1e-6):
         raise InputError(
-            f"A camera at {_told(eye)} cannot look at {_told(target)}; expected two different finite positions."
+            f"A camera at {_format_point(eye)} cannot look at {_format_point(target)}; expected two different finite positions."
         )
     forward = (target - eye) / apart
     # a camera that looks straight up or down has its x axis along the x axis of the world
@@ -148,8 +148,8 @@ def ring_of_cameras(
     **Raises:** `InputError` for no cameras or too many, an arc that is not above 0 and at most 360, a
     distance that is not above 0, a height that is not finite, and the errors of `look_at`.
     """
-    if not 1 <= count <= MOST_CAMERAS:
-        raise InputError(f"{count} views were requested; expected 1 to {MOST_CAMERAS}.")
+    if not 1 <= count <= MAX_CAMERAS:
+        raise InputError(f"{count} views were requested; expected 1 to {MAX_CAMERAS}.")
     if not 0 < arc <= 360:
         raise InputError(f"The arc of cameras is {arc:g} degrees; expected more than 0 and at most 360.")
     if not 0 < distance < np.inf:
@@ -174,21 +174,21 @@ def ring_of_cameras(
     ]
 
 
-def check_sees(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], where: str) -> None:
+def check_views(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], where: str) -> None:
     """Check that each camera has some of the points in its image; `where` names the cameras in messages.
 
     **Raises:** `InputError` for the first camera without any, by its number, with the reason: it looks away
     from them or past them.
     """
     for number, camera in enumerate(cameras):
-        if bool(in_picture(camera, jnp.asarray(points)).any()):
+        if bool(is_in_image(camera, jnp.asarray(points)).any()):
             continue
         behind = not bool((project(camera, jnp.asarray(points))[1] > 0).any())
         what = "points away from the body" if behind else "has the body outside of its image"
         raise InputError(
-            f"{where}: camera {number} at {_told(np.asarray(camera.eye))} {what}; rotate it, move it or omit it."
+            f"{where}: camera {number} at {_format_point(np.asarray(camera.eye))} {what}; rotate it, move it or omit it."
         )
 
 
-def _told(place: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in np.round(place, 3) + 0.0) + ")"
+def _format_point(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in np.round(point, 3) + 0.0) + ")"

@@ -10,12 +10,12 @@ from scipy.spatial import KDTree
 FIRST = 8
 
 
-class OnSurface(NamedTuple):
+class SurfacePoints(NamedTuple):
     """Points on triangles: `sum_k shares_k vertices[faces[triangles, k]]`."""
 
     triangles: Int[np.ndarray, "N"]
     #: barycentric coordinates, at least zero, with sum one
-    shares: Float[np.ndarray, "N 3"]
+    barycentric: Float[np.ndarray, "N 3"]
     #: distances to the query points, in their unit; infinite where nothing is within reach
     distances: Float[np.ndarray, "N"]
 
@@ -24,12 +24,12 @@ def nearest_on_surface(
     points: Float[np.ndarray, "N 3"],
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
-    reach: float = np.inf,
-) -> OnSurface:
+    max_distance: float = np.inf,
+) -> SurfacePoints:
     """Find the nearest point of a surface to each point, exactly, for any sizes and shapes of triangles.
 
     A triangle cannot be nearer if the distance to its centre exceeds the best distance plus its own radius.
-    Triangles are grouped by size, so that few of each group remain to be tested. Beyond `reach` nothing is
+    Triangles are grouped by size, so that few of each group remain to be tested. Beyond `max_distance` nothing is
     searched: the distance is infinite there, and triangle and coordinates have no meaning.
     """
     points, faces = np.asarray(points, float), np.asarray(faces)
@@ -38,14 +38,14 @@ def nearest_on_surface(
     radii = np.sqrt(np.sum((corners - middles[:, None]) ** 2, 2).max(1))
     # one group for each factor of two in size; degenerate triangles are in the smallest
     sizes = np.floor(np.log2(np.maximum(radii, 1e-6 * radii.max(initial=0.0) + 1e-300))).astype(int)
-    best = _nearest_corners(points, vertices, faces, reach)
+    best = _nearest_corners(points, vertices, faces, max_distance)
     for size in np.unique(sizes):
         alike = np.flatnonzero(sizes == size)
-        _improve(best, points, corners, alike, middles[alike], radii[alike])
-    return best._replace(distances=np.where(best.distances <= reach, best.distances, np.inf))
+        _update_nearest(best, points, corners, alike, middles[alike], radii[alike])
+    return best._replace(distances=np.where(best.distances <= max_distance, best.distances, np.inf))
 
 
-def closest_shares(
+def closest_barycentric(
     triangles: Float[np.ndarray, "N 3 3"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:
     """Compute the nearest point of each triangle to a point, as barycentric coordinates, and its squared
@@ -91,24 +91,26 @@ def _dot(a: Float[np.ndarray, "3 N"], b: Float[np.ndarray, "3 N"]) -> Float[np.n
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _nearest_corners(points, vertices, faces, reach: float) -> OnSurface:
+def _nearest_corners(points, vertices, faces, max_distance: float) -> SurfacePoints:
     """Find the nearest corner of all triangles; the first triangle of each corner represents it."""
     used, first = np.unique(faces, return_index=True)
     distances, nearest = KDTree(np.asarray(vertices, float)[used]).query(points, workers=-1)
     triangles, corner = np.divmod(first[nearest], 3)
     # distances beyond reach are clamped to it
-    return OnSurface(triangles, np.eye(3)[corner], np.minimum(distances, np.nextafter(reach, np.inf)))
+    return SurfacePoints(
+        triangles, np.eye(3)[corner], np.minimum(distances, np.nextafter(max_distance, np.inf))
+    )
 
 
-def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:
+def _update_nearest(best: SurfacePoints, points, corners, group, centres, radii) -> None:
     """Update `best` in place with nearer points on triangles of similar size, in order of distance to their
     centres.
 
     The number of tested triangles doubles for points that a farther one could still be nearer to.
     """
-    tree, largest = KDTree(middles), radii.max()
+    tree, largest = KDTree(centres), radii.max()
     left, tried = np.arange(len(points)), np.zeros(len(points))
-    count = min(FIRST, len(alike))
+    count = min(FIRST, len(group))
     while left.size:
         # always from the first neighbour: ranks of equidistant centres change between queries
         apart, near = tree.query(
@@ -118,19 +120,19 @@ def _improve(best: OnSurface, points, corners, alike, middles, radii) -> None:
             workers=-1,
         )
         # a missing neighbour has an infinite distance and an index out of range
-        near = np.minimum(near, len(alike) - 1)
+        near = np.minimum(near, len(group) - 1)
         reach = best.distances[left, None] + radii[near]
         row, column = np.nonzero((apart < reach) & (apart >= tried[left, None]))
-        which, triangle = left[row], alike[near[row, column]]
-        shares, squared = closest_shares(corners[triangle], points[which])
+        which, triangle = left[row], group[near[row, column]]
+        shares, squared = closest_barycentric(corners[triangle], points[which])
         # the last triangle written for each point is its nearest
         order = np.flatnonzero(np.sqrt(squared) < best.distances[which])
         order = order[np.argsort(-squared[order], kind="stable")]
         best.triangles[which[order]] = triangle[order]
-        best.shares[which[order]] = shares[order]
+        best.barycentric[which[order]] = shares[order]
         best.distances[which[order]] = np.sqrt(squared[order])
-        if count == len(alike):
+        if count == len(group):
             break
         tried[left] = apart[:, -1]
         left = left[apart[:, -1] < best.distances[left] + largest]
-        count = min(2 * count, len(alike))
+        count = min(2 * count, len(group))

@@ -23,7 +23,7 @@ class Conformance(eqx.Module):
     #: neighbours of each vertex, padded with the vertex itself
     neighbours: Int[Array, "V N"]
     #: one over the number of neighbours; zero where a vertex has none
-    shares: Float[Array, "V"]
+    inverse_degrees: Float[Array, "V"]
     #: the diagonal of A
     diagonal: Float[Array, "V"]
     alpha: Float[Array, ""]
@@ -60,13 +60,13 @@ def laplacian(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "
     width = metric.neighbours.shape[1]
     # a padded slot has the vertex itself, and adds nothing to the sum of differences
     total = sum(field[metric.neighbours[:, i]] for i in range(width))
-    return metric.shares[:, None] * (width * field - total)
+    return metric.inverse_degrees[:, None] * (width * field - total)
 
 
 def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
     """Compute `L^T e` by gathering, as the adjacency is symmetric."""
     width = metric.neighbours.shape[1]
-    weighted = metric.shares[:, None] * field
+    weighted = metric.inverse_degrees[:, None] * field
     total = sum(weighted[metric.neighbours[:, i]] for i in range(width))
     # sum over real neighbours of (own weighted value - the neighbour's); the padding cancels
     real = jnp.sum(metric.neighbours != jnp.arange(len(metric.neighbours))[:, None], 1)[:, None]

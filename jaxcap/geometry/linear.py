@@ -12,13 +12,13 @@ import scipy.sparse.linalg
 from jaxtyping import Float
 
 
-def solve(matrix: Float[np.ndarray, "*B N N"], side: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
+def solve(matrix: Float[np.ndarray, "*B N N"], rhs: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
     """Compute `x` with `A x = b` for every square `A` of a stack.
 
     **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular; the solution of a nearly
     singular one is dominated by rounding.
     """
-    return np.linalg.solve(matrix, side[..., None])[..., 0]
+    return np.linalg.solve(matrix, rhs[..., None])[..., 0]
 
 
 def inverse(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
@@ -30,7 +30,7 @@ def inverse(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
 
 
 def solve_symmetric(
-    matrix: Float[np.ndarray, "*B N N"], side: Float[np.ndarray, "*B N"]
+    matrix: Float[np.ndarray, "*B N N"], rhs: Float[np.ndarray, "*B N"]
 ) -> Float[np.ndarray, "*B N"]:
     """Compute `x` with `A x = b` for every symmetric `A` of a stack, scaled to a unit diagonal. `A` may be
     indefinite.
@@ -39,7 +39,7 @@ def solve_symmetric(
     zeros.
     """
     scale = _scale(matrix)
-    return scale * solve(_even(matrix, scale), scale * side)
+    return scale * solve(_even(matrix, scale), scale * rhs)
 
 
 def inverse_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:
@@ -65,12 +65,12 @@ def factor_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "
     return np.linalg.cholesky(matrix)
 
 
-def least_squares(rows: Float[np.ndarray, "R N"], side: Float[np.ndarray, "R"]) -> Float[np.ndarray, "N"]:
+def least_squares(matrix: Float[np.ndarray, "R N"], rhs: Float[np.ndarray, "R"]) -> Float[np.ndarray, "N"]:
     """Compute the minimum-norm `x` with the least `|A x - b|`.
 
     There may be fewer rows than unknowns, and rows may leave some unknowns undetermined.
     """
-    return np.linalg.lstsq(rows, side, rcond=None)[0]
+    return np.linalg.lstsq(matrix, rhs, rcond=None)[0]
 
 
 def factor_sparse(matrix: scipy.sparse.sparray | scipy.sparse.spmatrix) -> scipy.sparse.linalg.SuperLU:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from .laplacian import Conformance
 
 
-class Blocks(eqx.Module):
+class PatchLaplacian(eqx.Module):
     """The Laplacian of some vertices as small dense matrices, one for each patch of the mesh.
 
     It is efficient for fields of many columns. A product with patches reads every row little more than
@@ -21,9 +21,11 @@ class Blocks(eqx.Module):
     matrices: Float[Array, "B R H"]
 
 
-def make_blocks(metric: Conformance, vertices: Int[np.ndarray, "S"], size: int = 32) -> Blocks:
+def make_patch_laplacian(
+    metric: Conformance, vertices: Int[np.ndarray, "S"], size: int = 32
+) -> PatchLaplacian:
     """Partition the given vertices into patches of about `size`, grown over neighbours."""
-    neighbours, shares = np.asarray(metric.neighbours), np.asarray(metric.shares)
+    neighbours, shares = np.asarray(metric.neighbours), np.asarray(metric.inverse_degrees)
     patches = _grow_patches(neighbours, np.asarray(vertices), size)
     reads = [np.unique(neighbours[patch]) for patch in patches]
     reads = [np.union1d(read, patch) for read, patch in zip(reads, patches, strict=True)]
@@ -39,10 +41,10 @@ def make_blocks(metric: Conformance, vertices: Int[np.ndarray, "S"], size: int =
         # a padded slot has the vertex itself, and cancels
         np.add.at(matrices[number], (rows[:, None], around), -shares[patch, None])
         matrices[number, rows, own] += shares[patch] * neighbours.shape[1]
-    return Blocks(jnp.asarray(columns), jnp.asarray(matrices, metric.diagonal.dtype))
+    return PatchLaplacian(jnp.asarray(columns), jnp.asarray(matrices, metric.diagonal.dtype))
 
 
-def laplacian_rows(blocks: Blocks, field: Float[Array, "V C"]) -> Float[Array, "R C"]:
+def laplacian_rows(blocks: PatchLaplacian, field: Float[Array, "V C"]) -> Float[Array, "R C"]:
     """Compute `L e` at the vertices of the blocks, patch by patch, with rows of zeros as padding."""
     rows = jnp.einsum("brh,bhc->brc", blocks.matrices, field[blocks.columns])
     return rows.reshape(-1, field.shape[1])

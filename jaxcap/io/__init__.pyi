@@ -14,6 +14,7 @@ from .constraints import write_constraints as write_constraints
 from .gltf.gltf_reader import read_gltf as read_gltf
 from .markers.subject import load_subject as load_subject
 from .markers.subject import save_subject as save_subject
+from .meshes.clouds import save_clouds as save_clouds
 from .meshes.meshes import save_meshes as save_meshes
 from .registry import read_motion as read_motion
 from .registry import read_skeleton as read_skeleton

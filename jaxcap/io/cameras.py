@@ -7,18 +7,18 @@ import numpy as np
 
 from ..arguments import checked
 from ..errors import InputError
-from ..geometry.camera import LEAST_PIXELS, Camera, check_picture
+from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
 from .kinds import check_kind
-from .system.door import reads
+from .system.door import reader_of
 from .table import write_json
-from .text import LARGEST, read_json, shortened
+from .text import MAX_NUMBER, read_json, shortened
 
-KIND = "jaxcap cameras"
+FORMAT = "jaxcap cameras"
 #: arrays of each camera, with their shapes
-_ARRAYS = {"rotation": (3, 3), "translation": (3,), "focal": (2,), "principal_point": (2,)}
+_ARRAY_SHAPES = {"rotation": (3, 3), "translation": (3,), "focal": (2,), "principal_point": (2,)}
 _SIZES = ("width", "height")
 #: largest error of a rotation matrix, as files round their numbers
-ROUNDED = 1e-4
+ROTATION_TOLERANCE = 1e-4
 
 
 @checked
@@ -28,15 +28,15 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     **Raises:** `InputError` if the file cannot be written.
     """
     rows = [
-        {name: np.asarray(getattr(camera, name), float).tolist() for name in _ARRAYS}
+        {name: np.asarray(getattr(camera, name), float).tolist() for name in _ARRAY_SHAPES}
         | {name: getattr(camera, name) for name in _SIZES}
         for camera in cameras
     ]
-    write_json(path, {"format": KIND, "version": 1, "cameras": rows})
+    write_json(path, {"format": FORMAT, "version": 1, "cameras": rows})
 
 
 @checked
-@reads("a camera calibration")
+@reader_of("a camera calibration")
 def read_cameras(path: str | Path) -> list[Camera]:
     """Read camera calibrations from JSON.
 
@@ -58,20 +58,22 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
 def _camera(row: object, where: str) -> Camera:
     if not isinstance(row, dict):
-        raise InputError(f"{where} is not an object with keys; write its {', '.join((*_ARRAYS, *_SIZES))}.")
-    missing = [name for name in (*_ARRAYS, *_SIZES) if name not in row]
+        raise InputError(
+            f"{where} is not an object with keys; write its {', '.join((*_ARRAY_SHAPES, *_SIZES))}."
+        )
+    missing = [name for name in (*_ARRAY_SHAPES, *_SIZES) if name not in row]
     if missing:
-        raise InputError(f"{where} has no '{missing[0]}'; write its {', '.join((*_ARRAYS, *_SIZES))}.")
-    arrays = {name: _numbers(row[name], name, shape, where) for name, shape in _ARRAYS.items()}
+        raise InputError(f"{where} has no '{missing[0]}'; write its {', '.join((*_ARRAY_SHAPES, *_SIZES))}.")
+    arrays = {name: _numbers(row[name], name, shape, where) for name, shape in _ARRAY_SHAPES.items()}
     sizes = {name: row[name] for name in _SIZES}
     for name, size in sizes.items():
-        if not isinstance(size, int) or isinstance(size, bool) or size < LEAST_PIXELS:
+        if not isinstance(size, int) or isinstance(size, bool) or size < MIN_SIDE_PIXELS:
             raise InputError(
-                f"{where}: '{name}' is {shortened(repr(size))}; expected a whole number of pixels, at least {LEAST_PIXELS}."
+                f"{where}: '{name}' is {shortened(repr(size))}; expected a whole number of pixels, at least {MIN_SIDE_PIXELS}."
             )
-    check_picture(sizes["width"], sizes["height"], where)
+    check_image_size(sizes["width"], sizes["height"], where)
     turn = arrays["rotation"]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDED or np.linalg.det(turn) < 0:
+    if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
         raise InputError(
             f"{where}: 'rotation' is not a rotation matrix; expected rows that are orthonormal and "
             "right-handed."
@@ -91,7 +93,7 @@ def _numbers(value: object, name: str, shape: tuple[int, ...], where: str) -> np
     if numbers.shape != shape:
         wanted = " x ".join(map(str, shape))
         raise InputError(f"{where}: '{name}' has the shape {numbers.shape}; expected {wanted}.")
-    if not (np.abs(numbers) <= LARGEST).all():
+    if not (np.abs(numbers) <= MAX_NUMBER).all():
         raise InputError(
             f"{where}: '{name}' contains a number that is not finite or too large; write finite numbers."
         )

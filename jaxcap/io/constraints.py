@@ -23,14 +23,14 @@ from typing import Any
 
 from ..arguments import checked
 from ..body.body import Body
-from ..edit.ik.constraints import Constraint, check_constraints, describe
-from ..errors import InputError, sentence_of
+from ..edit.ik.constraints import Constraint, check_constraints, describe_point
+from ..errors import InputError, user_message
 from .kinds import check_kind
 from .system.atomic import write_text
-from .system.door import reads
+from .system.door import reader_of
 from .text import read_json, shortened
 
-KIND, VERSION = "jaxcap constraints", 1
+FORMAT, VERSION = "jaxcap constraints", 1
 _FIELDS = ("vertex", "joint", "target", "weight", "pinned", "orientation")
 
 
@@ -42,12 +42,12 @@ def write_constraints(path: str | Path, constraints: Sequence[Constraint], body:
     """
     _check(constraints, body, path)
     rows = ",\n".join(f"  {json.dumps(_row(constraint))}" for constraint in constraints)
-    head = f' "format": "{KIND}",\n "version": {VERSION},\n "vertices": {len(body.vertices)},\n'
+    head = f' "format": "{FORMAT}",\n "version": {VERSION},\n "vertices": {len(body.vertices)},\n'
     write_text(path, f'{{\n{head} "constraints": [\n{rows}\n ]\n}}\n')
 
 
 @checked
-@reads("constraints")
+@reader_of("constraints")
 def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     """Read constraints that `write_constraints` or a person wrote.
 
@@ -58,9 +58,9 @@ def read_constraints(path: str | Path, body: Body) -> tuple[Constraint, ...]:
     check_kind(path, "constraints", (".json",))
     content = read_json(path)
     found = content.get("format") if isinstance(content, dict) else None
-    if found != KIND:
+    if found != FORMAT:
         raise InputError(
-            f'{path}: this is not a file of constraints; expected "format": "{KIND}" at its beginning.'
+            f'{path}: this is not a file of constraints; expected "format": "{FORMAT}" at its beginning.'
         )
     if content.get("version") != VERSION:
         raise InputError(
@@ -108,18 +108,20 @@ def _constraint(row: Any, where: str) -> Constraint:
         raise InputError(f"{where}: the joint is {shortened(repr(point))}; give its name.")
     if "vertex" in row and (not isinstance(point, int) or isinstance(point, bool)):
         raise InputError(f"{where}: the vertex is {shortened(repr(point))}; give its index, counted from 0.")
-    target = _numbers(row, "target", 3, f"{where} ({describe(point)})")
+    target = _numbers(row, "target", 3, f"{where} ({describe_point(point)})")
     weight, pinned = row.get("weight", 1.0), row.get("pinned", False)
     if not _is_number(weight) or weight < 0:
         raise InputError(
-            f"{where} ({describe(point)}): the weight is {shortened(repr(weight))}; give a number of at least 0."
+            f"{where} ({describe_point(point)}): the weight is {shortened(repr(weight))}; give a number of at least 0."
         )
     if not isinstance(pinned, bool):
         raise InputError(
-            f'{where} ({describe(point)}): "pinned" is {shortened(repr(pinned))}; give true or false.'
+            f'{where} ({describe_point(point)}): "pinned" is {shortened(repr(pinned))}; give true or false.'
         )
     orientation = row.get("orientation")
-    turn = None if orientation is None else _numbers(row, "orientation", 4, f"{where} ({describe(point)})")
+    turn = (
+        None if orientation is None else _numbers(row, "orientation", 4, f"{where} ({describe_point(point)})")
+    )
     return Constraint(point, target, float(weight), pinned, turn)
 
 
@@ -145,4 +147,4 @@ def _check(constraints: Sequence[Constraint], body: Body, path: str | Path) -> N
     try:
         check_constraints(constraints, body.skeleton, len(body.vertices))
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None

@@ -8,9 +8,9 @@ _EXPORT = "export its markers as .c3d or its skeleton as .bvh from the program t
 _VIDEO = "poses are not estimated from images; give clouds, meshes, depth maps as clouds, or markers"
 
 #: images and pages, which are written but never read
-PICTURES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
 #: suffix -> the format to write instead
-INSTEAD: dict[str, str] = {
+WRITABLE_ALTERNATIVES: dict[str, str] = {
     ".gltf": ".glb, which has the same content in one file",
     ".usd": ".usda (text) or .usdc (binary), which have the same content",
     ".fbx": ".glb, which Blender converts to .fbx",
@@ -20,7 +20,7 @@ INSTEAD: dict[str, str] = {
     ".asf": ".skl, which contains a skeleton",
 }
 #: suffix -> name of the format, and advice
-FOREIGN: dict[str, tuple[str, str]] = {
+UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
     ".fbx": ("an FBX file", _IMPORT.format("FBX")),
     ".blend": ("a Blender file", _BLENDER),
     ".dae": ("a Collada file", _IMPORT.format("Collada")),
@@ -44,7 +44,10 @@ FOREIGN: dict[str, tuple[str, str]] = {
     ".e57": ("a laser-scanner point cloud", _CLOUD),
     ".pts": ("a point cloud as text", _CLOUD),
     ".xyz": ("a point cloud as text", _CLOUD),
-    ".npy": ("a single array", "write it as a named array in an .npz: numpy.savez('clouds.npz', points=array)"),
+    ".npy": (
+        "a single array",
+        "write it as a named array in an .npz: numpy.savez('clouds.npz', points=array)",
+    ),
     ".pkl": ("a pickle", "a pickle can run code, so write its arrays with numpy.savez"),
     ".mat": ("a MATLAB file", "write its arrays as .npz with numpy.savez"),
     ".h5": ("an HDF5 file", "write its arrays as .npz with numpy.savez"),

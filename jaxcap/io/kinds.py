@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from .archives.archive import array_names, kind_of
-from .foreign import FOREIGN, PICTURES
+from .archives.archive import array_names, read_format_name
+from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
-from .skeletons.beside import bones_beside
+from .skeletons.beside import find_rig_files
 from .skinned.clip import split_clip
 from .text import read_json, shortened
 
 #: the name of each type in a sentence
-WORDS = {
+KIND_NAMES = {
     "body": "a body",
     "motion": "a motion",
     "amass": "a motion in AMASS format",
@@ -55,7 +55,7 @@ WORDS = {
     "picture": "an image or a document",
 }
 #: the plurals of `WORDS`
-MANY = {
+KIND_PLURALS = {
     "body": "bodies",
     "motion": "motions",
     "amass": "motions in AMASS format",
@@ -97,7 +97,7 @@ MANY = {
 #: names of formats in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
-_ARCHIVES = (".npz", ".partial")
+_ARCHIVE_SUFFIXES = (".npz", ".partial")
 _SUFFIXES = {
     ".bvh": "bvh",
     ".asf": "asf",
@@ -111,12 +111,12 @@ _SUFFIXES = {
     ".txt": "text",
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
     **dict.fromkeys((".off", ".obj", ".ply", ".stl"), "mesh"),
-    **dict.fromkeys(PICTURES, "picture"),
+    **dict.fromkeys(IMAGE_SUFFIXES, "picture"),
 }
 
 
 def identify(path: str | Path) -> str | None:
-    """Return the content type of a file or folder, a key of `WORDS`.
+    """Return the content type of a file or folder, a key of `KIND_NAMES`.
 
     The type follows from the suffix, the first bytes and the names inside; nothing else is checked. None if
     the type is unknown or the file does not exist.
@@ -133,17 +133,17 @@ def identify(path: str | Path) -> str | None:
         return "statistics"
     if suffix in GLTF and has_skin(path):
         return "skinned"
-    if suffix in _ARCHIVES:
+    if suffix in _ARCHIVE_SUFFIXES:
         return _npz(path)
     kind = _json(path) if suffix == ".json" else "mesh" if suffix in GLTF else _SUFFIXES.get(suffix)
-    return "rigged" if kind == "mesh" and bones_beside(path) else kind
+    return "rigged" if kind == "mesh" and find_rig_files(path) else kind
 
 
-def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
+def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
     """Return the content type of an `.npz` from the names of its arrays and of its format."""
     there = set(names)
-    if form.removeprefix("jaxcap ") in _FORMATS:
-        return form.removeprefix("jaxcap ")
+    if format_name.removeprefix("jaxcap ") in _FORMATS:
+        return format_name.removeprefix("jaxcap ")
     if "skin" in there:
         # a body without the name of its format
         return "arrays"
@@ -156,69 +156,77 @@ def kind_of_arrays(names: Iterable[str], form: str = "") -> str:
     return "clouds" if {"points", "vertices"} & there else "arrays"
 
 
-def wrong_kind(path: str | Path, wanted: str, suffixes: Sequence[str]) -> InputError:
-    """Return the error for a file that is not `wanted`, as in "a motion", for readers of some suffixes.
+def wrong_kind_error(path: str | Path, expected: str, suffixes: Sequence[str]) -> InputError:
+    """Return the error for a file that is not `expected`, as in "a motion", for readers of some suffixes.
 
     The message gives the actual type of the file, if it is known, and advice.
     """
     path = split_clip(path)[0]
     suffix, known = path.suffix.lower(), ", ".join(suffixes)
     if path.is_dir():
-        return InputError(f"{path}: this is a folder; expected {wanted}; {_inside(path, suffixes)}.")
+        return InputError(f"{path}: this is a folder; expected {expected}; {_folder_hint(path, suffixes)}.")
     if not path.exists():
         if path.name.split(":")[0] == "human":
             return InputError(
-                f"{path}: this is the embedded body; expected {wanted} ({known}); write the body to a file with "
+                f"{path}: this is the embedded body; expected {expected} ({known}); write the body to a file with "
                 f"`jaxcap convert {path} body.npz`."
             )
         return InputError(f"{path}: there is no such file; check the path.")
-    if suffix in FOREIGN:
-        what, instead = FOREIGN[suffix]
+    if suffix in UNSUPPORTED_FORMATS:
+        what, instead = UNSUPPORTED_FORMATS[suffix]
         return InputError(f"{path}: this is {what}, which is not read; {instead}.")
     kind = identify(path)
     if kind is None:
         named = f"the suffix '{path.suffix}' is unknown" if suffix else "the name has no suffix"
-        return InputError(f"{path}: {named}; expected {wanted}: {known}.")
-    return InputError(f"{path}: this is {WORDS[kind]}; expected {wanted}: {known}; {what_for(path)}.")
+        return InputError(f"{path}: {named}; expected {expected}: {known}.")
+    return InputError(f"{path}: this is {KIND_NAMES[kind]}; expected {expected}: {known}; {info_hint(path)}.")
 
 
 def check_kind(path: str | Path, kind: str, suffixes: Sequence[str]) -> None:
-    """Check that a file is not clearly of another type than `kind`, a key of `WORDS`.
+    """Check that a file is not clearly of another type than `kind`, a key of `KIND_NAMES`.
 
     This is for formats that are read under any file name. Raises `InputError`.
     """
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() in FOREIGN or identify(path) not in (kind, "text", "json", None):
-        raise wrong_kind(path, WORDS[kind], suffixes)
+    if (
+        path.is_dir()
+        or path.suffix.lower() in UNSUPPORTED_FORMATS
+        or identify(path) not in (kind, "text", "json", None)
+    ):
+        raise wrong_kind_error(path, KIND_NAMES[kind], suffixes)
 
 
-def check_npz(path: str | Path, wanted: str) -> None:
+def check_npz(path: str | Path, expected: str) -> None:
     """Check that a file is not clearly another type of file than an `.npz`. Raises `InputError`."""
     path = Path(path)
     suffix = path.suffix.lower()
-    if path.is_dir() or suffix in FOREIGN or (suffix not in _ARCHIVES and identify(path) is not None):
-        raise wrong_kind(path, wanted, (".npz",))
+    if (
+        path.is_dir()
+        or suffix in UNSUPPORTED_FORMATS
+        or (suffix not in _ARCHIVE_SUFFIXES and identify(path) is not None)
+    ):
+        raise wrong_kind_error(path, expected, (".npz",))
 
 
-def wrong_arrays(path: str | Path, lacking: str) -> InputError:
-    """Return the error for an `.npz` with the wrong content; `lacking` is the fault, as in "not a body".
+def wrong_arrays_error(path: str | Path, fault: str) -> InputError:
+    """Return the error for an `.npz` with the wrong content; `fault` is the fault, as in "not a body".
 
     The message gives the type and the arrays of the file, and advice.
     """
     names = array_names(path)
-    kind = kind_of_arrays(names, kind_of(path))
+    kind = kind_of_arrays(names, read_format_name(path))
     there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
     return InputError(
-        f"{path}: this is {WORDS[kind]}, {lacking}; it contains {there or 'no arrays'}; {what_for(path)}."
+        f"{path}: this is {KIND_NAMES[kind]}, {fault}; it contains {there or 'no arrays'}; {info_hint(path)}."
     )
 
 
-def what_for(path: str | Path) -> str:
+def info_hint(path: str | Path) -> str:
     """Return a sentence on how to find the purpose of a file."""
     return f"`jaxcap info {shlex.quote(str(path))}` describes its use"
 
 
-def _inside(folder: Path, suffixes: Sequence[str]) -> str:
+def _folder_hint(folder: Path, suffixes: Sequence[str]) -> str:
     """Return advice for a user who gave a folder instead of a file."""
     fits = sorted({p.suffix.lower() for p in folder.iterdir() if p.suffix.lower() in suffixes})
     if fits:
@@ -228,7 +236,7 @@ def _inside(folder: Path, suffixes: Sequence[str]) -> str:
 
 def _npz(path: Path) -> str:
     try:
-        return kind_of_arrays(array_names(path), kind_of(path))
+        return kind_of_arrays(array_names(path), read_format_name(path))
     except InputError:
         return "damaged"
 

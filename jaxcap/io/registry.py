@@ -16,21 +16,21 @@ from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
 from ..observe import MarkerFrames
-from .archives.npz import load_body, load_kind, load_skeleton, motion_of, save_motion, skeleton_of
+from .archives.npz import load_body, load_format, load_skeleton, motion_of, save_motion, skeleton_of
 from .gltf.gltf import write_gltf
 from .gltf.gltf_document import SUFFIXES as GLTF_READ
-from .gltf.gltf_document import clips_of, has_skin, no_skin, read_document
+from .gltf.gltf_document import has_skin, missing_skin_error, read_clip_names, read_document
 from .gltf.gltf_reader import read_gltf, read_gltf_body
-from .kinds import wrong_kind
+from .kinds import wrong_kind_error
 from .markers.c3d import read_c3d_file, write_c3d
-from .markers.marker_file import SIZE, MarkerFile, check_extent, pick_subject
+from .markers.marker_file import BODY_SIZE_RANGE, MarkerFile, check_extent, select_subject
 from .markers.marker_table import read_marker_table, write_marker_table
 from .markers.trc import read_trc, write_trc
 from .meshes.mesh import SUFFIXES, check_mesh, check_size, read_mesh
 from .skeletons.amass import is_amass, read_amass, write_amass
 from .skeletons.amc import read_amc
 from .skeletons.asf import read_asf
-from .skeletons.beside import bones_beside
+from .skeletons.beside import find_rig_files
 from .skeletons.bvh import read_bvh, write_bvh
 from .skeletons.skl import read_skl, write_skl
 from .skeletons.vj import read_vj
@@ -46,7 +46,7 @@ SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {
     ".bvh": lambda path, unit: read_bvh(path, unit)[0],
     ".asf": lambda path, unit: read_asf(path).skeleton,
     ".npz": lambda path, unit: read_amass(path)[0] if is_amass(path) else load_skeleton(path),
-    ".amc": lambda path, unit: read_asf(_asf_of(path)).skeleton,
+    ".amc": lambda path, unit: read_asf(_find_asf(path)).skeleton,
     **dict.fromkeys(GLTF_READ, lambda path, unit: _read_gltf(path)[0]),
     **dict.fromkeys(USD_READ, lambda path, unit: read_usd_body(path)[0].skeleton),
 }
@@ -54,7 +54,7 @@ SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": wr
 MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
     ".bvh": read_bvh,
     ".amc": lambda path, unit: _read_acclaim(path),
-    ".npz": lambda path, unit: read_amass(path) if is_amass(path) else _read_own(path),
+    ".npz": lambda path, unit: read_amass(path) if is_amass(path) else _read_npz_motion(path),
     **dict.fromkeys((*GLTF_READ, *USD_READ), lambda path, unit: _read_animation(path)),
 }
 MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
@@ -62,7 +62,7 @@ MOTION_WRITERS: dict[str, Callable[[Path, Skeleton, Motion, Any], None]] = {
     ".npz": lambda path, skeleton, motion, unit: save_motion(path, motion, skeleton),
 }
 #: other conventions of an `.npz` than our own
-MANNERS: dict[str, Callable[[Path, Skeleton, Motion], None]] = {"amass": write_amass}
+NPZ_CONVENTIONS: dict[str, Callable[[Path, Skeleton, Motion], None]] = {"amass": write_amass}
 #: writers of bodies with linear blend skinning, with an optional motion
 BODY_WRITERS: dict[str, Callable[[Path, Body, Motion | None], None]] = {
     ".glb": write_gltf,
@@ -99,14 +99,14 @@ def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton
 
     **Raises:** `InputError` if the suffix is unknown or the file is invalid.
     """
-    beside = bones_beside(path) if is_rigged(path) else None
+    beside = find_rig_files(path) if is_rigged(path) else None
     path = path if beside is None else beside.skeleton
-    return _of(SKELETON_READERS, path, "a skeleton")(Path(path), _unit(path, unit))
+    return _lookup(SKELETON_READERS, path, "a skeleton")(Path(path), _unit(path, unit))
 
 
 def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | None = None) -> None:
     """Write a skeleton as `.skl`; `unit` and errors as in `read_skeleton`."""
-    _of(SKELETON_WRITERS, path, "skeletons", "written")(Path(path), skeleton, _unit(path, unit))
+    _lookup(SKELETON_WRITERS, path, "skeletons", "written")(Path(path), skeleton, _unit(path, unit))
 
 
 @checked
@@ -116,7 +116,7 @@ def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skel
     Formats are `.bvh`, `.npz` (ours, or AMASS with a skeleton), `.glb`, `.gltf`, USD, and `.amc` with the
     `.asf` in its folder. `character.glb:Walk` selects the clip `Walk`; without a name the first clip is read.
     """
-    return _of(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
+    return _lookup(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
 
 
 @checked
@@ -124,7 +124,7 @@ def write_motion(
     path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | float | None = None
 ) -> None:
     """Write a motion as `.bvh` or `.npz`; `unit` and errors as in `read_skeleton`."""
-    _of(MOTION_WRITERS, path, "motions", "written")(Path(path), skeleton, motion, _unit(path, unit))
+    _lookup(MOTION_WRITERS, path, "motions", "written")(Path(path), skeleton, motion, _unit(path, unit))
 
 
 def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
@@ -134,7 +134,7 @@ def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> No
 
     **Raises:** `InputError` as `write_gltf` and `write_usd` do.
     """
-    _of(BODY_WRITERS, path, "skinned bodies", "written")(Path(path), body, motion)
+    _lookup(BODY_WRITERS, path, "skinned bodies", "written")(Path(path), body, motion)
 
 
 @checked
@@ -145,7 +145,7 @@ def read_skinned(path: str | Path) -> tuple[Body, Motion | None]:
 
     **Raises:** `InputError` as `read_gltf_body` and `read_usd_body` do.
     """
-    return _of(SKINNED_READERS, path, "a skinned body")(Path(path))
+    return _lookup(SKINNED_READERS, path, "a skinned body")(Path(path))
 
 
 def is_skinned(path: str | Path) -> bool:
@@ -156,20 +156,20 @@ def is_skinned(path: str | Path) -> bool:
 
 def is_rigged(path: str | Path) -> bool:
     """Check that a file is an unskinned mesh with a skeleton and parts of the same name, for `read_body`."""
-    return suffix_of(path) in SUFFIXES and not is_skinned(path) and bones_beside(path) is not None
+    return suffix_of(path) in SUFFIXES and not is_skinned(path) and find_rig_files(path) is not None
 
 
-def clips_in(path: str | Path) -> tuple[str, ...]:
+def list_clips(path: str | Path) -> tuple[str, ...]:
     """Return the names of the clips in a file, which `path:NAME` selects; empty for other formats."""
-    return clips_of(split_clip(path)[0]) if suffix_of(path) in GLTF_READ else ()
+    return read_clip_names(split_clip(path)[0]) if suffix_of(path) in GLTF_READ else ()
 
 
-def clip_sentence(path: str | Path) -> str | None:
+def default_clip_message(path: str | Path) -> str | None:
     """Return a sentence on the clip that is read by default; None if there is no choice.
 
     There is a choice if a file has several clips and `path` names none.
     """
-    clips = clips_in(path)
+    clips = list_clips(path)
     if len(clips) < 2 or split_clip(path)[1] is not None:
         return None
     return (
@@ -199,13 +199,13 @@ def read_body(
     if skeleton is None and is_skinned(path):
         return read_skinned(path)[0]
     if suffix not in SUFFIXES:
-        raise wrong_kind(path, "a body", BODY_SUFFIXES)
-    if skeleton is None and parts is None and (beside := bones_beside(file)):
+        raise wrong_kind_error(path, "a body", BODY_SUFFIXES)
+    if skeleton is None and parts is None and (beside := find_rig_files(file)):
         skeleton, parts = beside
     if skeleton is None and file.is_file() and suffix in GLTF_READ:
         # errors of the file itself come first
         read_document(file)
-        raise no_skin(file)
+        raise missing_skin_error(file)
     if skeleton is None or parts is None:
         raise InputError(
             f"{path}: this is a mesh without a rig; expected a skeleton (.skl) and the joint of each vertex (.vj); give "
@@ -225,7 +225,7 @@ def read_markers(
     unit: str | float | None = None,
     *,
     subject: str | None = None,
-    size: tuple[float, float] = SIZE,
+    size: tuple[float, float] = BODY_SIZE_RANGE,
 ) -> MarkerFrames:
     """Read marker trajectories from `.c3d`, `.trc` or `.csv`; gaps are not visible.
 
@@ -240,7 +240,7 @@ def read_markers(
     unit.
     """
     path = Path(path)
-    return _frames_of(read_marker_file(path, unit), path, subject, size)
+    return _select_frames(read_marker_file(path, unit), path, subject, size)
 
 
 @checked
@@ -249,16 +249,18 @@ def read_c3d(
     unit: str | float | None = None,
     *,
     subject: str | None = None,
-    size: tuple[float, float] = SIZE,
+    size: tuple[float, float] = BODY_SIZE_RANGE,
 ) -> MarkerFrames:
     """Read marker trajectories from a C3D file, whatever its suffix; arguments and errors are those of
     `read_markers`."""
     path = Path(path)
-    return _frames_of(read_c3d_file(path, unit), path, subject, size)
+    return _select_frames(read_c3d_file(path, unit), path, subject, size)
 
 
-def _frames_of(file: MarkerFile, path: Path, subject: str | None, size: tuple[float, float]) -> MarkerFrames:
-    frames = pick_subject(file.frames, path, subject)
+def _select_frames(
+    file: MarkerFile, path: Path, subject: str | None, size: tuple[float, float]
+) -> MarkerFrames:
+    frames = select_subject(file.frames, path, subject)
     check_extent(frames, path, file.scale, size)
     return frames
 
@@ -268,7 +270,7 @@ def read_marker_file(path: str | Path, unit: str | float | None = None) -> Marke
 
     `unit` and other errors are as in `read_markers`.
     """
-    return _of(MARKER_READERS, path, "a marker file")(Path(path), unit)
+    return _lookup(MARKER_READERS, path, "a marker file")(Path(path), unit)
 
 
 @checked
@@ -281,20 +283,20 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
     cannot be written.
     """
     suffix = Path(path).suffix.lower()
-    write = _of(MARKER_WRITERS, path, "markers", "written")
+    write = _lookup(MARKER_WRITERS, path, "markers", "written")
     write(Path(path), frames, ("m" if suffix == ".csv" else "mm") if unit is None else unit)
 
 
-def _of(table: dict[str, Any], path: str | Path, what: str, done: str = "") -> Any:
+def _lookup(table: dict[str, Any], path: str | Path, content: str, action: str = "") -> Any:
     """Return the table entry of a suffix.
 
-    For errors, `what` is read, as in "a motion", or `done` to it, as in "motions are not written".
+    For errors, `content` is read, as in "a motion", or `action` to it, as in "motions are not written".
     """
     suffix = suffix_of(path)
     if suffix not in table:
-        if not done:
-            raise wrong_kind(path, what, tuple(table))
-        raise InputError(f"{path}: {what} are not {done} as '{suffix}' files; use {', '.join(table)}.")
+        if not action:
+            raise wrong_kind_error(path, content, tuple(table))
+        raise InputError(f"{path}: {content} are not {action} as '{suffix}' files; use {', '.join(table)}.")
     return table[suffix]
 
 
@@ -318,19 +320,19 @@ def _read_animation(path: Path) -> tuple[Skeleton, Motion]:
     return skeleton, motion
 
 
-def _read_own(path: Path) -> tuple[Skeleton, Motion]:
-    arrays = load_kind(path, "jaxcap motion")
+def _read_npz_motion(path: Path) -> tuple[Skeleton, Motion]:
+    arrays = load_format(path, "jaxcap motion")
     if "names" not in arrays:
         raise InputError(f"{path}: this motion was saved without its skeleton; save it with its skeleton.")
     return skeleton_of(arrays, path), motion_of(arrays, path)
 
 
 def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
-    asf = read_asf(_asf_of(path))
+    asf = read_asf(_find_asf(path))
     return asf.skeleton, read_amc(path, asf)
 
 
-def _asf_of(path: Path) -> Path:
+def _find_asf(path: Path) -> Path:
     """Find the skeleton of a motion in the same folder: the longest name that begins the motion's name.
 
     An example is `02.asf` for `02_05.amc`.

@@ -38,14 +38,14 @@ def _dumped(content, indent: int | None = None) -> str:
     try:
         return json.dumps(content, indent=indent, allow_nan=False)
     except ValueError:
-        return json.dumps(_finite(content), indent=indent, allow_nan=False)
+        return json.dumps(_replace_nonfinite(content), indent=indent, allow_nan=False)
 
 
-def _finite(content):
+def _replace_nonfinite(content):
     if isinstance(content, Mapping):
-        return {str(name): _finite(value) for name, value in content.items()}
+        return {str(name): _replace_nonfinite(value) for name, value in content.items()}
     if isinstance(content, (list, tuple)):
-        return [_finite(value) for value in content]
+        return [_replace_nonfinite(value) for value in content]
     if isinstance(content, float) and not abs(content) < float("inf"):
         return None
     return content

@@ -12,9 +12,9 @@ from jaxtyping import Float
 from ..errors import InputError
 
 #: the largest length, angle or time that is read; its square is finite in single precision too
-LARGEST = 1e15
+MAX_NUMBER = 1e15
 #: lower and upper bound of frame rates, frames per second
-RATES = (1e-6, 1e6)
+RATE_RANGE = (1e-6, 1e6)
 
 #: metres in one unit
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -80,8 +80,8 @@ def numbered_lines(text: str, comment: str = "#") -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def parse_floats(words: list[str], where: str, what: str) -> list[float]:
-    """Parse `words` as finite floats; `where` is `path:line` and `what` names the numbers in errors.
+def parse_floats(words: list[str], where: str, quantity: str) -> list[float]:
+    """Parse `words` as finite floats; `where` is `path:line` and `quantity` names the numbers in errors.
 
     Raises `InputError`.
     """
@@ -92,18 +92,20 @@ def parse_floats(words: list[str], where: str, what: str) -> list[float]:
             numbers.append(float("" if "_" in word else word))
         except ValueError:
             raise InputError(
-                f"{where}: '{shortened(word)}' in {what} is not a number; write a number."
+                f"{where}: '{shortened(word)}' in {quantity} is not a number; write a number."
             ) from None
         if not math.isfinite(numbers[-1]):
-            raise InputError(f"{where}: '{shortened(word)}' in {what} is not finite; write a finite number.")
-        if abs(numbers[-1]) > LARGEST:
             raise InputError(
-                f"{where}: '{shortened(word)}' in {what} is too large; write a number of at most {LARGEST:g}."
+                f"{where}: '{shortened(word)}' in {quantity} is not finite; write a finite number."
+            )
+        if abs(numbers[-1]) > MAX_NUMBER:
+            raise InputError(
+                f"{where}: '{shortened(word)}' in {quantity} is too large; write a number of at most {MAX_NUMBER:g}."
             )
     return numbers
 
 
-def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
+def parse_float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
     """Parse many words at once as `parse_floats` does; None if one of them is invalid."""
     # one long word would make the whole array that wide
     if any(len(word) > 60 or "_" in word for word in words):
@@ -112,11 +114,11 @@ def float_table(words: list[str]) -> Float[np.ndarray, "N"] | None:
         numbers = np.array(words, dtype=str).astype(float)
     except ValueError:
         return None
-    return numbers if (np.abs(numbers) <= LARGEST).all() else None
+    return numbers if (np.abs(numbers) <= MAX_NUMBER).all() else None
 
 
-def parse_int(word: str, where: str, what: str) -> int:
-    """Parse an integer of at most 18 digits; `where` is `path:line` and `what` names it in errors.
+def parse_int(word: str, where: str, quantity: str) -> int:
+    """Parse an integer of at most 18 digits; `where` is `path:line` and `quantity` names it in errors.
 
     Raises `InputError`.
     """
@@ -124,11 +126,11 @@ def parse_int(word: str, where: str, what: str) -> int:
         number = int("" if "_" in word else word)
     except ValueError:
         raise InputError(
-            f"{where}: '{shortened(word)}' for {what} is not a whole number; write a whole number."
+            f"{where}: '{shortened(word)}' for {quantity} is not a whole number; write a whole number."
         ) from None
     if abs(number) >= 10**18:
         raise InputError(
-            f"{where}: '{shortened(word)}' for {what} is too large; write a number of at most 18 digits."
+            f"{where}: '{shortened(word)}' for {quantity} is too large; write a number of at most 18 digits."
         )
     return number
 
@@ -140,9 +142,9 @@ def shortened(word: str) -> str:
 
 def check_rate(rate: float, where: str) -> float:
     """Check a frame rate and return it. Raises `InputError`, which begins with `where`."""
-    if not RATES[0] <= rate <= RATES[1]:
+    if not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
         raise InputError(
-            f"{where}: the rate is {rate} frames per second; expected a number from {RATES[0]:g} to {RATES[1]:g}."
+            f"{where}: the rate is {rate} frames per second; expected a number from {RATE_RANGE[0]:g} to {RATE_RANGE[1]:g}."
         )
     return float(rate)
 
@@ -195,16 +197,19 @@ class Words:
         """`path:line` of the word that was taken last."""
         return f"{self.path}:{self._words[max(self._at - 1, 0)][0] if self._words else 1}"
 
-    def take(self, what: str) -> str:
-        """Return the next word; `what` names it in the error at the end of the file."""
+    def take(self, expected: str) -> str:
+        """Return the next word; `expected` names it in the error at the end of the file."""
         if not self.left:
-            raise InputError(f"{self.where}: the file ends before {what}; it is cut short.")
+            raise InputError(f"{self.where}: the file ends before {expected}; it is cut short.")
         self._at += 1
         return self._words[self._at - 1][1]
 
-    def floats(self, count: int, what: str) -> list[float]:
+    def floats(self, count: int, quantity: str) -> list[float]:
         """Return the next `count` words as finite numbers."""
-        return [parse_floats([self.take(f"a number of {what}")], self.where, what)[0] for _ in range(count)]
+        return [
+            parse_floats([self.take(f"a number of {quantity}")], self.where, quantity)[0]
+            for _ in range(count)
+        ]
 
     def header(self, keyword: str) -> int:
         """Read the keyword that begins a file and return the number after it."""

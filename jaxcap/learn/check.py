@@ -13,14 +13,14 @@ from ..geometry.mesh import mesh_edges, triangle_sides
 from ..observe import MeshSequence
 
 #: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
-USUAL, POSSIBLE = (0.3, 3.0), (0.02, 30.0)
+USUAL_SIZE, POSSIBLE_SIZE = (0.3, 3.0), (0.02, 30.0)
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "dm": 0.1, "ft": 0.3048}
 #: poses change the size of a body by less than this factor, a wrong unit by more
-POSES = 2.0
+MAX_POSE_RATIO = 2.0
 #: an edge whose length differs by more than this factor is taken to join other vertices
 STRETCH = 2.5
 #: two meshes where more than this share of the edges differs have different vertex orders
-SHUFFLED = 0.25
+MAX_DIFFERENT_SHARE = 0.25
 #: the number of edges sampled for the comparison of vertex orders
 EDGES = 3000
 #: an edge is torn if it is longer than its median length and than the mean median length by this factor
@@ -66,7 +66,7 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
     extent = float(np.median(np.ptp(vertices, axis=1).max(1)))
     return [
         *_size(extent),
-        *_torn(vertices, edges, called),
+        *_check_displaced_vertices(vertices, edges, called),
         *_surface(vertices, faces, edges, extent),
         *_motion(vertices, extent),
     ]
@@ -118,7 +118,7 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
     for frame, (row, size) in enumerate(zip(logs, sizes, strict=True)):
         apart = [_disagreement(row - group.logs, size - group.size) for group in groups]
         best = int(np.argmin(apart)) if apart else -1
-        if apart and apart[best] <= SHUFFLED:
+        if apart and apart[best] <= MAX_DIFFERENT_SHARE:
             groups[best].members.append(frame)
         else:
             groups.append(_Group([frame], row, size))
@@ -132,7 +132,7 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
             "registered meshes with one vertex order."
         )
     factors = np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
-    wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(POSES))
+    wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(MAX_POSE_RATIO))
     if wrong.size:
         raise InputError(
             f"{_listed(wrong.tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} "
@@ -142,28 +142,28 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
 
 def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
     """Return the share of edges that differ in length, after removing a change of unit and a global scale."""
-    ratios = ratios - (growth if abs(growth) > np.log(POSES) else 0.0)
-    ratios = ratios - np.clip(np.median(ratios), -np.log(POSES), np.log(POSES))
+    ratios = ratios - (growth if abs(growth) > np.log(MAX_POSE_RATIO) else 0.0)
+    ratios = ratios - np.clip(np.median(ratios), -np.log(MAX_POSE_RATIO), np.log(MAX_POSE_RATIO))
     return float(np.mean(np.abs(ratios) > np.log(STRETCH)))
 
 
 def _size(extent: float) -> list[str]:
-    if USUAL[0] <= extent <= USUAL[1]:
+    if USUAL_SIZE[0] <= extent <= USUAL_SIZE[1]:
         return []
-    likely = [unit for unit, metres in _UNITS.items() if USUAL[0] <= extent * metres <= USUAL[1]]
+    likely = [unit for unit, metres in _UNITS.items() if USUAL_SIZE[0] <= extent * metres <= USUAL_SIZE[1]]
     likely.sort(key=lambda unit: abs(np.log(extent * _UNITS[unit] / 1.7)))
     hint = (
         f"the unit is probably {likely[0]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely
         else "check the unit"
     )
-    told = f"The meshes are {extent:.4g} m long; expected a body of {USUAL[0]:g} to {USUAL[1]:g} m; {hint}."
-    if not POSSIBLE[0] <= extent <= POSSIBLE[1]:
+    told = f"The meshes are {extent:.4g} m long; expected a body of {USUAL_SIZE[0]:g} to {USUAL_SIZE[1]:g} m; {hint}."
+    if not POSSIBLE_SIZE[0] <= extent <= POSSIBLE_SIZE[1]:
         raise InputError(told)
     return [told]
 
 
-def _torn(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str]:
+def _check_displaced_vertices(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str]:
     """Warn of single vertices that are displaced in some mesh, as after a registration error."""
     lengths = _lengths(vertices, edges)
     usual = np.median(lengths, axis=0)
@@ -182,10 +182,10 @@ def _torn(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str
 
 def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent: float) -> list[str]:
     count, told = vertices.shape[1], []
-    twin = _twins(vertices, 1e-6 * extent)
+    twin = _find_duplicates(vertices, 1e-6 * extent)
     apart, together = (
-        _pieces(edges, count),
-        _pieces(twin[edges], count) - int((twin != np.arange(count)).sum()),
+        _num_components(edges, count),
+        _num_components(twin[edges], count) - int((twin != np.arange(count)).sum()),
     )
     twice = int((twin != np.arange(count)).sum())
     if apart > together:
@@ -232,7 +232,7 @@ def _motion(vertices: np.ndarray, extent: float) -> list[str]:
     return []
 
 
-def _twins(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
+def _find_duplicates(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
     """Map each vertex to the first vertex with the same position in all meshes, or to itself."""
     cells = np.round(np.concatenate([vertices[0], vertices[-1]], axis=1) / near).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -241,7 +241,7 @@ def _twins(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
     return np.where(same, twin, np.arange(len(twin)))
 
 
-def _pieces(edges: np.ndarray, count: int) -> int:
+def _num_components(edges: np.ndarray, count: int) -> int:
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
     return int(connected_components(graph, directed=False)[0])
 

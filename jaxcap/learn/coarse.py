@@ -11,13 +11,13 @@ from ..observe import MeshSequence
 
 #: the most vertices of a decimated mesh; the number for each part where the number of parts is known; the
 #: least such bound
-ENOUGH, FOR_A_PART, LEAST = 4000, 105, 1000
+MAX_VERTICES, VERTICES_PER_PART, MIN_VERTICES = 4000, 105, 1000
 #: the share of edges that are short at first, the factor by which the threshold grows, and the limit beyond
 #: the longest edge as a power of that factor
-SHORT, STRETCH, MOST = 0.1, 1.25, 8
+SHORT, STRETCH, MAX_GROWTH_POWER = 0.1, 1.25, 8
 
 
-class Coarse(NamedTuple):
+class DecimatedMeshes(NamedTuple):
     """A subset of the vertices of a mesh sequence, with triangles between their neighbourhoods."""
 
     meshes: MeshSequence
@@ -27,8 +27,8 @@ class Coarse(NamedTuple):
     nearest: Int[np.ndarray, "V"]
 
 
-def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
-    """Decimate meshes by merging vertices along short edges until at most `enough` vertices are left.
+def decimate_meshes(meshes: MeshSequence, max_vertices: int = MAX_VERTICES) -> DecimatedMeshes:
+    """Decimate meshes by merging vertices along short edges until at most `max_vertices` vertices are left.
 
     No two kept vertices share a short edge; the threshold for short grows in steps. Vertices keep their
     positions, so that a body learned from them is also valid on the whole mesh. Edge lengths are divided by
@@ -43,8 +43,8 @@ def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
     spacing = np.bincount(ends, np.repeat(lengths, 2), len(shape)) / np.maximum(np.bincount(ends), 1)
     widths = np.sqrt(spacing)
     lengths = lengths / widths[edges].mean(1)
-    short, longest = float(np.quantile(lengths, SHORT)), STRETCH**MOST * lengths.max()
-    while len(kept) > enough and short < longest:
+    short, longest = float(np.quantile(lengths, SHORT)), STRETCH**MAX_GROWTH_POWER * lengths.max()
+    while len(kept) > max_vertices and short < longest:
         chosen, source = _thinned(shape[kept], faces, short * widths[kept])
         owner = np.searchsorted(chosen, source)
         corners = owner[faces]
@@ -57,13 +57,17 @@ def coarsen(meshes: MeshSequence, enough: int = ENOUGH) -> Coarse:
         kept, nearest = kept[chosen], owner[nearest]
         short *= STRETCH
     fewer = MeshSequence(meshes.vertices[:, kept], jnp.asarray(faces, meshes.faces.dtype), meshes.rate)
-    return Coarse(fewer, kept, nearest)
+    return DecimatedMeshes(fewer, kept, nearest)
 
 
-def enough_vertices(joints: int | None) -> int:
+def num_coarse_vertices(joints: int | None) -> int:
     """Return the number of vertices sufficient for a body with this number of joints, or with an unknown
     number."""
-    return ENOUGH if joints is None else min(max(FOR_A_PART * (joints + 1), LEAST), ENOUGH)
+    return (
+        MAX_VERTICES
+        if joints is None
+        else min(max(VERTICES_PER_PART * (joints + 1), MIN_VERTICES), MAX_VERTICES)
+    )
 
 
 def coarse_alpha(alpha: float, fine: int, coarse: int) -> float:

@@ -15,16 +15,16 @@ from ..geometry.procrustes import group_moments
 from ..observe import MeshSequence
 from ..rig.rig import rig_mesh
 from .parts.parts import find_parts
-from .parts.surface import make_surface, membership
+from .parts.surface import make_surface_graph, membership
 from .skeleton.left_right_pairs import find_pairs
-from .skeleton.pose_from_parts import pose_moments
-from .skeleton.reference_mesh import choose_rest
+from .skeleton.pose_from_parts import fit_poses
+from .skeleton.reference_mesh import choose_reference_mesh
 from .skeleton.tree import find_tree, pose_parts
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]
 
 
-class Start(NamedTuple):
+class InitialBody(NamedTuple):
     """The initial body with binary weights and rigid kinematics (Adaptation, 3.2.1), and its poses."""
 
     body: Body
@@ -35,9 +35,9 @@ class Start(NamedTuple):
     curve: Float[np.ndarray, "N"]
 
 
-def start_from_motion(
+def initialise_from_motion(
     meshes: MeshSequence, joints: int | None, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
-) -> Start:
+) -> InitialBody:
     """Segment the meshes into rigid parts, connect the parts by joints, and pose the skeleton.
 
     **Arguments:** `joints` is the number of joints, one less than the number of parts; None chooses it from
@@ -47,48 +47,50 @@ def start_from_motion(
     indices.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
-    rest = shapes[choose_rest(shapes, faces)]
+    rest = shapes[choose_reference_mesh(shapes, faces)]
     parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
     tree = find_tree(parts, parts.rest, faces)
     pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
     skeleton = symmetrise(tree.skeleton, pairs)
     poses = pose_parts(skeleton, tree.parts, parts.rest)
     body = _bind(skeleton, skin, tree.parts.labels, parts.rest, meshes)
-    return Start(body, _cast(poses, meshes), pairs, parts.curve)
+    return InitialBody(body, _cast(poses, meshes), pairs, parts.curve)
 
 
-def start_from_skeleton(
+def initialise_from_skeleton(
     meshes: MeshSequence, skeleton: Skeleton, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
-) -> Start:
+) -> InitialBody:
     """Bind a given skeleton, posed as in the first mesh, by heat weights, and fit its poses to all meshes.
 
     **Raises:** `InputError` if the skeleton cannot be bound to the mesh.
     """
     shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
-    labels = np.asarray(rig_mesh(shapes[0], faces, skeleton, "heat").skin.parts())
-    surface = make_surface(shapes[0], shapes, faces)
+    labels = np.asarray(rig_mesh(shapes[0], faces, skeleton, "heat").skin.dominant_bones())
+    surface = make_surface_graph(shapes[0], shapes, faces)
     groups = membership(labels, surface.areas, skeleton.num_joints)
     areas = np.asarray(groups.sum(1)).ravel()
     pairs = choose_pairs(symmetry, skeleton, areas)
     skeleton = symmetrise(skeleton, pairs)
-    poses = pose_moments(skeleton, group_moments(groups, shapes[0], shapes.transpose(1, 0, 2)))
-    return Start(_bind(skeleton, skin, labels, shapes[0], meshes), _cast(poses, meshes), pairs, np.zeros(0))
+    poses = fit_poses(skeleton, group_moments(groups, shapes[0], shapes.transpose(1, 0, 2)))
+    return InitialBody(
+        _bind(skeleton, skin, labels, shapes[0], meshes), _cast(poses, meshes), pairs, np.zeros(0)
+    )
 
 
-def start_free(meshes: MeshSequence, joints: int | None) -> Start:
+def initialise_free_bones(meshes: MeshSequence, joints: int | None) -> InitialBody:
     """Build a body of independent bones: each rigid part has a free root at its mean vertex.
 
     **Raises:** `ValueError` for meshes with fewer parts than requested.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
-    rest = shapes[choose_rest(shapes, faces)]
+    rest = shapes[choose_reference_mesh(shapes, faces)]
     parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
     names = [f"bone{part}" for part in range(parts.num_parts)]
     middles = [parts.rest[parts.labels == part].mean(0) for part in range(parts.num_parts)]
     skeleton = make_skeleton(names, [-1] * len(names), ["free"] * len(names), middles)
     body = _bind(skeleton, "lbs", parts.labels, parts.rest, meshes)
     poses = _cast(pose_parts(skeleton, parts, parts.rest), meshes)
-    return Start(body, poses, np.zeros((0, 2), int), parts.curve)
+    return InitialBody(body, poses, np.zeros((0, 2), int), parts.curve)
 
 
 def choose_pairs(

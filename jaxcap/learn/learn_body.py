@@ -13,32 +13,38 @@ from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..energy.check import OwnTerms, own_terms
-from ..energy.energy import AbstractEnergy, sum_of, weighted
+from ..energy.check import UserTerms, sum_user_terms
+from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
-from .blend.linear import VERTICES, improve_linear
-from .blend.variable_projection import adapt_all
-from .coarse import Coarse, coarse_alpha, coarsen, enough_vertices
-from .initialise import SkinName, Start, start_free, start_from_motion, start_from_skeleton
+from .blend.linear import VERTICES, improve_linear_skin
+from .blend.variable_projection import optimise_all_vertices
+from .coarse import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
+from .initialise import (
+    InitialBody,
+    SkinName,
+    initialise_free_bones,
+    initialise_from_motion,
+    initialise_from_skeleton,
+)
 from .objective import objective
-from .skeleton.joint_centre_prior import Given
+from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
-from .skeleton.limbs import is_simple
+from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
-from .structure.skeleton_edit import Graft
-from .structure.structure_search import exchange
-from .weights.rest_vertices import carry_back, solve_vertices
+from .structure.skeleton_edit import EditedBody
+from .structure.structure_search import exchange_joints
+from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices
 from .weights.weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
 
 #: rounds on a mesh end when one lowers Q by less than this share
-ENOUGH = 8e-3
+MIN_DECREASE = 8e-3
 #: the share of all rounds that may be spent on the coarse mesh
 COARSE_SHARE = 2 / 3
 #: below this alpha, bodies with a linear skin are learned by variable projection
-LOOSE = 1.0
+MAX_PROJECTION_ALPHA = 1.0
 #: the weight of a unit of a user's energy for each vertex, metres squared
 UNIT = 1e-3**2
 #: initial damping for joints and poses
@@ -50,11 +56,11 @@ EXCHANGE_AFTER, TRIAL_ROUNDS, TRIALS = 3, 2, 3
 #: the most sweeps over the weights in the first round on a mesh, and in later ones
 FIRST_SWEEPS, SWEEPS = 8, 4
 #: prefix of the names of steps on the coarse mesh in the history
-COARSE = "coarse "
+COARSE_PREFIX = "coarse "
 
 
 #: whether joints are exchanged, and whether their number is fixed
-Exchanging = Literal["no", "fixed", "free"]
+ExchangeMode = Literal["no", "fixed", "free"]
 
 
 class Learned(NamedTuple):
@@ -82,7 +88,7 @@ def learn_body(
     keep_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
     on_round: Callable[[LearnState], None] | None = None,
     resume: LearnState | None = None,
 ) -> Learned:
@@ -94,7 +100,7 @@ def learn_body(
         Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2        (eq. 3.19)
 
     until a round lowers it by little, or for at most `rounds` rounds. A mesh with many vertices is first
-    learned on a subset of them (`coarsen`), then on all.
+    learned on a subset of them (`decimate_meshes`), then on all.
 
     **Arguments:** `joints` is the number of joints between parts; None chooses it from the motion, and joints
     must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
@@ -109,25 +115,25 @@ def learn_body(
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing can be learned, and
     `InputError` for energies of vertices or joints that do not exist.
     """
-    exchanging: Exchanging = "no" if skeleton is not None else "free" if joints is None else "fixed"
-    given = None if skeleton is None else Given(skeleton.centres, keep_joints)
-    whole = sum_of((terms,) if isinstance(terms, AbstractEnergy) else terms)
+    exchanging: ExchangeMode = "no" if skeleton is not None else "free" if joints is None else "fixed"
+    given = None if skeleton is None else GivenCentres(skeleton.centres, keep_joints)
+    whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
     if whole is not None:
         # the energies belong to the current tree of joints
         exchanging = "no"
     fine = _stage(
         meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
     )
-    simple = skeleton is None or is_simple(skeleton)
-    loose = skin == "lbs" and alpha < LOOSE and whole is None and simple
-    coarse = coarsen(meshes, VERTICES if loose else enough_vertices(joints))
+    simple = skeleton is None or has_only_ball_joints(skeleton)
+    loose = skin == "lbs" and alpha < MAX_PROJECTION_ALPHA and whole is None and simple
+    coarse = decimate_meshes(meshes, VERTICES if loose else num_coarse_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("segmenting rigid parts and estimating joints")
         # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
         on_coarse = joints is not None and skeleton is None and whole is None
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
-        own_terms("learn_body", terms, start.body)
+        sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
         if thinned and not on_coarse:
@@ -136,7 +142,7 @@ def learn_body(
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(
-            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE, given
+            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE_PREFIX, given
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("transferring the body to all vertices")
@@ -154,7 +160,7 @@ class _Stage(NamedTuple):
     metric: Conformance
     curvature: Curvature
     prefix: str
-    given: Given | None
+    given_centres: GivenCentres | None
     terms: AbstractEnergy | None
 
 
@@ -162,7 +168,7 @@ def _stage(
     meshes: MeshSequence,
     alpha: float,
     prefix: str,
-    given: Given | None,
+    given: GivenCentres | None,
     terms: AbstractEnergy | None = None,
 ) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
@@ -174,28 +180,28 @@ def _value(body: Body, poses: Pose, stage: _Stage) -> float:
     return float(objective(body, poses, stage.meshes.vertices, stage.metric, stage.terms))
 
 
-def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> Start:
+def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> InitialBody:
     if free_bones:
-        return start_free(meshes, joints)
+        return initialise_free_bones(meshes, joints)
     if skeleton is not None:
-        return start_from_skeleton(meshes, skeleton, skin, symmetry)
-    return start_from_motion(meshes, joints, skin, symmetry)
+        return initialise_from_skeleton(meshes, skeleton, skin, symmetry)
+    return initialise_from_motion(meshes, joints, skin, symmetry)
 
 
-def _thin(body: Body, coarse: Coarse) -> Body:
+def _thin(body: Body, coarse: DecimatedMeshes) -> Body:
     return take_vertices(body, jnp.asarray(coarse.kept), coarse.meshes.faces)
 
 
-def _refine(state: LearnState, meshes: MeshSequence, coarse: Coarse, loose: bool) -> Body:
+def _refine(state: LearnState, meshes: MeshSequence, coarse: DecimatedMeshes, loose: bool) -> Body:
     """Transfer the body to all vertices.
 
     Each vertex takes the weights of the nearest kept one, and the rest position that best fits its own
     positions in the meshes.
     """
     body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
-    rest = carry_back(body, state.motion.poses, meshes.vertices)
+    rest = fit_rest_vertices(body, state.motion.poses, meshes.vertices)
     body = eqx.tree_at(lambda b: b.vertices, body, rest)
-    return adapt_all(body, state.motion.poses, meshes.vertices)[0] if loose else body
+    return optimise_all_vertices(body, state.motion.poses, meshes.vertices)[0] if loose else body
 
 
 def _improve(
@@ -203,7 +209,7 @@ def _improve(
     stage: _Stage,
     rounds: int,
     on_round: Callable[[LearnState], None] | None,
-    exchanging: Exchanging,
+    exchanging: ExchangeMode,
     loose: bool,
 ) -> LearnState:
     """Run rounds on one mesh until one lowers Q by little, or until the most rounds are reached.
@@ -218,7 +224,7 @@ def _improve(
             state = _improve_joints(state, stage, FIRST_STEPS)
     if loose:
         free = exchanging == "free"
-        return improve_linear(
+        return improve_linear_skin(
             state, stage.meshes.vertices, rounds, on_round, exchanging != "no", free, stage.prefix
         )
     while state.round < rounds:
@@ -227,9 +233,9 @@ def _improve(
         before = state.history[-1][1]
         if exchanging != "no" and (first or settled):
             state = _exchange(state, stage, exchanging == "free")
-            if settled and state.history[-1][1] > (1 - ENOUGH) * before:
+            if settled and state.history[-1][1] > (1 - MIN_DECREASE) * before:
                 break
-        elif settled and state.history[-1][1] > (1 - ENOUGH) * before:
+        elif settled and state.history[-1][1] > (1 - MIN_DECREASE) * before:
             break
         if state.round < rounds:
             state = _round(state, stage)
@@ -242,7 +248,7 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
     targets = stage.meshes.vertices
     _LOG.info("exchanging joints")
 
-    def improve(before: LearnState, made: Graft) -> LearnState:
+    def improve(before: LearnState, made: EditedBody) -> LearnState:
         value = _value(made.body, made.poses, stage)
         after = before._replace(
             body=made.body,
@@ -255,7 +261,9 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
             after = _round(after, stage, far=number == 0)
         return after
 
-    return exchange(state, targets, improve, stage.prefix + "exchange", TRIALS if free else TRIALS - 1, free)
+    return exchange_joints(
+        state, targets, improve, stage.prefix + "exchange", TRIALS if free else TRIALS - 1, free
+    )
 
 
 def _has(state: LearnState, stage: _Stage, step: str) -> bool:
@@ -275,7 +283,7 @@ def _settled(state: LearnState, stage: _Stage) -> bool:
     # an exchange is not part of a round
     if any(name == stage.prefix + "exchange" for name, _ in state.history[-length:]):
         return False
-    return len(values) > 2 * length and values[-1] > (1 - ENOUGH) * values[-1 - length]
+    return len(values) > 2 * length and values[-1] > (1 - MIN_DECREASE) * values[-1 - length]
 
 
 def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
@@ -287,7 +295,7 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body
     state = _keep(state, better, stage, "weights")
     _LOG.info("round %d: rest vertices", state.round + 1)
-    rest = solve_vertices(state.body, poses, targets, stage.metric)
+    rest = solve_rest_vertices(state.body, poses, targets, stage.metric)
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
     _LOG.info("round %d: joints and poses", state.round + 1)
     state = _improve_joints(state, stage, STEPS)
@@ -313,7 +321,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.pairs,
             state.damping,
             state.history[-1][1],
-            given=stage.given,
+            given_centres=stage.given_centres,
             terms=stage.terms,
         )
         state = state._replace(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arguments import checked
-from ..body.limits.euler_boxes import EulerBox, EulerBoxes, euler_angles, make_euler_boxes
+from ..body.limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes, nearest_euler_angles
 from ..body.limits.limits import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
@@ -37,7 +37,9 @@ def learn_boxes(skeleton: Skeleton, samples: Iterable[JointSamples]) -> tuple[Jo
 def _box(samples: JointSamples, frame: np.ndarray) -> EulerBox:
     everywhere = jnp.full((1, 3), np.pi)
     frames = jnp.tile(rotation.from_matrix(jnp.asarray(frame)), (len(samples.rotations), 1))
-    angles = np.asarray(euler_angles(jnp.asarray(samples.rotations), frames, -everywhere, everywhere), float)
+    angles = np.asarray(
+        nearest_euler_angles(jnp.asarray(samples.rotations), frames, -everywhere, everywhere), float
+    )
     # each angle relative to its circular mean, so that a range may cross half a turn
     mean = np.angle(np.exp(1j * angles).mean(0))
     angles = mean + (angles - mean + np.pi) % (2 * np.pi) - np.pi

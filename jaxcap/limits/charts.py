@@ -10,9 +10,9 @@ from ..body.limits.chart import Chart
 from .samples import JointSamples
 
 #: a joint has fewer angles than three if its rotations deviate by less than this, radians
-STRAY = np.radians(1.0)
+AXIS_TOLERANCE = np.radians(1.0)
 #: largest distance of a rotation from the centre, radians: half a turn away they wrap
-FURTHEST = np.radians(170.0)
+MAX_ANGLE = np.radians(170.0)
 #: number of steps to the centre of a range
 STEPS = 300
 
@@ -27,32 +27,32 @@ def find_chart(samples: JointSamples) -> Chart:
     kinds = {"revolute": "hinge", "universal": "universal"}
     kind, axes, base = kinds.get(samples.kind, "ball"), samples.axes, np.array([1.0, 0.0, 0.0, 0.0])
     if kind == "ball":
-        kind, axes, base = _angles(samples.rotations)
+        kind, axes, base = _find_axes(samples.rotations)
     if kind == "ball":
         middle = middle_rotation(samples.rotations)
         furthest = _angle(samples.rotations, middle).max()
-        if furthest > FURTHEST:
-            raise ValueError(_wraps(samples.joint, 2 * furthest))
+        if furthest > MAX_ANGLE:
+            raise ValueError(_wrap_message(samples.joint, 2 * furthest))
         return Chart(jnp.asarray(middle), jnp.asarray(axes), "ball")
     raw = Chart(jnp.asarray(base), jnp.asarray(axes), "hinge" if kind == "hinge" else "universal")
-    angles = 2 * chart_places(raw, samples.rotations)
+    angles = 2 * chart_coordinates(raw, samples.rotations)
     middles = [_middle_angle(angles[:, i], samples.joint) for i in range(raw.dimension)]
-    middle = _rotation(base) * _rotation(_about(axes[0], middles[0]))
+    middle = _rotation(base) * _rotation(_quaternion_about(axes[0], middles[0]))
     if kind == "universal":
         # the second axis rotates with the first angle, so the first middle angle precedes both, and the
         # second is absorbed by the axis of the first
-        second = _rotation(_about(axes[1], middles[1]))
+        second = _rotation(_quaternion_about(axes[1], middles[1]))
         middle, axes = middle * second, np.stack([second.inv().apply(axes[0]), axes[1]])
     return Chart(jnp.asarray(middle.as_quat(scalar_first=True)), jnp.asarray(axes), raw.kind)
 
 
-def chart_places(chart: Chart, rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "F 3"]:
+def chart_coordinates(chart: Chart, rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "F 3"]:
     """Compute the chart coordinates of rotations, in double precision where JAX has it."""
-    return np.asarray(_places(chart, jnp.asarray(rotations)), float)
+    return np.asarray(_chart_coordinates(chart, jnp.asarray(rotations)), float)
 
 
 @jax.jit
-def _places(chart: Chart, rotations):
+def _chart_coordinates(chart: Chart, rotations):
     return jax.vmap(chart.coordinates)(rotations)
 
 
@@ -71,21 +71,21 @@ def middle_rotation(rotations: Float[np.ndarray, "F 4"]) -> Float[np.ndarray, "4
     return middle
 
 
-def _angles(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, np.ndarray, np.ndarray]:
+def _find_axes(rotations: Float[np.ndarray, "F 4"]) -> tuple[str, np.ndarray, np.ndarray]:
     """Determine the number of angles, the axes and the base rotation of a joint with free rotation."""
     turns, still = _rotation(rotations), np.array([1.0, 0.0, 0.0, 0.0])
     mean = turns.mean()
     vectors = (mean.inv() * turns).as_rotvec()
     # the direction of the largest variance first
     directions = np.linalg.eigh(vectors.T @ vectors)[1].T[::-1]
-    if np.abs(vectors @ directions[1:].T).max() < STRAY:
+    if np.abs(vectors @ directions[1:].T).max() < AXIS_TOLERANCE:
         # a constant rotation, for example of retargeting, precedes the hinge
         return "hinge", directions[:2], mean.as_quat(scalar_first=True)
-    axes, stray = two_axes(turns.as_matrix())
-    return ("universal", axes, still) if stray < STRAY else ("ball", np.eye(3)[:2], still)
+    axes, stray = fit_two_axes(turns.as_matrix())
+    return ("universal", axes, still) if stray < AXIS_TOLERANCE else ("ball", np.eye(3)[:2], still)
 
 
-def two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:
+def fit_two_axes(matrices: Float[np.ndarray, "F 3 3"]) -> tuple[Float[np.ndarray, "2 3"], float]:
     """Fit the axes of `R = Rot(a, s) Rot(b, t)` at right angles; return also the largest deviation, radians.
 
     Such rotations have `a . R b = 0`, which is linear in `a b^T`, and no other matrix is orthogonal to all
@@ -106,14 +106,14 @@ def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:
     ordered = np.sort(angles)
     gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
     widest = int(np.argmax(gaps))
-    if 2 * np.pi - gaps[widest] > 2 * FURTHEST:
-        raise ValueError(_wraps(joint, 2 * np.pi - gaps[widest]))
+    if 2 * np.pi - gaps[widest] > 2 * MAX_ANGLE:
+        raise ValueError(_wrap_message(joint, 2 * np.pi - gaps[widest]))
     start = ordered[(widest + 1) % len(ordered)]
     middle = start + (2 * np.pi - gaps[widest]) / 2
     return float((middle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _wraps(joint: str, span: float) -> str:
+def _wrap_message(joint: str, span: float) -> str:
     return (
         f"Joint '{joint}' rotates through {np.degrees(span):.0f} degrees; its range is not within half a turn of "
         "any centre, so its rotations wrap and limits cannot be learned from them."
@@ -124,7 +124,7 @@ def _rotation(quaternions: Float[np.ndarray, "*shape 4"]) -> Rotation:
     return Rotation.from_quat(quaternions, scalar_first=True)
 
 
-def _about(axis: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "4"]:
+def _quaternion_about(axis: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "4"]:
     return np.append(np.cos(angle / 2), np.sin(angle / 2) * axis)
 
 

@@ -21,30 +21,30 @@ BATCH = 256
 @eqx.filter_jit
 def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Bool[Array, "F J"]:
     """Test if each joint is within its limits in each frame; joints without limits are."""
-    return over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
+    return map_frames(lambda pose: allowed(limits, skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
     """Compute the violation of each limit in each frame, about radians; `limits.owners` are their joints."""
-    return over_frames(lambda pose: limits.residual(skeleton, pose), motion)
+    return map_frames(lambda pose: limits.residual(skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def comfort_frames(limits: SurfaceLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F S"]:
     """Compute the comfort of each frame by each learned surface: see `comfort`."""
-    return over_frames(lambda pose: comfort(limits, skeleton, pose), motion)
+    return map_frames(lambda pose: comfort(limits, skeleton, pose), motion)
 
 
 @checked
 @eqx.filter_jit
 def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Motion:
     """Project every frame independently to the nearest allowed pose."""
-    return Motion(over_frames(lambda pose: limits.nearest(skeleton, pose), motion), motion.rate)
+    return Motion(map_frames(lambda pose: limits.project(skeleton, pose), motion), motion.rate)
 
 
-def over_frames(function: Callable[[Pose], Any], motion: Motion) -> Any:
+def map_frames(function: Callable[[Pose], Any], motion: Motion) -> Any:
     """Map a function of one pose over the frames of a motion."""
     return jax.lax.map(function, motion.poses, batch_size=BATCH)

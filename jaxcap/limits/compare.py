@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..arguments import checked
-from .charts import chart_places, find_chart
+from .charts import chart_coordinates, find_chart
 from .samples import JointSamples
 
 
-class Likeness(NamedTuple):
+class SampleDistances(NamedTuple):
     """Distances between closest samples of two clouds, in both directions together.
 
     They are in units of a quaternion's vector part, where one is two radians.
@@ -19,11 +19,11 @@ class Likeness(NamedTuple):
     mean: float
     deviation: float
     #: number of distances, one for each sample of both
-    samples: int
+    num_distances: int
 
 
 @checked
-def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1) -> Likeness:
+def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1) -> SampleDistances:
     """Compute mean and standard deviation of the distances between closest points of two rotation clouds.
 
     The distances are in the chart of the reference; every `every`-th sample is used.
@@ -31,7 +31,7 @@ def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1
     **Raises:** `ValueError` where the reference's rotations wrap.
     """
     chart = find_chart(reference)
-    mine = chart_places(chart, reference.rotations[::every])
-    others = chart_places(chart, other.rotations[::every])
+    mine = chart_coordinates(chart, reference.rotations[::every])
+    others = chart_coordinates(chart, other.rotations[::every])
     apart = np.concatenate([KDTree(mine).query(others)[0], KDTree(others).query(mine)[0]])
-    return Likeness(float(apart.mean()), float(apart.std()), len(apart))
+    return SampleDistances(float(apart.mean()), float(apart.std()), len(apart))

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from ..arguments import checked
 from ..errors import InputError
 from ..observe import MarkerFrames
-from .samples import BLOCK, JointSamples
+from .samples import BLOCK_SECONDS, JointSamples
 
 #: sine of the least angle at which markers define a plane
-FLAT = 0.05
+MIN_BEND = 0.05
 
 
 @checked
@@ -40,14 +40,14 @@ def arm_samples(
         if label not in frames.labels:
             raise InputError(f"There is no marker '{label}'; the file has {', '.join(frames.labels)}.")
     columns = [frames.labels.index(label) for label in (*markers, *trunk)]
-    places = np.asarray(frames.places, float)[:, columns]
+    places = np.asarray(frames.positions, float)[:, columns]
     first = _unit(places[:, 1] - places[:, 0])
     normal = np.cross(places[:, 2] - places[:, 1], places[:, 3] - places[:, 2])
     sides = np.linalg.norm(places[:, 2] - places[:, 1], axis=1) * np.linalg.norm(
         places[:, 3] - places[:, 2], axis=1
     )
-    bent = np.linalg.norm(normal, axis=1) > FLAT * np.maximum(sides, 1e-12)
-    good = np.asarray(frames.seen)[:, columns].all(1) & bent
+    bent = np.linalg.norm(normal, axis=1) > MIN_BEND * np.maximum(sides, 1e-12)
+    good = np.asarray(frames.visible)[:, columns].all(1) & bent
     if not good.any():
         raise InputError(
             f"No frame shows {', '.join((*markers, *trunk))} at once with the elbow bent; a straight arm does not "
@@ -65,7 +65,7 @@ def arm_samples(
     lift = np.arcsin(np.clip(pointing[:, 1], -1, 1))
     axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
     elbow = Rotation.from_rotvec(flexion[:, None] * axes[0]) * Rotation.from_rotvec(lift[:, None] * axes[1])
-    blocks = (np.flatnonzero(good) / (BLOCK * frames.rate)).astype(int)
+    blocks = (np.flatnonzero(good) / (BLOCK_SECONDS * frames.rate)).astype(int)
     upper = JointSamples(names[0], "ball", np.eye(3)[:2], shoulder.as_quat(scalar_first=True), blocks)
     lower = JointSamples(names[1], "universal", axes, elbow.as_quat(scalar_first=True), blocks, upper)
     return upper, lower

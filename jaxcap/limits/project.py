@@ -10,7 +10,7 @@ from ..body.limits.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .check import nearest_frames, over_frames
+from .check import map_frames, nearest_frames
 
 #: number of rounds, each a smoothing of the corrections and a new projection
 ROUNDS = 4
@@ -32,7 +32,7 @@ def project_motion(
     independently.
     """
     poses = motion.poses
-    within = over_frames(lambda pose: allowed(limits, skeleton, pose), motion)
+    within = map_frames(lambda pose: allowed(limits, skeleton, pose), motion)
     nearest = nearest_frames(limits, skeleton, motion).poses
     if smoothness <= 0 or rounds <= 0 or len(motion) < 2:
         return Motion(nearest, motion.rate)
@@ -40,7 +40,7 @@ def project_motion(
 
     def again(_, found: Pose):
         turns = rotation.log(rotation.multiply(rotation.conjugate(poses.rotations), found.rotations))
-        turns = jax.vmap(_smooth, (1, 1, None), 1)(turns, within, weight)
+        turns = jax.vmap(_smooth_corrections, (1, 1, None), 1)(turns, within, weight)
         moved = rotation.multiply(poses.rotations, rotation.exp(turns))
         kept = jnp.where(within[..., None], poses.rotations, rotation.normalise(moved))
         drawn = Pose(poses.translations, kept, poses.scale)
@@ -49,15 +49,15 @@ def project_motion(
     return Motion(jax.lax.fori_loop(0, rounds, again, nearest), motion.rate)
 
 
-def _smooth(
-    turns: Float[Array, "F 3"], held: Bool[Array, "F"], weight: Float[Array, ""] | float
+def _smooth_corrections(
+    corrections: Float[Array, "F 3"], fixed: Bool[Array, "F"], weight: Float[Array, ""] | float
 ) -> Float[Array, "F 3"]:
     """Smooth the corrections of one joint by a tridiagonal system, with zero at allowed frames."""
-    count = len(turns)
-    sides = jnp.full(count, 2.0, turns.dtype).at[0].set(1.0).at[-1].set(1.0)
-    diagonal = jnp.where(held, 1.0, 1.0 + weight * sides)
-    couple = jnp.where(held, 0.0, -weight) * jnp.ones(count, turns.dtype)
+    count = len(corrections)
+    sides = jnp.full(count, 2.0, corrections.dtype).at[0].set(1.0).at[-1].set(1.0)
+    diagonal = jnp.where(fixed, 1.0, 1.0 + weight * sides)
+    couple = jnp.where(fixed, 0.0, -weight) * jnp.ones(count, corrections.dtype)
     lower = couple.at[0].set(0.0)
     upper = couple.at[-1].set(0.0)
-    right = jnp.where(held[:, None], 0.0, turns)
+    right = jnp.where(fixed[:, None], 0.0, corrections)
     return jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, right)

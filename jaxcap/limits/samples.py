@@ -12,7 +12,7 @@ from ..body.skeleton import Skeleton
 from ..errors import InputError
 
 #: seconds of a motion in one block that is held out: neighbouring frames are similar
-BLOCK = 10.0
+BLOCK_SECONDS = 10.0
 
 
 class JointSamples(NamedTuple):
@@ -27,10 +27,10 @@ class JointSamples(NamedTuple):
     blocks: Int[np.ndarray, "F"]
     parent: "JointSamples | None" = None
 
-    def take(self, chosen: np.ndarray) -> "JointSamples":
+    def take(self, frames: np.ndarray) -> "JointSamples":
         """Select some of the frames, of the parent too."""
-        parent = None if self.parent is None else self.parent.take(chosen)
-        return self._replace(rotations=self.rotations[chosen], blocks=self.blocks[chosen], parent=parent)
+        parent = None if self.parent is None else self.parent.take(frames)
+        return self._replace(rotations=self.rotations[frames], blocks=self.blocks[frames], parent=parent)
 
 
 def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
@@ -89,7 +89,7 @@ def gather_samples(
         axes = np.asarray(skeleton.axes[j], float)
         turned = np.asarray(motion.poses.rotations[:, j], float)
         rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
-        blocks.append(start + (np.arange(len(turned)) / (BLOCK * motion.rate)).astype(int))
+        blocks.append(start + (np.arange(len(turned)) / (BLOCK_SECONDS * motion.rate)).astype(int))
         start = blocks[-1][-1] + 1
     if len(kinds) > 1:
         raise ValueError(
@@ -101,7 +101,7 @@ def gather_samples(
     return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above)
 
 
-def spans(rotations: Float[np.ndarray, "F 4"]) -> float:
+def angular_range(rotations: Float[np.ndarray, "F 4"]) -> float:
     """Estimate the angular range of rotations, radians.
 
     It is the largest angle between any rotation and the one that is farthest from the first.

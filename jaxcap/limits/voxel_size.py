@@ -10,16 +10,16 @@ WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 
 CHILD_WIDTHS = (2.0, 4.0, 8.0, 12.0, 20.0)
 KEYFRAMES = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0)
 #: largest number of frames that keyframes are chosen on
-TRIED = 10000
+MAX_FRAMES = 10000
 #: number of folds of the cross-validation
 FOLDS = 5
 
 
-def choose_width(
-    places: Float[np.ndarray, "F 3"],
+def choose_voxel_width(
+    coordinates: Float[np.ndarray, "F 3"],
     dimension: int,
     blocks: Int[np.ndarray, "F"],
-    least: int,
+    min_samples: int,
     coverage: float,
 ) -> float:
     """Choose the finest voxel width that reaches a share `coverage` in cross-validation over blocks.
@@ -30,7 +30,12 @@ def choose_width(
     for degrees in WIDTHS:
         width = np.radians(degrees) / 2
         shares = [
-            _near(places[test], _cells(places[train], dimension, width, least), dimension, width).mean()
+            _is_near(
+                coordinates[test],
+                _occupied_voxels(coordinates[train], dimension, width, min_samples),
+                dimension,
+                width,
+            ).mean()
             for train, test in _folds(blocks)
         ]
         if np.mean(shares) >= coverage:
@@ -39,8 +44,8 @@ def choose_width(
 
 
 def choose_keyframes(
-    places: Float[np.ndarray, "F 3"],
-    parents: Float[np.ndarray, "F 3"],
+    coordinates: Float[np.ndarray, "F 3"],
+    parent_coordinates: Float[np.ndarray, "F 3"],
     dimensions: tuple[int, int],
     blocks: Int[np.ndarray, "F"],
     coverage: float,
@@ -51,12 +56,12 @@ def choose_keyframes(
     combinations of children and parents of different frames, which is the tightest. The loosest is returned
     where none reaches the share.
     """
-    some = np.linspace(0, len(places) - 1, min(len(places), TRIED)).astype(int)
-    places, parents, blocks = places[some], parents[some], blocks[some]
+    some = np.linspace(0, len(coordinates) - 1, min(len(coordinates), MAX_FRAMES)).astype(int)
+    coordinates, parent_coordinates, blocks = coordinates[some], parent_coordinates[some], blocks[some]
     best, least = (np.radians(CHILD_WIDTHS[-1]) / 2, np.radians(KEYFRAMES[-1]) / 2), np.inf
     for key_width in np.radians(KEYFRAMES) / 2:
         tries = [
-            _conditional(places, parents, train, test, dimensions, key_width)
+            _coupled_coverage(coordinates, parent_coordinates, train, test, dimensions, key_width)
             for train, test in _folds(blocks)
         ]
         seen, shuffled = (np.mean([one[i] for one in tries], axis=0) for i in range(2))
@@ -66,24 +71,26 @@ def choose_keyframes(
     return best
 
 
-def _conditional(places, parents, train, test, dimensions: tuple[int, int], key_width: float):
+def _coupled_coverage(
+    coordinates, parent_coordinates, train, test, dimensions: tuple[int, int], key_width: float
+):
     """Compute the shares of test frames that are allowed, for each width of the child's voxels.
 
     The second row is for the same children with the parents of other frames. A child is allowed near
     training samples with parents within a width of the keyframe's centre.
     """
-    keys = _cells(parents[train], dimensions[1], key_width, 1)
-    nearest = np.asarray(KDTree(keys).query(parents[test])[1])
+    keys = _occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
+    nearest = np.asarray(KDTree(keys).query(parent_coordinates[test])[1])
     shuffled = np.random.default_rng(0).permutation(len(test))
     shares = np.zeros((2, len(CHILD_WIDTHS)))
     for key in np.unique(nearest):
-        around = np.abs(parents[train] - keys[key]).max(1) <= key_width
+        around = np.abs(parent_coordinates[train] - keys[key]).max(1) <= key_width
         here = nearest == key
         for number, degrees in enumerate(CHILD_WIDTHS):
             width = np.radians(degrees) / 2
-            cells = _cells(places[train][around], dimensions[0], width, 1)
-            for row, children in enumerate((places[test], places[test][shuffled])):
-                shares[row, number] += _near(children[here], cells, dimensions[0], width).sum()
+            cells = _occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
+            for row, children in enumerate((coordinates[test], coordinates[test][shuffled])):
+                shares[row, number] += _is_near(children[here], cells, dimensions[0], width).sum()
     return shares / len(test)
 
 
@@ -99,15 +106,15 @@ def _folds(blocks: Int[np.ndarray, "F"]):
     return [(np.flatnonzero(~out), np.flatnonzero(out)) for out in held_out]
 
 
-def _cells(places, dimension: int, width: float, least: int) -> np.ndarray:
-    cells, counts = np.unique(np.floor(places[:, :dimension] / width), axis=0, return_counts=True)
-    centres = np.zeros((int((counts >= least).sum()), 3))
-    centres[:, :dimension] = (cells[counts >= least] + 0.5) * width
+def _occupied_voxels(coordinates, dimension: int, width: float, min_samples: int) -> np.ndarray:
+    cells, counts = np.unique(np.floor(coordinates[:, :dimension] / width), axis=0, return_counts=True)
+    centres = np.zeros((int((counts >= min_samples).sum()), 3))
+    centres[:, :dimension] = (cells[counts >= min_samples] + 0.5) * width
     return centres
 
 
-def _near(places, centres, dimension: int, width: float) -> np.ndarray:
+def _is_near(coordinates, centres, dimension: int, width: float) -> np.ndarray:
     """Test if positions are in a ball around a voxel."""
-    if not len(centres) or not len(places):
-        return np.zeros(len(places), bool)
-    return KDTree(centres).query(places)[0] <= np.sqrt(dimension) * width / 2
+    if not len(centres) or not len(coordinates):
+        return np.zeros(len(coordinates), bool)
+    return KDTree(centres).query(coordinates)[0] <= np.sqrt(dimension) * width / 2

@@ -19,11 +19,15 @@ class Voxels(NamedTuple):
 
 
 def voxelise(
-    places: Float[np.ndarray, "F 3"], dimension: int, width: float, least: int = 1, levels: int = LEVELS
+    coordinates: Float[np.ndarray, "F 3"],
+    dimension: int,
+    width: float,
+    min_samples: int = 1,
+    levels: int = LEVELS,
 ) -> Voxels:
-    """Compute the voxels of `width` with at least `least` samples, and merge them into larger ones.
+    """Compute the voxels of `width` with at least `min_samples` samples, and merge them into larger ones.
 
-    `least` is the threshold of density. The merging replaces the paper's subdivision (Limits, section 4.1),
+    `min_samples` is the threshold of density. The merging replaces the paper's subdivision (Limits, section 4.1),
     from the bottom up.
 
     The paper keeps a cube whole where its density is above the threshold, for any distribution of samples in
@@ -32,23 +36,25 @@ def voxelise(
 
     **Raises:** `ValueError` where no cube has so many samples.
     """
-    cells, counts = np.unique(np.floor(places[:, :dimension] / width).astype(int), axis=0, return_counts=True)
-    kept = counts >= least
+    cells, counts = np.unique(
+        np.floor(coordinates[:, :dimension] / width).astype(int), axis=0, return_counts=True
+    )
+    kept = counts >= min_samples
     if not kept.any():
         raise ValueError(
-            f"No voxel has {least:g} samples: of {len(places)} samples, at most {counts.max()} are in one voxel of "
+            f"No voxel has {min_samples:g} samples: of {len(coordinates)} samples, at most {counts.max()} are in one voxel of "
             f"{np.degrees(2 * width):.3g} degrees; reduce the threshold, widen the voxels, or give more motion."
         )
     sizes = np.ones(int(kept.sum()), int)
     cells, counts = cells[kept], counts[kept].astype(float)
     for level in range(1, levels + 1):
-        cells, sizes, counts = _join(cells, sizes, counts, 2**level)
+        cells, sizes, counts = _merge_voxels(cells, sizes, counts, 2**level)
     centres = np.zeros((len(cells), 3))
     centres[:, :dimension] = (cells + sizes[:, None] / 2) * width
     return Voxels(centres, sizes * width, counts)
 
 
-def _join(cells, sizes, counts, size: int):
+def _merge_voxels(cells, sizes, counts, size: int):
     """Merge cubes of half of `size` where they fill a cube of `size` inside a kept layer."""
     dimension, half = cells.shape[1], size // 2
     corner = np.stack(np.meshgrid(*[[0, half]] * dimension, indexing="ij"), -1).reshape(-1, dimension)

@@ -3,7 +3,7 @@
 from .body_shape.vertex_markers import vertex_frames as vertex_frames
 from .calibration.calibrate import Calibration as Calibration
 from .calibration.calibrate import calibrate as calibrate
-from .calibration.calibration_parameters import Trust as Trust
+from .calibration.calibration_parameters import TemplatePrior as TemplatePrior
 from .calibration.problem import CalibrationEstimate as CalibrationEstimate
 from .calibration.problem import CalibrationProblem as CalibrationProblem
 from .calibration.problem import make_calibration_problem as make_calibration_problem
@@ -18,11 +18,11 @@ from .motion.inverse_kinematics import solve_markers as solve_markers
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
 from .segments.gaps import join_pieces as join_pieces
-from .segments.merge_takes import unite_takes as unite_takes
+from .segments.merge_takes import merge_takes as merge_takes
 from .segments.partition import find_partition as find_partition
 from .segments.segment import Segments as Segments
 from .segments.segment import make_segments as make_segments
 from .subject import Subject as Subject
 from .subject import make_subject as make_subject
 from .subject import marker_body as marker_body
-from .subject import marker_places as marker_places
+from .subject import marker_positions as marker_positions

@@ -11,33 +11,33 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..observe import MarkerFrames
-from .rotation_centres.centres import Method
+from .rotation_centres.centres import CentreMethod
 from .rotation_centres.joint import Joint
-from .segments.gaps import is_still
-from .segments.partition import correct, find_partition
+from .segments.gaps import is_static
+from .segments.partition import apply_corrections, find_partition
 from .segments.segment import Segments
-from .segments.swaps import mend_swaps
-from .skeleton.assemble import Assembled, assemble, pose_segments
-from .skeleton.lengths import LengthMethod, bone_lengths, bones, joint_places
-from .skeleton.tree import Tree, find_tree, template_pairs
+from .segments.swaps import correct_swaps
+from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
+from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones
+from .skeleton.tree import SegmentTree, find_tree, template_pairs
 from .subject import Subject, make_subject
 
 #: a joint is reported as hardly rotating where its swept angle is below this, radians
-HARDLY = np.radians(15.0)
+MIN_SWEPT_ANGLE = np.radians(15.0)
 #: or where the standard deviation of its centre, across the axis of a hinge, is above this, metres
-VAGUE = 0.03
+MAX_CENTRE_DEVIATION = 0.03
 #: above this, metres, the data do not show that the two segments are joined
-APART = 0.5
+UNCONNECTED_DEVIATION = 0.5
 
 
 class LocalFit(NamedTuple):
-    """The result of the local technique. `told` lists in sentences what the data do not determine."""
+    """The result of the local technique. `messages` lists in sentences what the data do not determine."""
 
     segments: Segments
     #: joint of each segment with its parent, None at roots
     joints: tuple[Joint | None, ...]
     #: the tree of segments and their frames
-    tree: Tree
+    tree: SegmentTree
     skeleton: Skeleton
     motion: Motion
     #: (M,) bone of each marker, -1 where it is on no bone
@@ -48,7 +48,7 @@ class LocalFit(NamedTuple):
     subject: Subject
     #: the markers after swapped labels were corrected
     markers: MarkerFrames
-    told: tuple[str, ...]
+    messages: tuple[str, ...]
 
 
 @checked
@@ -56,7 +56,7 @@ def fit_local(
     frames: MarkerFrames,
     segments: Segments | None = None,
     threshold: float | None = None,
-    method: Method = "score",
+    method: CentreMethod = "score",
     template: tuple[Skeleton, Mapping[str, str]] | None = None,
     symmetry: Sequence[tuple[str, str]] | None = None,
     *,
@@ -73,11 +73,11 @@ def fit_local(
     **Raises:** `ValueError` where no markers are visible, nothing moves, no markers move together, or no
     segment has three markers that are visible together.
     """
-    places, seen = np.asarray(frames.places, float), np.asarray(frames.seen)
+    places, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
     labels, told = frames.labels, []
     if not seen.any():
         raise ValueError("No marker is visible in any frame, so there is nothing to fit.")
-    if is_still(frames):
+    if is_static(frames):
         raise ValueError(
             f"All {len(frames)} frames are equal: nothing moves, so neither segments nor joints can be "
             "determined. Give a take in which every joint rotates."
@@ -85,38 +85,38 @@ def fit_local(
     ever = np.asarray(seen.any(0)).tolist()
     lost = [label for label, some in zip(labels, ever, strict=True) if not some]
     if lost:
-        told.append(f"{_listed(lost)} never visible and left out.")
-    mended = mend_swaps(places, seen, labels)
-    told += mended.told
-    places, seen = mended.places, mended.seen
+        told.append(f"{_format_names(lost)} never visible and left out.")
+    mended = correct_swaps(places, seen, labels)
+    told += mended.messages
+    places, seen = mended.positions, mended.seen
     if segments is None:
         segments = find_partition(places, seen, threshold).segments
     if corrections:
-        segments = correct(segments, labels, corrections)
-    loose = [labels[m] for m in np.flatnonzero(segments.loose) if labels[m] not in lost]
+        segments = apply_corrections(segments, labels, corrections)
+    loose = [labels[m] for m in np.flatnonzero(segments.is_loose) if labels[m] not in lost]
     if loose:
         told.append(
-            f"{_listed(loose)} in no segment: no segment has a constant distance from {_them(loose)}."
+            f"{_format_names(loose)} in no segment: no segment has a constant distance from {_pronoun(loose)}."
         )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
     tree = find_tree(places, seen, segments, method, pairs)
-    if not tree.markers.frames.known.any():
+    if not tree.augmented.frames.known.any():
         raise ValueError(
             "No segment has three markers that are visible together and not on a line, so none has a frame; "
             "give a larger threshold or a take with fewer gaps."
         )
-    root = max(tree.roots, key=lambda k: _size(tree, k, segments))
-    told += _pieces(tree, root, segments, labels)
+    root = max(tree.roots, key=lambda k: _count_markers(tree, k, segments))
+    told += _describe_components(tree, root, segments, labels)
     if segments.num_segments == 1:
         told.append(
             "All distances between markers are constant, so the markers form one segment without a joint. "
             "For joints, give a take in which every joint rotates."
         )
-    made = assemble(tree, root, len(labels), _lengths(tree, lengths, symmetry, segments))
-    told += _precisions(tree, made, segments)
-    told += _left_out(tree, made, segments, labels)
-    subject = _subject(made, segments, labels, frames.places.dtype)
-    poses = pose_segments(made, tree)
+    made = assemble_skeleton(tree, root, len(labels), _bone_length_map(tree, lengths, symmetry, segments))
+    told += _describe_joints(tree, made, segments)
+    told += _describe_omitted_segments(tree, made, segments, labels)
+    subject = _attach_markers(made, segments, labels, frames.positions.dtype)
+    poses = segment_poses(made, tree)
     return LocalFit(
         segments,
         tree.joints,
@@ -126,13 +126,15 @@ def fit_local(
         made.bones,
         made.offsets,
         subject,
-        MarkerFrames(jnp.asarray(places, frames.places.dtype), jnp.asarray(seen), labels, frames.rate),
+        MarkerFrames(jnp.asarray(places, frames.positions.dtype), jnp.asarray(seen), labels, frames.rate),
         tuple(told),
     )
 
 
-def _lengths(tree: Tree, method: LengthMethod, symmetry, segments: Segments) -> dict[tuple[int, int], float]:
-    between = bones(tree)
+def _bone_length_map(
+    tree: SegmentTree, method: LengthMethod, symmetry, segments: Segments
+) -> dict[tuple[int, int], float]:
+    between = list_bones(tree)
     same = []
     for left, right in symmetry or ():
         for name in (left, right):
@@ -146,29 +148,35 @@ def _lengths(tree: Tree, method: LengthMethod, symmetry, segments: Segments) -> 
         ]
         if len(ends[0]) == len(ends[1]) == 1:
             same.append((ends[0][0], ends[1][0]))
-    places, known = joint_places(tree)
+    places, known = joint_trajectories(tree)
     deviations = np.array([1.0 if joint is None else max(joint.residual, 1e-4) for joint in tree.joints])
-    found = bone_lengths(places, known, between, method, same=same, deviations=deviations)
+    found = estimate_bone_lengths(places, known, between, method, equal_pairs=same, deviations=deviations)
     return dict(zip(between, found.tolist(), strict=True))
 
 
-def _subject(made: Assembled, segments: Segments, labels: tuple[str, ...], dtype) -> Subject:
-    on = np.flatnonzero(made.bones >= 0)
+def _attach_markers(
+    assembled: AssembledSkeleton, segments: Segments, labels: tuple[str, ...], dtype
+) -> Subject:
+    on = np.flatnonzero(assembled.bones >= 0)
     return make_subject(
-        made.skeleton,
-        np.maximum(made.bones, 0),
-        np.where((made.bones >= 0)[:, None], made.offsets, np.asarray(made.skeleton.centres)[0]),
+        assembled.skeleton,
+        np.maximum(assembled.bones, 0),
+        np.where(
+            (assembled.bones >= 0)[:, None], assembled.offsets, np.asarray(assembled.skeleton.centres)[0]
+        ),
         labels,
         weights=np.where(np.isin(np.arange(len(labels)), on), segments.weights, 0.0),
     )
 
 
-def _size(tree: Tree, root: int, segments: Segments) -> int:
+def _count_markers(tree: SegmentTree, root: int, segments: Segments) -> int:
     total = len(segments.members[root])
-    return total + sum(_size(tree, k, segments) for k, parent in enumerate(tree.parents) if parent == root)
+    return total + sum(
+        _count_markers(tree, k, segments) for k, parent in enumerate(tree.parents) if parent == root
+    )
 
 
-def _pieces(tree: Tree, root: int, segments: Segments, labels) -> list[str]:
+def _describe_components(tree: SegmentTree, root: int, segments: Segments, labels) -> list[str]:
     others = [k for k in tree.roots if k != root]
     told = []
     for other in others:
@@ -177,58 +185,65 @@ def _pieces(tree: Tree, root: int, segments: Segments, labels) -> list[str]:
             inside += [c for c, parent in enumerate(tree.parents) if parent == k]
         markers = [labels[m] for k in inside for m in segments.members[k]]
         told.append(
-            f"{_listed(markers)} not connected to the other markers: they do not move together with them, "
+            f"{_format_names(markers)} not connected to the other markers: they do not move together with them, "
             "as if they were on another subject. They are left out; fit them separately."
         )
     return told
 
 
-def _precisions(tree: Tree, made: Assembled, segments: Segments) -> list[str]:
+def _describe_joints(tree: SegmentTree, assembled: AssembledSkeleton, segments: Segments) -> list[str]:
     told = []
-    for segment in made.order:
+    for segment in assembled.bone_segments:
         joint = tree.joints[segment]
         if joint is None:
             continue
-        across = joint.precision[-2 if joint.axis_in_parent is not None else -1]
-        if joint.swept < HARDLY or across > VAGUE:
+        across = joint.deviations[-2 if joint.axis_in_parent is not None else -1]
+        if joint.swept_angle < MIN_SWEPT_ANGLE or across > MAX_CENTRE_DEVIATION:
             told.append(
                 f"The joint between '{segments.names[joint.parent]}' and '{segments.names[segment]}' "
-                f"rotates by {np.degrees(joint.swept):.0f} degrees, and its centre has a standard deviation "
+                f"rotates by {np.degrees(joint.swept_angle):.0f} degrees, and its centre has a standard deviation "
                 f"of {1e3 * across:.0f} mm in the worst "
                 f"direction{' perpendicular to its axis' if joint.axis_in_parent is not None else ''}; "
                 + (
                     "the data do not show that the segments are connected. If they belong to two bodies, "
                     "fit each body separately."
-                    if across > APART
+                    if across > UNCONNECTED_DEVIATION
                     else "in undetermined directions it is midway between the nearest markers."
                 )
             )
     return told
 
 
-def _left_out(tree: Tree, made: Assembled, segments: Segments, labels) -> list[str]:
+def _describe_omitted_segments(
+    tree: SegmentTree, assembled: AssembledSkeleton, segments: Segments, labels
+) -> list[str]:
     joined = {k for k, parent in enumerate(tree.parents) if parent >= 0} | set(tree.roots)
-    roots = [k for k in tree.roots if k not in made.order]
+    roots = [k for k in tree.roots if k not in assembled.bone_segments]
     told = []
     for k, name in enumerate(segments.names):
-        if k in made.order or k not in joined or k in roots or _top(tree, k) != made.order[0]:
+        if (
+            k in assembled.bone_segments
+            or k not in joined
+            or k in roots
+            or _root_of(tree, k) != assembled.bone_segments[0]
+        ):
             continue
         markers = [labels[m] for m in segments.members[k]]
-        told.append(f"The segment '{name}' ({_listed(markers)} in it) has no frame and no bone.")
+        told.append(f"The segment '{name}' ({_format_names(markers)} in it) has no frame and no bone.")
     return told
 
 
-def _top(tree: Tree, segment: int) -> int:
+def _root_of(tree: SegmentTree, segment: int) -> int:
     while tree.parents[segment] >= 0:
         segment = tree.parents[segment]
     return segment
 
 
-def _listed(names: Sequence[str]) -> str:
+def _format_names(names: Sequence[str]) -> str:
     """Format names with their verb: "'A', 'B' are"."""
     shown = ", ".join(f"'{name}'" for name in names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{shown} {'is' if len(names) == 1 else 'are'}"
 
 
-def _them(names: Sequence[str]) -> str:
+def _pronoun(names: Sequence[str]) -> str:
     return "it" if len(names) == 1 else "them"

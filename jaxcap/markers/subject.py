@@ -16,9 +16,9 @@ from ..body.skeleton import Skeleton
 from ..body.skin import LinearSkin
 
 #: marker models: fixed to a point of its bone; on a circle about the bone; on a sphere about its joint
-MODELS = ("rigid", "circle", "sphere")
+MARKER_MODELS = ("rigid", "circle", "sphere")
 #: default standard deviation of a marker about its position on the bone, metres
-DEVIATION = 0.01
+DEFAULT_DEVIATION = 0.01
 
 
 class Subject(eqx.Module):
@@ -65,14 +65,14 @@ def make_subject(
 
     **Arguments:** `bones (M,)` joint indices; `offsets (M, 3)` rest positions in the world, metres;
     `labels`, all different; `weights (M,)` of attachment from 0 to 1, by default 1; `deviations (M,)`
-    metres, by default 0.01; `models` out of `MODELS`, by default "rigid".
+    metres, by default 0.01; `models` out of `MARKER_MODELS`, by default "rigid".
 
     **Raises:** `ValueError` with one sentence that names the marker.
     """
     count, dtype, labels = len(labels), skeleton.centres.dtype, tuple(labels)
     bones, offsets = np.asarray(bones), np.asarray(offsets, float)
     weights = np.ones(count) if weights is None else np.asarray(weights, float)
-    deviations = np.full(count, DEVIATION) if deviations is None else np.asarray(deviations, float)
+    deviations = np.full(count, DEFAULT_DEVIATION) if deviations is None else np.asarray(deviations, float)
     models = ("rigid",) * count if models is None else tuple(models)
     shapes = bones.shape[:1], offsets.shape[:1], weights.shape, deviations.shape, (len(models),)
     if offsets.shape != (count, 3) or any(shape != (count,) for shape in shapes):
@@ -88,9 +88,9 @@ def make_subject(
             raise ValueError(
                 f"Marker '{label}' is on bone {bones[marker]}; expected 0 to {skeleton.num_joints - 1}."
             )
-        if models[marker] not in MODELS:
+        if models[marker] not in MARKER_MODELS:
             raise ValueError(
-                f"Marker '{label}' has the model '{models[marker]}'; expected one of {', '.join(MODELS)}."
+                f"Marker '{label}' has the model '{models[marker]}'; expected one of {', '.join(MARKER_MODELS)}."
             )
         if not np.isfinite(offsets[marker]).all():
             raise ValueError(f"The offset of marker '{label}' is not finite; give its rest position.")
@@ -104,7 +104,7 @@ def make_subject(
 
 
 @checked
-def marker_places(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
+def marker_positions(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     """Compute the marker positions of a pose, metres; circle and sphere markers as if rigid."""
     transforms = forward_kinematics(subject.skeleton, pose)
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
@@ -121,12 +121,12 @@ def marker_body(subject: Subject) -> Body:
     return Body(subject.skeleton, LinearSkin(weights), subject.offsets, jnp.zeros((0, 3), jnp.int32))
 
 
-def shifted(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:
+def shift_markers(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:
     """Shift the rest positions of the markers, metres."""
     return eqx.tree_at(lambda s: s.offsets, subject, subject.offsets + shifts)
 
 
-def scaled(subject: Subject, scale: float | Float[Array, ""]) -> Subject:
+def scale_subject(subject: Subject, scale: float | Float[Array, ""]) -> Subject:
     """Scale the subject by `scale` about the root's centre at rest."""
     root = subject.skeleton.centres[0]
     centres, offsets = (root + scale * (x - root) for x in (subject.skeleton.centres, subject.offsets))

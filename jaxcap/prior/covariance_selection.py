@@ -10,11 +10,11 @@ from .gaussian_mixture import Mixture
 
 #: lowering a coupling keeps the eigenvalues above this share of the least one, which bounds how far a
 #: component widens
-LEFT = 0.1
+MIN_EIGENVALUE_SHARE = 0.1
 #: the most of the distance to that bound that a coupling moves, as a margin for rounding
-SHORT = 1 - 1e-6
+STEP_SHARE = 1 - 1e-6
 #: partial correlations below this count as zero
-NONE = 1e-6
+ZERO_TOLERANCE = 1e-6
 
 
 def partial_correlations(precisions: Float[np.ndarray, "*K D D"]) -> Float[np.ndarray, "*K D D"]:
@@ -27,7 +27,7 @@ def partial_correlations(precisions: Float[np.ndarray, "*K D D"]) -> Float[np.nd
     return np.abs(precisions) / (scales[..., :, None] * scales[..., None, :])
 
 
-def zero_weak(mixture: Mixture, threshold: float) -> Mixture:
+def threshold_couplings(mixture: Mixture, threshold: float) -> Mixture:
     """Set couplings with a partial correlation below `threshold` to zero (Adaptation, section 4.1.1).
 
     If this would make a matrix indefinite, its weak couplings are lowered as far as it stays positive
@@ -36,27 +36,27 @@ def zero_weak(mixture: Mixture, threshold: float) -> Mixture:
     weak = partial_correlations(mixture.precisions) < threshold
     weak[:, np.arange(weak.shape[1]), np.arange(weak.shape[1])] = False
     zeroed = np.where(weak, 0.0, mixture.precisions)
-    least = LEFT * np.linalg.eigvalsh(mixture.precisions)[:, 0]
+    least = MIN_EIGENVALUE_SHARE * np.linalg.eigvalsh(mixture.precisions)[:, 0]
     broken = np.linalg.eigvalsh(zeroed)[:, 0] < least
     for k in np.flatnonzero(broken):
-        zeroed[k] = lower_weak(mixture.precisions[k], weak[k], least[k])
+        zeroed[k] = shrink_couplings(mixture.precisions[k], weak[k], least[k])
     return mixture._replace(precisions=zeroed)
 
 
-def lower_weak(
-    precision: Float[np.ndarray, "D D"], weak: np.ndarray, least: float
+def shrink_couplings(
+    precision: Float[np.ndarray, "D D"], weak: np.ndarray, min_eigenvalue: float
 ) -> Float[np.ndarray, "D D"]:
-    """Lower weak entries of a matrix in turn, the weakest first, keeping eigenvalues above `least`."""
+    """Lower weak entries of a matrix in turn, the weakest first, keeping eigenvalues above `min_eigenvalue`."""
     rows, columns = np.nonzero(np.triu(weak, 1))
     order = np.argsort(partial_correlations(precision)[rows, columns], kind="stable")
     lowered = precision
     for i, j in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
-        lowered = _lower(lowered, i, j, least)
+        lowered = _shrink_coupling(lowered, i, j, min_eigenvalue)
     return lowered
 
 
-def _lower(matrix: np.ndarray, i: int, j: int, least: float) -> np.ndarray:
-    """Move one entry towards zero as far as all eigenvalues stay above `least`.
+def _shrink_coupling(matrix: np.ndarray, i: int, j: int, min_eigenvalue: float) -> np.ndarray:
+    """Move one entry towards zero as far as all eigenvalues stay above `min_eigenvalue`.
 
     With `C` the inverse of `A = M - least I`, a change of both entries by `t` changes the determinant of `A`
     by the factor `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of this
@@ -65,18 +65,18 @@ def _lower(matrix: np.ndarray, i: int, j: int, least: float) -> np.ndarray:
     if matrix[i, j] == 0:
         return matrix
     values, vectors = np.linalg.eigh(matrix)
-    values = np.maximum(values - least, np.finfo(float).eps * values[-1])
+    values = np.maximum(values - min_eigenvalue, np.finfo(float).eps * values[-1])
     rows = vectors[[i, j]]
     (ii, ij), (_, jj) = (rows / values) @ rows.T
     mean = np.sqrt(ii * jj)
     most = 1.0 / max(mean - ij, 1e-300) if matrix[i, j] < 0 else 1.0 / max(mean + ij, 1e-300)
     lowered = matrix.copy()
-    lowered[i, j] = lowered[j, i] = max(0.0, 1.0 - SHORT * most / abs(matrix[i, j])) * matrix[i, j]
+    lowered[i, j] = lowered[j, i] = max(0.0, 1.0 - STEP_SHARE * most / abs(matrix[i, j])) * matrix[i, j]
     return lowered
 
 
-def num_zeroed(precisions: Float[np.ndarray, "K D D"]) -> tuple[int, int]:
+def count_zero_couplings(precisions: Float[np.ndarray, "K D D"]) -> tuple[int, int]:
     """Count the couplings that are zero, and all couplings."""
     above = np.triu_indices(precisions.shape[-1], 1)
     couplings = partial_correlations(precisions)[:, above[0], above[1]]
-    return int((couplings < NONE).sum()), couplings.size
+    return int((couplings < ZERO_TOLERANCE).sum()), couplings.size

@@ -14,11 +14,11 @@ from scipy.special import logsumexp
 from ..geometry.linear import factor_symmetric
 
 #: least standard deviation of a component in any direction, radians; captured joints are not more accurate
-FLOOR = np.radians(2.0)
+MIN_DEVIATION = np.radians(2.0)
 #: the most rounds of EM, and the gain in mean log-likelihood below which they end
-ROUNDS, GAIN = 200, 1e-5
+MAX_ITERATIONS, MIN_GAIN = 200, 1e-5
 #: runs of k-means; the one with the least sum of squares initialises EM
-TRIES = 5
+NUM_KMEANS_RUNS = 5
 
 
 class Mixture(NamedTuple):
@@ -38,39 +38,42 @@ class MixtureFit(NamedTuple):
 
 def fit_mixture(
     samples: Float[np.ndarray, "N D"],
-    count: int,
+    num_components: int,
     *,
-    floor: float = FLOOR,
+    min_deviation: float = MIN_DEVIATION,
     seed: int = 0,
-    rounds: int = ROUNDS,
-    gain: float = GAIN,
+    max_iterations: int = MAX_ITERATIONS,
+    min_gain: float = MIN_GAIN,
 ) -> MixtureFit:
-    """Fit a mixture of `count` Gaussians by EM (Adaptation, section 4.1.1); the likelihood never falls.
+    """Fit a mixture of `num_components` Gaussians by EM (Adaptation, section 4.1.1); the likelihood never falls.
 
-    **Arguments:** `floor` is the least standard deviation of a component in any direction, radians; `rounds`
-    is the most rounds, which end early if one gains less than `gain` per sample.
+    **Arguments:** `min_deviation` is the least standard deviation of a component in any direction, radians; `max_iterations`
+    is the most rounds, which end early if one gains less than `min_gain` per sample.
 
     **Raises:** `ValueError` if there are fewer samples than components, or if a sample is not finite.
     """
-    if not 1 <= count <= len(samples):
+    if not 1 <= num_components <= len(samples):
         raise ValueError(
-            f"A mixture of {count} components cannot be fitted to {len(samples)} samples; give more samples."
+            f"A mixture of {num_components} components cannot be fitted to {len(samples)} samples; give more samples."
         )
     if not np.isfinite(samples).all():
         raise ValueError("A sample is not finite; leave its frame out.")
     rng = np.random.default_rng(seed)
-    tries = [spread_labels(samples, count, rng) for _ in range(TRIES if count > 1 else 1)]
+    tries = [
+        kmeans_labels(samples, num_components, rng)
+        for _ in range(NUM_KMEANS_RUNS if num_components > 1 else 1)
+    ]
     labels, _ = min(tries, key=lambda found: found[1])
-    means = samples[:count]
-    mixture = _maximise(samples, np.eye(count)[labels], means, floor)
+    means = samples[:num_components]
+    mixture = _m_step(samples, np.eye(num_components)[labels], means, min_deviation)
     history = []
-    for _ in range(rounds + 1):
+    for _ in range(max_iterations + 1):
         joint = log_joint(mixture, samples)
         total = logsumexp(joint, axis=1)
         history.append(total.mean())
-        if len(history) > rounds or (len(history) > 1 and history[-1] - history[-2] < gain):
+        if len(history) > max_iterations or (len(history) > 1 and history[-1] - history[-2] < min_gain):
             break
-        mixture = _maximise(samples, np.exp(joint - total[:, None]), mixture.means, floor)
+        mixture = _m_step(samples, np.exp(joint - total[:, None]), mixture.means, min_deviation)
     # drop components without samples
     kept = mixture.weights > 0
     return MixtureFit(Mixture(*(part[kept] for part in mixture)), np.array(history))
@@ -93,8 +96,8 @@ def log_density(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np
     return logsumexp(log_joint(mixture, samples), axis=1)
 
 
-def spread_labels(
-    samples: Float[np.ndarray, "N D"], count: int, rng: np.random.Generator, rounds: int = 10
+def kmeans_labels(
+    samples: Float[np.ndarray, "N D"], count: int, rng: np.random.Generator, max_iterations: int = 10
 ) -> tuple[Int[np.ndarray, "N"], float]:
     """Cluster samples by k-means++ (Arthur and Vassilvitskii 2007) and a few rounds of k-means.
 
@@ -106,23 +109,23 @@ def spread_labels(
     with warnings.catch_warnings():
         # a cluster may lose its samples; the mixture drops it
         warnings.filterwarnings("ignore", "One of the clusters is empty")
-        centres, labels = kmeans2(samples, count, iter=rounds, minit="++", seed=rng)
+        centres, labels = kmeans2(samples, count, iter=max_iterations, minit="++", seed=rng)
     return labels, float(((samples - centres[labels]) ** 2).sum())
 
 
-def _maximise(samples, shares, means, floor) -> Mixture:
+def _m_step(samples, responsibilities, means, min_deviation) -> Mixture:
     """Perform the M step, with standard deviations bounded from below.
 
     Among covariances with no deviation below the floor, the most likely has the eigenvectors of the samples,
     and their variances raised to the floor. The step is therefore an exact maximiser, and the likelihood
     cannot fall.
     """
-    sizes = shares.sum(0)
+    sizes = responsibilities.sum(0)
     # keep the mean of a component without samples
     divisor = np.where(sizes > 0, sizes, 1.0)[:, None]
-    means = np.where(sizes[:, None] > 0, shares.T @ samples / divisor, means)
+    means = np.where(sizes[:, None] > 0, responsibilities.T @ samples / divisor, means)
     offsets = samples[None] - means[:, None]
-    covariances = np.swapaxes(offsets * shares.T[..., None], 1, 2) @ offsets / divisor[..., None]
+    covariances = np.swapaxes(offsets * responsibilities.T[..., None], 1, 2) @ offsets / divisor[..., None]
     variances, axes = np.linalg.eigh(covariances)
-    axes = axes / np.sqrt(np.maximum(variances, floor**2))[:, None]
+    axes = axes / np.sqrt(np.maximum(variances, min_deviation**2))[:, None]
     return Mixture(sizes / len(samples), means, axes @ np.swapaxes(axes, 1, 2))

@@ -10,70 +10,83 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, turning_joints
+from ..body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
-from ..body.pose import Motion, Pose, own_vectors
+from ..body.pose import Motion, Pose, local_rotation_vectors
 from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_symmetric
-from .gaussian_mixture import FLOOR
-from .model_selection import Chosen, choose_mixture
+from .gaussian_mixture import MIN_DEVIATION
+from .model_selection import MixtureSelection, select_mixture
 
 #: training poses: a motion, several motions of one skeleton, or poses stacked over frames
 Poses = Motion | Pose | Sequence[Motion]
 
-_own_vectors = eqx.filter_jit(jax.vmap(own_vectors, (None, 0)))
+_local_rotation_vectors = eqx.filter_jit(jax.vmap(local_rotation_vectors, (None, 0)))
 
 
 class LearnedPair(NamedTuple):
     """A pair of successive joints, the one nearer to the root first, and its selected mixture."""
 
     pair: tuple[str, str]
-    chosen: Chosen
+    selection: MixtureSelection
 
 
 @checked
 def learn_pair_prior(
-    skeleton: Skeleton, poses: Poses, *, most: int = 10, floor: float = FLOOR, seed: int = 0
+    skeleton: Skeleton,
+    poses: Poses,
+    *,
+    max_components: int = 10,
+    min_deviation: float = MIN_DEVIATION,
+    seed: int = 0,
 ) -> PairPrior:
     """Fit a Gaussian mixture over the rotations of each pair of successive joints.
 
-    Each mixture has the number of components, 1 to `most`, that best predicts left-out poses (Adaptation,
+    Each mixture has the number of components, 1 to `max_components`, that best predicts left-out poses (Adaptation,
     section 4.1.1 and eq. 4.1).
 
-    **Arguments:** `floor` is the least standard deviation of a component in any direction, radians. It is the
+    **Arguments:** `min_deviation` is the least standard deviation of a component in any direction, radians. It is the
     only regularisation of a joint that never moved.
 
     **Raises:** `ValueError` if no two successive joints rotate, if there are fewer than 4 poses, if poses
     have another number of joints, or if one is not finite.
     """
-    return pair_prior_of(skeleton, learn_pairs(skeleton, poses, most=most, floor=floor, seed=seed))
+    return build_pair_prior(
+        skeleton,
+        learn_pairs(skeleton, poses, max_components=max_components, min_deviation=min_deviation, seed=seed),
+    )
 
 
 def learn_pairs(
     skeleton: Skeleton,
     poses: Poses,
     *,
-    most: int = 10,
-    floor: float = FLOOR,
+    max_components: int = 10,
+    min_deviation: float = MIN_DEVIATION,
     seed: int = 0,
     progress: Callable[[Iterable, int], Iterable] = lambda pairs, total: pairs,
 ) -> tuple[LearnedPair, ...]:
     """Fit the mixtures of `learn_pair_prior` and return how each was selected; `progress` wraps the loop over
     pairs."""
-    vectors = turn_vectors(skeleton, poses)
+    vectors = rotation_vectors(skeleton, poses)
     pairs = successive_pairs(skeleton)
     if not pairs:
         raise ValueError("The skeleton has no pair of successive joints that rotate; expected at least one.")
     learned = []
     for above, below in progress(pairs, len(pairs)):
         both = np.concatenate([vectors[:, skeleton.index(name)] for name in (above, below)], 1)
-        learned.append(LearnedPair((above, below), choose_mixture(both, most=most, floor=floor, seed=seed)))
+        learned.append(
+            LearnedPair(
+                (above, below),
+                select_mixture(both, max_components=max_components, min_deviation=min_deviation, seed=seed),
+            )
+        )
     return tuple(learned)
 
 
-def pair_prior_of(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPrior:
+def build_pair_prior(skeleton: Skeleton, learned: Sequence[LearnedPair]) -> PairPrior:
     """Build the prior from learned pairs, padded to the largest number of components."""
-    width = max(len(one.chosen.mixture.weights) for one in learned)
+    width = max(len(one.selection.mixture.weights) for one in learned)
     weights, means = np.zeros((len(learned), width)), np.zeros((len(learned), width, 6))
     factors = np.tile(np.eye(6), (len(learned), width, 1, 1))
     frames = np.zeros((len(learned), 2, 4))
@@ -94,20 +107,20 @@ def learn_ranges(skeleton: Skeleton, poses: Poses, margin: float = 0.0) -> PoseB
     **Raises:** `ValueError` if there is no pose, if poses have another number of joints, or if one is not
     finite.
     """
-    joints = list(turning_joints(skeleton))
-    vectors = turn_vectors(skeleton, poses)[:, joints]
+    joints = list(rotating_joints(skeleton))
+    vectors = rotation_vectors(skeleton, poses)[:, joints]
     names = tuple(skeleton.names[joint] for joint in joints)
     return make_pose_boxes(names, vectors.min(0) - margin, vectors.max(0) + margin)
 
 
-def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]:
+def rotation_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]:
     """Compute the rotation of each joint from rest in each pose: rotation vectors in the joint frames,
     radians.
 
     **Raises:** `ValueError` if there is no pose, if poses have another number of joints, or if one is not
     finite.
     """
-    stacked = stack_of(poses)
+    stacked = concatenate_poses(poses)
     if stacked.rotations.ndim != 3 or not len(stacked.rotations):
         raise ValueError("There are no poses to learn from; give poses stacked over frames.")
     joints = stacked.rotations.shape[1]
@@ -115,14 +128,14 @@ def turn_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J 3"]
         raise ValueError(
             f"The poses have {joints} joints; expected {skeleton.num_joints}, as in the skeleton."
         )
-    vectors = np.asarray(_own_vectors(skeleton, stacked), float)
+    vectors = np.asarray(_local_rotation_vectors(skeleton, stacked), float)
     broken = ~np.isfinite(vectors).all((1, 2))
     if broken.any():
         raise ValueError(f"Pose {int(np.argmax(broken))} is not finite; leave it out.")
     return vectors
 
 
-def stack_of(poses: Poses) -> Pose:
+def concatenate_poses(poses: Poses) -> Pose:
     """Concatenate the poses of motions."""
     if isinstance(poses, Pose):
         return poses

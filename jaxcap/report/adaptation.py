@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..adapt.adapt_body import AdaptState, AdaptTask
-from ..adapt.evaluate import Stages, Variant, quantile, summary_of
+from ..adapt.evaluate import Evaluation, Variant, quantile, summarise
 from ..adapt.objective import Terms
 from ..arguments import checked
 from ..body.body import Body
@@ -19,7 +19,7 @@ from .adaptation_charts import (
     frame_chart,
     heat_maps,
     history_chart,
-    shake_table,
+    jitter_table,
 )
 from .page import Markup, element, page, section, table
 
@@ -31,7 +31,7 @@ VARIANTS = {
     "smooth": "the adapted body with the smoothed motion",
 }
 #: columns of the table of the objective's terms
-TERMS = (
+TERM_COLUMNS = (
     "stage",
     "pairs, mm",
     "pose prior",
@@ -40,7 +40,7 @@ TERMS = (
     "asymmetry, mm",
 )
 #: columns of the table of variants
-COLUMNS = (
+VARIANT_COLUMNS = (
     "body",
     "mean",
     "standard deviation",
@@ -51,74 +51,76 @@ COLUMNS = (
     "body to scan, median",
     "lost frames",
 )
-NOISE = """Distances include the noise of the scans, so no body has zero distances."""
-MEASURES = """MAD is the median absolute deviation from the median. IQR is the interquartile range, which contains half of
+NOISE_NOTE = """Distances include the noise of the scans, so no body has zero distances."""
+MEASURES_NOTE = """MAD is the median absolute deviation from the median. IQR is the interquartile range, which contains half of
 all distances. Distances from body to scan include every vertex, also those that no camera saw, and are limited from below by
 the gaps between points."""
-PLACES = """Each body at rest, from the front and the back. The colour of a vertex is the mean distance of its nearest scanned
+HEAT_MAP_NOTE = """Each body at rest, from the front and the back. The colour of a vertex is the mean distance of its nearest scanned
 points over all measured frames."""
-ALONE = """The rotation angle of each joint from rest, about its main axis. Poses that are fitted independently jitter with
+ANGLE_NOTE = """The rotation angle of each joint from rest, about its main axis. Poses that are fitted independently jitter with
 the noise of the scans."""
-SMOOTH = """ The smoothed motion should follow the movement without jitter."""
-SHAKE = """Jitter is the rotation of a joint from the mean of the previous and the next frame, as root mean square. Real
+SMOOTHING_NOTE = """ The smoothed motion should follow the movement without jitter."""
+JITTER_NOTE = """Jitter is the rotation of a joint from the mean of the previous and the next frame, as root mean square. Real
 movement contributes to it, too."""
-PAIRS = """The distance that the adaptation minimises: between the points of pairs, along their normals, with lower weights
+PAIRS_NOTE = """The distance that the adaptation minimises: between the points of pairs, along their normals, with lower weights
 for distant pairs. Some stages use other scans, so a small increase need not mean a worse body."""
-LOST = """Each frame is compared with the typical values of all frames for each part: unexplained points, surface that
+LOST_NOTE = """Each frame is compared with the typical values of all frames for each part: unexplained points, surface that
 should be visible but has no points, and the distance from the points to the body."""
 #: largest number of lost frames that are listed
-NAMED = 20
+MAX_LISTED = 20
 #: packages whose versions may affect a result
 PACKAGES = ("jaxcap", "jax", "numpy", "scipy")
 
 
 @checked
 def report_adaptation(
-    path: str | Path, task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]
+    path: str | Path, task: AdaptTask, state: AdaptState, stages: Evaluation, settings: Mapping[str, object]
 ) -> None:
     """Write the report as one HTML file that includes all pictures.
 
-    **Arguments:** `stages` with all variants, from `compare_stages`; `how` maps the options of the
+    **Arguments:** `stages` with all variants, from `compare_stages`; `settings` maps the options of the
     adaptation, by their user-visible names, to their values.
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    write_text(path, adaptation_page(task, state, stages, how))
+    write_text(path, adaptation_page(task, state, stages, settings))
 
 
 @checked
-def adaptation_page(task: AdaptTask, state: AdaptState, stages: Stages, how: Mapping[str, object]) -> str:
+def adaptation_page(
+    task: AdaptTask, state: AdaptState, stages: Evaluation, settings: Mapping[str, object]
+) -> str:
     """Build the page of `report_adaptation`."""
     skeleton, angles = state.body.skeleton, stages.angles
     parts = [
         element("h1", TITLE),
-        headline(task, state, stages),
+        summary_cards(task, state, stages),
         section(
             "Distances between scans and body",
             variant_table(stages.variants),
             *measure_notes(task, stages),
             distance_charts(stages.variants),
         ),
-        section("Distances on the body", element("p", PLACES), heat_maps(stages.variants)),
+        section("Distances on the body", element("p", HEAT_MAP_NOTE), heat_maps(stages.variants)),
     ]
-    if len(stages.measured) > 1:
+    if len(stages.measured_frames) > 1:
         parts.append(section("Distances over time", frame_chart(stages, task.rate)))
     if angles is not None and len(angles.seconds) > 2:
-        told = element("p", ALONE, SMOOTH if angles.after is not None else "")
-        shakes = (shake_table(angles, skeleton), element("p", SHAKE, class_="soft"))
+        told = element("p", ANGLE_NOTE, SMOOTHING_NOTE if angles.after is not None else "")
+        shakes = (jitter_table(angles, skeleton), element("p", JITTER_NOTE, class_="soft"))
         parts.append(section("Joint angles over time", told, angle_charts(angles, skeleton), *shakes))
     if state.lost:
-        parts.append(section("Lost frames", lost_table(state), element("p", LOST, class_="soft")))
+        parts.append(section("Lost frames", lost_table(state), element("p", LOST_NOTE, class_="soft")))
     every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
-    parts.append(section("Convergence", element("p", PAIRS), history_chart(state.history), every))
-    parts.append(section("Settings", how_table(task, how)))
+    parts.append(section("Convergence", element("p", PAIRS_NOTE), history_chart(state.history), every))
+    parts.append(section("Settings", settings_table(task, settings)))
     return page(TITLE, *parts)
 
 
-def headline(task: AdaptTask, state: AdaptState, stages: Stages) -> Markup:
+def summary_cards(task: AdaptTask, state: AdaptState, stages: Evaluation) -> Markup:
     """Summarise size, distances and lost frames in plain words."""
     first, last = stages.variants[0], stages.variants[-1]
-    before, after = (1000 * quantile(variant.to_body, 0.5) for variant in (first, last))
+    before, after = (1000 * quantile(variant.scan_to_body, 0.5) for variant in (first, last))
     size = (
         "is the size ratio of actor to template, before the adaptation of shape. At rest the height of the body is now "
         f"{_height(state.body):.2f} m, that of the template {_height(task.template):.2f} m."
@@ -130,7 +132,7 @@ def headline(task: AdaptTask, state: AdaptState, stages: Stages) -> Markup:
     lost = len(last.lost)
     followed = "were tracked. No frame was lost."
     if lost:
-        named = ", ".join(map(str, last.lost[:NAMED])) + (" and more" if lost > NAMED else "")
+        named = ", ".join(map(str, last.lost[:MAX_LISTED])) + (" and more" if lost > MAX_LISTED else "")
         followed = f"were tracked. Lost, counted from 0: {named}; their figures are not reliable."
     cards = (
         (f"× {state.size:.3f}", size),
@@ -154,16 +156,22 @@ def variant_table(variants: tuple[Variant, ...]) -> Markup:
     It adds the ninth decile, the distances from body to scan, and lost frames.
     """
     return table(
-        "Distance from scanned points to the body, millimetres", COLUMNS, [_row(v) for v in variants]
+        "Distance from scanned points to the body, millimetres",
+        VARIANT_COLUMNS,
+        [_variant_row(v) for v in variants],
     )
 
 
-def measure_notes(task: AdaptTask, stages: Stages) -> list[Markup]:
+def measure_notes(task: AdaptTask, stages: Evaluation) -> list[Markup]:
     """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
-    points = int(stages.variants[0].to_body.counts.sum())
-    frames = f"{len(stages.measured)} of {task.frames} frames were measured, with {points:,} points in total."
-    notes = (f"{kinds[:1].upper()}{kinds[1:]}.", f"{frames} Lost frames are included. {NOISE}", MEASURES)
+    points = int(stages.variants[0].scan_to_body.counts.sum())
+    frames = f"{len(stages.measured_frames)} of {task.frames} frames were measured, with {points:,} points in total."
+    notes = (
+        f"{kinds[:1].upper()}{kinds[1:]}.",
+        f"{frames} Lost frames are included. {NOISE_NOTE}",
+        MEASURES_NOTE,
+    )
     return [element("p", note, class_="soft") for note in notes]
 
 
@@ -176,13 +184,14 @@ def history_table(history: Sequence[tuple[str, float]], terms: Sequence[Terms]) 
         rows.append(
             [name, f"{distance:.2f}", f"{values.pose:.3g}", f"{shake:.2f}", *(f"{v:.2f}" for v in lengths)]
         )
-    return table("Terms of the objective after every stage", TERMS, rows)
+    return table("Terms of the objective after every stage", TERM_COLUMNS, rows)
 
 
-def how_table(task: AdaptTask, how: Mapping[str, object]) -> Markup:
+def settings_table(task: AdaptTask, settings: Mapping[str, object]) -> Markup:
     """Tabulate options and versions."""
     rows = [
-        [name.replace("_", " "), "not given" if value is None else str(value)] for name, value in how.items()
+        [name.replace("_", " "), "not given" if value is None else str(value)]
+        for name, value in settings.items()
     ]
     rows += [
         ["number of scans", str(task.frames)],
@@ -193,10 +202,10 @@ def how_table(task: AdaptTask, how: Mapping[str, object]) -> Markup:
     return table("Options and versions", ["option", "value"], rows, words=(1,))
 
 
-def _row(variant: Variant) -> list[str]:
-    summary = summary_of(variant.to_body)
+def _variant_row(variant: Variant) -> list[str]:
+    summary = summarise(variant.scan_to_body)
     distances = [summary.mean, summary.sd, summary.median, summary.mad, summary.iqr]
-    distances += [quantile(variant.to_body, 0.9), quantile(variant.to_scan, 0.5)]
+    distances += [quantile(variant.scan_to_body, 0.9), quantile(variant.body_to_scan, 0.5)]
     return [variant.name, *(f"{1000 * x:.2f}" for x in distances), str(len(variant.lost))]
 
 

@@ -9,15 +9,15 @@ from jaxtyping import Float
 
 from ..arguments import checked
 from ..body.body import Body
-from .chart import TICKS, number, ticks
+from .chart import TICKS, format_number, ticks
 from .page import Markup, element
-from .pictures import HEAT, new_figure, nice
-from .render import draw_surface, frame, turned
+from .pictures import HEAT_COLOURS, new_figure, round_up
+from .render import draw_surface, rotate_view, set_frame
 
 #: colour of vertices that are nearest to no scanned point
-UNSEEN = np.array([0.62, 0.64, 0.66])
+UNSEEN_COLOUR = np.array([0.62, 0.64, 0.66])
 #: height of a body in a picture, inches
-TALL = 4.2
+BODY_HEIGHT = 4.2
 
 
 def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
@@ -26,7 +26,7 @@ def heat_limit(heats: Sequence[Float[np.ndarray, "_"]]) -> float:
     if not len(known):
         return 1.0
     high = float(np.quantile(known, 0.96))
-    return nice(high / TICKS) * float(np.ceil(high / nice(high / TICKS)))
+    return round_up(high / TICKS) * float(np.ceil(high / round_up(high / TICKS)))
 
 
 @checked
@@ -49,8 +49,8 @@ def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]
 
 def colour_scale(limit: float, unit: str, unseen: str) -> Markup:
     """Build the legend of `heat_pictures`, with `limit` in a unit; `unseen` explains grey."""
-    bar = element("div", class_="bar", style=f"background: linear-gradient(90deg, {', '.join(HEAT)})")
-    values = [number(value) for value in ticks(0.0, limit)]
+    bar = element("div", class_="bar", style=f"background: linear-gradient(90deg, {', '.join(HEAT_COLOURS)})")
+    values = [format_number(value) for value in ticks(0.0, limit)]
     ends = element("div", *(element("span", value) for value in values), class_="ends")
     told = f"Mean distance, {unit}; {values[-1]} and more are dark red. {unseen}"
     return element("div", bar, ends, element("div", told), class_="scale")
@@ -75,15 +75,17 @@ def _picture(
     from matplotlib.colors import LinearSegmentedColormap
 
     known = np.isfinite(heat)
-    colours = LinearSegmentedColormap.from_list("heat", HEAT)(np.where(known, heat, 0.0) / limit)[:, :3]
-    paint = np.where(known[:, None], colours, UNSEEN)
-    wide = float(np.clip(TALL * reach[0] / reach[1], 1.2, 6.0))
-    canvas, figure = new_figure(2 * wide, TALL)
+    colours = LinearSegmentedColormap.from_list("heat", HEAT_COLOURS)(np.where(known, heat, 0.0) / limit)[
+        :, :3
+    ]
+    paint = np.where(known[:, None], colours, UNSEEN_COLOUR)
+    wide = float(np.clip(BODY_HEIGHT * reach[0] / reach[1], 1.2, 6.0))
+    canvas, figure = new_figure(2 * wide, BODY_HEIGHT)
     # the page background may be light or dark
     figure.set_facecolor("none")
     for plot, degrees in zip(figure.subplots(1, 2), (0.0, 180.0), strict=True):
-        draw_surface(plot, vertices, faces, turned(view, degrees), paint)
-        frame(plot, -reach, reach)
+        draw_surface(plot, vertices, faces, rotate_view(view, degrees), paint)
+        set_frame(plot, -reach, reach)
     figure.subplots_adjust(left=0, right=1, top=1, bottom=0, wspace=0)
     told = io.BytesIO()
     canvas.print_png(told)

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion
-from ..io.system.atomic import replacing
+from ..io.system.atomic import atomic_path
 from ..io.table import write_json
-from ..learn.learn_body import COARSE
+from ..learn.learn_body import COARSE_PREFIX
 from ..observe import MeshSequence
 from .pictures import error_pictures, new_figure
 from .render import INK
@@ -20,7 +20,7 @@ from .scores import Scores
 from .weights import weight_pictures
 
 #: colours of the steps of a round, in their order
-STEPS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
+STEP_COLOURS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
 
 
 @checked
@@ -47,10 +47,10 @@ def report_learning(
     ]
     pictures += weight_pictures(folder, body)
     if len(history):
-        pictures.append(_history(folder / "history.png", history))
+        pictures.append(_plot_history(folder / "history.png", history))
     known = None if curve is None or not len(curve) else np.asarray(curve, float)
     if known is not None:
-        pictures.append(_curve(folder / "parts.png", known, body.skeleton.num_joints))
+        pictures.append(_plot_curve(folder / "parts.png", known, body.skeleton.num_joints))
     write_json(
         folder / "report.json",
         {
@@ -71,21 +71,21 @@ def report_learning(
     return pictures
 
 
-def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
+def _plot_history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
     """Plot the objective after every step, one colour per type of step; hollow for a vertex subset."""
     from matplotlib.ticker import NullFormatter
 
     canvas, figure = new_figure(7.5, 3.8)
     plot = figure.subplots()
-    kinds = [step.removeprefix(COARSE) for step, _ in history]
-    hollow = np.array([step.startswith(COARSE) for step, _ in history])
+    kinds = [step.removeprefix(COARSE_PREFIX) for step, _ in history]
+    hollow = np.array([step.startswith(COARSE_PREFIX) for step, _ in history])
     values = np.array([value for _, value in history])
     # the objective on other vertices is not comparable
     begins = [i for i, name in enumerate(step for step, _ in history) if name.endswith("start")]
     for begin, end in zip([0, *begins], [*begins, len(values)], strict=True):
         plot.plot(np.arange(begin, end), values[begin:end], color="#9aa5b1", linewidth=1.2, zorder=1)
     for number, name in enumerate(dict.fromkeys(kinds)):
-        colour, own = STEPS[number % len(STEPS)], np.array([kind == name for kind in kinds])
+        colour, own = STEP_COLOURS[number % len(STEP_COLOURS)], np.array([kind == name for kind in kinds])
         plot.scatter([], [], s=22, color=colour, label=name)
         for some, face in ((hollow, "white"), (~hollow, colour)):
             at = np.flatnonzero(own & some)
@@ -99,19 +99,19 @@ def _history(path: Path, history: Sequence[tuple[str, float]]) -> Path:
         plot.yaxis.set_minor_formatter("{x:g}" if few else NullFormatter())
     plot.tick_params(which="minor", labelsize=8, colors=INK)
     plot.xaxis.get_major_locator().set_params(integer=True)
-    _finish(plot, "step", "objective Q, m²")
+    _style_axes(plot, "step", "objective Q, m²")
     plot.legend(frameon=False, fontsize=8)
-    return _write(path, canvas, figure)
+    return _save_figure(path, canvas, figure)
 
 
-def _curve(path: Path, curve: Float[np.ndarray, "N"], joints: int) -> Path:
+def _plot_curve(path: Path, curve: Float[np.ndarray, "N"], joints: int) -> Path:
     """Plot the error of rigid parts over their number, and mark the selected number."""
     canvas, figure = new_figure(6.5, 3.8)
     plot = figure.subplots()
     parts = np.arange(1, len(curve) + 1)
-    plot.plot(parts, 1000 * curve, color=STEPS[0], linewidth=1.6)
+    plot.plot(parts, 1000 * curve, color=STEP_COLOURS[0], linewidth=1.6)
     if joints <= len(curve):
-        plot.scatter([joints], [1000 * curve[joints - 1]], s=45, color=STEPS[1], zorder=3)
+        plot.scatter([joints], [1000 * curve[joints - 1]], s=45, color=STEP_COLOURS[1], zorder=3)
         plot.annotate(
             f"{joints} parts",
             (joints, 1000 * curve[joints - 1]),
@@ -120,11 +120,11 @@ def _curve(path: Path, curve: Float[np.ndarray, "N"], joints: int) -> Path:
             fontsize=9,
         )
     plot.set_ylim(bottom=0)
-    _finish(plot, "rigid parts", "root mean square error, mm")
-    return _write(path, canvas, figure)
+    _style_axes(plot, "rigid parts", "root mean square error, mm")
+    return _save_figure(path, canvas, figure)
 
 
-def _finish(plot: Any, x: str, y: str) -> None:
+def _style_axes(plot: Any, x: str, y: str) -> None:
     plot.set_xlabel(x, fontsize=9, color=INK)
     plot.set_ylabel(y, fontsize=9, color=INK)
     plot.tick_params(labelsize=8, colors=INK)
@@ -133,8 +133,8 @@ def _finish(plot: Any, x: str, y: str) -> None:
         plot.spines[side].set_visible(False)
 
 
-def _write(path: Path, canvas: Any, figure: Any) -> Path:
+def _save_figure(path: Path, canvas: Any, figure: Any) -> Path:
     figure.tight_layout()
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         canvas.print_png(beside)
     return path

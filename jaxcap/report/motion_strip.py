@@ -8,12 +8,12 @@ from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..io.system.atomic import replacing
+from ..io.system.atomic import atomic_path
 from .pictures import new_figure
-from .render import INK, frame, view_axes
+from .render import INK, set_frame, view_axes
 
 #: frames in a strip; colours of bones, and of bones below marked joints
-SHOWN, BONE, MARKED = 8, "#5b6770", "#c81d25"
+MAX_FRAMES, BONE_COLOUR, MARKED_COLOUR = 8, "#5b6770", "#c81d25"
 
 
 @checked
@@ -34,7 +34,7 @@ def draw_strip(
     """
     chosen = np.flatnonzero(marked.any(1))
     chosen = chosen if len(chosen) else np.arange(len(before))
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(SHOWN, len(chosen))).astype(int))]
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_FRAMES, len(chosen))).astype(int))]
     rows = [np.asarray(joint_paths(skeleton, motion.poses), float)[chosen] for motion in (before, after)]
     axes = view_axes(rows[0][0])
     canvas, figure = new_figure(1.7 * len(chosen) + 0.3, 5.4)
@@ -47,11 +47,13 @@ def draw_strip(
                 if parent < 0:
                     continue
                 red = row == 0 and marked[number, parent]
-                plot.plot(*seen[[parent, child], :2].T, color=MARKED if red else BONE, lw=2.6 if red else 1.6,
+                plot.plot(*seen[[parent, child], :2].T, color=MARKED_COLOUR if red else BONE_COLOUR, lw=2.6 if red else 1.6,
                           solid_capstyle="round")  # fmt: skip
             reach = (rows[0] - rows[0].mean(1, keepdims=True)) @ axes.T
-            frame(plot, reach.min((0, 1))[:2], reach.max((0, 1))[:2], f"frame {number}" if row == 0 else "")
+            set_frame(
+                plot, reach.min((0, 1))[:2], reach.max((0, 1))[:2], f"frame {number}" if row == 0 else ""
+            )
     figure.suptitle(title, fontsize=11, color=INK)
     figure.subplots_adjust(left=0.01, right=0.99, top=0.88, bottom=0.02, wspace=0.02, hspace=0.04)
-    with replacing(Path(path)) as beside:
+    with atomic_path(Path(path)) as beside:
         canvas.print_png(beside)

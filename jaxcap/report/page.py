@@ -61,10 +61,10 @@ def element(tag: str, *children: str, **attributes: object) -> Markup:
     )
     if tag in VOID:
         return Markup(f"<{tag}{told}>")
-    return Markup(f"<{tag}{told}>{joined(*children)}</{tag}>")
+    return Markup(f"<{tag}{told}>{join_markup(*children)}</{tag}>")
 
 
-def joined(*children: str) -> Markup:
+def join_markup(*children: str) -> Markup:
     """Concatenate children, escaped if they are not `Markup`."""
     return Markup("".join(x if isinstance(x, Markup) else html.escape(x) for x in children))
 

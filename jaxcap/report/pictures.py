@@ -8,16 +8,16 @@ from jaxtyping import Float
 
 from ..body.body import Body
 from ..body.pose import Motion
-from ..io.system.atomic import replacing
+from ..io.system.atomic import atomic_path
 from ..metrics import scan_to_surface
 from ..observe import MeshSequence
-from .render import INK, PAPER, draw_surface, frame, turned, view_axes
+from .render import INK, PAPER, draw_surface, rotate_view, set_frame, view_axes
 from .scores import Scores, posed_vertices
 
 #: number of meshes in a picture, and angles of the views from the front and the side, degrees
-SHOWN, VIEWS = 5, (25.0, 115.0)
-INPUT = np.array([1.0, 0.86, 0.48])
-HEAT = ("#4f7fd1", "#45b3d6", "#8fdcae", "#ffe066", "#ff8a45", "#cf2434")
+MAX_MESHES, VIEWS = 5, (25.0, 115.0)
+MESH_COLOUR = np.array([1.0, 0.86, 0.48])
+HEAT_COLOURS = ("#4f7fd1", "#45b3d6", "#8fdcae", "#ffe066", "#ff8a45", "#cf2434")
 
 
 def error_pictures(
@@ -41,14 +41,14 @@ def error_pictures(
     ranked = sorted(fitted, key=lambda number: scores.meshes[number].mean)
     shown = [
         ranked[i]
-        for i in np.unique(np.linspace(0, len(ranked) - 1, min(SHOWN, len(ranked))).round().astype(int))
+        for i in np.unique(np.linspace(0, len(ranked) - 1, min(MAX_MESHES, len(ranked))).round().astype(int))
     ]
     meshes = [np.asarray(sequence[number], float) for number in shown]
     posed = [np.asarray(posed_vertices(body, motion[number]), float) for number in shown]
     faces = np.asarray(body.faces)
     heat = [1000 * scan_to_surface(there, here, faces) for there, here in zip(meshes, posed, strict=True)]
     titles = [
-        f"{_short(scores.meshes[number].name)}\n{1000 * scores.meshes[number].mean:.1f} ± "
+        f"{_short_name(scores.meshes[number].name)}\n{1000 * scores.meshes[number].mean:.1f} ± "
         f"{1000 * scores.meshes[number].sd:.1f} mm"
         for number in shown
     ]
@@ -58,7 +58,7 @@ def error_pictures(
         if name == "error"
         else name.removeprefix("error-").replace("-", " ")
     )
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         _draw(beside, faces, meshes, posed, heat, titles, f"{label}: mean {1000 * scores.mean:.2f} mm, standard deviation "
               f"{1000 * scores.sd:.2f} mm over {len(scores.meshes)} meshes")  # fmt: skip
     return [path]
@@ -76,15 +76,17 @@ def _draw(
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    colours = LinearSegmentedColormap.from_list("heat", HEAT)
-    scale = Normalize(0.0, nice(float(np.quantile(np.concatenate(heat), 0.98))))
+    colours = LinearSegmentedColormap.from_list("heat", HEAT_COLOURS)
+    scale = Normalize(0.0, round_up(float(np.quantile(np.concatenate(heat), 0.98))))
     axes = view_axes(np.median(meshes, axis=0))
     middles = [0.5 * (mesh.min(0) + mesh.max(0)) for mesh in meshes]
     meshes, posed = (
         [mesh - middle for mesh, middle in zip(some, middles, strict=True)] for some in (meshes, posed)
     )
     rows = [(meshes, VIEWS[0], None), *((posed, degrees, heat) for degrees in VIEWS)]
-    boxes = [_box([mesh @ turned(axes, degrees).T for mesh in shapes]) for shapes, degrees, _ in rows]
+    boxes = [
+        _bounding_box([mesh @ rotate_view(axes, degrees).T for mesh in shapes]) for shapes, degrees, _ in rows
+    ]
     width = max(high[0] - low[0] for low, high in boxes)
     height = max(high[1] - low[1] for low, high in boxes)
     wide = float(np.clip(2.6 * width / height, 1.1, 4.0))
@@ -93,9 +95,9 @@ def _draw(
     for number, (shapes, degrees, values) in enumerate(rows):
         low, high = boxes[number]
         for column, plot in enumerate(plots[number]):
-            paint = INPUT if values is None else colours(scale(values[column]))[:, :3]
-            draw_surface(plot, shapes[column], faces, turned(axes, degrees), paint)
-            frame(plot, low, high, titles[column] if number == 0 else "")
+            paint = MESH_COLOUR if values is None else colours(scale(values[column]))[:, :3]
+            draw_surface(plot, shapes[column], faces, rotate_view(axes, degrees), paint)
+            set_frame(plot, low, high, titles[column] if number == 0 else "")
     total = figure.get_figheight()
     figure.suptitle(title, fontsize=12, color=INK, y=1 - 0.2 / total)
     figure.subplots_adjust(
@@ -118,12 +120,12 @@ def new_figure(width: float, height: float) -> tuple[Any, Any]:
     return FigureCanvasAgg(figure), figure
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     """Shorten the name of a mesh to that without its folder, or to that within its file."""
     return name[name.index("[") + 1 : -1] if name.endswith("]") and "[" in name else Path(name).name
 
 
-def nice(value: float) -> float:
+def round_up(value: float) -> float:
     """Round up to 1, 2, 3, 5 or 10 times a power of ten; 1 for values that are not positive."""
     if not value > 0:
         return 1.0
@@ -131,5 +133,5 @@ def nice(value: float) -> float:
     return float(next(step * power for step in (1, 2, 3, 5, 10) if step * power >= value))
 
 
-def _box(shapes: list[np.ndarray]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+def _bounding_box(shapes: list[np.ndarray]) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     return np.min([mesh.min(0) for mesh in shapes], 0)[:2], np.max([mesh.max(0) for mesh in shapes], 0)[:2]

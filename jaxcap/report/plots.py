@@ -7,22 +7,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..metrics import scan_to_surface
-from .render import INK, draw_shadow, draw_surface, frame, in_front, raised, turned
+from .render import INK, draw_shadow, draw_surface, raise_view, rotate_view, set_frame, visible_points
 
 #: from near to far, as in the picture of `jaxcap demo`
-DISTANCE = ("#0b6e8f", "#17a398", "#f2b134", "#d7263d")
+DISTANCE_COLOURS = ("#0b6e8f", "#17a398", "#f2b134", "#d7263d")
 #: colours of surfaces, of the lines of charts in their order, and of secondary elements
 SKIN = np.array([0.66, 0.73, 0.81])
 BLUE, RED, GREEN, AMBER, QUIET = "#0b6e8f", "#d7263d", "#3a9d5d", "#e0942a", "#9aa5b1"
 #: view of people, slightly from the side and from above
-PERSON = raised(turned(np.eye(3), 22.0), 9.0)
+PERSON = raise_view(rotate_view(np.eye(3), 22.0), 9.0)
 
 
 def distance_colours() -> Any:
     """Return the colour map of distances."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    return LinearSegmentedColormap.from_list("distance", DISTANCE)
+    return LinearSegmentedColormap.from_list("distance", DISTANCE_COLOURS)
 
 
 def draw_person(
@@ -54,7 +54,7 @@ def draw_scan(
     """
     distances = scan_to_surface(np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces))
     seen = np.asarray(points, float) @ view.T
-    shown = in_front(np.asarray(vertices, float) @ view.T, seen)
+    shown = visible_points(np.asarray(vertices, float) @ view.T, seen)
     plot.scatter(
         *seen[shown, :2].T, c=distances[shown], cmap=distance_colours(), vmin=0.0, vmax=far, s=size,
         linewidths=0, alpha=0.9, zorder=3,
@@ -82,14 +82,14 @@ def frame_together(plots: Any, seen: Sequence[Float[np.ndarray, "V 3"]], titles:
     """Frame all plots by the common bounding box of their contents, each with its title."""
     low, high = np.min([some.min(0) for some in seen], 0)[:2], np.max([some.max(0) for some in seen], 0)[:2]
     for plot, title in zip(plots, titles, strict=True):
-        frame(plot, low, high, title)
+        set_frame(plot, low, high, title)
 
 
-def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
+def style_chart(plot: Any, title: str, x_label: str = "", y_label: str = "") -> None:
     """Set the title of a chart, which states its message, its axis labels, and a grid in the background."""
     plot.set_title(title, fontsize=10, color=INK, loc="left", pad=9, fontweight="semibold")
-    plot.set_xlabel(across, fontsize=8.5, color=INK)
-    plot.set_ylabel(up, fontsize=8.5, color=INK)
+    plot.set_xlabel(x_label, fontsize=8.5, color=INK)
+    plot.set_ylabel(y_label, fontsize=8.5, color=INK)
     plot.grid(axis="y", color="#e4e8ed", linewidth=0.8)
     plot.set_axisbelow(True)
     plot.tick_params(which="both", labelsize=8, colors="#52606d", length=0)
@@ -98,7 +98,7 @@ def chart(plot: Any, title: str, across: str = "", up: str = "") -> None:
     plot.spines["bottom"].set_color("#c3cad3")
 
 
-def say(plot: Any, text: str, at: Any, colour: str = INK, **more: Any) -> None:
+def label_point(plot: Any, text: str, at: Any, colour: str = INK, **more: Any) -> None:
     """Label a point with a few words in its colour."""
     plot.annotate(
         text, at, textcoords="offset points", fontsize=8.5, color=colour, **({"xytext": (6, 4)} | more)

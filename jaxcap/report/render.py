@@ -11,9 +11,9 @@ PAPER, INK, CLAY = "#ffffff", "#1f2933", np.array([0.80, 0.79, 0.76])
 LIGHTS = ((np.array([-0.45, 0.65, 0.61]), 0.58), (np.array([0.80, 0.05, 0.45]), 0.20))
 AMBIENT = 0.36
 #: strength and exponent of the specular reflection of the upper left light
-GLOSS, NARROW = 0.10, 18
+GLOSS, GLOSS_EXPONENT = 0.10, 18
 #: meshes with fewer triangles are subdivided once, for smooth shading
-COARSE = 9_000
+MIN_FACES = 9_000
 #: colour of a shadow, and the light's direction for shadows, metres per metre down
 SHADOW, SHADOW_DIRECTION = "#e2e6ec", np.array([0.22, -1.0, -0.32])
 
@@ -33,7 +33,7 @@ def view_axes(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
     return axes
 
 
-def turned(axes: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
+def rotate_view(axes: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
     """Rotate the body in a view about the vertical, to its left for positive degrees."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ axes
@@ -53,8 +53,8 @@ def draw_surface(
 
     seen = whole = np.asarray(vertices, float) @ view.T
     faces, colours = np.asarray(faces), np.broadcast_to(colours, seen.shape)
-    if len(faces) < COARSE:
-        seen, faces, colours = _finer(seen, faces, colours)
+    if len(faces) < MIN_FACES:
+        seen, faces, colours = _subdivide(seen, faces, colours)
     corners = seen[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(seen)
@@ -65,7 +65,7 @@ def draw_surface(
     for direction, strength in LIGHTS:
         light += strength * np.clip(normals @ (direction / np.linalg.norm(direction)), 0.0, 1.0)
     between = LIGHTS[0][0] / np.linalg.norm(LIGHTS[0][0]) + np.array([0.0, 0.0, 1.0])
-    gloss = GLOSS * np.clip(normals @ (between / np.linalg.norm(between)), 0.0, 1.0) ** NARROW
+    gloss = GLOSS * np.clip(normals @ (between / np.linalg.norm(between)), 0.0, 1.0) ** GLOSS_EXPONENT
     shaded = np.clip(colours * light[:, None] + gloss[:, None], 0.0, 1.0)
     front = np.flatnonzero(flat[:, 2] > 0)
     front = front[np.argsort(corners[front, :, 2].mean(1))]
@@ -94,7 +94,7 @@ def draw_shadow(
     """Draw the shadow of a surface on the floor; return its vertices in view coordinates.
 
     `floor` is the height of the floor, metres along y; below its lowest vertex if None. A `view` from above
-    (`raised`) shows the shadow.
+    (`raise_view`) shows the shadow.
     """
     from matplotlib.collections import PolyCollection
 
@@ -110,13 +110,13 @@ def draw_shadow(
     return seen
 
 
-def raised(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
+def raise_view(view: Float[np.ndarray, "3 3"], degrees: float) -> Float[np.ndarray, "3 3"]:
     """Rotate a view so that the eye looks down by an angle, degrees."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ view
 
 
-def in_front(
+def visible_points(
     vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "N 3"], cell: float = 0.03
 ) -> Int[np.ndarray, "M"]:
     """Find the points that a surface does not hide; return their indices, far ones first.
@@ -133,7 +133,7 @@ def in_front(
     return open_ones[np.argsort(points[open_ones, 2])]
 
 
-def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], title: str = "") -> None:
+def set_frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], title: str = "") -> None:
     """Set the limits of axes to a bounding box with a margin, hide their lines, and set a title."""
     margin = 0.04 * float((high - low).max())
     plot.set(
@@ -144,7 +144,7 @@ def frame(plot: Any, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], 
         plot.set_title(title, fontsize=9.5, color=INK)
 
 
-def _finer(seen: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
+def _subdivide(seen: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> tuple[np.ndarray, ...]:
     """Subdivide each triangle into four, at the midpoints of its edges."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
     once, which = np.unique(edges.reshape(-1, 2), axis=0, return_inverse=True)

@@ -62,12 +62,12 @@ def score_meshes(
     sequence: MeshSequence,
     names: tuple[str, ...],
     fitted: np.ndarray | None = None,
-    each: Callable[[Iterator[MeshScore]], Iterator[MeshScore]] = iter,
+    progress: Callable[[Iterator[MeshScore]], Iterator[MeshScore]] = iter,
 ) -> Scores:
     """Compute the `Scores` of a body posed as in `motion` against the meshes.
 
     **Arguments:** `names` of the meshes; `fitted (F,)` marks those with a valid pose, all if not given;
-    `each` may pass the scores through a progress bar.
+    `progress` may pass the scores through a progress bar.
     """
     fitted = np.ones(len(sequence), bool) if fitted is None else np.asarray(fitted)
     faces = np.asarray(body.faces)
@@ -84,7 +84,7 @@ def score_meshes(
         mean, sd, worst = float(apart.mean()), float(apart.std()), float(apart.max())
         return MeshScore(names[frame], mean, sd, worst, rmse, bool(fitted[frame]))
 
-    return total_scores(tuple(each(score(frame) for frame in range(len(sequence)))))
+    return total_scores(tuple(progress(score(frame) for frame in range(len(sequence)))))
 
 
 @checked

@@ -10,9 +10,9 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.skin import SwingTwistSkin
 from ..geometry import rotation
-from ..io.system.atomic import replacing
+from ..io.system.atomic import atomic_path
 from .pictures import new_figure
-from .render import INK, distinct_colours, draw_surface, frame, turned, view_axes
+from .render import INK, distinct_colours, draw_surface, rotate_view, set_frame, view_axes
 
 #: colours of the axes x (twist), y and z of a joint; degrees of the two views
 AXES, VIEWS = ("#d7263d", "#2e9e4f", "#2a5fd0"), (25.0, 115.0)
@@ -40,11 +40,11 @@ def weight_pictures(folder: str | Path, body: Body) -> list[Path]:
             panels.append((label, shares @ palette + left * NEUTRAL))
     else:
         panels = [
-            ("parts", palette[np.asarray(skin.parts())]),
-            ("weights", np.asarray(skin.influence(count), float) @ palette),
+            ("parts", palette[np.asarray(skin.dominant_bones())]),
+            ("weights", np.asarray(skin.bone_weights(count), float) @ palette),
         ]
     path = Path(folder) / "weights.png"
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         _draw(beside, body, panels, palette)
     return [path]
 
@@ -52,7 +52,7 @@ def weight_pictures(folder: str | Path, body: Body) -> list[Path]:
 def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette: np.ndarray) -> None:
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     axes = view_axes(vertices)
-    views = [turned(axes, degrees) for degrees in VIEWS]
+    views = [rotate_view(axes, degrees) for degrees in VIEWS]
     boxes = [((vertices @ view.T).min(0)[:2], (vertices @ view.T).max(0)[:2]) for view in views]
     width, height = (max(high[side] - low[side] for low, high in boxes) for side in (0, 1))
     wide = float(np.clip(4.2 * width / height, 1.9, 6.0))
@@ -62,15 +62,15 @@ def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette:
     for row, (view, box) in enumerate(zip(views, boxes, strict=True)):
         for plot, (label, paint) in zip(plots[row], panels, strict=False):
             draw_surface(plot, vertices, faces, view, paint)
-            frame(plot, *box, label if row == 0 else "")
+            set_frame(plot, *box, label if row == 0 else "")
         draw_surface(plots[row, -1], vertices, faces, view, opacity=0.35)
-        _skeleton(plots[row, -1], body, view, palette, 0.035 * height)
-        frame(plots[row, -1], *box, "joints, twist axis red" if row == 0 else "")
+        _draw_skeleton(plots[row, -1], body, view, palette, 0.035 * height)
+        set_frame(plots[row, -1], *box, "joints, twist axis red" if row == 0 else "")
     figure.subplots_adjust(left=0.005, right=0.995, top=0.955, bottom=0.01, wspace=0.02, hspace=0.02)
     canvas.print_png(path)
 
 
-def _skeleton(plot: Any, body: Body, view: np.ndarray, palette: np.ndarray, length: float) -> None:
+def _draw_skeleton(plot: Any, body: Body, view: np.ndarray, palette: np.ndarray, length: float) -> None:
     """Draw bones as lines, joints as dots, and the axes of each joint's own frame, x longest."""
     skeleton = body.skeleton
     centres = np.asarray(skeleton.centres, float) @ view.T

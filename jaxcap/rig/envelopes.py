@@ -59,7 +59,7 @@ def default_radii(
     return radii
 
 
-def envelope_parts(
+def assign_bones(
     vertices: Float[np.ndarray, "V 3"],
     skeleton: Skeleton,
     tails: Float[np.ndarray, "J 3"] | None,

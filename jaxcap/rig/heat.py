@@ -10,7 +10,7 @@ from ..geometry.linear import factor_sparse
 from .envelopes import bone_distances, default_tails
 
 #: largest number of bones per vertex
-INFLUENCES = 4
+MAX_INFLUENCES = 4
 
 
 def heat_weights(
@@ -25,7 +25,7 @@ def heat_weights(
 
     `p_j` is one if bone `j` is a vertex's nearest, `H = heat / d^2` conducts heat from it over the distance
     `d`, and `L` diffuses it over the surface. A bone is visible only from vertices with a normal that points
-    away from it; this replaces the paper's test by rays. Return weights of at most `INFLUENCES` bones per
+    away from it; this replaces the paper's test by rays. Return weights of at most `MAX_INFLUENCES` bones per
     vertex; rows sum to one.
 
     **Arguments:** `tails (J, 3)` metres, `default_tails` if None; `deforming (J,)` of bool marks bones that
@@ -51,30 +51,30 @@ def smooth_weights(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     weights: Float[np.ndarray, "V J"],
-    trust: Float[np.ndarray, "V"],
+    confidence: Float[np.ndarray, "V"],
     width: float,
 ) -> Float[np.ndarray, "V J"]:
     """Smooth weights over the surface by about `width` metres, in one implicit diffusion step.
 
-    Return weights of at most `INFLUENCES` bones per vertex; rows sum to one.
+    Return weights of at most `MAX_INFLUENCES` bones per vertex; rows sum to one.
 
     **Arguments:** `trust (V,)`, confidence in a vertex's weights from 0 to 1: a vertex of confidence zero
     takes its weights from the surface around it, at any distance.
     """
     laplacian, areas, _ = surface_operators(vertices, faces)
     # a small confidence everywhere keeps the system regular for components without any
-    return prune_weights(_equilibrium(width**2 * laplacian, areas * np.maximum(trust, 1e-4), weights))
+    return prune_weights(_equilibrium(width**2 * laplacian, areas * np.maximum(confidence, 1e-4), weights))
 
 
 def prune_weights(
-    weights: Float[np.ndarray, "V J"], count: int = INFLUENCES, least: float = 1e-3
+    weights: Float[np.ndarray, "V J"], count: int = MAX_INFLUENCES, min_weight: float = 1e-3
 ) -> Float[np.ndarray, "V J"]:
-    """Keep the `count` largest weights of every row, none below `least`; rows sum to one again."""
-    kept = weights >= np.minimum(least, weights.max(axis=1, keepdims=True))
+    """Keep the `count` largest weights of every row, none below `min_weight`; rows sum to one again."""
+    kept = weights >= np.minimum(min_weight, weights.max(axis=1, keepdims=True))
     return strongest_weights(np.where(kept, np.maximum(weights, 0.0), 0.0), count)
 
 
-def face_vectors(
+def area_normals(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "F 3"]:
     """Compute the normals of triangles, with lengths of twice their areas."""
@@ -92,7 +92,7 @@ def surface_operators(
     """
     count = len(vertices)
     corners = vertices[faces]
-    across = face_vectors(vertices, faces)
+    across = area_normals(vertices, faces)
     doubled = np.linalg.norm(across, axis=1)
     laplacian = sparse.csc_matrix((count, count))
     for i in range(3):

@@ -12,7 +12,7 @@ from ..body.skin import LinearSkin
 from ..errors import InputError
 from ..geometry import rotation
 from .heat import smooth_weights, surface_operators
-from .register import closest, register, sample_surface, search_tree
+from .register import find_closest, register, sample_surface, search_tree
 from .template import Template, load_template, pose_template
 
 #: limits of a person's height, metres
@@ -22,11 +22,11 @@ STATURE = 1.75
 #: mean distance between template and mesh at that height above which the registration failed, metres
 POOR_FIT = 0.06
 #: distance from the template at which a vertex's weights have a confidence of a half, metres
-TRUST = 0.05
+CONFIDENCE_DISTANCE = 0.05
 #: distance over which weights are smoothed, metres
 SMOOTHING = 0.02
 #: number of points of the template's surface with transferable weights, and number of them used per vertex
-DONORS, ASKED = 12000, 4
+NUM_SOURCES, NUM_NEIGHBOURS = 12000, 4
 #: rotations that take the axis that points up to y
 UPRIGHT = {
     "x": [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]],
@@ -53,7 +53,7 @@ def place_human(
     **Raises:** `InputError` if the mesh does not have a person's height, or if the registration ends too far
     from it, with the value found.
     """
-    unit = check_person(vertices, faces, up) / STATURE
+    unit = person_height(vertices, faces, up) / STATURE
     turn = np.array(UPRIGHT[up])
     upright = vertices @ turn.T / unit
     template = load_template()
@@ -66,14 +66,14 @@ def place_human(
         )
     posed = pose_template(template, found.person)
     return Body(
-        _carry_skeleton(template, posed, unit, turn),
-        LinearSkin(jnp.asarray(_carry_weights(template, posed, upright, faces), posed.vertices.dtype)),
+        _transform_skeleton(template, posed, unit, turn),
+        LinearSkin(jnp.asarray(_transfer_weights(template, posed, upright, faces), posed.vertices.dtype)),
         jnp.asarray(vertices, posed.vertices.dtype),
         jnp.asarray(faces, jnp.int32),
     )
 
 
-def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], up: str = "y") -> float:
+def person_height(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], up: str = "y") -> float:
     """Compute the height of a mesh, metres, and check that it is a person's.
 
     **Raises:** `InputError` if it is not.
@@ -92,31 +92,33 @@ def check_person(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     )
 
 
-def _carry_skeleton(template: Template, posed: Posed, unit: float, turn: np.ndarray) -> Skeleton:
+def _transform_skeleton(template: Template, posed: Posed, unit: float, upright: np.ndarray) -> Skeleton:
     """Transform the posed joints to the frame and the size of the mesh."""
     skeleton = template.body.skeleton
-    back = turn.T @ np.asarray(posed.transforms.rotations, float)
+    back = upright.T @ np.asarray(posed.transforms.rotations, float)
     frames = back @ np.asarray(rotation.to_matrix(skeleton.orientations), float)
     return make_skeleton(
         skeleton.names,
         skeleton.parents,
         skeleton.kinds,
-        centres=unit * np.asarray(posed.joints, float) @ turn,
+        centres=unit * np.asarray(posed.joints, float) @ upright,
         orientations=rotation.from_matrix(jnp.asarray(frames)),
         axes=np.einsum("jab,jkb->jka", back, np.asarray(skeleton.axes, float)),
     )
 
 
-def _carry_weights(
+def _transfer_weights(
     template: Template, posed: Posed, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V J"]:
     """Transfer weights from the closest points of the posed template, with more confidence in closer ones."""
-    donors = sample_surface(np.asarray(posed.vertices, float), np.asarray(template.body.faces), DONORS)
-    weights = np.asarray(template.body.skin.influence(template.body.skeleton.num_joints), float)
-    donated = np.einsum("nc,ncj->nj", donors.shares, weights[donors.corners])
+    donors = sample_surface(np.asarray(posed.vertices, float), np.asarray(template.body.faces), NUM_SOURCES)
+    weights = np.asarray(template.body.skin.bone_weights(template.body.skeleton.num_joints), float)
+    donated = np.einsum("nc,ncj->nj", donors.barycentric, weights[donors.corners])
     normals = surface_operators(vertices, faces)[2]
-    distances, near = closest(search_tree(donors.points, donors.normals), vertices, normals, ASKED)
+    distances, near = find_closest(
+        search_tree(donors.points, donors.normals), vertices, normals, NUM_NEIGHBOURS
+    )
     shares = 1 / (distances + 1e-3)
     carried = np.einsum("nk,nkj->nj", shares / shares.sum(axis=1, keepdims=True), donated[near])
-    trust = 1 / (1 + (distances[:, 0] / TRUST) ** 2)
+    trust = 1 / (1 + (distances[:, 0] / CONFIDENCE_DISTANCE) ** 2)
     return smooth_weights(vertices, faces, carried, trust**2, SMOOTHING)

@@ -12,7 +12,7 @@ from ..body.pose import Pose, rest_pose
 from ..fit.alternate import anneal
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
-from .heat import face_vectors
+from .heat import area_normals
 from .problem import TemplateProblem
 from .template import Build, Person, Template, average_build, pose_template
 
@@ -23,7 +23,7 @@ SAMPLES = 4000
 #: number of starts around the vertical
 HEADINGS = 8
 #: weight of tangential distances relative to normal ones
-SLIDE = 0.1
+TANGENTIAL_WEIGHT = 0.1
 #: standard deviation of the best fit, metres
 NOISE = 0.015
 #: number of independent distances for which a surface counts against the prior
@@ -37,16 +37,16 @@ FINALISTS = 2
 #: damping of the first step, in units of the prior's deviations
 DAMPING = 0.1
 #: distance at which closest points are clipped in the residual, metres
-CUT = 0.1
+CLIP_DISTANCE = 0.1
 
 
-class Surface(NamedTuple):
+class SampledSurface(NamedTuple):
     """Points sampled uniformly on a surface, with unit normals and barycentric coordinates."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     corners: Int[np.ndarray, "N 3"]
-    shares: Float[np.ndarray, "N 3"]
+    barycentric: Float[np.ndarray, "N 3"]
 
 
 class Registration(NamedTuple):
@@ -54,38 +54,38 @@ class Registration(NamedTuple):
 
     person: Person
     #: the logarithm of the size from the surface's height, which is the prior's mean
-    size: float
+    log_size: float
     #: the mean over both surfaces of the distance to the closest point with a similar normal, metres
     residual: float
 
 
 def sample_surface(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES
-) -> Surface:
+) -> SampledSurface:
     """Sample random points on a surface, the same in every call."""
-    across = face_vectors(vertices, faces)
+    across = area_normals(vertices, faces)
     areas = np.linalg.norm(across, axis=1)
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(faces), count, p=areas / areas.sum())
     shares = rng.dirichlet(np.ones(3), count)
     corners = faces[chosen]
     points = np.einsum("nc,nca->na", shares, vertices[corners])
-    return Surface(points, across[chosen] / areas[chosen, None], corners, shares)
+    return SampledSurface(points, across[chosen] / areas[chosen, None], corners, shares)
 
 
 def search_tree(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> cKDTree:
-    """Build the search tree of `closest`."""
+    """Build the search tree of `find_closest`."""
     return cKDTree(_features(points, normals))
 
 
-def closest(
+def find_closest(
     tree: cKDTree, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], count: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the distances (metres, including differences of normals) and indices of the closest points."""
     return tree.query(_features(points, normals), count)
 
 
-def register(template: Template, surface: Surface) -> Registration:
+def register(template: Template, surface: SampledSurface) -> Registration:
     """Register the template's build and pose to an upright person, y up, about in A-pose and of adult size.
 
     The heading is unknown: `HEADINGS` starts around the vertical are fitted coarsely, and the best
@@ -94,19 +94,19 @@ def register(template: Template, surface: Surface) -> Registration:
     """
     search = search_tree(surface.points, surface.normals)
     starts = [_start(template, surface, 2 * np.pi * i / HEADINGS) for i in range(HEADINGS)]
-    coarse = [_descend(template, surface, search, start, COARSE) for start in starts]
+    coarse = [_refine(template, surface, search, start, COARSE) for start in starts]
     coarse.sort(key=lambda found: found.residual)
-    fine = [_descend(template, surface, search, found, FINE) for found in coarse[:FINALISTS]]
-    return _descend(template, surface, search, min(fine, key=lambda found: found.residual), POLISH)
+    fine = [_refine(template, surface, search, found, FINE) for found in coarse[:FINALISTS]]
+    return _refine(template, surface, search, min(fine, key=lambda found: found.residual), POLISH)
 
 
-def _start(template: Template, surface: Surface, heading: float) -> Registration:
+def _start(template: Template, surface: SampledSurface, heading: float) -> Registration:
     """Place the template at the surface's size and centre, with a heading about the vertical."""
     low, high = surface.points.min(0), surface.points.max(0)
     rest = np.asarray(template.body.vertices)
     size = (high[1] - low[1]) / np.ptp(rest[:, 1])
     build = average_build(template)
-    build = Build(jnp.asarray(np.log(size), build.size.dtype), build.builds, build.lengths, build.girths)
+    build = Build(jnp.asarray(np.log(size), build.size.dtype), build.components, build.lengths, build.girths)
     pose = rest_pose(template.body.skeleton)
     turn = rotation.about_axis(jnp.array([0.0, 1.0, 0.0], rest.dtype), jnp.asarray(heading, rest.dtype))
     root = np.asarray(template.body.skeleton.centres[0])
@@ -118,9 +118,9 @@ def _start(template: Template, surface: Surface, heading: float) -> Registration
     return Registration(Person(build, pose), np.log(size), np.inf)
 
 
-def _descend(
+def _refine(
     template: Template,
-    surface: Surface,
+    surface: SampledSurface,
     search: cKDTree,
     start: Registration,
     scales: tuple[float, ...],
@@ -130,26 +130,26 @@ def _descend(
 
     def remake(person: Person, scale: float) -> TemplateProblem:
         posed = pose_template(template, person)
-        parts = *_attraction(posed, areas, surface, search, scale), start.size
+        parts = *_quadratic_energy(posed, areas, surface, search, scale), start.log_size
         return TemplateProblem(
             template, posed.vertices, *(jnp.asarray(part, posed.vertices.dtype) for part in parts)
         )
 
     person = anneal(remake, start.person, LevenbergMarquardt(damping=DAMPING), scales)
     residual = _residual(pose_template(template, person), areas, surface, search)
-    return Registration(person, start.size, residual)
+    return Registration(person, start.log_size, residual)
 
 
-def _attraction(
-    posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree, scale: float
+def _quadratic_energy(
+    posed: Posed, areas: np.ndarray, surface: SampledSurface, search: cKDTree, scale: float
 ) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"], float]:
     """Compute the quadratic energy of every vertex about its position, `d' A d - 2 b' d`, and the constant.
 
     It sums a vertex's closest point on the surface and all points of the surface whose closest vertex it is.
     """
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    _, nearest = closest(search, vertices, normals)
-    _, owner = closest(search_tree(vertices, normals), surface.points, surface.normals)
+    _, nearest = find_closest(search, vertices, normals)
+    _, owner = find_closest(search_tree(vertices, normals), surface.points, surface.normals)
     source = np.concatenate([np.arange(len(vertices)), owner])
     target = np.concatenate([nearest, np.arange(len(surface.points))])
     share = np.concatenate([areas / areas.sum(), np.full(len(owner), 1 / len(owner))])
@@ -158,7 +158,7 @@ def _attraction(
     agreement = np.maximum(np.sum(n * normals[source], axis=1), 0.0)
     robust = (scale**2 / (scale**2 + np.sum(gap * gap, axis=1))) ** 2
     weight = 0.5 * EVIDENCE / (NOISE**2 + scale**2 / 4) * share * agreement * robust
-    local = weight[:, None, None] * (n[:, :, None] * n[:, None, :] + SLIDE * np.eye(3))
+    local = weight[:, None, None] * (n[:, :, None] * n[:, None, :] + TANGENTIAL_WEIGHT * np.eye(3))
     matrices, pulls = np.zeros((len(vertices), 3, 3)), np.zeros((len(vertices), 3))
     np.add.at(matrices, source, local)
     pulled = np.einsum("nab,nb->na", local, gap)
@@ -166,17 +166,20 @@ def _attraction(
     return matrices, pulls, float(np.sum(gap * pulled))
 
 
-def _residual(posed: Posed, areas: np.ndarray, surface: Surface, search: cKDTree) -> float:
+def _residual(posed: Posed, areas: np.ndarray, surface: SampledSurface, search: cKDTree) -> float:
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    there, _ = closest(search, vertices, normals)
-    back, _ = closest(search_tree(vertices, normals), surface.points, surface.normals)
-    return float(0.5 * np.average(np.minimum(there, CUT), weights=areas) + 0.5 * np.minimum(back, CUT).mean())
+    there, _ = find_closest(search, vertices, normals)
+    back, _ = find_closest(search_tree(vertices, normals), surface.points, surface.normals)
+    return float(
+        0.5 * np.average(np.minimum(there, CLIP_DISTANCE), weights=areas)
+        + 0.5 * np.minimum(back, CLIP_DISTANCE).mean()
+    )
 
 
 def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
     vertices, faces = np.asarray(template.body.vertices, float), np.asarray(template.body.faces)
     areas = np.zeros(len(vertices))
-    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(face_vectors(vertices, faces), axis=1) / 6, 3))
+    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(area_normals(vertices, faces), axis=1) / 6, 3))
     return areas
 
 

@@ -11,7 +11,7 @@ from ..body.body import Body
 from ..body.skeleton import Skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin
 from ..errors import InputError
-from .envelopes import default_radii, default_tails, envelope_parts
+from .envelopes import assign_bones, default_radii, default_tails
 from .heat import heat_weights
 from .place import place_human
 
@@ -36,7 +36,7 @@ def rig_mesh(
     skinning:
 
     - "automatic": the weights of the placed human body; or, for a given skeleton, as "heat".
-    - "envelopes": every vertex rigidly with one bone (`envelope_parts`), by `tails` and `radii`,
+    - "envelopes": every vertex rigidly with one bone (`assign_bones`), by `tails` and `radii`,
       metres, or by `default_tails` and `default_radii`.
     - "heat": smooth bone heat weights (`heat_weights`); `tails` as above, and a bone of radius zero in
       `radii` moves no vertex.
@@ -59,7 +59,7 @@ def rig_mesh(
     skin: AbstractSkin
     if method == "envelopes":
         radii = default_radii(vertices, skeleton, tails) if radii is None else radii
-        skin = RigidSkin(jnp.asarray(envelope_parts(vertices, skeleton, tails, radii)))
+        skin = RigidSkin(jnp.asarray(assign_bones(vertices, skeleton, tails, radii)))
     else:
         deforming = None if radii is None else radii > 0
         weights = heat_weights(vertices, faces, skeleton, tails, deforming)

@@ -24,14 +24,14 @@ BUILDS = (
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1")
 AVERAGE = {"sex": 0.5}
 #: standard deviations (radians) of joints from rest, by the first match in their names
-STIFFNESS = (
+JOINT_DEVIATIONS = (
     ("Shoulder", 0.15), ("ForeArm", 0.4), ("Arm", 0.5), ("Hand", 0.25), ("UpLeg", 0.3), ("Leg", 0.25),
     ("Foot", 0.2), ("Toe", 0.1), ("Neck", 0.12), ("Head", 0.12), ("Back", 0.1), ("Spine", 0.1),
 )  # fmt: skip
 #: standard deviations of logarithms, and of builds; a build of one is an extreme person
-LENGTH_SPREAD, GIRTH_SPREAD, SIZE_SPREAD, BUILD_SPREAD = 0.06, 0.12, 0.1, 0.7
+LENGTH_DEVIATION, GIRTH_DEVIATION, SIZE_DEVIATION, BUILD_DEVIATION = 0.06, 0.12, 0.1, 0.7
 #: step scale that damps the root, which has no prior, metres and radians
-ROOT_SPREAD = 3.0
+ROOT_DEVIATION = 3.0
 
 
 class Template(eqx.Module):
@@ -53,7 +53,7 @@ class Build(eqx.Module):
     """A person's build, zero for the average one."""
 
     size: Float[Array, ""]
-    builds: Float[Array, "K"]
+    components: Float[Array, "K"]
     #: logarithms of the stretch along and across the bones of a group
     lengths: Float[Array, "G"]
     girths: Float[Array, "G"]
@@ -69,8 +69,8 @@ class Person(eqx.Module):
 @functools.lru_cache(maxsize=1)
 def load_template() -> Template:
     """Build the template, of 1,500 vertices: a registration samples surfaces at some centimetres."""
-    average = _person(AVERAGE)
-    pairs = [(_person(AVERAGE | more), _person(AVERAGE | less)) for more, less in BUILDS]
+    average = _human_body(AVERAGE)
+    pairs = [(_human_body(AVERAGE | more), _human_body(AVERAGE | less)) for more, less in BUILDS]
     groups = [_group(name) for name in average.skeleton.names]
     return Template(
         average,
@@ -80,7 +80,7 @@ def load_template() -> Template:
     )
 
 
-def _person(options: dict[str, float]) -> Body:
+def _human_body(options: dict[str, float]) -> Body:
     return human(resolution="low", joints="tracking", **options)  # pyright: ignore[reportArgumentType]
 
 
@@ -107,8 +107,8 @@ def build_body(template: Template, build: Build) -> Body:
     """
     skeleton = template.body.skeleton
     size = jnp.exp(build.size)
-    centres = size * (skeleton.centres + jnp.einsum("k,kja->ja", build.builds, template.build_centres))
-    blended = jnp.einsum("k,kva->va", build.builds, template.build_vertices)
+    centres = size * (skeleton.centres + jnp.einsum("k,kja->ja", build.components, template.build_centres))
+    blended = jnp.einsum("k,kva->va", build.components, template.build_vertices)
     vertices = size * (template.body.vertices + blended)
     along = _bone_directions(template)
     groups = np.array(template.groups)
@@ -119,7 +119,7 @@ def build_body(template: Template, build: Build) -> Body:
     above = np.maximum(parents, 0)
     offsets = jnp.einsum("jab,jb->ja", stretch[above], centres - centres[above])
     offsets = jnp.where(parents[:, None] < 0, centres, offsets)
-    moved = jnp.asarray(skeleton.descent.T, offsets.dtype) @ offsets
+    moved = jnp.asarray(skeleton.descendants.T, offsets.dtype) @ offsets
     bones = Transforms(stretch, moved - jnp.einsum("jab,jb->ja", stretch, centres))
     skin = template.body.skin
     shaped = skin.deform(vertices, skeleton, rest_pose(skeleton), bones)
@@ -127,13 +127,15 @@ def build_body(template: Template, build: Build) -> Body:
     return Body(skeleton, skin, shaped, template.body.faces)
 
 
-def move(template: Template, person: Person, step: Float[Array, "X"]) -> Person:
+def retract_person(template: Template, person: Person, step: Float[Array, "X"]) -> Person:
     """Move a person along a flat vector: tangent of the pose, size, builds, lengths, girths."""
     dofs, groups = template.body.skeleton.num_dofs, template.num_groups
     cuts = np.cumsum([dofs, 1, len(BUILDS), groups])
     d, size, builds, lengths, girths = jnp.split(step, cuts)
     build = person.build
-    build = Build(build.size + size[0], build.builds + builds, build.lengths + lengths, build.girths + girths)
+    build = Build(
+        build.size + size[0], build.components + builds, build.lengths + lengths, build.girths + girths
+    )
     return Person(build, retract(template.body.skeleton, person.pose, d))
 
 
@@ -148,23 +150,29 @@ def prior_offset(template: Template, person: Person, size: Float[Array, ""]) -> 
     skeleton, build = template.body.skeleton, person.build
     d = difference(skeleton, rest_pose(skeleton), person.pose)
     d = jnp.where(dof_layout(skeleton).joints == 0, 0.0, d)
-    return jnp.concatenate([d, (build.size - size)[None], build.builds, build.lengths, build.girths])
+    return jnp.concatenate([d, (build.size - size)[None], build.components, build.lengths, build.girths])
 
 
-def prior_spreads(template: Template) -> Float[np.ndarray, "X"]:
-    """Return the prior's standard deviations of the components of `move` from the average build at rest."""
+def prior_deviations(template: Template) -> Float[np.ndarray, "X"]:
+    """Return the prior's standard deviations of the components of `retract_person` from the average build at rest."""
     skeleton = template.body.skeleton
     layout = dof_layout(skeleton)
-    joints = np.array([_stiffness(name) for name in skeleton.names])
-    pose = np.where(np.array(skeleton.parents)[layout.joints] < 0, ROOT_SPREAD, joints[layout.joints])
+    joints = np.array([_joint_deviation(name) for name in skeleton.names])
+    pose = np.where(np.array(skeleton.parents)[layout.joints] < 0, ROOT_DEVIATION, joints[layout.joints])
     builds, groups = np.ones(len(BUILDS)), np.ones(template.num_groups)
     return np.concatenate(
-        [pose, [SIZE_SPREAD], BUILD_SPREAD * builds, LENGTH_SPREAD * groups, GIRTH_SPREAD * groups]
+        [
+            pose,
+            [SIZE_DEVIATION],
+            BUILD_DEVIATION * builds,
+            LENGTH_DEVIATION * groups,
+            GIRTH_DEVIATION * groups,
+        ]
     )
 
 
-def _stiffness(name: str) -> float:
-    return next((spread for part, spread in STIFFNESS if part in name), 0.1)
+def _joint_deviation(name: str) -> float:
+    return next((spread for part, spread in JOINT_DEVIATIONS if part in name), 0.1)
 
 
 def _bone_directions(template: Template) -> Float[Array, "J 3"]:

@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from ..geometry.camera import Camera
 
 
-class Surface(NamedTuple):
-    """A mesh prepared for ray casting; see `make_surface`."""
+class RayMesh(NamedTuple):
+    """A mesh prepared for ray casting; see `make_ray_mesh`."""
 
     #: of trimesh; its `ray` uses Embree if that is installed
     mesh: Any
@@ -25,10 +25,10 @@ class DepthImage(NamedTuple):
 
     depth: Float[np.ndarray, "H W"]
     #: cosine of the angle between the surface's normal and the ray, zero for pixels without measurement
-    facing: Float[np.ndarray, "H W"]
+    incidence_cosines: Float[np.ndarray, "H W"]
 
 
-def make_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Surface:
+def make_ray_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> RayMesh:
     """Prepare a mesh for ray casting from several cameras, once for a frame."""
     import trimesh
 
@@ -37,10 +37,10 @@ def make_surface(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(across, axis=1, keepdims=True)
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
-    return Surface(mesh, corners, across / np.where(lengths > 0, lengths, 1.0))
+    return RayMesh(mesh, corners, across / np.where(lengths > 0, lengths, 1.0))
 
 
-def render_depth(camera: Camera, surface: Surface) -> DepthImage:
+def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     """Render the depth of the first surface, front or back, at each pixel's centre."""
     rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
     rays = camera_rays(camera)
@@ -61,7 +61,7 @@ def render_depth(camera: Camera, surface: Surface) -> DepthImage:
     approach = np.sum(normal * along, 1)
     reach = np.sum(normal * (surface.corners[triangle, 0] - eye), 1)
     met = reach / np.where(np.abs(approach) > 1e-12, approach, 1.0)
-    shares = _shares(eye + met[:, None] * along, surface.corners[triangle], normal)
+    shares = _barycentric(eye + met[:, None] * along, surface.corners[triangle], normal)
     met = np.sum(shares * there[triangle, :, 2], 1)
     values, cosines = np.zeros((2, len(directions)))
     values[seen] = np.where(met > 0, met, 0.0)
@@ -84,7 +84,7 @@ def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -
     return rays
 
 
-def _shares(
+def _barycentric(
     points: Float[np.ndarray, "N 3"], corners: Float[np.ndarray, "N 3 3"], normals: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "N 3"]:
     """Compute barycentric coordinates of points in their planes, clipped to the triangle.

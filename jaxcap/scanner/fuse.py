@@ -41,7 +41,7 @@ def fuse_cloud(
     ]
     points, normals, numbers = (np.concatenate(parts) for parts in zip(*views, strict=True))
     if voxel > 0 and len(points):
-        points, normals, numbers = _thin(points, normals, numbers, voxel)
+        points, normals, numbers = _average_in_voxels(points, normals, numbers, voxel)
     return Scan(points, normals, numbers, np.zeros((0, 3), int))
 
 
@@ -78,10 +78,12 @@ def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "
     )
     # counter-clockwise, as rows go down
     first, second, third, fourth = [0, 1, 2], [0, 2, 3], [1, 2, 3], [0, 1, 3]
-    cut = _joined(depths[:, first], gap) | _joined(depths[:, second], gap)
-    faces = [squares[_joined(depths[:, corners], gap)][:, corners] for corners in (first, second)]
+    cut = _is_continuous(depths[:, first], gap) | _is_continuous(depths[:, second], gap)
+    faces = [squares[_is_continuous(depths[:, corners], gap)][:, corners] for corners in (first, second)]
     # squares without a triangle on one diagonal may have one on the other
-    faces += [squares[_joined(depths[:, corners], gap) & ~cut][:, corners] for corners in (third, fourth)]
+    faces += [
+        squares[_is_continuous(depths[:, corners], gap) & ~cut][:, corners] for corners in (third, fourth)
+    ]
     return np.concatenate(faces)
 
 
@@ -135,13 +137,13 @@ def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[
     return (there - translation) @ rotation, image_normals(camera, depth, gap, window) @ rotation
 
 
-def _joined(depths: np.ndarray, gap: float) -> np.ndarray:
+def _is_continuous(depths: np.ndarray, gap: float) -> np.ndarray:
     """Test if all corners `(Q, K)` are measured and their depths differ by at most `gap`."""
     nearest, farthest = depths.min(1), depths.max(1)
     return (nearest > 0) & (farthest - nearest <= gap)
 
 
-def _thin(
+def _average_in_voxels(
     points: np.ndarray, normals: np.ndarray, views: np.ndarray, side: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Average points and normals in each cube, with the view of the cube's first point."""

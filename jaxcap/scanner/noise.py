@@ -7,18 +7,18 @@ from .depth import DepthImage
 from .settings import Scanner
 
 
-def spoil(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
+def apply_errors(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
     """Apply all errors of a scanner to a depth image, metres; zero for pixels without measurement."""
-    depth = lose_grazing(image, scanner.grazing)
+    depth = remove_grazing(image, scanner.grazing)
     depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
-    depth = let_fly(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
+    depth = add_flying_pixels(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
     depth = add_noise(depth, scanner.noise, scanner.noise_growth, rng)
     return quantise(depth, scanner.quantise)
 
 
-def lose_grazing(image: DepthImage, most: float) -> Float[np.ndarray, "H W"]:
-    """Remove depths with an angle between normal and ray above `most` degrees; 90 removes none."""
-    return np.where(image.facing >= np.cos(np.radians(most)) - 1e-12, image.depth, 0.0)
+def remove_grazing(image: DepthImage, max_angle: float) -> Float[np.ndarray, "H W"]:
+    """Remove depths with an angle between normal and ray above `max_angle` degrees; 90 removes none."""
+    return np.where(image.incidence_cosines >= np.cos(np.radians(max_angle)) - 1e-12, image.depth, 0.0)
 
 
 def lose_holes(
@@ -39,33 +39,33 @@ def lose_holes(
     return lost
 
 
-def let_fly(
-    depth: Float[np.ndarray, "H W"], share: float, gap: float, reach: float, rng: np.random.Generator
+def add_flying_pixels(
+    depth: Float[np.ndarray, "H W"], share: float, gap: float, max_shift: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
     """Move back a share of the pixels in front of a discontinuity (flying pixels).
 
     A pixel is in front of one if a neighbour, above, below, left or right, is farther by more than `gap`,
     metres, or without measurement. It moves by a random share of the distance to the farthest of them, at
-    most `reach`, metres.
+    most `max_shift`, metres.
     """
     flown = depth.copy()
     if share > 0:
-        jump = discontinuities(depth, reach)
+        jump = discontinuities(depth, max_shift)
         edge = np.flatnonzero((depth > 0) & (jump > gap))
         chance, way = rng.random((2, *depth.shape)).reshape(2, -1)
         chosen = edge[np.argsort(chance[edge], kind="stable")[: round(share * len(edge))]]
-        flown.reshape(-1)[chosen] += way[chosen] * np.minimum(jump.reshape(-1)[chosen], reach)
+        flown.reshape(-1)[chosen] += way[chosen] * np.minimum(jump.reshape(-1)[chosen], max_shift)
     return flown
 
 
-def discontinuities(depth: Float[np.ndarray, "H W"], nothing: float) -> Float[np.ndarray, "H W"]:
+def discontinuities(depth: Float[np.ndarray, "H W"], missing_jump: float) -> Float[np.ndarray, "H W"]:
     """Compute how much farther the farthest of a pixel's four neighbours is, metres.
 
-    A neighbour without measurement counts as `nothing`, metres. The image's border is no discontinuity.
+    A neighbour without measurement counts as `missing_jump`, metres. The image's border is no discontinuity.
     """
     framed = np.pad(depth, 1, mode="edge")
     around = np.stack([framed[:-2, 1:-1], framed[2:, 1:-1], framed[1:-1, :-2], framed[1:-1, 2:]])
-    return np.where(around > 0, around - depth, nothing).max(0)
+    return np.where(around > 0, around - depth, missing_jump).max(0)
 
 
 def add_noise(

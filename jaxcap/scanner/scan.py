@@ -9,9 +9,9 @@ from ..arguments import check_metres, checked
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..values import check_faces
-from .depth import make_surface, render_depth
+from .depth import make_ray_mesh, render_depth
 from .fuse import Scan, fuse_cloud, fuse_mesh
-from .noise import spoil
+from .noise import apply_errors
 from .settings import Scanner, check_scanner
 
 #: margin of the box of outliers around the surface, metres
@@ -60,7 +60,9 @@ def add_outliers(
         return scan
     chosen = rng.choice(len(scan.points), count, replace=False)
     points, normals = scan.points.copy(), scan.normals.copy()
-    points[chosen] = rng.uniform(vertices.min(0) - OUTLIER_MARGIN, vertices.max(0) + OUTLIER_MARGIN, (count, 3))
+    points[chosen] = rng.uniform(
+        vertices.min(0) - OUTLIER_MARGIN, vertices.max(0) + OUTLIER_MARGIN, (count, 3)
+    )
     directions = rng.normal(size=(count, 3))
     normals[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return Scan(points, normals, scan.views, scan.faces)
@@ -83,18 +85,20 @@ def scan_depths(
         raise InputError("There are no cameras to scan with; give at least one.")
     if seed < 0 or frame < 0:
         raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
-    surface, depths = make_surface(vertices, faces), []
+    surface, depths = make_ray_mesh(vertices, faces), []
     for view, (camera, lost) in enumerate(
-        zip(cameras, dropped_views(scanner.drop, len(cameras), seed, frame), strict=True)
+        zip(cameras, sample_dropped_views(scanner.drop, len(cameras), seed, frame), strict=True)
     ):
         if lost:
             depths.append(np.zeros((camera.height, camera.width)))
         else:
-            depths.append(spoil(scanner, render_depth(camera, surface), _random(seed, frame, 2 + view)))
+            depths.append(
+                apply_errors(scanner, render_depth(camera, surface), _random(seed, frame, 2 + view))
+            )
     return depths
 
 
-def dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.ndarray, "C"]:
+def sample_dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.ndarray, "C"]:
     """Sample the lost ones of `count` views in a frame, each with probability `share`, but never all."""
     chance = _random(seed, frame, 0).random(count)
     lost = chance < share

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .contents import Contents
-from .figures.eye import BEGIN, FIELD, place_eye
-from .live import OFTEN, RunFollower
+from .figures.eye import BEGIN, FIELD, place_camera
+from .live import POLL_SECONDS, RunFollower
 from .windows.column import Choice
 from .windows.controls import Controls
-from .windows.serve import each_client
+from .windows.serve import serve_clients
 from .windows.stage import Stage
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ else:
     ClientHandle = SceneClickEvent = ViserServer = Any
 
 #: maximum number of frames per second that are sent to a browser
-FASTEST = 60.0
+MAX_FRAME_RATE = 60.0
 #: seconds within which a closed browser is noticed
-PATIENCE = 0.25
+CLOSE_TIMEOUT = 0.25
 #: the answer to a click that hits nothing
-NOTHING = "There is nothing where you clicked."
+NO_HIT = "There is nothing where you clicked."
 
 
 def serve_contents(
@@ -35,10 +35,10 @@ def serve_contents(
     **Arguments:** `spacing` of takes as in `Stage.place`. Unfinished runs are followed until the returned
     followers are stopped.
     """
-    followers = [RunFollower(take) for take in contents.takes if take.running is not None]
+    followers = [RunFollower(take) for take in contents.takes if take.run_folder is not None]
     for follower in followers:
         follower.start()
-    each_client(server, lambda client, gone: Window(client, contents, spacing, followers).run(gone))
+    serve_clients(server, lambda client, gone: Window(client, contents, spacing, followers).run(gone))
     return followers
 
 
@@ -55,17 +55,17 @@ class Window:
             take.motion.frame(0)
         with client.atomic():
             self.stage = Stage(client.scene, contents)
-            self.controls = Controls(client.gui, contents, spacing, self._wake.set, self.see)
-            self.stage.place(spacing)
+            self.controls = Controls(client.gui, contents, spacing, self._wake.set, self.set_view)
+            self.stage.arrange(spacing)
             client.camera.fov = float(FIELD)
-            self.see(BEGIN)
+            self.set_view(BEGIN)
         client.scene.on_click()(self._clicked)
 
-    def see(self, name: str) -> None:
+    def set_view(self, name: str) -> None:
         """Set the camera to view everything shown, from a direction of `eye.DIRECTIONS`."""
         camera = self.client.camera
         size = float(camera.image_width), float(camera.image_height)
-        eye, target = place_eye(self.stage.box(now=name != BEGIN), name, *size, camera.fov)
+        eye, target = place_camera(self.stage.box(current=name != BEGIN), name, *size, camera.fov)
         with self.client.atomic():
             # in this order, as the target moves with the camera
             camera.position = eye
@@ -75,12 +75,12 @@ class Window:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
         with self.client.atomic():
             found = self.stage.pick(origin, direction, self.controls.choice)
-            self.controls.say(found or NOTHING)
+            self.controls.show_description(found or NO_HIT)
 
     def run(self, gone: threading.Event) -> None:
         """Show the frame of the timeline with the current choices, until the browser closes."""
         shown: tuple[int, bool, Choice, tuple[int, ...], tuple[str, ...]] | None = None
-        spacing, live = self.controls.spacing, any(take.running for take in self.contents.takes)
+        spacing, live = self.controls.spacing, any(take.run_folder for take in self.contents.takes)
         while not gone.is_set():
             self._wake.clear()
             start = time.monotonic()
@@ -88,22 +88,22 @@ class Window:
             if frames != self.controls.timeline.frames:
                 self.controls.grow(frames)
             versions = tuple(take.motion.version for take in self.contents.takes)
-            told = tuple(follower.told for follower in self.followers)
+            told = tuple(follower.error for follower in self.followers)
             frame, choice = self.controls.timeline.frame(start), self.controls.choice
             # includes whether it plays: the slider follows once more when it stops
             wanted = (frame, self.controls.timeline.playing, choice, versions, told)
             if spacing != self.controls.spacing:
                 spacing = self.controls.spacing
-                self.stage.place(spacing)
+                self.stage.arrange(spacing)
             if wanted != shown:
                 # computed before `atomic`, which holds messages to the browser back
-                looks = self.stage.look(frame, choice)
-                wrong = (*told, *(look.wrong for look in looks))
+                looks = self.stage.appearances(frame, choice)
+                wrong = (*told, *(look.error for look in looks))
                 with self.client.atomic():
                     self.stage.draw(frame, looks, choice)
                     self.controls.draw(frame, next(filter(None, wrong), ""))
                 shown = wanted
             now = time.monotonic()
             rest = self.controls.timeline.wait(now)
-            rest = max(rest, start + 1.0 / FASTEST - now, 0.0)
-            self._wake.wait(min(rest, OFTEN if live else PATIENCE))
+            rest = max(rest, start + 1.0 / MAX_FRAME_RATE - now, 0.0)
+            self._wake.wait(min(rest, POLL_SECONDS if live else CLOSE_TIMEOUT))

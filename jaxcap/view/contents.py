@@ -12,7 +12,7 @@ from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
 from ..markers.subject import Subject
 from ..observe import MarkerFrames
-from .figures.clouds import SeenClouds
+from .figures.clouds import DisplayClouds
 from .figures.posing import PosedMotion
 
 
@@ -29,12 +29,12 @@ class Take:
     sigmas: tuple[float, ...] = ()
     clouds: tuple[str, ...] = ()
     #: the folder of a run that may be unfinished
-    running: Path | None = None
+    run_folder: Path | None = None
 
     @property
-    def still(self) -> bool:
+    def is_still(self) -> bool:
         """True if there is one frame and no more will come."""
-        return len(self.motion) == 1 and self.running is None
+        return len(self.motion) == 1 and self.run_folder is None
 
 
 @dataclass(frozen=True)
@@ -60,21 +60,21 @@ class Contents:
     """All contents of one window."""
 
     takes: list[Take] = field(default_factory=list)
-    clouds: list[SeenClouds] = field(default_factory=list)
+    clouds: list[DisplayClouds] = field(default_factory=list)
     meshes: list[Meshes] = field(default_factory=list)
     markers: list[Markers] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
     #: notes about inputs that cannot be drawn, a sentence each
-    told: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         return not (self.takes or self.clouds or self.meshes or self.markers or self.cameras)
 
     @property
     def rate(self) -> float:
         """Frames a second of the timeline: the rate of the first content that moves and has one."""
-        said = [take.rate for take in self.takes if not take.still]
+        said = [take.rate for take in self.takes if not take.is_still]
         said += [markers.frames.rate for markers in self.markers]
         said += [meshes.rate for meshes in self.meshes if meshes.rate is not None]
         return said[0] if said else 30.0
@@ -86,7 +86,7 @@ class Contents:
         lengths = [len(take.motion) * rate / take.rate for take in self.takes]
         lengths += [len(markers.frames) * rate / markers.frames.rate for markers in self.markers]
         lengths += [len(meshes.vertices) * rate / (meshes.rate or rate) for meshes in self.meshes]
-        if not any(take.running for take in self.takes):
+        if not any(take.run_folder for take in self.takes):
             # the newest frame of a run is the last one solved, however many scans wait
             lengths += [float(len(clouds)) for clouds in self.clouds]
         return max(1, *(round(length) for length in lengths), 1)

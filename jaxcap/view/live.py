@@ -14,14 +14,14 @@ from jaxtyping import Float
 from ..body.body import Body
 from ..body.pose import Pose, rest_pose
 from ..body.skeleton import Skeleton
-from ..errors import InputError, sentence_of
+from ..errors import InputError, user_message
 from ..io.archives.journal import read_header, read_records
 from .contents import Take
 from .figures.posing import PosedMotion
 
 JOURNAL = "journal"
 #: seconds between two reads
-OFTEN = 0.2
+POLL_SECONDS = 0.2
 
 
 def record_poses(
@@ -56,27 +56,27 @@ def follow_run(folder: Path, body: Body, rate: float = 30.0) -> Take:
 
     **Raises:** `InputError` if its journal is invalid, or of another body.
     """
-    motion = PosedMotion(body.skeleton, body, _one(rest_pose(body.skeleton)))
-    take = Take(folder.name, motion, rate, running=folder)
-    RunFollower(take).look()
+    motion = PosedMotion(body.skeleton, body, _one_frame(rest_pose(body.skeleton)))
+    take = Take(folder.name, motion, rate, run_folder=folder)
+    RunFollower(take).poll()
     return take
 
 
 class RunFollower:
-    """Reads new frames of a running take: `look` once, or `start` to repeat it in a thread."""
+    """Reads new frames of a running take: `poll` once, or `start` to repeat it in a thread."""
 
     def __init__(self, take: Take):
-        assert take.running is not None
-        self.take, self.path = take, take.running / JOURNAL
+        assert take.run_folder is not None
+        self.take, self.path = take, take.run_folder / JOURNAL
         #: number of frames of the run in the take, not counting an initial rest pose
         self.count = 0
         #: the error of the last read, in a sentence
-        self.told = ""
+        self.error = ""
         self._size = -1
         self._header: object = None
         self._stop = threading.Event()
 
-    def look(self) -> bool:
+    def poll(self) -> bool:
         """Read new frames; return whether there were any. Raises `InputError` if the run is of another
         body."""
         try:
@@ -103,23 +103,23 @@ class RunFollower:
 
     def start(self) -> None:
         """Read every fifth of a second, until `stop`."""
-        threading.Thread(target=self._go_on, daemon=True).start()
+        threading.Thread(target=self._poll_forever, daemon=True).start()
 
     def stop(self) -> None:
         self._stop.set()
 
-    def _go_on(self) -> None:
-        while not self._stop.wait(OFTEN):
+    def _poll_forever(self) -> None:
+        while not self._stop.wait(POLL_SECONDS):
             try:
-                self.look()
-                self.told = ""
+                self.poll()
+                self.error = ""
             except InputError as error:
                 # an incomplete header counts as not written yet
-                self.told = sentence_of(error)
+                self.error = user_message(error)
             except Exception as error:
                 # the cause may be gone at the next read
-                self.told = f"{self.path}: its frames could not be read ({type(error).__name__}: {error})."
+                self.error = f"{self.path}: its frames could not be read ({type(error).__name__}: {error})."
 
 
-def _one(pose: Pose) -> Pose:
+def _one_frame(pose: Pose) -> Pose:
     return Pose(pose.translations[None], pose.rotations[None], pose.scale[None])

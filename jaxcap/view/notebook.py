@@ -16,16 +16,16 @@ from ..io.meshes.clouds import NO_FACES, Scans
 from ..observe import Cloud, MarkerFrames
 from .app import serve_contents
 from .contents import Contents, Markers, make_take
-from .figures.clouds import SeenClouds
-from .figures.eye import FIELD, place_eye
+from .figures.clouds import DisplayClouds
+from .figures.eye import FIELD, place_camera
 from .windows.column import DISTANCE, Choice
 from .windows.serve import address, close_server, open_server
 from .windows.stage import Stage
 
 #: maximum number of frames of a recording; one of 5,000 vertices is some 50 kB
-RECORDED = 120
+MAX_RECORDED_FRAMES = 120
 #: points of a scan in a recording
-POINTS = 4_000
+MAX_RECORDED_POINTS = 4_000
 
 Points = Float[Array, "N 3"] | Float[np.ndarray, "N 3"]
 
@@ -56,7 +56,7 @@ class Player:
             close_server(self._server)
             self._server = None
 
-    def page(self, frames: int = RECORDED) -> str:
+    def page(self, frames: int = MAX_RECORDED_FRAMES) -> str:
         """Render a complete HTML page that plays the animation anywhere, with about `frames` frames, evenly
         spaced.
 
@@ -68,14 +68,14 @@ class Player:
         server = open_server(0)
         try:
             stage = Stage(server.scene, self.contents)
-            eye, target = place_eye(stage.box())
+            eye, target = place_camera(stage.box())
             server.initial_camera.fov = float(FIELD)
             server.initial_camera.position, server.initial_camera.look_at = tuple(eye), tuple(target)
-            stage.draw(0, stage.look(0, choice), choice)
+            stage.draw(0, stage.appearances(0, choice), choice)
             recording = server.get_scene_serializer()
             for frame in range(step, count, step):
                 recording.insert_sleep(step / self.contents.rate)
-                stage.draw(frame, stage.look(frame, choice), choice)
+                stage.draw(frame, stage.appearances(frame, choice), choice)
             recording.insert_sleep(step / self.contents.rate)
             return recording.as_html()
         finally:
@@ -108,14 +108,14 @@ def show(
     skeleton, surface = (body.skeleton, body) if isinstance(body, Body) else (body, None)
     contents = Contents(
         takes=[make_take(name, skeleton, surface, motion)],
-        clouds=[] if cloud is None else [_clouds(cloud)],
+        clouds=[] if cloud is None else [_make_clouds(cloud)],
         markers=[] if markers is None else [Markers("markers", markers)],
         cameras=list(cameras),
     )
     return Player(contents, heat)
 
 
-def _clouds(cloud: Points | Cloud | Sequence[Points]) -> SeenClouds:
+def _make_clouds(cloud: Points | Cloud | Sequence[Points]) -> DisplayClouds:
     if isinstance(cloud, Cloud):
         points, seen = np.asarray(cloud.points, float), np.asarray(cloud.weights) > 0
         rows = [points[seen]] if points.ndim == 2 else [p[s] for p, s in zip(points, seen, strict=True)]
@@ -124,4 +124,6 @@ def _clouds(cloud: Points | Cloud | Sequence[Points]) -> SeenClouds:
     else:
         rows = [np.asarray(cloud, float)]
     names = [f"scan {number}" for number in range(len(rows))]
-    return SeenClouds(Scans(names, lambda frame: (rows[frame], None, NO_FACES)), most=POINTS)
+    return DisplayClouds(
+        Scans(names, lambda frame: (rows[frame], None, NO_FACES)), max_points=MAX_RECORDED_POINTS
+    )

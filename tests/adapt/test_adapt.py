@@ -9,17 +9,17 @@ from command_line import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan_stages
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
-from jaxcap.adapt.problems import Belief, mean_square, shared_problem, stack, unstack
-from jaxcap.adapt.rounds import step_of
+from jaxcap.adapt.problems import CoefficientPrior, mean_squared_distance, shared_problem, stack, unstack
+from jaxcap.adapt.rounds import gauss_newton_step
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
-from jaxcap.adapt.shape.scale import fit_size, resized
-from jaxcap.adapt.shape.shape_prior import own_shape_prior
+from jaxcap.adapt.shape.scale import fit_size, scale_body
+from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
 from jaxcap.body.pose import retract
-from jaxcap.body.shape_modes import Modes, joint_modes, moved
+from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.energy.data.pairs import PairDistances, pair_directions
@@ -29,10 +29,10 @@ from jaxcap.fit.correspondence.correspond import (
     NearestOnSurface,
     SoftAssignment,
     make_scan,
-    places_on,
+    pair_positions,
 )
 from jaxcap.fit.frame_equations import frame_equations
-from jaxcap.fit.linearise import body_tangent, frame_rows, vertex_maps
+from jaxcap.fit.linearise import body_tangent, frame_jacobian, vertex_maps
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import mesh_edges, sample_surface
 
@@ -42,12 +42,12 @@ ON_SURFACE = Matching(assignment=NearestOnSurface())
 SOFT = Matching(assignment=SoftAssignment(sigma=0.01))
 
 
-def some_modes(rng, kind: str) -> Modes:
+def some_modes(rng, kind: str) -> ShapeModes:
     """Joints with their skin, joints within it, or a few ways in which everything moves."""
     if kind != "people":
-        return joint_modes(BODY, follow=kind == "joints")
+        return joint_modes(BODY, move_surface=kind == "joints")
     shapes = (4, BODY.skeleton.num_joints, 3), (4, len(BODY.vertices), 3)
-    return Modes(*(jnp.asarray(0.1 * rng.normal(size=shape)) for shape in shapes))
+    return ShapeModes(*(jnp.asarray(0.1 * rng.normal(size=shape)) for shape in shapes))
 
 
 @pytest.mark.parametrize(("corners", "kind"), [(1, "joints"), (3, "within"), (1, "people")])
@@ -58,13 +58,13 @@ def test_rows_of_poses_and_modes_against_central_differences(rng, corners, kind)
 
     @eqx.filter_jit
     def residual(d):
-        body = moved(BODY, modes, d[dofs:])
+        body = apply_modes(BODY, modes, d[dofs:])
         return energy.residual(jc.pose_body(body, retract(BODY.skeleton, pose, d[:dofs])))
 
     @eqx.filter_jit
     def rows():
-        tangent = body_tangent(lambda z: moved(BODY, modes, z), BODY, len(modes.centres))
-        return frame_rows(energy, BODY, pose, None, tangent)
+        tangent = body_tangent(lambda z: apply_modes(BODY, modes, z), BODY, len(modes.centres))
+        return frame_jacobian(energy, BODY, pose, None, tangent)
 
     zero, h = np.zeros(dofs + len(modes.centres)), 1e-6
     expected = np.stack([(residual(zero + h * e) - residual(zero - h * e)) / (2 * h) for e in np.eye(len(zero))], 1)  # fmt: skip
@@ -83,10 +83,10 @@ def test_equations_of_a_frame_are_those_of_its_rows(rng, corners, shared):
     @eqx.filter_jit
     def both():
         def at(z):
-            return moved(BODY, modes, z)
+            return apply_modes(BODY, modes, z)
 
         body_at, tangent = (at, body_tangent(at, BODY, len(modes.centres))) if shared else (None, None)
-        residual, rows = frame_rows(energy, BODY, pose, body_at, tangent)
+        residual, rows = frame_jacobian(energy, BODY, pose, body_at, tangent)
         written = 0.5 * residual @ residual, rows.T @ residual, rows.T @ rows
         return written, frame_equations(energy, BODY, pose, body_at, tangent)
 
@@ -98,7 +98,7 @@ def test_shape_is_the_dense_least_squares_solution(rng):
     """Pairs of two frames, the Laplacian in two poses, and the hold, in one residual and its Jacobian."""
     pairs = stack([random_pairs(BODY, rng, 300, 3) for _ in range(2)])
     poses = stack([random_pose(BODY.skeleton, rng, 0.5) for _ in range(2)])
-    prior, weight, hold = own_shape_prior(BODY, 2), 0.7, 1e-3
+    prior, weight, hold = body_shape_prior(BODY, 2), 0.7, 1e-3
     laplacian = jnp.asarray(prior.laplacian.toarray())
 
     def residual(shift):
@@ -106,7 +106,7 @@ def test_shape_is_the_dense_least_squares_solution(rng):
         meshes, own = (
             jax.vmap(lambda pose: jc.pose_body(body, pose).vertices)(p) for p in (prior.poses, poses)
         )
-        places = jnp.stack([places_on(p, mesh) for p, mesh in zip(unstack(pairs, 2), own, strict=True)])
+        places = jnp.stack([pair_positions(p, mesh) for p, mesh in zip(unstack(pairs, 2), own, strict=True)])
         apart = jnp.einsum("fcra,fca->fcr", jax.vmap(pair_directions)(pairs), places - pairs.points)
         rough = jnp.sqrt(weight / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - prior.vectors)
         return jnp.concatenate([jnp.sqrt(hold) * shift, apart.reshape(-1), rough.reshape(-1)])
@@ -126,7 +126,7 @@ def test_a_vertex_is_the_corner_of_a_triangle(rng):
     near = faces[[np.flatnonzero((faces == v).any(1))[0] for v in np.asarray(pairs.vertices[0, :, 0])]]
     shares = jnp.asarray(near == np.asarray(pairs.vertices[0]), float)
     wide = eqx.tree_at(lambda p: (p.vertices, p.shares), pairs, (jnp.asarray(near)[None], shares[None]))
-    poses, prior = stack([random_pose(BODY.skeleton, rng, 0.5)]), own_shape_prior(BODY, 2)
+    poses, prior = stack([random_pose(BODY.skeleton, rng, 0.5)]), body_shape_prior(BODY, 2)
     one, other = (adapt_shape(BODY, poses, p, prior, 0.7, tolerance=1e-13).vertices for p in (pairs, wide))
     np.testing.assert_allclose(one, other, atol=1e-10)
     assert np.abs(one - BODY.vertices).max() > 0.01
@@ -140,7 +140,7 @@ def test_shape_refuses_pairs_across_the_body(rng):
         lambda p: p.vertices, pairs, pairs.vertices.at[9].set(jnp.array([0, far, 0], jnp.int32))
     )
     pose = stack([jc.rest_pose(BODY.skeleton)])
-    prior = own_shape_prior(BODY, 2)
+    prior = body_shape_prior(BODY, 2)
     with pytest.raises(ValueError, match=f"vertices 0 and {far}, which share no edge"):
         adapt_shape(BODY, pose, stack([pairs]), prior, 1.0)
 
@@ -157,7 +157,7 @@ def test_a_posed_vertex_depends_linearly_on_its_place_at_rest(rng):
 def test_the_surface_follows_all_its_joints_alike():
     """A body whose joints are all shifted alike is shifted whole."""
     shift = jnp.array([0.1, -0.2, 0.3])
-    there = moved(BODY, joint_modes(BODY), jnp.tile(shift, BODY.skeleton.num_joints))
+    there = apply_modes(BODY, joint_modes(BODY), jnp.tile(shift, BODY.skeleton.num_joints))
     np.testing.assert_allclose(there.vertices, BODY.vertices + shift, atol=1e-9)
     np.testing.assert_allclose(there.skeleton.centres, BODY.skeleton.centres + shift, atol=1e-9)
 
@@ -219,7 +219,7 @@ def test_a_pose_is_found_from_near_by(scene, rng, matching, far):
 
 def test_size_is_told_by_scans(scene):
     _, actor, motion, clouds = scene
-    large = resized(actor, jnp.asarray(1.12))
+    large = scale_body(actor, jnp.asarray(1.12))
     root = large.skeleton.centres[0] - actor.skeleton.centres[0]
     pose = motion[0]
     pose = jc.Pose(pose.translations.at[0].add(-root), pose.rotations, pose.scale)
@@ -232,12 +232,12 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     template, actor, motion, clouds = scene
     frames = [0, 4, 8, 11]
     scans, prior = [make_scan(clouds[n]) for n in frames], human_prior(template)
-    body = resized(template, jnp.asarray(1.66 / 1.75))
+    body = scale_body(template, jnp.asarray(1.66 / 1.75))
     poses = [
         fit_pose(body, s, motion[n], prior, matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
-    shape, beside, modes = own_shape_prior(body), make_joint_regressor(body), joint_modes(body)
+    shape, beside, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
     weights = [jnp.asarray(x) for x in (1e-6, 0.003)]
     mirrored = mirrored_joints(body.skeleton)
 
@@ -246,22 +246,23 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
 
     def distance():
         each = [
-            mean_square(body, p, pairs_of(body, p, s, matching)) for p, s in zip(poses, scans, strict=True)
+            mean_squared_distance(body, p, pairs_of(body, p, s, matching))
+            for p, s in zip(poses, scans, strict=True)
         ]
         return 1000 * float(np.sqrt(np.mean(each)))
 
     told = [distance()]
     for _ in range(3):
         shifts = regress_joints(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
-        belief = Belief(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
+        belief = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
         problem = shared_problem(body, pairs(), prior, modes, belief, mirrored, *weights)
-        body, several, _ = step_of(problem, stack(poses))
+        body, several, _ = gauss_newton_step(problem, stack(poses))
         poses = unstack(several, len(frames))
         body = adapt_shape(body, stack(poses), pairs(), shape, 10.0)
         told.append(distance())
     assert told[0] > told[1] > told[2] > told[3]
     # what the true body leaves is noise
-    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], s, matching)) for s, n in zip(scans, frames, strict=True)]  # fmt: skip
+    truth = [mean_squared_distance(actor, motion[n], pairs_of(actor, motion[n], s, matching)) for s, n in zip(scans, frames, strict=True)]  # fmt: skip
     floor = 1000 * float(np.sqrt(np.mean(truth)))
     assert told[3] - floor < 0.5 * (told[0] - floor)
     left, right = body.skeleton.index("LeftForeArm"), body.skeleton.index("RightForeArm")
@@ -300,15 +301,15 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), AdaptSettings(frames=6, alone=3, rounds=(2, 2)))  # fmt: skip
+                mirrored_joints(template.skeleton), AdaptSettings(frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
-    assert last.done == len(plan(task.settings))
+    assert last.done == len(plan_stages(task.settings))
     assert last.lost == ()
     assert last.size == pytest.approx(1.66 / 1.75, rel=0.03)
     # what the true body leaves is noise
     frames = np.unique(np.linspace(0, len(clouds) - 1, 8).astype(int)).tolist()
-    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in frames]  # fmt: skip
+    truth = [mean_squared_distance(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in frames]  # fmt: skip
     floor = 1000 * float(np.sqrt(np.mean(truth)))
     assert last.history[-1][1] - floor < 0.5 * (last.history[0][1] - floor)
     again = list(adapt_body(task, states[6]))
@@ -320,14 +321,14 @@ def test_the_whole_way_and_again_from_the_middle(scene):
 def test_a_body_is_adapted_while_it_is_tracked(scene):
     """After every frame of the first ten: the body is nearer to the actor before the last frames are tracked."""
     template, actor, motion, clouds = scene
-    settings = AdaptSettings(frames=4, every=1, alone=2, rounds=(1,), temporal=0.0)
+    settings = AdaptSettings(frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal=0.0)
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
                 mirrored_joints(template.skeleton), settings)  # fmt: skip
     states = list(adapt_body(task))
-    before, after = (next(s for s, stage in zip(states, plan(settings), strict=True) if str(stage) == name)
+    before, after = (next(s for s, stage in zip(states, plan_stages(settings), strict=True) if str(stage) == name)
                      for name in ("track to frame 1", "track"))  # fmt: skip
     # what the true body leaves is noise
-    truth = [mean_square(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in range(8)]  # fmt: skip
+    truth = [mean_squared_distance(actor, motion[n], pairs_of(actor, motion[n], make_scan(clouds[n]), Matching())) for n in range(8)]  # fmt: skip
     floor = 1000 * float(np.sqrt(np.mean(truth)))
     assert after.history[-1][1] - floor < 0.7 * (before.history[-1][1] - floor)
     assert states[-1].lost == ()

@@ -10,18 +10,18 @@ from adapt_scene import make_scene, words, write_folder
 from command_line import runs
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
-from jaxcap.cli.adapt.prior import carried, prior_file, read_priors
-from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state
+from jaxcap.cli.adapt.prior import carried_arrays, prior_file, read_priors
+from jaxcap.cli.adapt.state import fingerprint_of, hash_file, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
 from jaxcap.io.archives import archive
 from jaxcap.io.archives.npz import load_limits
-from jaxcap.io.archives.prior import carries_prior, load_boxes, load_priors
+from jaxcap.io.archives.prior import has_prior, load_boxes, load_priors
 from jaxcap.io.meshes.clouds import read_clouds
 
 
@@ -81,7 +81,7 @@ def test_nothing_is_read_twice(scene, known, folder, monkeypatch):
 
 def test_which_file_counts(folder):
     body, plain = (str(folder / name) for name in ("body.npz", "plain.npz"))
-    assert carries_prior(body) and not carries_prior(plain)
+    assert has_prior(body) and not has_prior(plain)
     assert prior_file(body, None) == folder / "body.npz"
     assert prior_file(body, folder / "other.npz") == folder / "other.npz"
     assert prior_file(body, folder / "none") == folder / "none"
@@ -89,14 +89,14 @@ def test_which_file_counts(folder):
     assert prior_file(plain, None) is None
     assert prior_file("human:female", None) is None
     assert prior_file(plain, folder / "other.npz") == folder / "other.npz"
-    assert set(carried(body, None)) == {"angles"}
-    assert carried(plain, None) == carried("human", None) == {}
+    assert set(carried_arrays(body, None)) == {"angles"}
+    assert carried_arrays(plain, None) == carried_arrays("human", None) == {}
 
 
 def test_a_prior_in_the_template_counts_as_one_that_is_named(scene, folder):
     scans = read_clouds(str(folder / "*.ply"))
     asked = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz")
-    own = read_priors(folder / "body.npz", scene[0], own=True, reduced=False)
+    own = read_priors(folder / "body.npz", scene[0], from_template=True, reduced=False)
     task, without = (asked.task(scene[0], scans, priors) for priors in (own, None))
     assert own is not None
     named = asked.task(scene[0], scans, load_priors(folder / "body.npz", scene[0]))
@@ -112,12 +112,12 @@ def test_of_a_reduced_template_its_own_shape_is_left_out(scene, folder, capsys):
     few = jc.Body(
         scene[0].skeleton, jc.body.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]])
     )
-    priors = read_priors(folder / "body.npz", few, own=True, reduced=True)
+    priors = read_priors(folder / "body.npz", few, from_template=True, reduced=True)
     assert priors is not None and priors.boxes is not None and priors.shape is None
     assert "no shape prior, because of --vertices" in capsys.readouterr().out
     # one that is asked for is refused instead
     with pytest.raises(jc.InputError, match="and the body has 3"):
-        read_priors(folder / "body.npz", few, own=False, reduced=True)
+        read_priors(folder / "body.npz", few, from_template=False, reduced=True)
 
 
 @pytest.mark.parametrize(
@@ -135,16 +135,16 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     asked = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(asked.clouds), template).digests
     file = None if counts is None else folder / counts
-    header = {**asked.settings(), "prior": hash_of(file), **fingerprint_of(template, digests)}
-    done = len(plan(AdaptSettings(temporal=0.0)))
+    header = {**asked.settings(), "prior": hash_file(file), **fingerprint_of(template, digests)}
+    done = len(plan_stages(AdaptSettings(temporal=0.0)))
     motion = stack_poses(poses, 30.0)
-    keep_state(asked.kept, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)
+    keep_state(asked.checkpoint_path, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)
     told = runs(capsys, *words(folder, "--smoothness", 0, "--resume", *more))
     line = "body.npz: the prior in this file is used (2 pairs of joints, ranges of 1 joints, the shape of 1 meshes)"
     assert (line in told) == (not more)
     skeleton, out = actor.skeleton, folder / "a.npz"
     np.testing.assert_array_equal(load_limits(out)["angles"], np.arange(3.0))
-    assert carries_prior(out) == keeps
+    assert has_prior(out) == keeps
     assert not [name for name in load_limits(out) if name.startswith("shape.")]
     np.testing.assert_array_equal(jc.load_body(out).vertices, actor.vertices)
     if keeps:

@@ -10,10 +10,10 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt import adapt_body as loop
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.pose import retract, stack_poses
-from jaxcap.cli.adapt.state import keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.state import keep_state, load_resumed_state
 
 HEADER = {"who": "a test"}
 
@@ -26,10 +26,12 @@ def scene():
 def before_stage(scene, name: str, **changes):
     """The task, and a state whose next stage is the last of a name, with poses that are off."""
     _, actor, poses, _ = scene
-    task = task_of(scene)._replace(settings=AdaptSettings(frames=3, alone=1, rounds=(1,)), **changes)
+    task = task_of(scene)._replace(
+        settings=AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,)), **changes
+    )
     way = jnp.asarray(0.02 * np.random.default_rng(2).normal(size=actor.skeleton.num_dofs))
     off = stack_poses([retract(actor.skeleton, pose, way) for pose in poses], 10.0)
-    names = [stage.name for stage in plan(task.settings)]
+    names = [stage.name for stage in plan_stages(task.settings)]
     done = len(names) - 1 - names[::-1].index(name)
     terms = (Terms(1e-5, 1.0, 1e-3, 0.0, 0.0),)
     return task, AdaptState(done, actor, 1.0, off, weight=1e-8, terms=terms, history=(("size", 3.0),))
@@ -51,7 +53,7 @@ def stage_of(task, state: AdaptState, every: int = 0) -> list[AdaptState]:
 def test_pieces_are_the_whole_and_any_can_be_gone_on_from(scene, name, pieces, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "smooth_windows", partial(loop.smooth_windows, frames=4, stride=2))
     # any poses other than those given are hands that were turned
-    monkeypatch.setattr(loop, "turn_over", lambda tracker, clouds, poses: scene[2][:3])
+    monkeypatch.setattr(loop, "flip_limb_ends", lambda tracker, clouds, poses: scene[2][:3])
     task, before = before_stage(scene, name)
     (whole,) = stage_of(task, before)
     reached = stage_of(task, before, every=2)
@@ -62,10 +64,10 @@ def test_pieces_are_the_whole_and_any_can_be_gone_on_from(scene, name, pieces, t
     assert np.abs(np.asarray(whole.motion.poses.rotations - before.motion.poses.rotations)).max() > 1e-3
     ends = [reached[-1]]
     # hands that are turned over already are not looked for again
-    monkeypatch.setattr(loop, "turn_over", None)
+    monkeypatch.setattr(loop, "flip_limb_ends", None)
     for state in reached[:-1]:
         keep_state(tmp_path / "kept", state, HEADER)
-        kept = state_to_go_on_from(tmp_path / "kept", HEADER, resume=True, overwrite=False)
+        kept = load_resumed_state(tmp_path / "kept", HEADER, resume=True, overwrite=False)
         ends.append(stage_of(task, kept)[-1])
     for end in ends:
         assert end._replace(body=whole.body, motion=whole.motion) == whole
@@ -108,7 +110,5 @@ def test_what_a_cloud_cannot_be_read_for_is_told_as_it_is(scene):
 
     with pytest.raises(jc.InputError, match=r"^scan_0002.ply: cannot be read; check the path.$"):
         task_of(scene, cloud=unreadable).scan(2)
-    with pytest.raises(
-        jc.InputError, match=r"^frame 2: .* no points .* Add it to the `missing` frames.$"
-    ):
+    with pytest.raises(jc.InputError, match=r"^frame 2: .* no points .* Add it to the `missing` frames.$"):
         task_of(scene, cloud=empty).scan(2)

@@ -2,12 +2,12 @@
 
 import pytest
 
-from jaxcap.adapt.adapt_body import AdaptSettings, Stage, plan, shape_weight
+from jaxcap.adapt.adapt_body import AdaptSettings, Stage, plan_stages, shape_weight
 
 
 def test_the_plan_has_all_stages_and_weights_fall():
-    settings = AdaptSettings(alone=2, rounds=(5, 3), temporal=0.0)
-    names = [stage.name for stage in plan(settings)]
+    settings = AdaptSettings(proportion_rounds=2, rounds=(5, 3), temporal=0.0)
+    names = [stage.name for stage in plan_stages(settings)]
     assert names == [
         "size",
         "track",
@@ -21,12 +21,12 @@ def test_the_plan_has_all_stages_and_weights_fall():
     ]
     weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
     assert weights == pytest.approx(list(settings.shape))
-    assert [stage.name for stage in plan(AdaptSettings(alone=0, rounds=()))] == [
+    assert [stage.name for stage in plan_stages(AdaptSettings(proportion_rounds=0, rounds=()))] == [
         "size",
         "track",
         "pose",
         "smooth",
     ]
-    while_tracking = [str(stage) for stage in plan(AdaptSettings(every=10))]
+    while_tracking = [str(stage) for stage in plan_stages(AdaptSettings(every=10))]
     assert while_tracking[:4] == ["size", "track to frame 10", "adapt to frame 10", "track to frame 20"]
     assert while_tracking.index("adapt to frame 100") < while_tracking.index("track")

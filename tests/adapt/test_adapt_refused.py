@@ -11,15 +11,15 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
 from jaxcap.adapt.check import (
-    Likeness,
+    FitQuality,
     check_actor,
-    connected,
+    connected_labels,
+    fit_quality,
     height_of,
     is_person,
-    large_groups,
-    likeness,
+    person_sized_groups,
 )
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.poses.task_pairs import pairs_at
@@ -28,7 +28,7 @@ from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
-from jaxcap.cli.adapt.state import fingerprint_of, keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
@@ -140,7 +140,7 @@ def without_second(task: AdaptTask) -> AdaptTask:
 
 def test_a_frame_without_a_scan_is_lost_and_lies_between_others(scene):
     task = without_second(task_of(scene, template=scene[1]))
-    *_, last = adapt_body(task._replace(settings=AdaptSettings(alone=0, rounds=())))
+    *_, last = adapt_body(task._replace(settings=AdaptSettings(proportion_rounds=0, rounds=())))
     assert last.lost == (2,)
     skeleton, motion = last.body.skeleton, last.motion
     ways = [difference(skeleton, motion[a], motion[b]) for a, b in ((1, 2), (2, 3))]
@@ -155,7 +155,7 @@ def test_all_stages_go_without_it(scene):
     assert all(2 not in state.chosen for state in states)
     assert any(state.chosen for state in states)
     *_, stages = compare_stages(task, states[-1])
-    assert stages.measured == (0, 1, 3, 4, 5)
+    assert stages.measured_frames == (0, 1, 3, 4, 5)
 
 
 def test_something_else_than_the_body(scene, monkeypatch):
@@ -171,10 +171,12 @@ def test_something_else_than_the_body(scene, monkeypatch):
     out = rng.normal(size=(900, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     # no other person is looked for in it
-    monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.0, 0.0))
-    with pytest.raises(jc.InputError, match=r"a\.ply: this scan does not resemble a person.*give scans of one person"):
+    monkeypatch.setattr(check, "_fit_quality_alone", lambda *_: FitQuality(0.0, 0.0))
+    with pytest.raises(
+        jc.InputError, match=r"a\.ply: this scan does not resemble a person.*give scans of one person"
+    ):
         check_actor(alone(task, middle + 0.4 * height * out, out), state, "a.ply")
-    monkeypatch.setattr(check, "_likeness_alone", lambda *_: Likeness(0.9, 0.9))
+    monkeypatch.setattr(check, "_fit_quality_alone", lambda *_: FitQuality(0.9, 0.9))
     column = (
         middle
         + [0.8 * height, 0.0, 0.0]
@@ -189,11 +191,12 @@ def test_what_a_body_explains_of_its_own_surface_and_of_one_inside_out(scene):
     state, posed = there(actor, poses[0]), _posed(actor, poses[0])
     points, normals = np.asarray(posed.vertices), np.asarray(posed.normals)
     shares = [
-        likeness(state, 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share for sign in (1, -1, 0)
+        fit_quality(state, 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share
+        for sign in (1, -1, 0)
     ]
     assert shares == [1.0, 0.0, 1.0]
-    far, apart = likeness(state, 0, make_scan(jc.make_cloud(points + 10.0, normals)))
-    assert far == Likeness(0.0, 0.0)
+    far, apart = fit_quality(state, 0, make_scan(jc.make_cloud(points + 10.0, normals)))
+    assert far == FitQuality(0.0, 0.0)
     assert len(apart) == len(points)
 
 
@@ -202,7 +205,7 @@ def test_what_a_human_explains_of_its_own_scan():
     pose, faces = rest_pose(body.skeleton), np.asarray(body.faces)
     points, normals = sample_surface(np.asarray(_posed(body, pose).vertices, float), faces, 2500, rng)
     found = [
-        likeness(there(body, pose), 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share
+        fit_quality(there(body, pose), 0, make_scan(jc.make_cloud(points, sign * normals)))[0].share
         for sign in (1, -1)
     ]
     assert found[0] > 0.95
@@ -220,7 +223,7 @@ def test_what_a_human_explains_of_its_own_scan():
     ],
 )  # fmt: skip
 def test_who_is_a_person(share, length, person):
-    assert is_person(Likeness(share, length)) == person
+    assert is_person(FitQuality(share, length)) == person
 
 
 def test_groups_are_those_as_large_as_a_person():
@@ -230,11 +233,11 @@ def test_groups_are_those_as_large_as_a_person():
     wall = rng.uniform([-2, 0, 3], [2, 2.4, 3.02], (4000, 3))
     box = rng.uniform([1, 0, 0], [1.4, 0.4, 0.4], (1000, 3))
     points = np.concatenate([wall, box, column])
-    groups = large_groups(points, 1.75, len(points))
+    groups = person_sized_groups(points, 1.75, len(points))
     assert [rows.tolist() for rows in groups] == [list(range(5000, 8000))]
-    assert large_groups(column, 1.75, 100_000) == []
-    assert large_groups(column[:0], 1.75, 100) == []
-    labels = connected(points, 0.1)
+    assert person_sized_groups(column, 1.75, 100_000) == []
+    assert person_sized_groups(column[:0], 1.75, 100) == []
+    labels = connected_labels(points, 0.1)
     assert len(np.unique(labels)) == 3
 
 
@@ -274,11 +277,13 @@ def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
 
     monkeypatch.setattr(np, "savez_compressed", full)
     for later in (state._replace(done=2), state._replace(within=2)):
-        with pytest.raises(jc.InputError, match=r"No space left.*free some space.*1 stage is saved.*--resume"):
+        with pytest.raises(
+            jc.InputError, match=r"No space left.*free some space.*1 stage is saved.*--resume"
+        ):
             keep_state(path, later, header)
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
-    kept = state_to_go_on_from(path, header, resume=True, overwrite=False)
+    kept = load_resumed_state(path, header, resume=True, overwrite=False)
     assert kept is not None and kept.done == 1
 
 
@@ -288,8 +293,8 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(task.clouds), template).digests
     header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
-    state = AdaptState(len(plan(AdaptSettings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
-    keep_state(task.kept, state, header)
+    state = AdaptState(len(plan_stages(AdaptSettings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
+    keep_state(task.checkpoint_path, state, header)
 
     def full(file, **arrays):
         raise OSError(28, "No space left on device")
@@ -300,7 +305,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     assert "a-motion.npz: cannot be written" in told and "stages are saved" in told
     assert not task.out.exists()
     assert "times the template's size" in runs(capsys, *words(folder, "--smoothness", 0, "--resume"))
-    assert not task.kept.exists()
+    assert not task.checkpoint_path.exists()
 
 
 def test_a_folder_that_cannot_be_written_to(folder, capsys):

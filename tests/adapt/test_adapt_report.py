@@ -13,33 +13,33 @@ from command_line import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.adapt.evaluate import (
-    BIN,
-    Stages,
+    BIN_WIDTH,
+    Evaluation,
+    add_distances,
     compare_stages,
+    empty_histogram,
     main_axes,
-    no_distances,
     quantile,
     share_below,
-    summary_of,
+    summarise,
     variant_names,
-    with_distances,
 )
 from jaxcap.adapt.objective import Terms
-from jaxcap.adapt.shape.scale import resized
+from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
-from jaxcap.cli.adapt.state import checkpoint_of, fingerprint_of
+from jaxcap.cli.adapt.state import fingerprint_of, make_checkpoint
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.adaptation import adaptation_page, report_adaptation
-from jaxcap.report.chart import path, ticks
+from jaxcap.report.chart import svg_path, ticks
 from jaxcap.report.page import VOID, element, page, table
 
 FRAMES, RATE = 5, 10.0
@@ -48,27 +48,27 @@ _pose_body = eqx.filter_jit(jc.pose_body)
 
 def test_summaries_against_scipy(rng):
     values = rng.exponential(0.004, 30_000)
-    known = no_distances()
+    known = empty_histogram()
     for part in np.split(values, [100, 9_000]):
-        known = with_distances(known, np.append(part, np.nan))
-    summary = summary_of(known)
+        known = add_distances(known, np.append(part, np.nan))
+    summary = summarise(known)
     assert summary.count == len(values)
     assert summary.mean == pytest.approx(values.mean())
     assert summary.sd == pytest.approx(values.std())
-    assert summary.median == pytest.approx(np.median(values), abs=BIN)
-    assert summary.mad == pytest.approx(scipy.stats.median_abs_deviation(values), abs=BIN)
-    assert summary.iqr == pytest.approx(scipy.stats.iqr(values), abs=2 * BIN)
-    assert quantile(known, 0.9) == pytest.approx(np.quantile(values, 0.9), abs=BIN)
+    assert summary.median == pytest.approx(np.median(values), abs=BIN_WIDTH)
+    assert summary.mad == pytest.approx(scipy.stats.median_abs_deviation(values), abs=BIN_WIDTH)
+    assert summary.iqr == pytest.approx(scipy.stats.iqr(values), abs=2 * BIN_WIDTH)
+    assert quantile(known, 0.9) == pytest.approx(np.quantile(values, 0.9), abs=BIN_WIDTH)
     limits = np.array([0.0, 0.001, 0.02])
     found = [np.mean(values < limit) for limit in limits]
     np.testing.assert_allclose(share_below(known, limits), found, atol=1e-3)
 
 
 def test_far_distances_count_and_none_are_told_as_such():
-    far = with_distances(no_distances(), np.array([0.001, 30.0, np.inf]))
-    assert summary_of(far).count == 2
-    assert summary_of(far).mean == pytest.approx(15.0005)
-    none = summary_of(no_distances())
+    far = add_distances(empty_histogram(), np.array([0.001, 30.0, np.inf]))
+    assert summarise(far).count == 2
+    assert summarise(far).mean == pytest.approx(15.0005)
+    none = summarise(empty_histogram())
     assert none.count == 0
     assert np.isnan(none[:5]).all()
 
@@ -87,7 +87,7 @@ def scene():
     sides = {"elbow": "LeftBone", "hand": "RightBone"}
     names = tuple(sides.get(name, name) for name in template.skeleton.names)
     template = replace(template, skeleton=replace(template.skeleton, names=names))
-    actor = resized(template, jnp.asarray(1.1))
+    actor = scale_body(template, jnp.asarray(1.1))
     bumps = 0.003 * rng.normal(size=actor.vertices.shape)
     actor = eqx.tree_at(lambda body: body.vertices, actor, actor.vertices + bumps)
     still, way = rest_pose(actor.skeleton), 0.2 * rng.normal(size=actor.skeleton.num_dofs)
@@ -98,19 +98,19 @@ def scene():
         points, normals = sample_surface(vertices, np.asarray(actor.faces), 700, rng)
         clouds.append(jc.make_cloud(points + 0.0005 * rng.normal(size=points.shape), normals))
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=2, alone=1, rounds=(1, 1))
+    settings = AdaptSettings(frames=2, proportion_rounds=1, rounds=(1, 1))
     task = AdaptTask(
         template, clouds.__getitem__, FRAMES, RATE, None, prior, mirrored_joints(template.skeleton), settings
     )
     shaken = [retract(actor.skeleton, p, jnp.asarray(0.002 * rng.normal(size=len(way)))) for p in poses]
-    done, told = len(plan(settings)), (("size", 4.0), ("smooth", 1.0))
+    done, told = len(plan_stages(settings)), (("size", 4.0), ("smooth", 1.0))
     terms = (Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1e-6, 4e-6, 1e-8))
     motion = stack_poses(shaken, RATE)
     return task, AdaptState(done, actor, 1.1, motion, (3,), (0, 4), told, weight=1e-6, terms=terms)
 
 
 @pytest.fixture(scope="module")
-def stages(scene) -> Stages:
+def stages(scene) -> Evaluation:
     every = list(compare_stages(*scene))
     assert [len(one.variants) for one in every] == [1, 2, 3, 4]
     return every[-1]
@@ -119,8 +119,8 @@ def stages(scene) -> Stages:
 def test_variants_come_nearer_to_the_scans(scene, stages):
     task, state = scene
     assert [variant.name for variant in stages.variants] == variant_names(task.settings)
-    assert stages.measured == tuple(range(FRAMES))
-    medians = [summary_of(variant.to_body).median for variant in stages.variants]
+    assert stages.measured_frames == tuple(range(FRAMES))
+    medians = [summarise(variant.scan_to_body).median for variant in stages.variants]
     assert medians[0] > medians[1] > medians[2]
     np.testing.assert_allclose(stages.variants[0].body.vertices, 1.1 * task.template.vertices)
     assert stages.variants[3].body is state.body
@@ -136,9 +136,9 @@ def test_the_last_variant_is_the_final_motion(scene, stages):
         apart.append(scan_to_surface(points, vertices, faces))
         back.append(np.linalg.norm(vertices[:, None] - points, axis=-1).min(1))
     last = stages.variants[-1]
-    assert summary_of(last.to_body).mean == pytest.approx(np.mean(apart))
-    assert summary_of(last.to_scan).mean == pytest.approx(np.mean(back))
-    np.testing.assert_allclose(last.by_frame, np.median(apart, axis=1))
+    assert summarise(last.scan_to_body).mean == pytest.approx(np.mean(apart))
+    assert summarise(last.body_to_scan).mean == pytest.approx(np.mean(back))
+    np.testing.assert_allclose(last.frame_medians, np.median(apart, axis=1))
     assert np.isfinite(last.heat).any()
     assert np.nanmax(last.heat) <= np.max(apart)
 
@@ -150,11 +150,11 @@ def test_joints_shake_less_where_a_motion_is_even(scene, stages):
     assert angles.after is not None
     assert angles.before.shape == angles.after.shape == (FRAMES, state.body.skeleton.num_joints)
     np.testing.assert_allclose(angles.seconds, np.arange(FRAMES) / RATE)
-    assert angles.shake_after is not None
+    assert angles.roughness_after is not None
     # a fixed joint does not turn, and others by their even way alone but for what they were shaken by
     fixed = [kind in ("fixed", "translate") for kind in state.body.skeleton.kinds]
-    assert np.abs(angles.shake_after[fixed]).max() < 1e-6
-    assert angles.shake_after.max() < 0.01
+    assert np.abs(angles.roughness_after[fixed]).max() < 1e-6
+    assert angles.roughness_after.max() < 0.01
 
 
 def test_some_frames_and_no_smooth_motion(scene):
@@ -162,10 +162,10 @@ def test_some_frames_and_no_smooth_motion(scene):
     task = task._replace(settings=task.settings._replace(temporal=0.0))
     last = list(compare_stages(task, state, step=2))[-1]
     assert [variant.name for variant in last.variants] == ["not adapted", "first frame", "many frames"]
-    assert last.measured == (0, 2, 4)
+    assert last.measured_frames == (0, 2, 4)
     assert last.angles is not None
     assert last.angles.after is None
-    apart = summary_of(last.variants[-1].to_body)
+    apart = summarise(last.variants[-1].scan_to_body)
     assert apart.count == 3 * 700
     assert "smoothed motion" not in adaptation_page(task, state, last, {})
 
@@ -177,7 +177,7 @@ def test_meshes_are_met_in_their_own_frames(scene):
         list(compare_stages(one, state, step=2))[-1] for one in (task, task._replace(mesh=task.scan))
     )
     for cloud, mesh in zip(clouds.variants, meshes.variants, strict=True):
-        np.testing.assert_array_equal(cloud.to_body.counts, mesh.to_body.counts)
+        np.testing.assert_array_equal(cloud.scan_to_body.counts, mesh.scan_to_body.counts)
 
 
 def test_what_cannot_be_measured(scene):
@@ -246,8 +246,8 @@ def test_the_table_has_the_figures_of_the_result(told, stages):
     cells = [text for tag, text in first.texts if tag in ("td", "th")]
     rows = [cells[9 * n : 9 * n + 9] for n in range(1, 5)]
     for row, variant in zip(rows, stages.variants, strict=True):
-        summary = summary_of(variant.to_body)
-        values = [*summary[:5], quantile(variant.to_body, 0.9), quantile(variant.to_scan, 0.5)]
+        summary = summarise(variant.scan_to_body)
+        values = [*summary[:5], quantile(variant.scan_to_body, 0.9), quantile(variant.body_to_scan, 0.5)]
         assert row == [variant.name, *(f"{1000 * x:.2f}" for x in values), str(len(variant.lost))]
 
 
@@ -261,7 +261,7 @@ def test_names_of_files_are_text(told):
 def test_charts_have_round_ticks_and_lines_that_break():
     assert ticks(0.0, 20.0) == [0.0, 5.0, 10.0, 15.0, 20.0]
     assert ticks(-0.31, 0.1) == pytest.approx([-0.3, -0.2, -0.1, 0.0, 0.1])
-    assert path(np.arange(4.0), np.array([1.0, 2.0, np.nan, 4.0])) == "M0.0 1.0 L1.0 2.0 M3.0 4.0"
+    assert svg_path(np.arange(4.0), np.array([1.0, 2.0, np.nan, 4.0])) == "M0.0 1.0 L1.0 2.0 M3.0 4.0"
 
 
 def test_a_report_that_cannot_be_written(scene, stages, tmp_path):
@@ -280,11 +280,11 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     verb = Adapt(str(tmp_path / "template.npz"), (str(tmp_path / "scans.npz"),), out, smoothness=0.0)
     digests = check_input(read_clouds(verb.clouds), task.template).digests
     header = {**verb.settings(), "prior": None, **fingerprint_of(task.template, digests)}
-    stages = len(plan(AdaptSettings(temporal=0.0)))
-    save_checkpoint(verb.kept, checkpoint_of(state._replace(done=stages)), header)
+    stages = len(plan_stages(AdaptSettings(temporal=0.0)))
+    save_checkpoint(verb.checkpoint_path, make_checkpoint(state._replace(done=stages)), header)
     words = ("adapt", verb.body, *verb.clouds, "-o", out, "--smoothness", 0, "--report", report)
     assert f"{report}: the report" in runs(capsys, *words, "--report-every", 4, "--resume")
-    assert not verb.kept.exists()
+    assert not verb.checkpoint_path.exists()
     text = report.read_text(encoding="utf-8")
     Parsed(text)
     assert "2 of 5 frames were measured" in text

@@ -11,16 +11,16 @@ from adapt_scene import make_scene, write_folder, write_scan
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.adapt.objective import Terms
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt import adapt as adapt_module
-from jaxcap.cli.adapt.actor import finished_run, save_actor
+from jaxcap.cli.adapt.actor import load_finished_run, save_actor
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
-from jaxcap.cli.adapt.state import fingerprint_of, hash_of, keep_state, state_to_go_on_from
+from jaxcap.cli.adapt.state import fingerprint_of, hash_file, keep_state, load_resumed_state
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 
@@ -50,7 +50,7 @@ def words(folder, out, *more) -> tuple:
 def finished_state(scene, **changes) -> AdaptState:
     _, actor, poses, _ = scene
     state = AdaptState(
-        done=len(plan(AdaptSettings(temporal=0.0))),
+        done=len(plan_stages(AdaptSettings(temporal=0.0))),
         body=actor,
         size=1.1,
         motion=stack_poses(poses, 30.0),
@@ -69,7 +69,7 @@ def begun(folder, scene, state: AdaptState | None) -> Adapt:
     scans = tuple(str(path) for path in folder.glob("*.ply"))
     run = Adapt(str(folder / "body.npz"), scans, folder / "a.npz", start=folder / "start.npz", smoothness=0.0)
     if state is not None:
-        keep_state(run.kept, state, header_of(run, scene))
+        keep_state(run.checkpoint_path, state, header_of(run, scene))
     return run
 
 
@@ -88,19 +88,19 @@ def test_the_file_of_an_actor_tells_of_its_run_to_the_last_bit(scene, tmp_path):
     state = finished_state(scene)
     jc.save_motion(motion, state.motion, state.body.skeleton)
     save_actor(path, state, {"angles": np.arange(3.0)}, header, motion)
-    again = finished_run(path, motion, header)
+    again = load_finished_run(path, motion, header)
     assert same_leaves(again, state)
     assert (again.history, again.terms, again.lost) == (state.history, state.terms, state.lost)
     assert same_leaves(jc.load_body(path), state.body)
     with pytest.raises(jc.InputError, match=r"a\.npz: this run was begun with rate 30.0, not 25.0"):
-        finished_run(path, motion, {**header, "rate": 25.0})
+        load_finished_run(path, motion, {**header, "rate": 25.0})
     other = state.motion.slice(slice(1, None))
     jc.save_motion(motion, other, state.body.skeleton)
     with pytest.raises(jc.InputError, match=r"m\.npz: this is not the motion that was written with .*a\.npz"):
-        finished_run(path, motion, header)
+        load_finished_run(path, motion, header)
     jc.save_body(path, state.body)
     with pytest.raises(jc.InputError, match=r"a\.npz: this file does not record the run that made the body"):
-        finished_run(path, motion, header)
+        load_finished_run(path, motion, header)
 
 
 def test_a_motion_that_was_written_as_bvh_is_read_again(scene, tmp_path):
@@ -111,7 +111,7 @@ def test_a_motion_that_was_written_as_bvh_is_read_again(scene, tmp_path):
     save_actor(
         tmp_path / "a.npz", finished_state(scene, body=body, motion=motion), {}, {}, tmp_path / "m.bvh"
     )
-    again = finished_run(tmp_path / "a.npz", tmp_path / "m.bvh", {}).motion
+    again = load_finished_run(tmp_path / "a.npz", tmp_path / "m.bvh", {}).motion
     here, there = (joint_paths(body.skeleton, one.poses) for one in (again, motion))
     np.testing.assert_allclose(here, there, atol=2e-5)
     assert again.rate == pytest.approx(30.0, rel=1e-6)
@@ -130,7 +130,7 @@ def test_a_run_that_has_ended(scene, folder, capsys):
     told = fails(capsys, *asked, "--report", folder / "a.html", "--rate", 25)
     assert "this run was begun with rate 30.0, not 25.0" in told
     # one that was stopped before anything was kept begins
-    assert state_to_go_on_from(run.kept, {}, resume=True, overwrite=False) is None
+    assert load_resumed_state(run.checkpoint_path, {}, resume=True, overwrite=False) is None
 
 
 @pytest.mark.parametrize("number", [0, 4])
@@ -192,13 +192,15 @@ def stopped_after(at):
 @pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypatch):
     """And its report, made with it, is the one that is made afterwards."""
-    monkeypatch.setattr(adapt_module, "AdaptSettings", partial(AdaptSettings, alone=1, rounds=(1, 1)))
+    monkeypatch.setattr(
+        adapt_module, "AdaptSettings", partial(AdaptSettings, proportion_rounds=1, rounds=(1, 1))
+    )
     whole, parts = folder / "whole.npz", folder / "parts.npz"
     report = ("--report-every", 3, "--frames", 3, "--report")
     runs(capsys, *words(folder, whole, *report, folder / "with.html"))
     before = whole.read_bytes()
 
-    monkeypatch.setattr(adapt_module, "KEPT", 2)
+    monkeypatch.setattr(adapt_module, "MIN_CHECKPOINT_FRAMES", 2)
     more: tuple = ()
     for at, done in STOPS:
         with monkeypatch.context() as patch:
@@ -222,4 +224,4 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_bits(folder, capsys, monkeypa
     runs(capsys, *words(folder, whole, "--resume", *report, folder / "after.html"))
     assert (folder / "after.html").read_text() == (folder / "with.html").read_text()
     assert whole.read_bytes() == before
-    assert hash_of(folder / "whole-motion.npz") == str(np.load(whole)["run.motion"])
+    assert hash_file(folder / "whole-motion.npz") == str(np.load(whole)["run.motion"])

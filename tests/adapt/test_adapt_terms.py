@@ -7,15 +7,15 @@ import pytest
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.objective import balanced, motion_energy, pose_energy, symmetry_energy
+from jaxcap.adapt.objective import balancing_weight, motion_energy, pose_energy, symmetry_energy
 from jaxcap.adapt.problems import stack
-from jaxcap.adapt.shape.shape_prior import own_shape_prior, shape_energy
+from jaxcap.adapt.shape.shape_prior import body_shape_prior, shape_energy
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
-from jaxcap.body.shape_modes import joint_modes, moved
+from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import Pairs
+from jaxcap.fit.correspondence.correspond import PointPairs
 from jaxcap.fit.problem import linearise
 
 BODY = chain_body("swing_twist")
@@ -28,11 +28,11 @@ def test_pairs_as_a_term_are_the_pairs_energy_with_its_slope(rng):
     residual, jacobian = eqx.filter_jit(linearise)(term, BODY, pose)
     n = np.asarray(pairs.normals)
     places = np.asarray(jc.pose_body(BODY, pose).vertices)[np.asarray(pairs.vertices)]
-    apart = np.einsum("ck,cka->ca", pairs.shares, places) - pairs.points
+    apart = np.einsum("ck,cka->ca", pairs.barycentric, places) - pairs.points
     across = np.einsum("ca,ca->c", n, apart)
     along = np.sum(apart**2, 1) - across**2
     assert float(residual @ residual) == pytest.approx(
-        float(np.sum(pairs.weights * (across**2 + pairs.along * along)))
+        float(np.sum(pairs.weights * (across**2 + pairs.tangential_weights * along)))
     )
 
     @eqx.filter_jit
@@ -50,13 +50,13 @@ def test_pairs_as_a_term_are_solved_beside_a_users_own(rng):
     posed = jc.pose_body(BODY, truth)
     rows = jnp.arange(len(BODY.vertices), dtype=jnp.int32)[:, None]
     ones = jnp.ones(len(BODY.vertices))
-    pairs = Pairs(rows, ones[:, None], posed.vertices, posed.normals, ones, ones)
+    pairs = PointPairs(rows, ones[:, None], posed.vertices, posed.normals, ones, ones)
     found = jc.solve(PairDistances(pairs) + 1e-9 * PRIOR, BODY, jc.rest_pose(BODY.skeleton))
     np.testing.assert_allclose(jc.pose_body(BODY, found.pose).vertices, posed.vertices, atol=1e-5)
 
 
 def test_a_body_keeps_its_own_shape_and_loses_it_where_it_is_changed(rng):
-    prior = own_shape_prior(BODY, 3)
+    prior = body_shape_prior(BODY, 3)
     assert shape_energy(prior, BODY) < 1e-20
     shifts = 0.01 * rng.normal(size=BODY.vertices.shape)
     rough = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + shifts)
@@ -76,7 +76,7 @@ def test_the_human_is_symmetric_until_a_bone_grows():
     assert symmetry_energy(skeleton, pairs) < 1e-8
     along = skeleton.centres[skeleton.index("LeftForeArm")] - skeleton.centres[skeleton.index("LeftArm")]
     shift = 0.02 * along / jnp.linalg.norm(along)
-    joints = [skeleton.index(name) for name in skeleton.names if skeleton.descent[skeleton.index("LeftForeArm"), skeleton.index(name)]]  # fmt: skip
+    joints = [skeleton.index(name) for name in skeleton.names if skeleton.descendants[skeleton.index("LeftForeArm"), skeleton.index(name)]]  # fmt: skip
     grown = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres.at[jnp.array(joints)].add(shift))
     assert symmetry_energy(grown, pairs) == pytest.approx(0.02**2, rel=0.01)
 
@@ -85,8 +85,8 @@ def test_the_pose_term_is_the_mean_and_balance_makes_terms_worth_alike(rng):
     poses = [random_pose(BODY.skeleton, rng, 0.5) for _ in range(3)]
     each = [float(jnp.sum(PRIOR.residual(jc.pose_body(BODY, pose)) ** 2)) for pose in poses]
     assert pose_energy(PRIOR, BODY, stack(poses)) == pytest.approx(np.mean(each))
-    assert balanced(1e-5, 0.2) * 0.2 == pytest.approx(1e-5)
-    assert balanced(1e-5, 0.0) == 0.0
+    assert balancing_weight(1e-5, 0.2) * 0.2 == pytest.approx(1e-5)
+    assert balancing_weight(1e-5, 0.0) == 0.0
 
 
 def test_the_temporal_term_of_too_few_frames_is_none(rng):
@@ -103,13 +103,13 @@ def test_wild_frames_may_be_left_out_of_the_temporal_term(rng):
     wild = stack_poses([*bent[:3], random_pose(BODY.skeleton, rng, 1.0), *bent[4:]], 30.0)
     # a joint that turns about one axis has the same second derivative wherever it is looked at
     whole = motion_energy(BODY.skeleton, stack_poses(bent, 30.0))
-    assert motion_energy(BODY.skeleton, wild, without=(3,)) == pytest.approx(whole)
+    assert motion_energy(BODY.skeleton, wild, excluded=(3,)) == pytest.approx(whole)
     assert motion_energy(BODY.skeleton, wild) > 10 * whole
-    assert motion_energy(BODY.skeleton, wild, without=range(9)) == motion_energy(BODY.skeleton, wild)
+    assert motion_energy(BODY.skeleton, wild, excluded=range(9)) == motion_energy(BODY.skeleton, wild)
 
 
 def test_modes_move_joints_and_skin_together(rng):
     amounts = jnp.asarray(0.01 * rng.normal(size=3 * BODY.skeleton.num_joints))
-    there = moved(BODY, joint_modes(BODY, follow=False), amounts)
+    there = apply_modes(BODY, joint_modes(BODY, move_surface=False), amounts)
     np.testing.assert_array_equal(there.vertices, BODY.vertices)
     np.testing.assert_allclose(there.skeleton.centres, BODY.skeleton.centres + amounts.reshape(-1, 3), atol=1e-12)  # fmt: skip

@@ -12,17 +12,24 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.poses.task_pairs import TaskPairs
-from jaxcap.adapt.problems import ALIKE, Belief, shared_problem, stack, stack_pairs, unstack
-from jaxcap.adapt.rounds import adapt_round, step_of
-from jaxcap.adapt.shape.shape_prior import own_shape_prior
+from jaxcap.adapt.problems import (
+    PAIRS_PER_MEASUREMENT,
+    CoefficientPrior,
+    shared_problem,
+    stack,
+    stack_pairs,
+    unstack,
+)
+from jaxcap.adapt.rounds import adapt_round, gauss_newton_step
+from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
-from jaxcap.body.shape_modes import joint_modes, moved
+from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import places_on
+from jaxcap.fit.correspondence.correspond import pair_positions
 from jaxcap.geometry.mesh import mesh_edges
 
 FRAMES = 3
@@ -30,7 +37,7 @@ BODY = chain_body("linear")
 SKELETON = BODY.skeleton
 JOINTS, DOFS, COUNT = SKELETON.num_joints, SKELETON.num_dofs, len(BODY.vertices)
 PRIOR = RestPrior(jnp.full((JOINTS, 3), 0.7))
-MODES = joint_modes(BODY, follow=False)
+MODES = joint_modes(BODY, move_surface=False)
 #: as if the bones to elbow and jaw, and those to hand and neck, were of two sides
 MIRRORED = ((4, 8), (5, 7))
 
@@ -52,8 +59,8 @@ def problem(rng, corners: int = 3):
     poses = stack([random_pose(SKELETON, rng, 0.3) for _ in range(FRAMES)])
     pairs = stack([random_pairs(BODY, rng, 200, corners) for _ in range(FRAMES)])
     other = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + 0.005 * rng.normal(size=(COUNT, 3)))
-    belief = Belief(jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005))
-    return poses, pairs, own_shape_prior(other, 2), belief
+    belief = CoefficientPrior(jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005))
+    return poses, pairs, body_shape_prior(other, 2), belief
 
 
 def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
@@ -78,7 +85,7 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
 
     def parts(x):
         d, z, e = jnp.split(x, [FRAMES * DOFS, FRAMES * DOFS + 3 * JOINTS])
-        body = moved(BODY, MODES, z)
+        body = apply_modes(BODY, MODES, z)
         body = eqx.tree_at(lambda b: b.vertices, body, BODY.vertices + e.reshape(-1, 3))
         turned = [
             retract(SKELETON, p, own)
@@ -86,12 +93,12 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
         ]
         data, beside = [], []
         for pose, some in zip(turned, each, strict=True):
-            apart = places_on(some, jc.pose_body(body, pose).vertices) - some.points
+            apart = pair_positions(some, jc.pose_body(body, pose).vertices) - some.points
             data.append(jnp.einsum("cra,ca->cr", pair_directions(some), apart).reshape(-1))
             beside.append(jnp.sqrt(WEIGHTS.pose * num_pairs(some)) * PRIOR.residual(jc.pose_body(BODY, pose)))
         meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack(shape.poses, 2)])
         rough = jnp.sqrt(WEIGHTS.shape / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - shape.vectors)
-        believed = jnp.sqrt(ALIKE) * WEIGHTS.deviation / belief.deviation * (z - belief.expected)
+        believed = jnp.sqrt(PAIRS_PER_MEASUREMENT) * WEIGHTS.deviation / belief.deviation * (z - belief.mean)
         every = [jnp.concatenate(data + beside), rough.reshape(-1), believed, jnp.sqrt(WEIGHTS.hold) * e]
         return jnp.concatenate(every)
 
@@ -120,14 +127,14 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
 def test_the_slope_of_a_step_against_differences(rng):
     """What comes out, by the scans' points, their directions, the body and the weights, along a way through all of them."""
     poses, pairs, shape, belief = problem(rng)
-    given = (pairs.points, pairs.normals, BODY.vertices, SKELETON.centres, belief.expected, WEIGHTS.shape)
+    given = (pairs.points, pairs.normals, BODY.vertices, SKELETON.centres, belief.mean, WEIGHTS.shape)
     ways = [jnp.asarray(0.1 * rng.normal(size=part.shape)) for part in given]
     weigh = [jnp.asarray(rng.normal(size=shape)) for shape in ((COUNT, 3), (JOINTS, 3), (FRAMES, JOINTS, 4))]
 
     def value(points, normals, vertices, centres, expected, weight):
         body = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), BODY, (vertices, centres))
         some = eqx.tree_at(lambda p: (p.points, p.normals), pairs, (points, normals))
-        there, turned = step(poses, some, shape, Belief(expected, belief.deviation), body, WEIGHTS._replace(shape=weight))  # fmt: skip
+        there, turned = step(poses, some, shape, CoefficientPrior(expected, belief.deviation), body, WEIGHTS._replace(shape=weight))  # fmt: skip
         found = there.vertices, there.skeleton.centres, turned.rotations
         return sum(jnp.sum(by * part) for by, part in zip(weigh, found, strict=True))
 
@@ -175,12 +182,15 @@ def test_pairs_across_the_body_are_refused(rng):
 def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
     """Where pairs are right, from poses, joints and vertices that are off: what is told by all at once needs fewer turns."""
     poses, pairs, _, _ = problem(rng)
-    actor = moved(BODY, MODES, jnp.asarray(0.02 * rng.normal(size=3 * JOINTS)))
+    actor = apply_modes(BODY, MODES, jnp.asarray(0.02 * rng.normal(size=3 * JOINTS)))
     actor = eqx.tree_at(lambda b: b.vertices, actor, BODY.vertices + 0.01 * rng.normal(size=(COUNT, 3)))
     true = [retract(SKELETON, p, jnp.asarray(0.1 * rng.normal(size=DOFS))) for p in unstack(poses, FRAMES)]
-    points = [places_on(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack(pairs, FRAMES), true, strict=True)]  # fmt: skip
+    points = [pair_positions(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack(pairs, FRAMES), true, strict=True)]  # fmt: skip
     pairs = eqx.tree_at(lambda p: p.points, pairs, jnp.stack(points))
-    shape, belief = own_shape_prior(BODY, 2), Belief(jnp.zeros(3 * JOINTS), jnp.full(3 * JOINTS, 0.02))
+    shape, belief = (
+        body_shape_prior(BODY, 2),
+        CoefficientPrior(jnp.zeros(3 * JOINTS), jnp.full(3 * JOINTS, 0.02)),
+    )
     weights = WEIGHTS._replace(pose=1e-8, shape=1e-2, hold=1e-4)
     by = [jnp.asarray(x) for x in (weights.pose, weights.deviation)]
 
@@ -196,7 +206,9 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
     one, two, told = (BODY, poses), (BODY, poses), [[left(BODY, poses)] * 2]
     for _ in range(4):
         one = step(one[1], pairs, shape, belief, one[0], weights)
-        body, turned, _ = step_of(shared_problem(two[0], pairs, PRIOR, MODES, belief, MIRRORED, *by), two[1])
+        body, turned, _ = gauss_newton_step(
+            shared_problem(two[0], pairs, PRIOR, MODES, belief, MIRRORED, *by), two[1]
+        )
         two = adapt_shape(body, turned, pairs, shape, 1e-2), turned
         told.append([left(*one), left(*two)])
     assert told[4][0] < 1e-4 * told[0][0]
@@ -205,7 +217,7 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
 
 def test_a_round_takes_one_step_where_it_is_told_to():
     scene = make_scene()
-    task = task_of(scene, settings=AdaptSettings(frames=3, shape=(1.0, 1.0), together=True))
+    task = task_of(scene, settings=AdaptSettings(frames=3, shape=(1.0, 1.0), simultaneous=True))
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
     state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)

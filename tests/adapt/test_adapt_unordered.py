@@ -9,16 +9,22 @@ from command_line import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan
+from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.adapt.flagged import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses import unordered
-from jaxcap.adapt.poses.similarity import DIRECTIONS, is_unordered, shape_of, step_between, turned_distances
-from jaxcap.adapt.poses.task_pairs import told
-from jaxcap.adapt.poses.unordered import are_worse, find_poses, visiting_order
+from jaxcap.adapt.poses.similarity import (
+    DIRECTIONS,
+    distance_field,
+    is_unordered,
+    rotated_distances,
+    scan_distance,
+)
+from jaxcap.adapt.poses.task_pairs import append_history
+from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.pose import retract, stack_poses
-from jaxcap.cli.adapt.input import explained_words, warn_of_lost
-from jaxcap.cli.adapt.state import checkpoint_of, state_of
+from jaxcap.cli.adapt.input import format_explained, warn_of_lost
+from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.fit.tracking import track as sequence
 from jaxcap.fit.tracking.likeliest import log_likelihood
 from jaxcap.fit.tracking.track import track_frames
@@ -28,7 +34,7 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
-UNORDERED = AdaptSettings(frames=3, alone=1, rounds=(1,), unordered=True)
+UNORDERED = AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,), unordered=True)
 #: of the chain body, metres
 HEIGHT = 0.7
 
@@ -64,8 +70,8 @@ def turned(cloud: jc.Cloud, angle: float, shift=(0.0, 0.0, 0.0)) -> jc.Cloud:
 def test_a_cloud_that_was_turned_and_moved_is_the_same_in_that_direction(mixed):
     cloud = mixed[0].cloud(3)
     angle = 2 * np.pi * 7 / DIRECTIONS
-    apart = turned_distances(
-        shape_of(cloud, HEIGHT), shape_of(turned(cloud, angle, (1.0, 0.2, -2.0)), HEIGHT)
+    apart = rotated_distances(
+        distance_field(cloud, HEIGHT), distance_field(turned(cloud, angle, (1.0, 0.2, -2.0)), HEIGHT)
     )
     assert np.argmin(apart) == 7
     # the middle is a median along axes, which turn with it only about
@@ -73,13 +79,16 @@ def test_a_cloud_that_was_turned_and_moved_is_the_same_in_that_direction(mixed):
     plain = [
         np.sqrt(
             np.mean(
-                (np.roll(shape_of(cloud, HEIGHT).field, k, 1) - shape_of(mixed[0].cloud(1), HEIGHT).field)
+                (
+                    np.roll(distance_field(cloud, HEIGHT).field, k, 1)
+                    - distance_field(mixed[0].cloud(1), HEIGHT).field
+                )
                 ** 2
             )
         )
         for k in range(DIRECTIONS)
     ]
-    found = turned_distances(shape_of(cloud, HEIGHT), shape_of(mixed[0].cloud(1), HEIGHT))
+    found = rotated_distances(distance_field(cloud, HEIGHT), distance_field(mixed[0].cloud(1), HEIGHT))
     np.testing.assert_allclose(found, plain, atol=1e-7)
 
 
@@ -97,16 +106,16 @@ def test_an_order_in_time_shows(rng):
     assert not is_unordered(still.__getitem__, range(24), 1.5)
     order = np.random.default_rng(0).permutation(5)
     assert not is_unordered([clouds[4 * n] for n in order].__getitem__, range(5), 1.5)
-    assert step_between(*(shape_of(clouds[0], 1.5),) * 2) == 0.0
+    assert scan_distance(*(distance_field(clouds[0], 1.5),) * 2) == 0.0
 
 
 def test_frames_are_visited_along_the_shortest_tree(mixed):
     task = mixed[0]
-    shapes = {n: shape_of(task.cloud(n), HEIGHT) for n in task.scanned}
+    shapes = {n: distance_field(task.cloud(n), HEIGHT) for n in task.scanned}
     order = visiting_order(shapes)
     assert order[0] == 0
     assert sorted(order) == task.scanned
-    apart = np.array([[turned_distances(a, b).min() for b in shapes.values()] for a in shapes.values()])
+    apart = np.array([[rotated_distances(a, b).min() for b in shapes.values()] for a in shapes.values()])
     steps = [apart[order[:n], order[n]].min() for n in range(1, len(order))]
     # as distances of turned fields are the same both ways
     assert sum(steps) == pytest.approx(minimum_spanning_tree(np.triu(apart, 1)).sum())
@@ -114,21 +123,21 @@ def test_frames_are_visited_along_the_shortest_tree(mixed):
 
 def test_worse_frames_are_those_far_below_the_others():
     usual = np.array([5.0, 5.1, 4.9, 5.05, 4.95])
-    assert not are_worse(usual).any()
-    assert are_worse(np.append(usual, [4.2, np.nan, -np.inf])).tolist() == [False] * 5 + [True] * 3
+    assert not worse_than_usual(usual).any()
+    assert worse_than_usual(np.append(usual, [4.2, np.nan, -np.inf])).tolist() == [False] * 5 + [True] * 3
     # a broad spread is normal itself
-    assert not are_worse(np.array([1.0, 2.0, 3.0, 4.0, 5.0])).any()
+    assert not worse_than_usual(np.array([1.0, 2.0, 3.0, 4.0, 5.0])).any()
 
 
 def test_a_frame_keeps_its_pose_where_the_one_before_leads_elsewhere(mixed, monkeypatch):
     """In the wrong order of time the tracker goes astray; with poses that are known none gets worse."""
-    monkeypatch.setattr(sequence, "recover", lambda tracker, surface, coarse, frame, *more: frame)
+    monkeypatch.setattr(sequence, "search_frame", lambda tracker, surface, coarse, frame, *more: frame)
     task, actor, poses = mixed
     tracker, clouds = make_tracker(actor), [task.cloud(n) for n in task.scanned]
     before = [float(log_likelihood(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]
 
     def likelihoods(known):
-        frames = track_frames(tracker, clouds, poses[0], sigma=0.03, known=known)
+        frames = track_frames(tracker, clouds, poses[0], sigma=0.03, candidates=known)
         return [
             float(log_likelihood(tracker, f.pose, cloud)) for f, cloud in zip(frames, clouds, strict=True)
         ]
@@ -149,31 +158,31 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
 
     monkeypatch.setattr(unordered, "initialise", search)
     first = dict.fromkeys(task.scanned, poses[0])
-    *steps, (found, _) = find_poses(task, actor, first, known=False)
+    *steps, (found, _) = find_poses(task, actor, first, is_known=False)
     tracker = make_tracker(actor)
     for n in task.scanned[1:]:
         assert found.likelihoods[n] > float(log_likelihood(tracker, poses[0], task.cloud(n)))
     halfway, done = steps[3]
-    *_, (again, _) = find_poses(task, actor, first | halfway.poses, known=False, done=done)
+    *_, (again, _) = find_poses(task, actor, first | halfway.poses, is_known=False, num_done=done)
     assert again.likelihoods == found.likelihoods
     # one that is far off, and has no neighbour that leads to it, is found by the wide search
     far = jc.Pose(poses[4].translations, poses[0].rotations, poses[4].scale)
-    monkeypatch.setattr(unordered, "are_worse", lambda likelihoods: np.arange(len(likelihoods)) == 4)
-    *_, (second, _) = find_poses(task, actor, dict(enumerate(poses)) | {4: far}, known=True)
+    monkeypatch.setattr(unordered, "worse_than_usual", lambda likelihoods: np.arange(len(likelihoods)) == 4)
+    *_, (second, _) = find_poses(task, actor, dict(enumerate(poses)) | {4: far}, is_known=True)
     assert set(searched) == {(24,)}
     for n in task.scanned:
         assert second.likelihoods[n] >= float(log_likelihood(tracker, poses[n], task.cloud(n)))
 
 
 def test_nothing_in_a_plan_without_order_couples_frames(mixed):
-    assert [stage.name for stage in plan(UNORDERED)][-1] == "pose"
+    assert [stage.name for stage in plan_stages(UNORDERED)][-1] == "pose"
     assert not UNORDERED.smooth
     assert AdaptSettings().smooth
     task, actor, poses = mixed
     state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), weight=1e-8)
-    assert told(task, state, "pose", [0]).terms[-1].temporal == 0.0
+    assert append_history(task, state, "pose", [0]).terms[-1].temporal == 0.0
     ordered = task._replace(settings=AdaptSettings())
-    assert told(ordered, state, "pose", [0]).terms[-1].temporal > 1e-3
+    assert append_history(ordered, state, "pose", [0]).terms[-1].temporal > 1e-3
     clouds = [task.cloud(n) for n in task.scanned]
     with pytest.raises(jc.InputError, match="leave these out .*--ordered"):
         make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
@@ -204,14 +213,14 @@ def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_pat
         points = np.asarray(task.cloud(number).points)
         write_scan(tmp_path, number, points, points)
     warn_of_lost(state, read_clouds(str(tmp_path / "*.ply")))
-    assert explained_words(state) == "6 of 8 scans explained"
+    assert format_explained(state) == "6 of 8 scans explained"
     lines = capsys.readouterr().err.splitlines()
     assert lines[1:] == ["jaxcap:   scan_0001.ply: 12 mm", f"jaxcap:   scan_0004.ply: {NO_SCAN}"]
     assert "2 of 8 frames are lost" in lines[0]
-    assert explained_words(state._replace(lost=(), reasons=())) == "all scans explained"
+    assert format_explained(state._replace(lost=(), reasons=())) == "all scans explained"
     told = fails(capsys, "adapt", "human", tmp_path, "-o", tmp_path / "a.npz", "--unordered", "--ordered")
     assert "--unordered and --ordered are opposites" in told
-    kept = state_of(checkpoint_of(state), tmp_path / "kept")
+    kept = restore_state(make_checkpoint(state), tmp_path / "kept")
     assert (kept.lost, kept.reasons) == (state.lost, state.reasons)
 
 

@@ -12,12 +12,12 @@ from helpers import chain_body, random_pairs, random_pose
 
 from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
 from jaxcap.adapt.problems import stack, window_problem
-from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, box_chart, make_pose_boxes, no_boxes
+from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, empty_boxes, make_box_chart, make_pose_boxes
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.problem import linearise, pose_scales
-from jaxcap.fit.solvers.bounded_least_squares import solve_boxed
+from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation
 
@@ -93,8 +93,8 @@ def dense_step(poses, pairs, boxes, held, since):
     slope = jax.jacrev(rough)(zero)
     matrix = jax.scipy.linalg.block_diag(*own) / frames + TEMPORAL * slope.T @ slope
     side = sides.reshape(-1) / frames - TEMPORAL * slope.T @ rough(zero)
-    charts = jax.vmap(box_chart, (None, None, 0))(boxes, SKELETON, poses)
-    turn = jax.scipy.linalg.block_diag(*charts.turn)
+    charts = jax.vmap(make_box_chart, (None, None, 0))(boxes, SKELETON, poses)
+    turn = jax.scipy.linalg.block_diag(*charts.basis)
     low, high = (jnp.where(held & (jnp.arange(frames) < 1)[:, None], 0.0, end) for end in charts[1:])
     # a held frame's bounds leave it no room
     units = jnp.tile(pose_scales(SKELETON), frames)
@@ -103,7 +103,7 @@ def dense_step(poses, pairs, boxes, held, since):
     diagonal = (jnp.diag(matrix) * units**2).reshape(frames, DOFS)
     floor = jnp.finfo(diagonal.dtype).eps * diagonal.max(1, keepdims=True)
     matrix = matrix + jnp.diag((1e-4 * diagonal + floor).reshape(-1) / units**2)
-    step = solve_boxed(matrix, turn.T @ side, low.reshape(-1), high.reshape(-1))
+    step = solve_bounded(matrix, turn.T @ side, low.reshape(-1), high.reshape(-1))
     return step.reshape(frames, DOFS)
 
 
@@ -129,7 +129,7 @@ def test_no_window_is_left_worse_than_it_was(rng, boxed):
     """Far from the solution, where whole steps go too far; pairs are the same all along."""
     poses, pairs = scene(rng, 6)
     poses = [retract(SKELETON, pose, jnp.asarray(0.5 * rng.normal(size=DOFS))) for pose in poses]
-    boxes = some_boxes(poses, 1.0) if boxed else no_boxes()
+    boxes = some_boxes(poses, 1.0) if boxed else empty_boxes()
     told = [poses]
     for _ in range(4):
         told.append(smooth_poses(BODY, told[-1], lambda n, _: pairs[n], PRIOR, float(WEIGHT), float(TEMPORAL),

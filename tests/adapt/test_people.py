@@ -9,9 +9,9 @@ import pytest
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body
-from jaxcap.adapt.shape.shape_space import learn_people, people_like, person, traits_like
-from jaxcap.body.decimate import attach, follow, reduce_body
-from jaxcap.body.people.random_humans import human_resolution, people_of_many_shapes
+from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_people, make_person, people_like
+from jaxcap.body.decimate import attach_points, attached_positions, reduce_body
+from jaxcap.body.people.random_humans import human_resolution, sample_humans
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.mesh import sample_surface
@@ -21,7 +21,7 @@ from jaxcap.metrics import scan_to_surface
 @pytest.fixture(scope="module")
 def people():
     template = jc.human(resolution="low", joints="tracking")
-    return learn_people(template, people_of_many_shapes(80, resolution="low", joints="tracking"))
+    return learn_people(template, sample_humans(80, resolution="low", joints="tracking"))
 
 
 def seen_with(somebody: jc.Body, seen: jc.Body) -> jc.Body:
@@ -38,16 +38,16 @@ def joints_off(body: jc.Body, other: jc.Body) -> float:
 def test_the_template_stands_where_it_was_put(people):
     """No traits beyond the template are the template, and those opposite to its standing the mean of people."""
     np.testing.assert_array_equal(
-        person(people, jnp.zeros_like(people.standing)).vertices, people.template.vertices
+        make_person(people, jnp.zeros_like(people.template_coefficients)).vertices, people.template.vertices
     )
-    others = people_of_many_shapes(80, resolution="low", joints="tracking")
+    others = sample_humans(80, resolution="low", joints="tracking")
     mean = np.mean([np.asarray(body.vertices) for body in others], 0)
-    np.testing.assert_allclose(person(people, -people.standing).vertices, mean, atol=0.004)
+    np.testing.assert_allclose(make_person(people, -people.template_coefficients).vertices, mean, atol=0.004)
 
 
 def test_modes_are_of_deviation_one(people):
-    others = people_of_many_shapes(80, resolution="low", joints="tracking")
-    basis = np.concatenate([np.asarray(part).reshape(len(people.standing), -1) for part in (people.modes.centres, people.modes.vertices)], 1)  # fmt: skip
+    others = sample_humans(80, resolution="low", joints="tracking")
+    basis = np.concatenate([np.asarray(part).reshape(len(people.template_coefficients), -1) for part in (people.modes.centres, people.modes.vertices)], 1)  # fmt: skip
     rows = np.stack([np.concatenate([np.asarray(b.skeleton.centres).ravel(), np.asarray(b.vertices).ravel()]) for b in others])  # fmt: skip
     traits = np.linalg.lstsq(basis.T, (rows - rows.mean(0)).T, rcond=None)[0]
     np.testing.assert_allclose(np.cov(traits), np.eye(len(traits)), atol=0.02)
@@ -57,7 +57,7 @@ def test_modes_are_of_deviation_one(people):
 def test_somebody_new_is_known_by_the_surface(people, shift):
     """One who was not among those learned from, wherever the body stands."""
     somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
-    found = person(people, traits_like(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
+    found = make_person(people, fit_coefficients(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
     assert joints_off(found, somebody) < 0.003
     assert joints_off(people.template, somebody) > 0.02
 
@@ -69,10 +69,10 @@ def test_people_of_fewer_vertices_are_those_of_all(people):
     assert fewer is not None
     somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
     surface = np.asarray(people.template.vertices, float), np.asarray(people.template.faces)
-    hold = attach(np.asarray(template.vertices, float), *surface)
-    there = follow(hold, np.asarray(somebody.vertices, float))
+    hold = attach_points(np.asarray(template.vertices, float), *surface)
+    there = attached_positions(hold, np.asarray(somebody.vertices, float))
     seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
-    found = person(fewer, traits_like(fewer, seen))
+    found = make_person(fewer, fit_coefficients(fewer, seen))
     off = scan_to_surface(
         np.asarray(found.vertices, float), np.asarray(somebody.vertices, float), np.asarray(somebody.faces)
     )
@@ -89,10 +89,10 @@ def test_people_of_other_triangles_are_those_of_somebody_like_them(traits):
     people = people_like(template)
     assert people is not None
     somebody = jc.human(resolution="full", joints="tracking", sex="male", height=1.85, weight=0.6)
-    hold = attach(np.asarray(template.vertices - shift, float), np.asarray(whole.vertices, float), np.asarray(whole.faces))  # fmt: skip
-    there = follow(hold, np.asarray(somebody.vertices, float))
+    hold = attach_points(np.asarray(template.vertices - shift, float), np.asarray(whole.vertices, float), np.asarray(whole.faces))  # fmt: skip
+    there = attached_positions(hold, np.asarray(somebody.vertices, float))
     seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
-    found = person(people, traits_like(people, seen))
+    found = make_person(people, fit_coefficients(people, seen))
     assert joints_off(found, seen_with(somebody, seen)) < 0.3 * joints_off(
         template, seen_with(somebody, seen)
     )
@@ -125,7 +125,7 @@ def test_traits_are_told_by_scans(people):
         return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
 
     prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=3, alone=4, rounds=(), temporal=0.0)
+    settings = AdaptSettings(frames=3, proportion_rounds=4, rounds=(), temporal=0.0)
     task = AdaptTask(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
     *_, last = adapt_body(task)
     assert joints_off(last.body, actor) < 0.012

@@ -7,19 +7,19 @@ import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.shape.scale import resized
+from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.adapt.shape.shape_prior import (
-    neighbours_in,
-    own_shape_prior,
-    scaled,
+    body_shape_prior,
+    prior_edges,
+    scale_shape_prior,
     shape_energy,
     uniform_laplacian,
 )
-from jaxcap.body.body import deform_all
-from jaxcap.body.people.sample import unlike_poses
+from jaxcap.body.body import posed_vertices
+from jaxcap.body.people.sample import select_diverse_poses
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.io.archives.npz import load_limits
-from jaxcap.io.archives.prior import load_shape_prior, shape_counts
+from jaxcap.io.archives.prior import load_shape_prior, shape_prior_size
 
 BODY = chain_body()
 SKELETON = BODY.skeleton
@@ -35,14 +35,14 @@ def poses(rng):
 
 @pytest.fixture
 def meshes(rng, poses):
-    return np.asarray(deform_all(BODY, poses)) + 0.01 * rng.normal(size=(MESHES, len(BODY.vertices), 3))
+    return np.asarray(posed_vertices(BODY, poses)) + 0.01 * rng.normal(size=(MESHES, len(BODY.vertices), 3))
 
 
 @pytest.fixture
 def pairs(rng):
     """A prior of poses to be written with that of shape."""
     return jc.prior.learn_pair_prior(
-        SKELETON, jc.stack_poses([random_pose(SKELETON, rng, 0.3) for _ in range(20)]), most=1
+        SKELETON, jc.stack_poses([random_pose(SKELETON, rng, 0.3) for _ in range(20)]), max_components=1
     )
 
 
@@ -58,12 +58,12 @@ def slow_vectors(meshes) -> np.ndarray:
 def test_vectors_and_energy_are_those_of_a_slow_loop(poses, meshes):
     prior = jc.adapt.make_shape_prior(BODY, poses, meshes)
     np.testing.assert_allclose(prior.vectors, slow_vectors(meshes), atol=1e-14)
-    own = slow_vectors(np.asarray(deform_all(BODY, poses)))
+    own = slow_vectors(np.asarray(posed_vertices(BODY, poses)))
     expected = (
         sum(np.sum((own[m] - prior.vectors[m]) ** 2) / len(BODY.vertices) for m in range(MESHES)) / MESHES
     )
     assert shape_energy(prior, BODY) == pytest.approx(expected, rel=1e-9)
-    assert shape_energy(own_shape_prior(BODY), BODY) < 1e-25
+    assert shape_energy(body_shape_prior(BODY), BODY) < 1e-25
 
 
 def test_a_vertex_without_neighbours_has_no_vector(poses, meshes):
@@ -77,32 +77,38 @@ def test_scaled_is_the_prior_of_the_scaled_body_and_meshes(poses, meshes):
     """Roots are moved by as much more, so that posed bodies are as large about the origin."""
     size = 1.3
     body, prior = (
-        resized(BODY, jnp.asarray(size)),
-        scaled(jc.adapt.make_shape_prior(BODY, poses, meshes), size),
+        scale_body(BODY, jnp.asarray(size)),
+        scale_shape_prior(jc.adapt.make_shape_prior(BODY, poses, meshes), size),
     )
-    np.testing.assert_allclose(deform_all(body, prior.poses), size * deform_all(BODY, poses), atol=1e-12)
+    np.testing.assert_allclose(
+        posed_vertices(body, prior.poses), size * posed_vertices(BODY, poses), atol=1e-12
+    )
     expected = jc.adapt.make_shape_prior(body, prior.poses, size * meshes)
     np.testing.assert_allclose(prior.vectors, expected.vectors, atol=1e-14)
     before = shape_energy(jc.adapt.make_shape_prior(BODY, poses, meshes), BODY)
     assert shape_energy(prior, body) == pytest.approx(size**2 * before, rel=1e-9)
     for wrong in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="expected a finite number above 0"):
-            scaled(prior, wrong)
+            scale_shape_prior(prior, wrong)
 
 
 def test_unlike_poses_are_the_furthest_from_those_before(rng):
     near = [random_pose(SKELETON, rng, 0.01) for _ in range(6)]
     far = [random_pose(SKELETON, rng, 1.0) for _ in range(2)]
     poses = jc.stack_poses([*near[:3], far[0], *near[3:], far[1]]).poses
-    assert unlike_poses(SKELETON, poses, 3).tolist() == [0, 3, 7]
-    assert unlike_poses(SKELETON, poses, 20).tolist() == list(range(8))
-    assert unlike_poses(SKELETON, jc.stack_poses([near[0]] * 4).poses, 2).tolist() == [0]
+    assert select_diverse_poses(SKELETON, poses, 3).tolist() == [0, 3, 7]
+    assert select_diverse_poses(SKELETON, poses, 20).tolist() == list(range(8))
+    assert select_diverse_poses(SKELETON, jc.stack_poses([near[0]] * 4).poses, 2).tolist() == [0]
 
 
 def test_what_no_prior_is_made_of(poses, meshes):
     for pose, mesh, told in (
         (jc.rest_pose(SKELETON), meshes, "no poses of training meshes"),
-        (poses, meshes[:, :5], "4 meshes of 5 vertices; expected 4, one for each pose, of 48, as in the body; register"),
+        (
+            poses,
+            meshes[:, :5],
+            "4 meshes of 5 vertices; expected 4, one for each pose, of 48, as in the body; register",
+        ),
         (poses, meshes[:3], "3 meshes of 48 vertices; expected 4"),
         (poses, np.where(np.arange(MESHES)[:, None, None] == 2, np.nan, meshes), "Mesh 2 is not finite"),
         (
@@ -132,12 +138,12 @@ def test_round_trip_through_files(tmp_path, pairs, poses, meshes):
             assert one.dtype == BODY.vertices.dtype
             np.testing.assert_allclose(one, other, atol=1e-6)
         assert shape_energy(again, BODY) == pytest.approx(shape_energy(prior, BODY), rel=1e-4)
-        assert shape_counts(path) == (MESHES, len(BODY.vertices))
+        assert shape_prior_size(path) == (MESHES, len(BODY.vertices))
         assert jc.io.load_prior(path, SKELETON).pairs == pairs.pairs
     np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
     jc.io.save_prior(alone, pairs)
     assert load_shape_prior(alone, BODY) is None
-    assert shape_counts(alone) is None
+    assert shape_prior_size(alone) is None
 
 
 def test_a_file_says_the_edges_and_not_the_laplacian(tmp_path, pairs, poses, meshes):
@@ -148,7 +154,7 @@ def test_a_file_says_the_edges_and_not_the_laplacian(tmp_path, pairs, poses, mes
     assert arrays.keys() == {f"shape.{n}" for n in ("edges", "vectors", "translations", "rotations", "scale")}
     assert {values.dtype.name for values in arrays.values()} == {"int32", "float32"}
     np.testing.assert_array_equal(arrays["shape.edges"], mesh_edges(np.asarray(BODY.faces)))
-    np.testing.assert_array_equal(neighbours_in(prior), arrays["shape.edges"])
+    np.testing.assert_array_equal(prior_edges(prior), arrays["shape.edges"])
     np.testing.assert_allclose(uniform_laplacian(BODY).sum(1), 0.0, atol=1e-12)
 
 

@@ -9,21 +9,26 @@ from helpers import chain_skeleton, random_pose
 from scipy.optimize import lsq_linear
 
 import jaxcap as jc
-from jaxcap.adapt.poses.pose import fit_pose, mean_square, pairs_of
+from jaxcap.adapt.poses.pose import fit_pose, mean_squared_distance, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
 from jaxcap.adapt.problems import stack
-from jaxcap.body.limits.rotation_vector_boxes import box_chart, move_within, no_boxes, turning_joints
-from jaxcap.body.pose import own_vectors, project, retract
+from jaxcap.body.limits.rotation_vector_boxes import (
+    empty_boxes,
+    make_box_chart,
+    retract_within,
+    rotating_joints,
+)
+from jaxcap.body.pose import local_rotation_vectors, project, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import Matching, make_scan
-from jaxcap.fit.solvers.bounded_least_squares import solve_boxed
+from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 
 SKELETON = chain_skeleton()
-solve, own_of = jax.jit(solve_boxed), eqx.filter_jit(own_vectors)
-chart_of, move = eqx.filter_jit(box_chart), eqx.filter_jit(move_within)
+solve, own_of = jax.jit(solve_bounded), eqx.filter_jit(local_rotation_vectors)
+chart_of, move = eqx.filter_jit(make_box_chart), eqx.filter_jit(retract_within)
 
 
 def random_system(rng, count: int, rows: int):
@@ -80,8 +85,8 @@ def test_without_bounds_and_with_nowhere_to_go(rng):
 @pytest.mark.parametrize("count", [2, 8])
 def test_the_slope_of_the_solution_against_differences(rng, count):
     """By all arguments at once along a random way, in both modes, where the same numbers are fixed on both sides."""
-    slope, h, seen = jax.jit(lambda x, d: jax.jvp(solve_boxed, x, d)[1]), 1e-6, set()
-    pulled = jax.jit(lambda x, g: jax.vjp(solve_boxed, *x)[1](g))
+    slope, h, seen = jax.jit(lambda x, d: jax.jvp(solve_bounded, x, d)[1]), 1e-6, set()
+    pulled = jax.jit(lambda x, g: jax.vjp(solve_bounded, *x)[1](g))
     for _ in range(12):
         *system, _ = random_system(rng, count, 3 * count)
         ways = [rng.normal(size=part.shape) for part in system]
@@ -104,7 +109,7 @@ def test_the_slope_of_the_solution_against_differences(rng, count):
 def test_the_slope_without_bounds_is_that_of_a_linear_solve(rng):
     matrix, side, *_ = random_system(rng, 5, 20)
     wide = np.full(5, np.inf)
-    slope = jax.jit(jax.jacrev(solve_boxed, 1))(matrix, side, -wide, wide)
+    slope = jax.jit(jax.jacrev(solve_bounded, 1))(matrix, side, -wide, wide)
     np.testing.assert_allclose(slope, np.linalg.inv(matrix), rtol=1e-8, atol=1e-9)
 
 
@@ -121,7 +126,9 @@ def test_the_chart_against_differences(rng, size):
     """A change of the chart's numbers is the change of rotation vectors in the joints' own frames."""
     pose, layout, h = random_pose(SKELETON, rng, size), dof_layout(SKELETON), 1e-6
     chart = chart_of(chain_boxes(rng)[0], SKELETON, pose)
-    there = eqx.filter_jit(lambda x: own_vectors(SKELETON, retract(SKELETON, pose, chart.turn @ x)))
+    there = eqx.filter_jit(
+        lambda x: local_rotation_vectors(SKELETON, retract(SKELETON, pose, chart.basis @ x))
+    )
     slope = np.stack([(there(h * e) - there(-h * e)) / (2 * h) for e in np.eye(SKELETON.num_dofs)], -1)
     for name in ("root", "chest", "hand", "neck"):
         joint = SKELETON.index(name)
@@ -139,7 +146,7 @@ def test_poses_of_every_kind_of_joint_stay_in_boxes_and_on_their_axes(rng):
     joints = boxes.indices(SKELETON)
     for pose in poses[:6]:
         chart = chart_of(boxes, SKELETON, pose)
-        assert (chart.low <= 1e-12).all() and (chart.high >= -1e-12).all()
+        assert (chart.lower <= 1e-12).all() and (chart.upper >= -1e-12).all()
         moved = move(boxes, SKELETON, pose, chart, jnp.asarray(rng.normal(size=SKELETON.num_dofs)))
         own = np.asarray(own_of(SKELETON, moved))[joints]
         assert (own >= boxes.lower - 1e-9).all() and (own <= boxes.upper + 1e-9).all()
@@ -155,7 +162,7 @@ def test_a_number_at_its_bound_arrives_there_in_one_step(rng):
     boxes, poses = chain_boxes(rng)
     chart = chart_of(boxes, SKELETON, poses[0])
     slots = dof_layout(SKELETON).rotations[SKELETON.index("hand")]
-    x = jnp.zeros(SKELETON.num_dofs).at[slots].set(chart.high[slots])
+    x = jnp.zeros(SKELETON.num_dofs).at[slots].set(chart.upper[slots])
     moved = own_of(SKELETON, move(boxes, SKELETON, poses[0], chart, x))[SKELETON.index("hand")]
     np.testing.assert_allclose(moved, boxes.upper[boxes.joints.index("hand")], atol=1e-12)
 
@@ -166,7 +173,7 @@ def test_boxes_that_reach_past_half_a_turn_end_there(rng):
     pose = jc.rest_pose(SKELETON)
     own = jnp.array([3.0, 0.0, 0.0])
     turned = rotation.exp(rotation.rotate(SKELETON.orientations[hand], own))
-    back = boxes.nearest(
+    back = boxes.project(
         SKELETON, jc.Pose(pose.translations, pose.rotations.at[hand].set(turned), pose.scale)
     )
     found = np.asarray(own_of(SKELETON, back)[hand])
@@ -180,10 +187,10 @@ def test_boxes_that_are_infinite_leave_tangents_alone(rng):
     pose = random_pose(SKELETON, rng, 1.0)
     x = jnp.asarray(rng.normal(size=SKELETON.num_dofs))
     expected = eqx.filter_jit(retract)(SKELETON, pose, x)
-    for boxes in (jc.limits.make_pose_boxes(joints, -wide, wide), no_boxes()):
+    for boxes in (jc.limits.make_pose_boxes(joints, -wide, wide), empty_boxes()):
         chart = chart_of(boxes, SKELETON, pose)
-        np.testing.assert_array_equal(chart.turn, np.eye(SKELETON.num_dofs))
-        assert not np.isfinite(chart.low).any() and not np.isfinite(chart.high).any()
+        np.testing.assert_array_equal(chart.basis, np.eye(SKELETON.num_dofs))
+        assert not np.isfinite(chart.lower).any() and not np.isfinite(chart.upper).any()
         np.testing.assert_allclose(
             move(boxes, SKELETON, pose, chart, x).rotations, expected.rotations, atol=1e-15
         )
@@ -215,7 +222,7 @@ def elbow_box(most: float):
 
 
 def infinite_boxes(skeleton):
-    names = tuple(skeleton.names[joint] for joint in turning_joints(skeleton))
+    names = tuple(skeleton.names[joint] for joint in rotating_joints(skeleton))
     wide = np.full((len(names), 3), np.inf)
     return jc.limits.make_pose_boxes(names, -wide, wide)
 
@@ -236,8 +243,10 @@ def test_an_elbow_that_is_bent_too_far_ends_at_its_bound(scene, rng):
     assert bends[1][1] == pytest.approx(0.5, abs=1e-6)
     assert (bends[1] >= boxes.lower - 1e-6).all() and (bends[1] <= boxes.upper + 1e-6).all()
     # the arm makes up for some of it, and the others are where they were without a box
-    alone = boxes.nearest(skeleton, free)
-    misses = [mean_square(body, p, pairs_of(body, p, scans[5], Matching())) for p in (alone, held.pose)]
+    alone = boxes.project(skeleton, free)
+    misses = [
+        mean_squared_distance(body, p, pairs_of(body, p, scans[5], Matching())) for p in (alone, held.pose)
+    ]
     assert misses[1] < 0.8 * misses[0]
     joints = [np.asarray(eqx.filter_jit(jc.pose_body)(body, p).joints) for p in (held.pose, poses[5])]
     off = np.linalg.norm(joints[0] - joints[1], axis=1)

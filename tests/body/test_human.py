@@ -59,7 +59,7 @@ def test_the_default_is_the_reference_body(shared):
     np.testing.assert_array_equal(body.faces, truth["faces"])
     np.testing.assert_allclose(body.vertices, truth["vertices"], atol=1e-6)
     np.testing.assert_allclose(body.skeleton.centres, truth["joint_head"], atol=1e-6)
-    np.testing.assert_allclose(body.skin.influence(31), truth["weights"], atol=1e-6)
+    np.testing.assert_allclose(body.skin.bone_weights(31), truth["weights"], atol=1e-6)
     bones = truth["joint_tail"] - truth["joint_head"]
     along = rotation.to_matrix(body.skeleton.orientations)[:, :, 0]
     np.testing.assert_allclose(along, bones / np.linalg.norm(bones, axis=1, keepdims=True), atol=1e-5)
@@ -74,8 +74,8 @@ def test_people_are_sound_bodies(options):
     assert mesh.volume > 0.02
     if "height" in options:
         assert abs(height(body) - options["height"]) < 1e-5
-    np.testing.assert_allclose(body.skin.influence(31).sum(1), 1.0, atol=1e-12)
-    assert (np.asarray(body.skin.influence(31)) >= 0).all()
+    np.testing.assert_allclose(body.skin.bone_weights(31).sum(1), 1.0, atol=1e-12)
+    assert (np.asarray(body.skin.bone_weights(31)) >= 0).all()
     inner = np.array([body.skeleton.names.index(name) for name in INNER])
     assert mesh.contains(np.asarray(body.skeleton.centres)[inner]).all()
     # a person has two alike sides
@@ -158,7 +158,7 @@ def test_reduced_people_keep_their_shape(resolution, count, mean, furthest):
         distances = trimesh.proximity.closest_point(small, samples)[1]
         assert distances.mean() < mean
         assert distances.max() < furthest
-        np.testing.assert_allclose(reduced.skin.influence(31).sum(1), 1.0, atol=1e-12)
+        np.testing.assert_allclose(reduced.skin.bone_weights(31).sum(1), 1.0, atol=1e-12)
         np.testing.assert_array_equal(reduced.skeleton.centres, full.skeleton.centres)
         triangles.append(np.asarray(reduced.faces))
     assert all(np.array_equal(triangles[0], other) for other in triangles)
@@ -211,5 +211,5 @@ def test_the_asset_is_found_in_a_wheel_and_in_a_checkout(tmp_path, monkeypatch, 
 def test_precision_follows_jax():
     body = human(resolution="low")
     default = jnp.zeros(()).dtype
-    leaves = (body.vertices, body.skin.influence(31), body.skeleton.centres, body.skeleton.orientations)
+    leaves = (body.vertices, body.skin.bone_weights(31), body.skeleton.centres, body.skeleton.orientations)
     assert {leaf.dtype for leaf in leaves} == {default}

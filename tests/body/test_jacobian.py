@@ -10,7 +10,12 @@ from jaxtyping import Array, Int
 
 from jaxcap.body import vertex_jacobian as jacobians
 from jaxcap.body.body import Posed, pose_body
-from jaxcap.body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
+from jaxcap.body.geometric_jacobian import (
+    concatenate_jacobians,
+    joint_jacobian,
+    pose_jacobian,
+    select_parameters,
+)
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.pose import retract
 from jaxcap.body.skeleton import dof_layout
@@ -69,10 +74,12 @@ def moved(body, pose, directions, d, e):
 def both_rates(body, pose, directions):
     """The skin's own Jacobian by pose and joints, and forward differentiation."""
     skeleton, transforms = body.skeleton, forward_kinematics(body.skeleton, pose)
-    rates = stack_rates(pose_rates(skeleton, pose, transforms), joint_rates(skeleton, pose, transforms))
+    rates = concatenate_jacobians(
+        pose_jacobian(skeleton, pose, transforms), joint_jacobian(skeleton, pose, transforms)
+    )
     own = body.skin.jacobian(body.vertices, directions, skeleton, pose, transforms, rates)
     still = jnp.zeros(skeleton.num_dofs), jnp.zeros(6 * skeleton.num_joints)
-    some = take_rates(rates, np.array([30, 2]))
+    some = select_parameters(rates, np.array([30, 2]))
     fewer = body.skin.jacobian(body.vertices, directions, skeleton, pose, transforms, some)
     exact = jax.jacfwd(lambda de: moved(body, pose, directions, *de))(still)
     return own, jnp.concatenate(exact, -1), fewer
@@ -113,7 +120,7 @@ def test_papers_operators_are_the_twists(rng):
         else:
             continue
         seen.add(kind)
-        moves = skeleton.descent[joint][np.asarray(body.skin.bones[CHOSEN])]
+        moves = skeleton.descendants[joint][np.asarray(body.skin.bones[CHOSEN])]
         expected = np.where(moves[:, None], (points @ operator.T)[:, :3], 0.0)
         np.testing.assert_allclose(columns[:, :, number], expected, atol=1e-14)
     assert seen == {"free", "ball", "translate", "revolute"}

@@ -58,9 +58,7 @@ def test_derivatives_are_finite_at_rest():
 
 def test_wrong_orders_and_skeletons_are_refused():
     pose = jc.rest_pose(CHAIN)
-    with pytest.raises(
-        jc.InputError, match="joint_angles: `order` is 'xyx'; expected three different axes"
-    ):
+    with pytest.raises(jc.InputError, match="joint_angles: `order` is 'xyx'; expected three different axes"):
         jc.joint_angles(CHAIN, pose, "xyx")
     with pytest.raises(jc.InputError, match="`motion` has 1 joints; expected 2 as in `skeleton`"):
         jc.joint_angles(CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz")

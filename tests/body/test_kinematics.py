@@ -95,9 +95,9 @@ def test_a_joint_moves_what_hangs_on_it_by_axis_times_lever(rng):
         turn = np.argwhere(layout.rotations[joint] == number)
         for other in range(SKELETON.num_joints):
             expected = np.zeros(3)
-            if SKELETON.descent[joint, other] and place.size:
+            if SKELETON.descendants[joint, other] and place.size:
                 expected = shifts[joint, place[0, 0]]
-            elif SKELETON.descent[joint, other]:
+            elif SKELETON.descendants[joint, other]:
                 expected = np.cross(turns[joint, turn[0, 0]], places[other] - places[joint])
             np.testing.assert_allclose(slopes[other, :, number], expected, atol=1e-12)
 

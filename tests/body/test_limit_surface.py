@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.limits.chart import Chart
 from jaxcap.body.limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
-from jaxcap.body.limits.surface_projection import nearest_inside
+from jaxcap.body.limits.surface_projection import project_inside
 
 BALL = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "ball")
 
@@ -93,14 +93,14 @@ def test_the_nearest_point_of_a_sphere_in_closed_form():
     """About the chart's middle, and for a small sphere anywhere, it lies on the way to the centre."""
     primitives = one(0.3, 0.1)
     point = jnp.array([0.2, 0.5, -0.1])
-    found = np.asarray(nearest_inside(primitives, BALL, point))
+    found = np.asarray(project_inside(primitives, BALL, point))
     expected = np.asarray(point) / np.linalg.norm(point) * float(radii(primitives)[0])
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
 def test_the_nearest_point_is_inside_and_no_sample_of_the_surface_is_nearer(rng):
     primitives = several(rng)
-    nearest = jax.jit(lambda x: nearest_inside(primitives, BALL, x))
+    nearest = jax.jit(lambda x: project_inside(primitives, BALL, x))
     value = jax.jit(jax.vmap(lambda x: signed_distance(primitives, x)))
     dense = rng.uniform(-0.7, 0.7, (60000, 3))
     inside = dense[np.asarray(value(jnp.asarray(dense))) <= 0]
@@ -118,7 +118,7 @@ def test_the_nearest_point_is_inside_and_no_sample_of_the_surface_is_nearer(rng)
 def test_the_nearest_point_is_inside_in_both_precisions(rng):
     primitives = jax.tree.map(lambda x: jnp.asarray(x, float), several(rng))
     points = jnp.asarray(rng.uniform(-0.57, 0.57, (200, 3)))
-    found = jax.jit(jax.vmap(lambda x: nearest_inside(primitives, BALL, x)))(points)
+    found = jax.jit(jax.vmap(lambda x: project_inside(primitives, BALL, x)))(points)
     value = jax.vmap(lambda x: signed_distance(primitives, x))
     outside = value(points) > 0
     assert outside.any()
@@ -151,5 +151,5 @@ def test_distances_in_charts_are_half_angles(rng):
 def test_a_hinge_goes_back_the_shorter_way_round():
     chart = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "hinge")
     primitives = Primitives(jnp.array([[0.6, 0, 0]]), jnp.array([0.2]), 0.1)
-    found = float(nearest_inside(primitives, chart, jnp.array([-1.4, 0.0, 0.0]))[0])
+    found = float(project_inside(primitives, chart, jnp.array([-1.4, 0.0, 0.0]))[0])
     assert found == pytest.approx(0.6 + float(radii(primitives)[0]), abs=0.01)

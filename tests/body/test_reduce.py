@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from jaxcap.body.body import Body
-from jaxcap.body.decimate import attach, decimate, follow, reduce_body
+from jaxcap.body.decimate import attach_points, attached_positions, decimate, reduce_body
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
 
@@ -41,8 +41,8 @@ def test_a_sphere_stays_a_sphere(sphere, count):
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 1.0, atol=10 / count)
     assert np.array_equal(np.unique(reduced.faces), np.arange(count))
     truth = 0.5 * (1 + mesh.vertices[:, 2])
-    np.testing.assert_allclose(reduced.skin.influence(2)[:, 0], truth, atol=10 / count)
-    np.testing.assert_allclose(reduced.skin.influence(2).sum(1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(reduced.skin.bone_weights(2)[:, 0], truth, atol=10 / count)
+    np.testing.assert_allclose(reduced.skin.bone_weights(2).sum(1), 1.0, atol=1e-12)
     again = reduce_body(body, count)
     np.testing.assert_array_equal(reduced.vertices, again.vertices)
     np.testing.assert_array_equal(reduced.faces, again.faces)
@@ -54,7 +54,7 @@ def test_rigid_bones_are_those_of_the_nearest_vertex(sphere):
     z = np.asarray(reduced.vertices)[:, 2]
     clear = np.abs(z) > 0.05  # more than half an edge from the seam
     assert clear.mean() > 0.9
-    np.testing.assert_array_equal(np.asarray(reduced.skin.parts())[clear], z[clear] > 0)
+    np.testing.assert_array_equal(np.asarray(reduced.skin.dominant_bones())[clear], z[clear] > 0)
 
 
 def test_an_open_flat_surface_stays_flat():
@@ -75,12 +75,14 @@ def test_an_open_flat_surface_stays_flat():
 def test_attached_points_follow_rigid_motions_and_stretches(sphere, rng):
     vertices, faces = np.array(sphere.vertices), np.array(sphere.faces)
     points = vertices[rng.integers(len(vertices), size=50)] * rng.uniform(0.98, 1.02, (50, 1))
-    hold = attach(points, vertices, faces)
-    np.testing.assert_allclose(follow(hold, vertices), points, atol=1e-12)
+    hold = attach_points(points, vertices, faces)
+    np.testing.assert_allclose(attached_positions(hold, vertices), points, atol=1e-12)
     turn = trimesh.transformations.random_rotation_matrix(rng.uniform(size=3))[:3, :3]
-    np.testing.assert_allclose(follow(hold, vertices @ turn.T + 3.0), points @ turn.T + 3.0, atol=1e-12)
+    np.testing.assert_allclose(
+        attached_positions(hold, vertices @ turn.T + 3.0), points @ turn.T + 3.0, atol=1e-12
+    )
     # a stretch leaves the height over the triangle as it is, at most 2 % of the radius
-    np.testing.assert_allclose(follow(hold, vertices * [1, 2, 1]), points * [1, 2, 1], atol=0.03)
+    np.testing.assert_allclose(attached_positions(hold, vertices * [1, 2, 1]), points * [1, 2, 1], atol=0.03)
 
 
 def test_requests_that_cannot_be_met_end_in_a_sentence(sphere):

@@ -95,7 +95,7 @@ def test_one_cone_is_left_by_the_shortest_way():
 
 def test_owners_name_the_joint_of_every_residual():
     residual, _ = judged(BOTH, rest_pose(SKELETON))
-    owners = BOTH.owners(SKELETON)
+    owners = BOTH.residual_joints(SKELETON)
     assert owners.shape == residual.shape
     names = [SKELETON.names[joint] for joint in owners]
     assert names == ["elbow", "spine", "spine", "chest", "chest", "hand", "hand", "hand"]

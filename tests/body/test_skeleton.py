@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from helpers import chain_skeleton
 
-from jaxcap.body.skeleton import KINDS, dof_layout, make_skeleton, rest_difference, rest_distance, same_joints
+from jaxcap.body.skeleton import (
+    KINDS,
+    describe_rest_difference,
+    dof_layout,
+    has_same_joints,
+    make_skeleton,
+    rest_distance,
+)
 
 
 def random_tree(rng, count: int):
@@ -59,7 +66,7 @@ def test_levels_depths_and_descent_against_walking_up_the_tree(rng):
     for depth, level in enumerate(skeleton.levels):
         assert all(len(chains[joint]) - 1 == depth for joint in level)
     expected = np.array([[above in chains[below] for below in range(15)] for above in range(15)])
-    np.testing.assert_array_equal(skeleton.descent, expected)
+    np.testing.assert_array_equal(skeleton.descendants, expected)
 
 
 def test_layout_gives_every_number_one_place():
@@ -112,10 +119,10 @@ def test_an_unknown_name_lists_the_known_ones():
 def test_skeletons_are_alike_by_their_joints_and_apart_by_where_these_stand():
     one = make_skeleton(("hip", "knee"), (-1, 0), ("free", "revolute"), [[0.0, 0, 0], [0.0, -0.4, 0]])
     longer = make_skeleton(("hip", "knee"), (-1, 0), ("ball", "ball"), [[0.0, 0, 0], [0.0, -0.4, 0.03]])
-    assert same_joints(one, longer)
+    assert has_same_joints(one, longer)
     assert abs(rest_distance(one, longer) - 0.03) < 1e-12
-    assert not same_joints(one, make_skeleton(("hip", "knee"), (-1, -1), ("free", "free"), one.centres))
-    assert not same_joints(one, make_skeleton(("hip", "heel"), (-1, 0), ("free", "ball"), one.centres))
+    assert not has_same_joints(one, make_skeleton(("hip", "knee"), (-1, -1), ("free", "free"), one.centres))
+    assert not has_same_joints(one, make_skeleton(("hip", "heel"), (-1, 0), ("free", "ball"), one.centres))
 
 
 @pytest.mark.parametrize(
@@ -136,5 +143,5 @@ def test_poses_mean_the_same_where_bones_point_the_same_way(arm, hangs, said):
         names = ("hip", "shoulder", "strap", "hand")
         return make_skeleton(names, (-1, 0, 0, on), ("free", "ball", "ball", "ball"), centres)
 
-    found = rest_difference(person([0, 0.002, 0], [0.6, 0, 0], 1), person([0.002, 0, 0], arm, hangs))
+    found = describe_rest_difference(person([0, 0.002, 0], [0.6, 0, 0], 1), person([0.002, 0, 0], arm, hangs))
     assert found is None if said is None else said in str(found)

@@ -29,7 +29,7 @@ def test_rest_gives_rest(body):
 
 
 def test_influence_is_a_share_of_one(body):
-    shares = np.asarray(body.skin.influence(body.skeleton.num_joints))
+    shares = np.asarray(body.skin.bone_weights(body.skeleton.num_joints))
     assert shares.shape == (len(body.vertices), body.skeleton.num_joints)
     assert (shares >= 0).all()
     np.testing.assert_allclose(shares.sum(1), 1.0, atol=1e-14)
@@ -39,7 +39,7 @@ def test_influence_is_a_share_of_one(body):
 @pytest.mark.parametrize("skin", ["rigid", "linear"])
 def test_vertices_are_the_weighted_sum_of_their_bones(skin, rng):
     body = BODIES[skin]
-    shares = np.asarray(body.skin.influence(body.skeleton.num_joints))
+    shares = np.asarray(body.skin.bone_weights(body.skeleton.num_joints))
     for pose in [*awkward_poses(body.skeleton), random_pose(body.skeleton, rng, 1.0, scale=1.2)]:
         posed = pose_body(body, pose)
         r, t = np.asarray(posed.transforms.rotations), np.asarray(posed.transforms.translations)
@@ -74,7 +74,7 @@ def test_whole_weights_are_rigid(scheme, rng):
     one also where the joint shifts as well as turns."""
     body = BODIES["rigid"]
     bones, parents = body.skin.bones, jnp.array(body.skeleton.parents)
-    whole = body.skin.influence(body.skeleton.num_joints)
+    whole = body.skin.bone_weights(body.skeleton.num_joints)
     if scheme == "of the bone":
         skin = SwingTwistSkin(bones, 0 * whole, 0 * whole)
     elif scheme == "of its parent":

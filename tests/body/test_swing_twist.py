@@ -70,7 +70,7 @@ def test_from_linear_weights_one_joint_alone_swings_alike(rng):
     weights[:, elbow], weights[:, hand] = 1 - share, share
     linear = LinearSkin(jnp.asarray(weights))
     skin = swing_twist_from(linear, SKELETON)
-    np.testing.assert_allclose(skin.influence(SKELETON.num_joints), weights, atol=1e-15)
+    np.testing.assert_allclose(skin.bone_weights(SKELETON.num_joints), weights, atol=1e-15)
     frame = np.asarray(SKELETON.orientations[hand])
     across = Rotation.from_quat(frame, scalar_first=True).apply([0.0, 0.6, 0.8])
     pose = rest_pose(SKELETON)
@@ -101,7 +101,7 @@ def test_from_linear_weights_what_lies_beyond_goes_to_its_branch():
 
 def test_carried_weights_lie_between_those_of_the_corners():
     faces = BODY.faces
-    at_corners = BODY.skin.carry(faces, jnp.tile(jnp.array([1.0, 0, 0]), (len(faces), 1)), SKELETON)
+    at_corners = BODY.skin.transfer(faces, jnp.tile(jnp.array([1.0, 0, 0]), (len(faces), 1)), SKELETON)
     corner = BODY.skin.take(faces[:, 0])
     # the same map, perhaps said of another base
     for pose in awkward_poses(SKELETON)[1:3]:
@@ -113,8 +113,8 @@ def test_carried_weights_lie_between_those_of_the_corners():
         same_base = np.asarray(at_corners.bases == corner.bases)
         assert same_base.mean() > 0.5
         np.testing.assert_allclose(moved[0][same_base], moved[1][same_base], atol=1e-14)
-    middle = BODY.skin.carry(faces, jnp.full((len(faces), 3), 1 / 3), SKELETON)
-    influence = np.asarray(middle.influence(SKELETON.num_joints))
+    middle = BODY.skin.transfer(faces, jnp.full((len(faces), 3), 1 / 3), SKELETON)
+    influence = np.asarray(middle.bone_weights(SKELETON.num_joints))
     np.testing.assert_allclose(influence.sum(1), 1.0, atol=1e-13)
     assert influence.min() > -1e-15
 

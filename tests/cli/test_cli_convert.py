@@ -6,7 +6,7 @@ import pytest
 from command_line import fails, runs, tree, write_inputs
 
 import jaxcap as jc
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.io.archives.npz import load_body, load_motion, load_skeleton, save_motion
 from jaxcap.io.meshes.vertex_list import read_vertex_list
@@ -43,9 +43,9 @@ def test_joint_centres_in_other_programs_files(inputs, tmp_path, capsys, suffix)
         assert "31 joint centres, 5 frames at 30 frames per second" in told
         back = read_markers(path)
         assert back.rate == 30.0
-        assert bool(np.asarray(back.seen).all())
+        assert bool(np.asarray(back.visible).all())
         at = [back.labels.index(name) for name in named]
-        np.testing.assert_allclose(np.asarray(back.places)[:, at], joints, atol=1e-6)
+        np.testing.assert_allclose(np.asarray(back.positions)[:, at], joints, atol=1e-6)
     if suffix == "c3d":
         file = ezc3d.c3d(str(tmp_path / "npz-mm.c3d"))
         point = file["parameters"]["POINT"]
@@ -74,13 +74,13 @@ def test_vertices_become_markers(inputs, tmp_path, capsys):
     assert "31 joint centres and 5 markers" in told
     back = read_markers(tmp_path / "all.c3d")
     assert back.labels == (*body.skeleton.names, "LFHD", "RFHD", "v12", "SACR", "v33")
-    expected = np.asarray(deform_all(body, motion.poses))[:, [7, 1499, 12, 900, 33]]
-    np.testing.assert_allclose(np.asarray(back.places)[:, 31:], expected, atol=1e-6)
+    expected = np.asarray(posed_vertices(body, motion.poses))[:, [7, 1499, 12, 900, 33]]
+    np.testing.assert_allclose(np.asarray(back.positions)[:, 31:], expected, atol=1e-6)
     # and from one format of markers to another
     runs(capsys, "convert", tmp_path / "all.c3d", tmp_path / "all.trc")
     again = read_markers(tmp_path / "all.trc")
     assert (again.labels, again.rate) == (back.labels, back.rate)
-    np.testing.assert_allclose(again.places, back.places, atol=1e-8)
+    np.testing.assert_allclose(again.positions, back.positions, atol=1e-8)
 
 
 def test_amass_there_and_back(inputs, tmp_path, capsys):
@@ -172,7 +172,11 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         (motion, "out.fbx", "'.fbx' files cannot be written; write .glb"),
         (motion, "out.gltf", "'.gltf' files cannot be written; write .glb"),
         ("human", "out.gltf", "'.gltf' files cannot be written; write .glb"),
-        ("human", "out.ply", "human: the embedded body cannot be converted to '.ply' files; write it as .glb"),
+        (
+            "human",
+            "out.ply",
+            "human: the embedded body cannot be converted to '.ply' files; write it as .glb",
+        ),
         (motion, "out.foo", "cannot be converted to '.foo' files; motions are read from"),
         (motion, "out.trc", "--motion", motion, "--motion is for bodies that are written as .glb"),
         (motion, "out.trc", "--as", "amass", "--as amass is for motions that are written as .npz"),

@@ -100,7 +100,9 @@ def test_git_ignores_a_folder_that_the_demo_makes(tmp_path):
     (folder / "motion.bvh").write_text("")
     status = ["git", "-C", tmp_path, "status", "--porcelain", "--untracked-files=all"]
     assert subprocess.run(status, capture_output=True, text=True, check=True).stdout == ""
-    with pytest.raises(InputError, match="give --overwrite to replace them, or choose another folder with -o"):
+    with pytest.raises(
+        InputError, match="give --overwrite to replace them, or choose another folder with -o"
+    ):
         Demo(out=folder).check_folder()
     Demo(out=folder, overwrite=True).check_folder()
     assert not (folder / "motion.bvh").exists()

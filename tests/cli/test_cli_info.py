@@ -9,7 +9,7 @@ from helpers import chain_body
 
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skin import RigidSkin
-from jaxcap.io.kinds import MANY, WORDS, identify
+from jaxcap.io.kinds import KIND_NAMES, KIND_PLURALS, identify
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.registry import read_body, read_skeleton, read_skinned
 from jaxcap.io.skeletons.bvh import write_bvh
@@ -94,7 +94,7 @@ def test_files_of_a_folder_are_counted_in_english(tmp_path, capsys):
     told = runs(capsys, "info", tmp_path).splitlines()
     assert told[:2] == ["3 motions with their skeletons (BVH)", "a Kineben skeleton (.skl)"]
     assert runs(capsys, "info", tmp_path / "0.bvh").startswith("motion: 1 frame at 30 frames per second")
-    assert set(MANY) == set(WORDS)
+    assert set(KIND_PLURALS) == set(KIND_NAMES)
 
 
 @pytest.mark.parametrize(

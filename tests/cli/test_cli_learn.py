@@ -14,7 +14,7 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import LinearSkin
 from jaxcap.cli import learn as verb
-from jaxcap.cli.learn import read_pairs, split
+from jaxcap.cli.learn import read_pairs, split_held_out
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import load_body, load_motion, save_body
 from jaxcap.learn.learn_body import Learned, LearnState
@@ -55,9 +55,9 @@ def poses() -> Pose:
 def inputs(tmp_path_factory):
     """The bar as `bar.npz`, and as it bends, with 1 mm of noise, in `meshes.npz`."""
     folder, body = tmp_path_factory.mktemp("inputs"), bar()
-    from jaxcap.body.body import deform_all
+    from jaxcap.body.body import posed_vertices
 
-    meshes = np.asarray(deform_all(body, poses()))
+    meshes = np.asarray(posed_vertices(body, poses()))
     meshes = meshes + 0.001 * np.random.default_rng(0).normal(size=meshes.shape)
     names = np.array([f"bend_{i}" for i in range(FRAMES)])
     np.savez(folder / "meshes.npz", vertices=meshes, faces=np.asarray(body.faces), names=names, rate=12.5)
@@ -288,10 +288,10 @@ def test_pairs_by_number_and_by_name():
 
 
 def test_every_nth_mesh_is_held_out():
-    train, held = split(7, 3)
+    train, held = split_held_out(7, 3)
     np.testing.assert_array_equal(held, [2, 5])
     np.testing.assert_array_equal(train, [0, 1, 3, 4, 6])
-    assert split(7, None)[1].size == 0
+    assert split_held_out(7, None)[1].size == 0
 
 
 @pytest.mark.slow

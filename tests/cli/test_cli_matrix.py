@@ -13,7 +13,7 @@ from file_kinds import ANIMATED, BODIES, BROKEN, FILE, FILES, FOREIGN, MARKERS, 
 from file_places import PLACES
 
 from jaxcap.cli import view
-from jaxcap.cli.console.errors import told
+from jaxcap.cli.console.errors import report_errors
 from jaxcap.cli.console.verbs import Verb
 from jaxcap.cli.contents.next_verb import COMMANDS
 from jaxcap.cli.info import Info
@@ -61,7 +61,7 @@ def outcome(run) -> tuple[int, str, str]:
     said, wrong, code = io.StringIO(), io.StringIO(), 0
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
         try:
-            with told():
+            with report_errors():
                 run()
         except SystemExit as stop:
             code = stop.code
@@ -149,7 +149,7 @@ def test_the_next_command_can_be_typed(kind):
 
 @pytest.mark.parametrize("name", FILES)
 def test_view_takes_what_has_a_shape(inside, monkeypatch, name):
-    monkeypatch.setattr(view, "keep_window", lambda *_: None)
+    monkeypatch.setattr(view, "run_window", lambda *_: None)
     code, _, wrong = outcome(view.View((name,)).run)
     shapes = (
         *BODIES,
@@ -171,9 +171,9 @@ def test_view_takes_what_has_a_shape(inside, monkeypatch, name):
 def test_one_help_for_a_body():
     """What a body is stands in every help in the same words."""
     from jaxcap.cli.console.help import verb_help
-    from jaxcap.cli.console.options import BODY_WORDS
+    from jaxcap.cli.console.options import BODY_FORMATS
 
     taking = {place.verb for place in PLACES if place.fields.get("body", place.fields.get("target")) == FILE}
     for verb in sorted(taking - {"convert.convert.Convert"}):
         text = " ".join(verb_help(Verb(verb, "").load(), "jaxcap").split())
-        assert BODY_WORDS in text, verb
+        assert BODY_FORMATS in text, verb

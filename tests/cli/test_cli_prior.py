@@ -9,7 +9,7 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt.shape.shape_prior import shape_energy
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.cli import main
 from jaxcap.cli.prior.learn import same_bones
@@ -118,7 +118,7 @@ def test_motions_of_another_skeleton_are_carried_over(capsys, tmp_path):
     jc.save_motion(tmp_path / "own.npz", jc.Motion(poses, 30.0), taller.skeleton)
     centres = np.array(taller.skeleton.centres)
     # an elbow, and what hangs on it, elsewhere at rest
-    centres += 0.02 * taller.skeleton.descent[taller.skeleton.index("LeftForeArm")][:, None]
+    centres += 0.02 * taller.skeleton.descendants[taller.skeleton.index("LeftForeArm")][:, None]
     other = eqx.tree_at(lambda s: s.centres, taller.skeleton, centres)
     assert same_bones(human.skeleton, taller.skeleton)
     assert not same_bones(human.skeleton, other)
@@ -140,7 +140,7 @@ def person(tmp_path_factory):
     four = jax.tree.map(lambda a: a[:4], poses)
     four = jc.Pose(four.translations.at[:, 0].add(0.3), four.rotations, four.scale)
     faces = np.asarray(body.faces)
-    for number, vertices in enumerate(np.asarray(deform_all(body, four), float)):
+    for number, vertices in enumerate(np.asarray(posed_vertices(body, four), float)):
         write_mesh(folder / "meshes" / f"m{number}.obj", Mesh(vertices, faces, None))
     return folder, body
 
@@ -150,9 +150,7 @@ def test_shape_is_learned_from_meshes_of_the_body(capsys, person):
     out, motion = folder / "prior.npz", folder / "motion.npz"
     words = ("--body", folder / "low.npz", "--meshes", folder / "meshes" / "*.obj", "--most", 1)
     told = runs(capsys, "prior", "learn", motion, "-o", out, *words)
-    assert (
-        "shape: 4 of 4 meshes; RMS error of the body 0.00 mm, of its Laplacian vectors 0.00 mm" in told
-    )
+    assert "shape: 4 of 4 meshes; RMS error of the body 0.00 mm, of its Laplacian vectors 0.00 mm" in told
     prior = load_shape_prior(out, jc.load_body(out))
     assert prior is not None
     assert prior.vectors.shape == (4, len(body.vertices), 3)

@@ -12,7 +12,7 @@ from stick_person import build
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
-from jaxcap.edit.retargeting.soles import lowest
+from jaxcap.edit.retargeting.soles import lowest_heights
 from jaxcap.errors import InputError
 from jaxcap.io.skeletons.joint_names import read_joint_names
 
@@ -28,12 +28,12 @@ def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, tmp_path):
     assert "by the names of joints" in told and "LeftHand and LeftHand: " in told
     moved = jc.load_motion(tmp_path / "short.npz")
     short = jc.human(resolution="low", height=1.5)
-    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.02
+    assert np.abs(lowest_heights(short, moved.poses) + 0.82).max() < 0.02
     told = runs(capsys, "edit", "retarget", tmp_path / "tall.npz", "human:height=1.5,low", "-o", tmp_path / "skin.npz",
                 "--source", "human:height=1.9,low")  # fmt: skip
     assert "retargeted by surface" in told
     moved = jc.load_motion(tmp_path / "skin.npz")
-    assert np.abs(lowest(short, moved.poses) + 0.82).max() < 0.01
+    assert np.abs(lowest_heights(short, moved.poses) + 0.82).max() < 0.01
 
 
 def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, tmp_path):
@@ -46,7 +46,9 @@ def test_retarget_says_what_matches_and_a_refusal_writes_a_table(capsys, tmp_pat
     jc.save_motion(tmp_path / "other_rig.npz", still(source), source)
     words = ("edit", "retarget", tmp_path / "other_rig.npz", tmp_path / "sticks.npz", "-o")
     told = runs(capsys, *words, tmp_path / "matched.npz", "--write-names", tmp_path / "table.json")
-    assert "20 joints of the source match a joint of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
+    assert (
+        "20 joints of the source match a joint of the target" in told and "LeftUpperLeg = LeftUpLeg" in told
+    )
     assert "no match in the source: Tail_1: left out" in told
     assert "no match in the target: Head: stays at rest, moved by Neck" in told
     table = read_joint_names(tmp_path / "table.json")
@@ -124,7 +126,7 @@ def test_the_floor_of_a_motion_with_z_up_is_below_its_feet(capsys, tmp_path, upr
     assert "1 m becomes 0.750 m, the floor is at 0.50" in told
     assert "LeftFoot and LeftFoot: 0.0 mm apart, 0.0 mm at most" in told
     moved = jc.load_motion(tmp_path / "up.npz")
-    low = lowest(body, moved.poses, np.array([0, 0, 1.0]))
+    low = lowest_heights(body, moved.poses, np.array([0, 0, 1.0]))
     np.testing.assert_allclose(low, 0.501 + 0.75 * 0.01 * np.arange(6), atol=2e-3)
     feet = np.asarray(joint_paths(small, moved.poses))[:, 3]
     np.testing.assert_allclose(feet[:, 1], 0.75 * (-2.0 - 0.3 * np.arange(6)), atol=1e-3)
@@ -155,10 +157,7 @@ def test_two_files_that_do_not_say_their_units(capsys, tmp_path):
         "dm",
     )
     said = fails(capsys, *words)
-    assert (
-        "give the unit of the motion with --unit or the unit of the target with --target-unit"
-        in said
-    )
+    assert "give the unit of the motion with --unit or the unit of the target with --target-unit" in said
     assert "1 m becomes 1.000 m" in runs(capsys, *words, "--target-unit", "dm")
     said = fails(
         capsys, *words[:3], tmp_path / "metres.npz", *words[4:], "--overwrite", "--target-unit", "dm"

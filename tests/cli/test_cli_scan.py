@@ -12,7 +12,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.cli import main
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.scan import scan as scan_module
-from jaxcap.cli.scan.rate import rate_of
+from jaxcap.cli.scan.rate import find_rate
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras
@@ -83,11 +83,13 @@ def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, caps
     assert json.loads((fast / "scan.json").read_text())["rate"] == 120
     assert json.loads((half / "scan.json").read_text())["rate"] == 60
     for clouds in (fast, fast / "clouds.npz", fast / "scan_*.ply", fast / "scan_%04d.ply"):
-        assert rate_of(None, [str(clouds)]) == (120.0, fast / "scan.json")
-    assert rate_of(25.0, [str(fast)]) == (25.0, None)
-    assert rate_of(None, [str(inputs)]) == (30.0, None)
-    with pytest.raises(InputError, match="these scans is 60, and that of .* is 120 frames per second; .* --rate"):
-        rate_of(None, [str(fast / "scan_0000.ply"), str(half / "scan_0000.ply")])
+        assert find_rate(None, [str(clouds)]) == (120.0, fast / "scan.json")
+    assert find_rate(25.0, [str(fast)]) == (25.0, None)
+    assert find_rate(None, [str(inputs)]) == (30.0, None)
+    with pytest.raises(
+        InputError, match="these scans is 60, and that of .* is 120 frames per second; .* --rate"
+    ):
+        find_rate(None, [str(fast / "scan_0000.ply"), str(half / "scan_0000.ply")])
     told = runs(capsys, "track", inputs / "body.npz", fast, "-o", tmp_path / "out", "--last", 1)
     assert f"120 frames per second, from {fast / 'scan.json'}" in told
     assert load_motion(tmp_path / "out" / "motion.npz").rate == 120
@@ -100,10 +102,10 @@ def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, caps
 def test_a_rate_of_scans_that_is_none_is_told(tmp_path, rate, said):
     (tmp_path / "scan.json").write_text(f'{{"body arrays": "a", "rate": {rate}}}')
     with pytest.raises(InputError, match=rf"scan\.json: .*{said}"):
-        rate_of(None, [str(tmp_path)])
+        find_rate(None, [str(tmp_path)])
     # a file of another program's
     (tmp_path / "scan.json").write_text('{"rate": "fast"}')
-    assert rate_of(None, [str(tmp_path)]).file is None
+    assert find_rate(None, [str(tmp_path)]).file is None
 
 
 def test_a_stopped_run_goes_on_to_the_same_end(inputs, tmp_path, capsys, monkeypatch):

@@ -28,7 +28,7 @@ def write_triple(folder, turn, unit="m"):
     )
     write_mesh(folder / "body.off", Mesh(np.asarray(body.vertices) @ turn.T, np.asarray(body.faces)), unit)
     write_skl(folder / "body.skl", turned, unit)
-    write_vj(folder / "body.vj", s, np.asarray(body.skin.parts()))
+    write_vj(folder / "body.vj", s, np.asarray(body.skin.dominant_bones()))
     return body
 
 
@@ -47,7 +47,7 @@ def test_mesh_with_skeleton_and_parts_beside_it(tmp_path):
     assert limits is None
     assert isinstance(body.skin, RigidSkin)
     assert body.skeleton.names == expected.skeleton.names
-    np.testing.assert_array_equal(body.skin.parts(), expected.skin.parts())
+    np.testing.assert_array_equal(body.skin.dominant_bones(), expected.skin.dominant_bones())
     np.testing.assert_allclose(body.vertices, expected.vertices, atol=1e-8)
 
 

@@ -116,17 +116,17 @@ class Terminal(io.StringIO):
 @pytest.fixture
 def quick(monkeypatch):
     """Words after a tenth of a second of silence."""
-    monkeypatch.setattr(heartbeat, "QUIET", 0.1)
-    monkeypatch.setattr(heartbeat, "LOOK", 0.02)
+    monkeypatch.setattr(heartbeat, "SILENCE_SECONDS", 0.1)
+    monkeypatch.setattr(heartbeat, "CHECK_SECONDS", 0.02)
 
 
 def test_silence_is_broken_by_what_is_done(quick, capsys):
-    with heartbeat.break_silence():
-        heartbeat.doing("adding up")
+    with heartbeat.periodic_status():
+        heartbeat.set_activity("adding up")
         time.sleep(0.4)
         logging.getLogger("jaxcap.fit.tracking.track").info("searching for frame %d", 7)
         time.sleep(0.4)
-        with heartbeat.resting():
+        with heartbeat.pause_status():
             time.sleep(0.4)
     told = capsys.readouterr().err.splitlines()
     assert {line.rsplit(":", 1)[0] for line in told} == {"jaxcap: adding up", "jaxcap: searching for frame 7"}
@@ -139,8 +139,8 @@ def test_compiling_is_named(quick, capsys):
     """A function that is being traced, which takes as long as it sleeps."""
     import jax
 
-    with heartbeat.break_silence():
-        heartbeat.doing("tracking")
+    with heartbeat.periodic_status():
+        heartbeat.set_activity("tracking")
         jax.jit(lambda x: (time.sleep(0.5), x)[1])(1.0)
     assert "jaxcap: tracking, compiling, which is done once: 0 s" in capsys.readouterr().err
 
@@ -148,8 +148,8 @@ def test_compiling_is_named(quick, capsys):
 def test_on_a_terminal_words_pass(quick, monkeypatch):
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
-    with heartbeat.break_silence():
-        heartbeat.doing("adding up")
+    with heartbeat.periodic_status():
+        heartbeat.set_activity("adding up")
         time.sleep(0.4)
         heartbeat.write_line(screen, "a result")
     text = screen.getvalue()

@@ -283,14 +283,13 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
 
 
 def test_a_search_is_announced_with_its_reason(capsys):
-    announce = track_module.announcing()
+    announce = track_module.make_announcer()
     announce(Search(3, ("unexplained points near the left leg",), 0))
     announce(Search(9, ("missing points on the left arm",), 1))
     first, second = capsys.readouterr().err.splitlines()
     assert "frame 3: unexplained points near the left leg" in first and "compiles" in first
     assert (
-        "frame 9: missing points on the left arm; 1 search before it" in second
-        and "compiles" not in second
+        "frame 9: missing points on the left arm; 1 search before it" in second and "compiles" not in second
     )
 
 

@@ -236,8 +236,8 @@ def test_rig_by_envelopes(inputs, tmp_path, capsys):
     np.testing.assert_allclose(rigged.vertices, vertices, atol=1e-6)
     np.testing.assert_allclose(rigged.skeleton.centres, body.skeleton.centres, atol=1e-6)
     # of the vertices that one bone moves at least nine in ten get this bone or one beside it
-    weights = np.asarray(body.skin.influence(31))
-    sure, true, found = weights.max(1) > 0.95, weights.argmax(1), np.asarray(rigged.skin.parts())
+    weights = np.asarray(body.skin.bone_weights(31))
+    sure, true, found = weights.max(1) > 0.95, weights.argmax(1), np.asarray(rigged.skin.dominant_bones())
     parents = np.array(body.skeleton.parents)
     near = (true == found) | (parents[true] == found) | (parents[found] == true)
     assert near[sure].mean() > 0.9

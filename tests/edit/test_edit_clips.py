@@ -13,7 +13,12 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.clips import cut, join, make_loop
 from jaxcap.edit.interpolation import resample
 from jaxcap.edit.mirror_motion import mirror
-from jaxcap.edit.planar_transform import Planar, align, move, power
+from jaxcap.edit.planar_transform import (
+    PlanarTransform,
+    apply_planar_transform,
+    fit_planar_transform,
+    planar_power,
+)
 from jaxcap.edit.transitions import find_loops, find_transitions, transition_distances
 from jaxcap.geometry import rotation
 
@@ -77,16 +82,18 @@ def test_resampled_rotations_are_those_of_scipy():
 
 def test_a_planar_motion_is_found_again_and_halved(rng):
     points = rng.normal(size=(20, 3))
-    for planar in (Planar(2.5, np.array([0.3, -1.2])), Planar(0.0, np.array([1.0, 2.0]))):
+    for planar in (PlanarTransform(2.5, np.array([0.3, -1.2])), PlanarTransform(0.0, np.array([1.0, 2.0]))):
         motion = gait(2)
-        moved = places(Motion(move(SKELETON, planar, motion.poses), 30.0))
-        found = align(places(motion)[0], moved[0])
+        moved = places(Motion(apply_planar_transform(SKELETON, planar, motion.poses), 30.0))
+        found = fit_planar_transform(places(motion)[0], moved[0])
         np.testing.assert_allclose(found.heading, planar.heading, atol=1e-12)
         np.testing.assert_allclose(found.shift, planar.shift, atol=1e-12)
-        half = power(planar, 0.5)
-        twice = Motion(move(SKELETON, half, move(SKELETON, half, motion.poses)), 30.0)
+        half = planar_power(planar, 0.5)
+        twice = Motion(
+            apply_planar_transform(SKELETON, half, apply_planar_transform(SKELETON, half, motion.poses)), 30.0
+        )
         np.testing.assert_allclose(places(twice), moved, atol=1e-12)
-    assert align(points, points).heading == pytest.approx(0.0, abs=1e-12)
+    assert fit_planar_transform(points, points).heading == pytest.approx(0.0, abs=1e-12)
 
 
 def test_distances_of_windows_are_the_least_over_turns_and_shifts():
@@ -110,7 +117,7 @@ def test_distances_of_windows_are_the_least_over_turns_and_shifts():
 def test_a_motion_taken_apart_is_joined_to_itself():
     """Two overlapping parts of one motion, the second one moved elsewhere, give the whole again."""
     whole = gait(60)
-    rest = move(SKELETON, Planar(1.9, np.array([3.0, -2.0])), cut(whole, 25).poses)
+    rest = apply_planar_transform(SKELETON, PlanarTransform(1.9, np.array([3.0, -2.0])), cut(whole, 25).poses)
     joined = join(SKELETON, cut(whole, 0, 34), Motion(rest, 30.0), 10)
     assert len(joined) == 60
     np.testing.assert_allclose(places(joined), places(whole), atol=1e-9)
@@ -159,7 +166,7 @@ def test_a_loop_goes_over_its_seam_as_the_motion_does(in_place, rng):
     assert len(loop.motion) == last - first + 1
     x, own = places(loop.motion), places(motion)
     # the next round is the same in the place where this one ended
-    again = places(Motion(move(SKELETON, loop.travel, loop.motion.poses), 30.0))
+    again = places(Motion(apply_planar_transform(SKELETON, loop.travel, loop.motion.poses), 30.0))
     np.testing.assert_allclose(again[0], x[-1], atol=1e-9)
     if in_place:
         np.testing.assert_array_equal(x[0], x[-1])
@@ -168,7 +175,7 @@ def test_a_loop_goes_over_its_seam_as_the_motion_does(in_place, rng):
     # before, at and after the seam three frames of the motion itself, so velocities agree as well
     seam = np.stack([x[-2], x[-1], again[1]])
     three = own[first - 1 : first + 2]
-    back = move(SKELETON, loop.travel, cut(motion, first - 1, first + 1).poses)
+    back = apply_planar_transform(SKELETON, loop.travel, cut(motion, first - 1, first + 1).poses)
     np.testing.assert_allclose(seam, places(Motion(back, 30.0)), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(np.diff(seam, axis=0), axis=-1),
                                np.linalg.norm(np.diff(three, axis=0), axis=-1), atol=1e-9)  # fmt: skip

@@ -12,7 +12,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.gaze import fade_weights, look_at_target
-from jaxcap.edit.gaze_line import gaze_shares, human_line, line_of_joint, line_of_vertices
+from jaxcap.edit.gaze_line import gaze_line_of_joint, gaze_line_of_vertices, gaze_shares, human_gaze_line
 from jaxcap.geometry import rotation
 
 NAMES = ["Hips", "Chest", "Neck", "Neck1", "Head", "Head.end", "LeftArm", "RightArm"]
@@ -46,7 +46,7 @@ def motion():
 
 @pytest.fixture(scope="module")
 def looking(motion):
-    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
+    line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
     return look_at_target(SKELETON, motion, line, TARGET, shares, first=5, last=34, fade=0.3)
 
 
@@ -89,14 +89,14 @@ def test_chest_neck_and_head_share_one_turn(motion, looking):
 
 
 def test_a_direction_and_the_most_that_it_turns(motion):
-    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON, ["Chest", "Neck", "Head"])
-    free = look_at_target(SKELETON, motion, line, np.array([5.0, 0, 0]), shares, direction=True, fade=0.0)
-    assert free.after.max() < 1e-6 and not free.held.any()
+    line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON, ["Chest", "Neck", "Head"])
+    free = look_at_target(SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_direction=True, fade=0.0)
+    assert free.after.max() < 1e-6 and not free.limited.any()
     some = look_at_target(
-        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, direction=True, fade=0.0, most=30.0
+        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_direction=True, fade=0.0, max_angle=30.0
     )
     np.testing.assert_allclose(some.before - some.after, 30.0, atol=1e-6)
-    assert some.held.all()
+    assert some.limited.all()
 
 
 def test_limits_hold_the_turn(motion):
@@ -104,14 +104,14 @@ def test_limits_hold_the_turn(motion):
         SKELETON, cones={"Head": Cone((0, 0, 1.0), np.radians(25), (0, 1.0, 0), np.radians(60))}
     )
     assert isinstance(ranges, JointRanges)
-    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
+    line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
     far = look_at_target(
-        SKELETON, motion, line, np.array([-1.0, 0, -1.0]), shares, direction=True, fade=0.2, limits=ranges
+        SKELETON, motion, line, np.array([-1.0, 0, -1.0]), shares, is_direction=True, fade=0.2, limits=ranges
     )
     front = rotation.to_matrix(far.motion.poses.rotations[:, 4])[..., 2]
     used = far.magnitude > 0
     assert np.degrees(np.arccos(np.asarray(front)[used, 2])).max() < 25.01
-    assert far.held.any()
+    assert far.limited.any()
 
 
 def test_who_is_recorded_beyond_limits_comes_back_into_them_with_the_fade(motion):
@@ -121,9 +121,9 @@ def test_who_is_recorded_beyond_limits_comes_back_into_them_with_the_fade(motion
     limits = make_joint_ranges(
         SKELETON, cones={"Head": Cone((0, 0, 1.0), np.radians(30), (0, 1.0, 0), np.pi)}
     )
-    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
+    line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
     ahead = look_at_target(
-        SKELETON, posed, line, np.array([np.sin(1.2), 0, np.cos(1.2)]), shares, direction=True, first=5, last=34,
+        SKELETON, posed, line, np.array([np.sin(1.2), 0, np.cos(1.2)]), shares, is_direction=True, first=5, last=34,
         fade=0.4, limits=limits,
     )  # fmt: skip
     front = np.asarray(rotation.to_matrix(ahead.motion.poses.rotations[:, 4]))[..., 2]
@@ -145,15 +145,15 @@ def test_fades_are_flat_at_their_ends():
 
 @pytest.mark.parametrize("resolution", ["full", "medium", "low"])
 def test_the_human_looks_ahead_from_between_its_eyes(resolution):
-    line = human_line(human(resolution=resolution, height=1.6))
+    line = human_gaze_line(human(resolution=resolution, height=1.6))
     assert np.degrees(np.arccos(np.asarray(line.direction)[2])) < 3
     assert np.abs(np.asarray(line.eyes)[0]) < 0.005
 
 
 def test_what_cannot_look_is_told(motion):
     body = human(resolution="low")
-    line, shares = line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
-    assert human_line(eqx.tree_at(lambda b: b.faces, body, body.faces[1:])) is None
+    line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
+    assert human_gaze_line(eqx.tree_at(lambda b: b.faces, body, body.faces[1:])) is None
 
     def look(target=TARGET, shares=shares, **rest):
         return look_at_target(SKELETON, motion, line, target, shares, **rest)
@@ -169,8 +169,8 @@ def test_what_cannot_look_is_told(motion):
         (lambda: look(most=0.0), "largest rotation of the gaze"),
         (lambda: look(np.zeros(3), direction=True, fade=0.0), "zero length"),
         (lambda: gaze_shares(SKELETON, ["Head"]), "1 joints are named"),
-        (lambda: line_of_vertices(body, 3, 3, "Head"), "the same mean position"),
-        (lambda: line_of_vertices(body, 3, 10**6, "Head"), "not all in the body"),
+        (lambda: gaze_line_of_vertices(body, 3, 3, "Head"), "the same mean position"),
+        (lambda: gaze_line_of_vertices(body, 3, 10**6, "Head"), "not all in the body"),
     ):
         with pytest.raises(ValueError, match=words):
             call()

@@ -41,7 +41,7 @@ def test_interpolated_motions_give_their_keys_back(rng):
     keys = [0, 7, 19, 23, 40, 59]
     motion = keyed_motion(rng, keys)
     found = find_keys(chain_skeleton(), motion, 1e-4, 1e-7)
-    assert np.flatnonzero(found.keyed[:, 0]).tolist() == keys
+    assert np.flatnonzero(found.is_key[:, 0]).tolist() == keys
     np.testing.assert_allclose(found.motion.poses.rotations, motion.poses.rotations, atol=1e-7)
     # keys are the motion's own poses, to the last bit
     np.testing.assert_array_equal(
@@ -66,8 +66,8 @@ def test_tolerances_are_kept_and_tell_the_truth(rng, per_joint):
 def test_no_key_can_be_left_out(rng):
     skeleton, motion = chain_skeleton(), smooth_motion(rng)
     found = find_keys(skeleton, motion, 5.0, 0.02)
-    for frame in np.flatnonzero(found.keyed[1:-1, 0]) + 1:
-        fewer = found.keyed.copy()
+    for frame in np.flatnonzero(found.is_key[1:-1, 0]) + 1:
+        fewer = found.is_key.copy()
         fewer[frame] = False
         turned, moved = errors(skeleton, motion, Motion(interpolate_keys(motion.poses, fewer), 30.0))
         assert turned > 5.0 or moved > 0.02
@@ -80,7 +80,7 @@ def test_still_joints_have_two_keys_of_their_own(rng):
     )
     motion = Motion(Pose(motion.poses.translations, rotations, motion.poses.scale), 30.0)
     found = find_keys(skeleton, motion, 2.0, 0.5, per_joint=True)
-    assert found.keyed[:, [1, 6]].sum(0).tolist() == [2, 2]
+    assert found.is_key[:, [1, 6]].sum(0).tolist() == [2, 2]
     assert found.count < find_keys(skeleton, motion, 2.0, 0.5).count
 
 

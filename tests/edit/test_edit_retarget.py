@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from helpers import chain_body, chain_skeleton, random_pose
 
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
 from jaxcap.body.skin import LinearSkin
-from jaxcap.edit.retargeting.point_pairs import PointPair, meet_points
+from jaxcap.edit.retargeting.point_pairs import PointPair, match_points
 from jaxcap.edit.retargeting.point_pairs import _solve_frames as solve_frames
 from jaxcap.edit.retargeting.retarget_shape import retarget_shape
 from jaxcap.edit.retargeting.transfer import make_transfer, transfer_pose
@@ -37,7 +37,7 @@ def resized(body, size):
 
 def test_transferred_to_itself_a_surface_is_as_posed(body, motion):
     """The chain's three tubes hang together by nothing; bridges keep them where they belong."""
-    rest, posed = np.asarray(body.vertices), np.asarray(deform_all(body, motion.poses))[0]
+    rest, posed = np.asarray(body.vertices), np.asarray(posed_vertices(body, motion.poses))[0]
     transfer = make_transfer(rest, rest, np.asarray(body.faces))
     found = transfer_pose(transfer, posed)
     np.testing.assert_allclose(found, posed - posed.mean(0), atol=1e-10)
@@ -51,7 +51,7 @@ def test_transferred_to_itself_a_surface_is_as_posed(body, motion):
 def test_other_builds_keep_their_lengths(body, motion):
     """A target that is twice as thick, bent: sides along the limb are as long as at rest."""
     rest = np.asarray(body.vertices)
-    posed = np.asarray(deform_all(body, motion.poses))[1]
+    posed = np.asarray(posed_vertices(body, motion.poses))[1]
     thick = rest * [1.0, 1.5, 1.5]
     found = transfer_pose(make_transfer(rest, thick, np.asarray(body.faces)), posed)
     faces = np.asarray(body.faces)
@@ -66,7 +66,7 @@ def test_a_body_of_another_size_does_the_same_in_its_size(body, motion, size):
     target = resized(body, size)
     found = retarget_shape(motion, body, target)
     assert found.ratio == pytest.approx(size) and found.motion.rate == 25.0
-    there, here = deform_all(body, motion.poses), deform_all(target, found.motion.poses)
+    there, here = posed_vertices(body, motion.poses), posed_vertices(target, found.motion.poses)
     want = size * np.asarray(there) + (1 - size) * np.array([0, found.floor, 0])
     # the first frame stands where the source's is, scaled, and so do all that follow
     np.testing.assert_allclose(here, want, atol=1e-5)
@@ -83,7 +83,7 @@ def test_a_body_of_another_size_does_the_same_in_its_size(body, motion, size):
 def test_moved_joints_take_another_pose_for_the_same_surface(body, motion):
     """Copied, the pose brings the surface elsewhere. Where the root was is of no account to what it can do; where joints
     lie otherwise, millimetres are left, as no pose turns a limb about another place than its joint's."""
-    there = np.asarray(deform_all(body, motion.poses))
+    there = np.asarray(posed_vertices(body, motion.poses))
     rng = np.random.default_rng(0)
     askew = 0.03 * rng.normal(size=body.skeleton.centres.shape)
     elsewhere = np.zeros_like(askew)
@@ -92,7 +92,7 @@ def test_moved_joints_take_another_pose_for_the_same_surface(body, motion):
         moved = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres + offsets)
         found = retarget_shape(motion, body, moved)
         copied, met = (
-            np.linalg.norm(np.asarray(deform_all(moved, poses)) - there, axis=-1)
+            np.linalg.norm(np.asarray(posed_vertices(moved, poses)) - there, axis=-1)
             for poses in (motion.poses, found.motion.poses)
         )
         assert np.sqrt(np.mean(copied**2)) > least
@@ -121,7 +121,7 @@ def test_bodies_that_do_not_correspond_are_told(body, motion):
 def test_points_meet_and_what_they_do_not_ask_for_stays(body, motion):
     skeleton = chain_skeleton()
     pairs = [PointPair("hand", "hand"), PointPair(40, 40, 2.0)]
-    same = meet_points(motion, body, body, motion, pairs)
+    same = match_points(motion, body, body, motion, pairs)
     assert same.distances.max() < 1e-9
     np.testing.assert_allclose(same.motion.poses.rotations, motion.poses.rotations, atol=1e-7)
     # the source shifted by a centimetre, which the target's points follow
@@ -129,31 +129,31 @@ def test_points_meet_and_what_they_do_not_ask_for_stays(body, motion):
     moved = Motion(
         Pose(motion.poses.translations.at[:, 0].add(shift), motion.poses.rotations, motion.poses.scale), 25.0
     )
-    met = meet_points(moved, body, body, motion, pairs)
+    met = match_points(moved, body, body, motion, pairs)
     assert met.distances.max() < 5e-4
     # a joint that two ask for goes between their places, by their weights, and other points compile nothing
     traces = solve_frames._cached._cache_size()
     twice = [PointPair("hand", "hand", 3.0), PointPair("elbow", "hand", 1.0)]
-    met = meet_points(motion, body, body, motion, twice)
+    met = match_points(motion, body, body, motion, twice)
     assert solve_frames._cached._cache_size() == traces
     x = np.asarray(joint_paths(skeleton, motion.poses))[:, [skeleton.index("hand"), skeleton.index("elbow")]]
     reached = np.asarray(joint_paths(skeleton, met.motion.poses))[:, skeleton.index("hand")]
     np.testing.assert_allclose(reached, 0.75 * x[:, 0] + 0.25 * x[:, 1], atol=5e-4)
     # of skeletons without a surface, in another size, about a floor
-    met = meet_points(motion, skeleton, skeleton, motion, pairs[:1], ratio=1.02, floor=-0.5)
+    met = match_points(motion, skeleton, skeleton, motion, pairs[:1], ratio=1.02, floor=-0.5)
     hand = skeleton.index("hand")
     want = 1.02 * np.asarray(joint_paths(skeleton, motion.poses))[:, hand] + 0.02 * np.array([0, 0.5, 0])
     np.testing.assert_allclose(np.asarray(joint_paths(skeleton, met.motion.poses))[:, hand], want, atol=5e-4)
     for call, words in (
-        (lambda: meet_points(motion, body, body, motion, []), "no point pairs"),
+        (lambda: match_points(motion, body, body, motion, []), "no point pairs"),
         (
-            lambda: meet_points(motion, body, body, motion, [PointPair("hand", "foot")]),
+            lambda: match_points(motion, body, body, motion, [PointPair("hand", "foot")]),
             "no joint 'foot' in the target",
         ),
-        (lambda: meet_points(motion, body, body, motion, [PointPair(48, 0)]), "no vertex 48 in the source"),
-        (lambda: meet_points(motion, body, skeleton, motion, [PointPair(3, 3)]), "without a surface"),
-        (lambda: meet_points(motion, body, body, motion, [PointPair(3, 3, 0.0)]), "weighs 0"),
-        (lambda: meet_points(motion.slice(slice(0, 2)), body, body, motion, pairs), "4 and 2 frames"),
+        (lambda: match_points(motion, body, body, motion, [PointPair(48, 0)]), "no vertex 48 in the source"),
+        (lambda: match_points(motion, body, skeleton, motion, [PointPair(3, 3)]), "without a surface"),
+        (lambda: match_points(motion, body, body, motion, [PointPair(3, 3, 0.0)]), "weighs 0"),
+        (lambda: match_points(motion.slice(slice(0, 2)), body, body, motion, pairs), "4 and 2 frames"),
     ):
         with pytest.raises(ValueError, match=words):
             call()

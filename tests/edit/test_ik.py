@@ -16,7 +16,7 @@ from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik import solve as inverse_kinematics
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
-from jaxcap.edit.ik.solve import METRES, SOLVERS, IkOptions, solve_ik
+from jaxcap.edit.ik.solve import POSITION_DEVIATION, SOLVERS, IkOptions, solve_ik
 from jaxcap.fit.linear.cholesky import factorise
 from jaxcap.geometry import rotation
 
@@ -98,13 +98,20 @@ def test_the_least_energy_is_that_of_scipy(arm, rng):
             turn = turn * Rotation.from_rotvec(vector)
             end = end + turn.apply([1 / 3, 0, 0])
             ends.append(end)
-        apart = np.sqrt(weights)[:, None] * (np.array([ends[2], ends[1]]) - targets) / METRES
+        apart = np.sqrt(weights)[:, None] * (np.array([ends[2], ends[1]]) - targets) / POSITION_DEVIATION
         return np.concatenate(
-            [apart.ravel(), np.sqrt(stiffness) * numbers / inverse_kinematics.ROOT[1] * scale]
+            [apart.ravel(), np.sqrt(stiffness) * numbers / inverse_kinematics.FREE_ROOT_DEVIATIONS[1] * scale]
         )
 
     # roots are stiffer than what hangs on them
-    scale = np.repeat([1.0, inverse_kinematics.ROOT[1] / 0.5, inverse_kinematics.ROOT[1] / 0.5], 3)
+    scale = np.repeat(
+        [
+            1.0,
+            inverse_kinematics.FREE_ROOT_DEVIATIONS[1] / 0.5,
+            inverse_kinematics.FREE_ROOT_DEVIATIONS[1] / 0.5,
+        ],
+        3,
+    )
     best = least_squares(residual, 0.1 * rng.normal(size=9), xtol=1e-12, ftol=1e-12, gtol=1e-12)
     turns = Rotation.from_quat(np.asarray(pose.rotations), scalar_first=True).as_rotvec()
     ours = residual(turns.ravel())
@@ -257,14 +264,14 @@ def test_a_session_goes_back_and_forth(arm):
     start = ik.begin_session(arm, prior=Counting())
     added = ik.add_constraint(ik.add_constraint(start, 6), "elbow")
     assert ik.add_constraint(added, 6) is added
-    assert ik.constraint_at(added, 6).target == pytest.approx((1.0, 0.0, 0.0))
+    assert ik.find_constraint(added, 6).target == pytest.approx((1.0, 0.0, 0.0))
     assert added.state.pose is start.state.pose
-    dragging = ik.grab(added)
+    dragging = ik.begin_drag(added)
     for height in np.linspace(0, 0.4, 5):
         dragging = ik.drag(dragging, 6, (0.7, float(height), 0.0))
-    moved = ik.release(dragging)
-    assert len(moved.past) == 3
-    assert ik.place_of(moved, 6) == pytest.approx((0.7, 0.4, 0.0), abs=2e-3)
+    moved = ik.end_drag(dragging)
+    assert len(moved.undo_states) == 3
+    assert ik.point_position(moved, 6) == pytest.approx((0.7, 0.4, 0.0), abs=2e-3)
     # a whole drag is one step
     assert ik.undo(moved).state is added.state
     assert ik.redo(ik.undo(moved)).state is moved.state
@@ -276,43 +283,43 @@ def test_a_session_goes_back_and_forth(arm):
     assert ik.redo(other) is other
     # a drag that is given up, and one in which nothing moved
     assert ik.undo(dragging).state is added.state
-    assert ik.release(ik.grab(added)).past == added.past
+    assert ik.end_drag(ik.begin_drag(added)).undo_states == added.undo_states
 
 
 def test_a_drag_that_was_undone_is_over_while_the_hand_goes_on(arm):
     session = ik.add_constraint(ik.begin_session(arm, prior=Counting()), 6)
     moved = ik.move_constraint(session, 6, (0.7, 0.4, 0.0))
     undone = ik.undo(moved)
-    given_up = ik.undo(ik.drag(ik.grab(undone), 6, (0.2, 0.2, 0.0)))
+    given_up = ik.undo(ik.drag(ik.begin_drag(undone), 6, (0.2, 0.2, 0.0)))
     after = given_up
     for height in (0.1, 0.2, 0.3):
         after = ik.drag(after, 6, (0.2, height, 0.0))
-    after = ik.release(after)
+    after = ik.end_drag(after)
     # neither steps, nor what could be done again is lost
-    assert (after.state, after.past) == (undone.state, undone.past)
+    assert (after.state, after.undo_states) == (undone.state, undone.undo_states)
     assert ik.redo(after).state is moved.state
     # another step ends a drag, too: the drag is one, and that is one
-    pinned = ik.pin(ik.drag(ik.grab(session), 6, (0.7, 0.4, 0.0)), 6)
-    assert len(ik.drag(pinned, 6, (0.2, 0.2, 0.0)).past) == len(session.past) + 2
+    pinned = ik.set_pinned(ik.drag(ik.begin_drag(session), 6, (0.7, 0.4, 0.0)), 6)
+    assert len(ik.drag(pinned, 6, (0.2, 0.2, 0.0)).undo_states) == len(session.undo_states) + 2
     # the next one is one again
     again = ik.move_constraint(after, 6, (0.5, 0.5, 0.0))
-    assert len(again.past) == len(after.past) + 1
+    assert len(again.undo_states) == len(after.undo_states) + 1
 
 
 def test_pins_weights_settings_and_resets_are_steps(arm):
     session = ik.add_constraint(ik.begin_session(arm, prior=Counting()), 6)
     session = ik.move_constraint(session, 6, (0.2, 3.0, 0.0))
-    pinned = ik.pin(session, 6)
-    assert ik.constraint_at(pinned, 6).pinned
-    assert ik.distances(pinned)[0] < 1e-9
-    assert ik.weigh(session, 6, 0.25).state.constraints[0].weight == 0.25
+    pinned = ik.set_pinned(session, 6)
+    assert ik.find_constraint(pinned, 6).pinned
+    assert ik.target_distances(pinned)[0] < 1e-9
+    assert ik.set_weight(session, 6, 0.25).state.constraints[0].weight == 0.25
     with pytest.raises(ValueError, match="at least 0"):
-        ik.weigh(session, 6, -1.0)
+        ik.set_weight(session, 6, -1.0)
     back = ik.reset_pose(session)
-    np.testing.assert_allclose(back.state.pose.rotations, session.home.rotations)
-    assert ik.constraint_at(back, 6).target == pytest.approx((1.0, 0.0, 0.0))
+    np.testing.assert_allclose(back.state.pose.rotations, session.initial_pose.rotations)
+    assert ik.find_constraint(back, 6).target == pytest.approx((1.0, 0.0, 0.0))
     held = ik.change_settings(session, session.state.settings._replace(hold_root=True))
-    assert held.state.settings.hold_root and len(held.past) == len(session.past) + 1
+    assert held.state.settings.hold_root and len(held.undo_states) == len(session.undo_states) + 1
     assert ik.change_settings(held, held.state.settings) is held
     with pytest.raises(ValueError, match="solver 'newton' is unknown"):
         ik.change_settings(session, session.state.settings._replace(solver="newton"))
@@ -321,15 +328,15 @@ def test_pins_weights_settings_and_resets_are_steps(arm):
     turned = ik.move_constraint(
         ik.add_constraint(session, "wrist"), "wrist", orientation=(0.8, 0.0, 0.6, 0.0)
     )
-    assert ik.free_orientation(turned, "wrist").state.constraints[-1].orientation is None
-    assert ik.remove_all(turned).state.constraints == ()
+    assert ik.remove_orientation(turned, "wrist").state.constraints[-1].orientation is None
+    assert ik.remove_constraints(turned).state.constraints == ()
 
 
 def test_unfinished_numbers_leave_the_pose_as_it_was(arm):
     session = ik.add_constraint(ik.begin_session(arm, prior=Counting(jnp.nan)), 6)
     after = ik.move_constraint(session, 6, (0.5, 0.5, 0.0))
     assert np.isfinite(after.state.pose.rotations).all()
-    assert ik.constraint_at(after, 6).target == (0.5, 0.5, 0.0)
+    assert ik.find_constraint(after, 6).target == (0.5, 0.5, 0.0)
 
 
 def test_nothing_is_traced_again_for_other_counts_targets_or_switches(arm):
@@ -341,7 +348,7 @@ def test_nothing_is_traced_again_for_other_counts_targets_or_switches(arm):
         session = ik.add_constraint(session, point)
     session = ik.move_constraint(session, "elbow", (0.2, 0.2, 0.0), (0.8, 0.6, 0.0, 0.0))
     off = ik.IkSettings(keep_limits=False, use_prior=False, hold_root=True)
-    ik.pin(ik.change_settings(ik.remove_constraint(session, 3), off), 7)
+    ik.set_pinned(ik.change_settings(ik.remove_constraint(session, 3), off), 7)
     assert len(TRACES) == first
 
 
@@ -366,9 +373,9 @@ def test_a_human_reaches_with_what_is_natural(rng):
     hand, feet = int(np.argmax(vertices[:, 0])), np.argsort(vertices[:, 1])[:8]
     session = ik.begin_session(body, rest, prior=pair_prior(body.skeleton))
     for foot in feet:
-        session = ik.pin(ik.add_constraint(session, int(foot)), int(foot))
+        session = ik.set_pinned(ik.add_constraint(session, int(foot)), int(foot))
     session = ik.add_constraint(ik.add_constraint(session, hand), "Head")
-    begun, target = ik.grab(session), vertices[hand] + [-0.15, 0.35, 0.15]
+    begun, target = ik.begin_drag(session), vertices[hand] + [-0.15, 0.35, 0.15]
     straight, winding = begun, begun
     for share in np.linspace(0.25, 1, 4):
         straight = ik.drag(
@@ -377,7 +384,7 @@ def test_a_human_reaches_with_what_is_natural(rng):
     for aside in ([0.3, 0, 0], [0.2, -0.2, 0.2], [0, 0.3, 0], [0.0, 0, 0], [0.0, 0, 0]):
         winding = ik.drag(winding, hand, tuple(map(float, target + np.array(aside))))
     for found in (straight, winding):
-        assert max(ik.distances(found)) < 5e-3
+        assert max(ik.target_distances(found)) < 5e-3
     apart = rotation.distance(straight.state.pose.rotations, winding.state.pose.rotations)
     assert np.degrees(apart).max() < 3.0
 

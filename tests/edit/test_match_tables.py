@@ -79,7 +79,9 @@ def test_a_table_that_swaps_sides_is_refused_or_told():
     )
     torn = {"RightUpLeg": "LeftUpLeg", "LeftLeg": "LeftLeg"}
     torn |= dict.fromkeys(("RightLeg", "RightFoot", "LeftUpLeg", "LeftFoot"))
-    with pytest.raises(ValueError, match="LeftLeg are the left leg, but LeftLeg is not a descendant of RightUpLeg"):
+    with pytest.raises(
+        ValueError, match="LeftLeg are the left leg, but LeftLeg is not a descendant of RightUpLeg"
+    ):
         match_joints(source, target, torn)
 
 
@@ -88,7 +90,7 @@ def test_one_joint_of_a_limb_shows_all_sides():
     with pytest.raises(UnmatchedJoints, match="one joint of a leg or of an arm is enough") as refused:
         match_joints(source, target)
     # what is in the middle is known, what has a side is not
-    assert refused.value.names["ef"] == "Spine" and set(refused.value.open) > {"aby", "jkx"}
+    assert refused.value.names["ef"] == "Spine" and set(refused.value.unassigned) > {"aby", "jkx"}
     for here, there in (("bcx", "RightLeg"), ("kly", "LeftForeArm")):
         found = match_joints(source, target, {here: there})
         assert found.names["aby"] == "LeftUpLeg" and found.names["jkx"] == "RightArm"
@@ -98,9 +100,11 @@ def test_one_joint_of_a_limb_shows_all_sides():
 
 def test_the_table_of_a_contradiction_has_the_sides_of_the_toes():
     source, target = build(place=lambda x: x * [-1, 1, 1]), build()
-    with pytest.raises(UnmatchedJoints, match="The joint names and the toes disagree on left and right") as refused:
+    with pytest.raises(
+        UnmatchedJoints, match="The joint names and the toes disagree on left and right"
+    ) as refused:
         match_joints(source, target)
-    assert refused.value.names["LeftUpLeg"] == "RightUpLeg" and not refused.value.open
+    assert refused.value.names["LeftUpLeg"] == "RightUpLeg" and not refused.value.unassigned
     found = match_joints(source, target, refused.value.names)
     assert len(found.pairs) == target.num_joints and not found.warnings
 
@@ -110,7 +114,7 @@ def test_a_table_to_start_from_has_equal_names_first():
     with pytest.raises(UnmatchedJoints) as refused:
         match_joints(build(scheme=MISLED), build())
     assert all(here == there for here, there in refused.value.names.items())
-    assert set(refused.value.open) == {
+    assert set(refused.value.unassigned) == {
         f"{side}{part}Twist" for side in ("Left", "Right") for part in ("UpLeg", "Arm")
     }
 
@@ -131,7 +135,9 @@ def test_a_refusal_writes_a_table_that_is_filled_in(capsys, tmp_path):
     said = fails(capsys, *words, "--overwrite", "--write-names", tmp_path / "mine.json")
     assert "mine.json contains the matches found" in said and (tmp_path / "mine.json").exists()
     write_joint_names(tmp_path / "blank.json", {"aby": ""})
-    assert "No joint name states left or right" in fails(capsys, *words, "--overwrite", "--names", tmp_path / "blank.json")
+    assert "No joint name states left or right" in fails(
+        capsys, *words, "--overwrite", "--names", tmp_path / "blank.json"
+    )
 
 
 def test_the_names_of_the_source_show_the_sides_of_a_target_without_names():
@@ -140,4 +146,4 @@ def test_the_names_of_the_source_show_the_sides_of_a_target_without_names():
         match_joints(source, target)
     found = match_joints(source, target, {"RightUpLeg": "aby"})
     assert found.names["LeftArm"] == "jkx"
-    assert np.isfinite(found.stands[1].places).all()
+    assert np.isfinite(found.references[1].places).all()

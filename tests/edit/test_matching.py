@@ -13,10 +13,10 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.matching.limbs import find_limbs
 from jaxcap.edit.matching.match import match_joints
 from jaxcap.edit.matching.matches import UnmatchedJoints
-from jaxcap.edit.matching.names import read_name
+from jaxcap.edit.matching.names import parse_joint_name
 from jaxcap.edit.matching.person import find_person
-from jaxcap.edit.matching.reference import posed
-from jaxcap.edit.retargeting.hinges import hinge_normal
+from jaxcap.edit.matching.reference import joint_transforms
+from jaxcap.edit.retargeting.hinges import hinge_axis
 from jaxcap.edit.retargeting.plan import plan_retarget
 from jaxcap.edit.retargeting.retarget import retarget
 
@@ -75,10 +75,10 @@ def test_names_of_many_programs_say_side_and_part():
         "DEF-FingerBase.L": ("left", "palm"),
     }
     for name, (side, part) in said.items():
-        found = read_name(name)
+        found = parse_joint_name(name)
         assert (found.side, found.parts[0]) == (side, part), name
-    assert read_name("lShldrTwist").helper and read_name("upperarm_twist_01_l").helper
-    assert read_name("cuisse_G").parts == ()
+    assert parse_joint_name("lShldrTwist").helper and parse_joint_name("upperarm_twist_01_l").helper
+    assert parse_joint_name("cuisse_G").parts == ()
 
 
 @pytest.mark.parametrize("scheme", list(SCHEMES))
@@ -199,8 +199,8 @@ def test_a_table_of_names_is_checked():
 @pytest.mark.parametrize("joints", ["full", "tracking"])
 def test_limbs_of_a_human_without_names_are_those_that_its_names_say(joints):
     skeleton = human(resolution="low", joints=joints).skeleton
-    named = find_limbs(skeleton, [read_name(name) for name in skeleton.names])
-    alone = find_limbs(skeleton, [read_name(f"joint{row}") for row in range(skeleton.num_joints)])
+    named = find_limbs(skeleton, [parse_joint_name(name) for name in skeleton.names])
+    alone = find_limbs(skeleton, [parse_joint_name(f"joint{row}") for row in range(skeleton.num_joints)])
     for wanted, found in zip(named, alone, strict=True):
         assert len(found) == 2
         assert {limb.joints for limb in found} == {limb.joints for limb in wanted}
@@ -223,7 +223,7 @@ def test_places_and_rotations_are_those_of_the_kinematics(rng):
     turns = Rotation.random(4 * skeleton.num_joints, random_state=1).as_quat().reshape(4, -1, 4)
     shifts = rng.normal(size=(4, skeleton.num_joints, 3))
     poses = make_pose(shifts, turns[..., [3, 0, 1, 2]], [1.0, 1.0, 1.0, 0.7])
-    np.testing.assert_allclose(posed(skeleton, poses)[0], joint_paths(skeleton, poses), atol=1e-9)
+    np.testing.assert_allclose(joint_transforms(skeleton, poses)[0], joint_paths(skeleton, poses), atol=1e-9)
 
 
 def test_hinges_show_in_the_motion_whatever_the_frames_and_the_twist_of_the_forearm(rng):
@@ -238,13 +238,13 @@ def test_hinges_show_in_the_motion_whatever_the_frames_and_the_twist_of_the_fore
     twist = Rotation.from_rotvec(rng.normal(size=(frames, 1)) * [1.0, 0, 0])
     turns[:, limb[0]], turns[:, limb[1]] = shoulder.as_quat(), (bend * twist).as_quat()
     poses = make_pose(np.zeros((frames, skeleton.num_joints, 3)), turns[..., [3, 0, 1, 2]], np.ones(frames))
-    places, whole = posed(skeleton, poses)
+    places, whole = joint_transforms(skeleton, poses)
     rest = np.asarray(skeleton.centres)
     matrices = Rotation.from_quat(whole[:, limb[0]][:, [1, 2, 3, 0]]).as_matrix()
-    found = hinge_normal(skeleton, limb, places, matrices, rest, np.eye(3))
+    found = hinge_axis(skeleton, limb, places, matrices, rest, np.eye(3))
     np.testing.assert_allclose(found, axis, atol=1e-9)
     # straight at rest, and in too few frames
-    assert hinge_normal(skeleton, limb, places[:1], matrices[:1], rest, np.eye(3)) is None
+    assert hinge_axis(skeleton, limb, places[:1], matrices[:1], rest, np.eye(3)) is None
 
 
 def folded(skeleton, motion):
@@ -255,7 +255,7 @@ def folded(skeleton, motion):
         below = [child for child, parent in enumerate(skeleton.parents) if parent == joint]
         bone = centres[below[0]] - centres[joint] if below else np.array([0, 1.0, 0])
         own.append(Rotation.align_vectors(bone[None], [[-1.0 if name.startswith("Right") else 1.0, 0, 0]])[0])
-    places, turns = posed(skeleton, motion.poses)
+    places, turns = joint_transforms(skeleton, motion.poses)
     rest = np.zeros_like(centres)
     rotations = np.zeros(turns.shape)
     for joint, parent in enumerate(skeleton.parents):
@@ -288,12 +288,16 @@ def test_a_rest_pose_of_nobody_is_replaced_by_a_frame_that_stands():
         ).as_quat()[:, [3, 0, 1, 2]]
     motion = Motion(make_pose(np.zeros((frames, skeleton.num_joints, 3)), turns, np.ones(frames)), 30.0)
     source, moving = folded(skeleton, motion)
-    np.testing.assert_allclose(posed(source, moving.poses)[0], posed(skeleton, motion.poses)[0], atol=1e-9)
+    np.testing.assert_allclose(
+        joint_transforms(source, moving.poses)[0], joint_transforms(skeleton, motion.poses)[0], atol=1e-9
+    )
     plan = plan_retarget(source, skeleton, None, moving)
-    assert plan.matches.stands[0].frame == 0 and plan.ratio == pytest.approx(1.0)
+    assert plan.matches.references[0].frame == 0 and plan.ratio == pytest.approx(1.0)
     assert "frame 0, the most upright one" in " ".join(plan.matches.lines())
     found = retarget(moving, source, skeleton, plan=plan)
-    np.testing.assert_allclose(posed(skeleton, found.poses)[0], posed(skeleton, motion.poses)[0], atol=1e-6)
+    np.testing.assert_allclose(
+        joint_transforms(skeleton, found.poses)[0], joint_transforms(skeleton, motion.poses)[0], atol=1e-6
+    )
     with pytest.raises(ValueError, match="rest pose of the source is not upright"):
         match_joints(source, skeleton)
     with pytest.raises(ValueError, match="rest pose of the target is not upright"):

@@ -12,8 +12,8 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.edit.retargeting.retarget import floor_of, retarget, size_ratio
-from jaxcap.edit.retargeting.soles import ground, lowest, sole_heights
+from jaxcap.edit.retargeting.retarget import floor_height, retarget, size_ratio
+from jaxcap.edit.retargeting.soles import ground, lowest_heights, sole_heights
 from jaxcap.geometry import rotation
 from jaxcap.io.skeletons.amc import read_amc
 from jaxcap.io.skeletons.asf import read_asf
@@ -102,23 +102,23 @@ def test_feet_stand_on_the_floor_wherever_it_is(rng, height, turn):
         positions(target, moved.poses) @ up - height, 0.7 * (there - height), atol=1e-9
     )
     # found from the motion it is as high but for the frames that are allowed to be lower
-    assert 0 <= floor_of(positions(source, poses), up) - height < 0.05
+    assert 0 <= floor_height(positions(source, poses), up) - height < 0.05
 
 
 def test_a_motion_of_tall_people_is_on_the_floor_of_short_ones():
     """The embedded human stands on a floor that is not at the height of zero."""
     tall, short = human(resolution="low", height=1.95), human(resolution="low", height=1.5)
     motion = walk_and_wave(tall.skeleton, seconds=0.8, rate=15.0)
-    floor = float(lowest(tall, motion.poses).min())
+    floor = float(lowest_heights(tall, motion.poses).min())
     assert floor == pytest.approx(-0.82, abs=0.03)
     moved = retarget(motion, tall.skeleton, short.skeleton, floor=floor)
-    assert np.abs(lowest(short, moved.poses) - floor).max() < 0.02
+    assert np.abs(lowest_heights(short, moved.poses) - floor).max() < 0.02
     # without its soles the lowest joint stands in for them
     moved = retarget(motion, tall.skeleton, short.skeleton)
-    assert np.abs(lowest(short, moved.poses) - floor).max() < 0.03
+    assert np.abs(lowest_heights(short, moved.poses) - floor).max() < 0.03
     # soles brought to the source's are there
-    heights = floor + 0.7 * (lowest(tall, motion.poses) - floor)
-    np.testing.assert_allclose(lowest(short, ground(short, moved, heights).poses), heights, atol=1e-9)
+    heights = floor + 0.7 * (lowest_heights(tall, motion.poses) - floor)
+    np.testing.assert_allclose(lowest_heights(short, ground(short, moved, heights).poses), heights, atol=1e-9)
 
 
 @pytest.mark.shared
@@ -131,7 +131,7 @@ def test_a_real_walk_on_the_floor(shared, height):
     moved = retarget(motion, asf.skeleton, body.skeleton)
     # the floor of this capture rises by four centimetres along the walk, and the body goes with it
     ratio = size_ratio(asf.skeleton, body.skeleton)
-    low = lowest(body, moved.poses)
+    low = lowest_heights(body, moved.poses)
     off = low - ratio * np.asarray(positions(asf.skeleton, motion.poses))[..., 1].min(1)
     assert np.abs(low[:6]).max() < 0.035
     # soles are below the lowest joint, by as much in every frame
@@ -144,7 +144,7 @@ def test_soles_are_told_by_the_joints_that_bear():
     paths = np.zeros((200, 3, 3))
     paths[..., 1] = 0.5 + np.tile(np.stack([ankle, toes, hand], 1), (50, 1))
     np.testing.assert_allclose(sole_heights(paths), np.tile([0.0, 0.0, 0.0, 0.1], 50), atol=1e-9)
-    assert floor_of(paths) == pytest.approx(0.52)
+    assert floor_height(paths) == pytest.approx(0.52)
 
 
 def test_a_skeleton_given_its_own_motion_keeps_it(rng):

@@ -71,7 +71,7 @@ def some_reference_prior(rng) -> ReferencePrior:
 
 def test_distances_landmarks_and_priors_against_central_differences(rng):
     chosen, points, normals, weights = some_pairs(rng)
-    bones = BODY.skin.parts()[chosen]
+    bones = BODY.skin.dominant_bones()[chosen]
     deviations = jnp.asarray(rng.uniform(0.5, 2.0, SKELETON.num_dofs)).at[2].set(jnp.inf)
     total = (
         PointToPoint(chosen, points, weights)
@@ -105,7 +105,7 @@ def test_joint_limits_against_central_differences_and_their_closed_form(rng):
     def analytic(posed):
         rows = [
             np.eye(SKELETON.num_dofs)[layout.rotations[j, n]]
-            for j, n in zip(LIMITS.joints, LIMITS.numbers, strict=True)
+            for j, n in zip(LIMITS.joints, LIMITS.angle_indices, strict=True)
         ]
         for axes in (LIMITS.heading, LIMITS.bank):
             for joint, axis in zip(np.asarray(LIMITS.ball_joints), axes, strict=True):

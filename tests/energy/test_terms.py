@@ -23,7 +23,7 @@ from jaxcap.fit.tracking.track import track
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
-from jaxcap.markers.subject import marker_places
+from jaxcap.markers.subject import marker_positions
 from jaxcap.observe import MeshSequence
 from tests.markers_limb import moving, seen_by, truth
 
@@ -117,7 +117,7 @@ def test_markers_are_kept_above_a_floor(rng):
     plain = solve_markers(subject, frames)
 
     def lowest_of(subject, poses) -> np.ndarray:
-        return np.asarray(jax.vmap(lambda pose: marker_places(subject, pose))(poses))[..., 1].min(1)
+        return np.asarray(jax.vmap(lambda pose: marker_positions(subject, pose))(poses))[..., 1].min(1)
 
     before = lowest_of(subject, plain.motion.poses)
     height = float(np.median(before))
@@ -127,9 +127,9 @@ def test_markers_are_kept_above_a_floor(rng):
     np.testing.assert_allclose(after[before > height + 0.01], before[before > height + 0.01], atol=2e-3)
     streamer, state = make_streamer(subject, terms=[floor])
     for frame in range(3):
-        state, pose = stream_frame(streamer, state, np.asarray(frames.places)[frame])
-    assert float(marker_places(subject, pose)[:, 1].min()) == pytest.approx(after[2], abs=2e-3)
-    found = calibrate(frames, subject, count=12, skin=False, terms=[floor])
+        state, pose = stream_frame(streamer, state, np.asarray(frames.positions)[frame])
+    assert float(marker_positions(subject, pose)[:, 1].min()) == pytest.approx(after[2], abs=2e-3)
+    found = calibrate(frames, subject, num_frames=12, skin=False, terms=[floor])
     assert lowest_of(found.subject, found.motion.poses).min() > before.min() + 0.002
     with pytest.raises(InputError, match="vertices"):
         solve_markers(subject, frames, terms=[make_floor(BODY)])

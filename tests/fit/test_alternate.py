@@ -6,7 +6,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from jaxcap.fit.alternate import alternate, anneal
-from jaxcap.fit.linear.dense import Dense
+from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.problem import AbstractProblem
@@ -22,7 +22,7 @@ class Towards(AbstractProblem):
         return 0.5 * jnp.sum((y - self.target) ** 2) + self.toll
 
     def information(self, y):
-        return ConstrainedInfo(self.value(y), y - self.target, Dense(jnp.eye(2)))  # pyright: ignore[reportCallIssue]
+        return ConstrainedInfo(self.value(y), y - self.target, DenseMatrix(jnp.eye(2)))  # pyright: ignore[reportCallIssue]
 
     def retract(self, y, d):
         return y + d
@@ -52,6 +52,6 @@ def test_rounds_keep_the_best_and_stop_where_nothing_is_gained():
     def remake(y):
         return Towards(y + jnp.array([1.0, 0.0]), 10.0 * jnp.maximum(y[0] - 1.0, 0.0))
 
-    found = alternate(remake, jnp.array([-2.0, 0.0]), SOLVER, rounds=12, steps=20, uphill=2)
+    found = alternate(remake, jnp.array([-2.0, 0.0]), SOLVER, rounds=12, steps=20, patience=2)
     assert found.value == min(found.history) == pytest.approx(0.5)
     assert len(found.history) < 12

@@ -79,7 +79,7 @@ def test_a_human_with_twisted_arms():
     assert errors.max() == pytest.approx(found.error)
     assert errors.mean() == pytest.approx(found.mean_error)
     assert found.error <= 0.002
-    plain = eqx.tree_at(lambda b: b.skin, body, LinearSkin(body.skin.influence(31)))
+    plain = eqx.tree_at(lambda b: b.skin, body, LinearSkin(body.skin.bone_weights(31)))
     naive = _apart(body, plain, given.poses, given.poses)
     assert naive.max() > 0.01
     assert naive.mean() > 4 * errors.mean()
@@ -99,7 +99,7 @@ def test_bones_of_every_vertex_are_exact_in_every_pose(skin, rng):
     virtual bones are functions of the joints."""
     body = _nonlinear(skin)
     given = stack_poses([random_pose(body.skeleton, rng, 0.5) for _ in range(6)]).poses
-    found = linearise(body, given, tolerance=1e-9, influences=8, most=1000)
+    found = linearise(body, given, tolerance=1e-9, max_influences=8, max_virtual_bones=1000)
     assert found.error < 1e-8
     others = stack_poses([random_pose(body.skeleton, rng, 0.7, scale) for scale in (1.0, 1.3, 0.8)])
     assert _apart(body, found.body, others.poses, linear_motion(found, others).poses).max() < 1e-6
@@ -120,7 +120,7 @@ def test_fewer_bones_for_a_looser_tolerance(rng, tmp_path):
         counts.append(found.body.skeleton.num_joints)
     assert counts == sorted(counts)
     assert counts[0] < counts[-1]
-    few = linearise(body, motion.poses, 1e-6, most=5)
+    few = linearise(body, motion.poses, 1e-6, max_virtual_bones=5)
     assert few.body.skeleton.num_joints <= body.skeleton.num_joints + 5
     assert few.error > 1e-6
     longer = linear_motion(found, motion)
@@ -183,15 +183,15 @@ def test_weights_are_the_best_ones_on_the_simplex(rng):
 def test_what_blends_linearly_already_stays(rng):
     body = chain_body("linear")
     poses = stack_poses([random_pose(body.skeleton, rng) for _ in range(3)])
-    whole = linearise(body, poses.poses, influences=9)
+    whole = linearise(body, poses.poses, max_influences=9)
     assert whole.error < 1e-12
     np.testing.assert_array_equal(linear_motion(whole, poses).poses.rotations, poses.poses.rotations)
     np.testing.assert_array_equal(linear_pose(whole, poses[0]).rotations, poses[0].rotations)
-    few = linearise(body, poses.poses, influences=2)
+    few = linearise(body, poses.poses, max_influences=2)
     errors = _apart(body, few.body, poses.poses, poses.poses)
     assert errors.max() > 0.001
     assert few.error == pytest.approx(errors.max())
-    assert (np.asarray(few.body.skin.influence(9)) > 0).sum(1).max() == 2
+    assert (np.asarray(few.body.skin.bone_weights(9)) > 0).sum(1).max() == 2
     # the strongest two are not the best two
     kept = _apart(body, limit_influences(body, 2), poses.poses, poses.poses)
     assert errors.max() < 0.9 * kept.max()

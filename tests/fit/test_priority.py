@@ -22,7 +22,12 @@ from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.hierarchical_least_squares import Damping, Rows, constrained, descend
+from jaxcap.fit.solvers.hierarchical_least_squares import (
+    Damping,
+    LinearSystem,
+    constrained_step,
+    hierarchical_step,
+)
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.task_priority import priority_step, solve_in_order
 
@@ -359,12 +364,15 @@ def test_nothing_to_solve_and_what_is_not_a_number_are_told():
 def test_the_step_of_a_hierarchy_is_its_closed_form(rng):
     """Undamped, and so near that no step is shortened."""
     rows = [
-        Rows(jnp.asarray(1e-7 * rng.normal(size=r)), jnp.asarray(rng.normal(size=(r, 7)))) for r in (2, 3, 9)
+        LinearSystem(jnp.asarray(1e-7 * rng.normal(size=r)), jnp.asarray(rng.normal(size=(r, 7))))
+        for r in (2, 3, 9)
     ]
     systems = [(np.asarray(a), -np.asarray(r)) for r, a in rows]
     none = Damping(jnp.zeros(()), jnp.zeros(()))
-    step = descend(rows, none)
+    step = hierarchical_step(rows, none)
     np.testing.assert_allclose(step, lexicographic(systems, 7), rtol=1e-6, atol=1e-13)
-    upper = Rows(*(jnp.concatenate(arrays) for arrays in zip(*rows[:2], strict=True)))
-    same, _ = constrained(rows, lambda d: Rows(upper.residual + upper.jacobian @ d, upper.jacobian), none)
+    upper = LinearSystem(*(jnp.concatenate(arrays) for arrays in zip(*rows[:2], strict=True)))
+    same, _ = constrained_step(
+        rows, lambda d: LinearSystem(upper.residual + upper.jacobian @ d, upper.jacobian), none
+    )
     np.testing.assert_allclose(same, step, atol=1e-15)

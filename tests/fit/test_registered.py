@@ -7,7 +7,7 @@ import pytest
 from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.body import Body, deform_all
+from jaxcap.body.body import Body, posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
@@ -24,7 +24,7 @@ def scene():
     """A skinned chain of every kind of joint, four poses, and the meshes they make."""
     body, rng = chain_body(), np.random.default_rng(1)
     truth = stack_poses([random_pose(body.skeleton, rng, 0.4) for _ in range(FRAMES)], 24.0)
-    return body, truth, np.asarray(deform_all(body, truth.poses))
+    return body, truth, np.asarray(posed_vertices(body, truth.poses))
 
 
 def ball_chain() -> Body:
@@ -43,7 +43,7 @@ def test_procrustes_alone_is_exact_for_rigid_limbs(rng):
     """Against SciPy's own alignment of each limb, and against the pose that made the meshes."""
     body = ball_chain()
     truth = stack_poses([random_pose(body.skeleton, rng, 0.9) for _ in range(4)])
-    meshes = np.asarray(deform_all(body, truth.poses))
+    meshes = np.asarray(posed_vertices(body, truth.poses))
     found = procrustes_poses(body, MeshSequence(meshes, body.faces))
     gaps = np.abs(np.sum(np.asarray(found.rotations * truth.poses.rotations), -1))
     np.testing.assert_allclose(gaps, 1.0, atol=1e-9)
@@ -60,7 +60,7 @@ def test_a_limb_without_vertices_follows_its_parent(rng):
     body = ball_chain()
     body = eqx.tree_at(lambda b: b.skin, body, RigidSkin(jnp.minimum(body.skin.bones, 1)))
     truth = stack_poses([random_pose(body.skeleton, rng, 0.9) for _ in range(2)])
-    fit = fit_meshes(body, MeshSequence(deform_all(body, truth.poses), body.faces))
+    fit = fit_meshes(body, MeshSequence(posed_vertices(body, truth.poses), body.faces))
     assert fit.converged.all()
     np.testing.assert_allclose(fit.rmse, 0.0, atol=1e-6)
     np.testing.assert_allclose(fit.motion.poses.rotations[:, 2], [[1, 0, 0, 0]] * 2, atol=1e-9)
@@ -72,7 +72,7 @@ def test_the_poses_that_made_the_meshes_are_found(scene):
     assert fit.converged.all()
     assert fit.motion.rate == 24.0
     np.testing.assert_allclose(fit.rmse, 0.0, atol=1e-5)
-    np.testing.assert_allclose(deform_all(body, fit.motion.poses), meshes, atol=1e-4)
+    np.testing.assert_allclose(posed_vertices(body, fit.motion.poses), meshes, atol=1e-4)
 
 
 def test_the_error_is_least_and_is_what_it_says(scene, rng):
@@ -80,7 +80,7 @@ def test_the_error_is_least_and_is_what_it_says(scene, rng):
     body, truth, meshes = scene
     noisy = meshes + 0.01 * rng.normal(size=meshes.shape)
     fit = fit_meshes(body, MeshSequence(noisy, body.faces))
-    gaps = np.asarray(deform_all(body, fit.motion.poses)) - noisy
+    gaps = np.asarray(posed_vertices(body, fit.motion.poses)) - noisy
     rmse = np.sqrt(np.mean(np.sum(gaps**2, 2), axis=1))
     np.testing.assert_allclose(fit.rmse, rmse, rtol=1e-9)
     assert (rmse < np.sqrt(np.mean(np.sum((meshes - noisy) ** 2, 2), axis=1))).all()
@@ -112,7 +112,7 @@ def test_some_of_the_vertices_do(scene):
     wrong = meshes.copy()
     wrong[:, 1::2] += 0.3
     fit = fit_meshes(body, MeshSequence(wrong, body.faces), vertices=chosen, start=truth.poses)
-    np.testing.assert_allclose(deform_all(body, fit.motion.poses), meshes, atol=1e-3)
+    np.testing.assert_allclose(posed_vertices(body, fit.motion.poses), meshes, atol=1e-3)
 
 
 def test_meshes_of_another_body_are_refused(scene):

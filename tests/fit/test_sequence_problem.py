@@ -14,7 +14,7 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.energy.data.landmarks import VertexLandmarks, joint_landmarks
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.energy.stacked import SmoothTurns, Stacked, stack_energies
+from jaxcap.energy.stacked import SmoothRotations, Stacked, stack_energies
 from jaxcap.errors import InputError
 from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
 from jaxcap.fit.sequences.solve import solve_sequence
@@ -59,7 +59,7 @@ def scene():
         weights = jnp.asarray(rng.uniform(0.5, 1.5, len(places)))
         marks.append(VertexLandmarks(jnp.arange(len(places)), places, weights))
     frames = stack_energies(marks) + 0.01 * NearHeight(jnp.array([0, 3]), jnp.asarray(0.1))
-    between = (SmoothTurns(jnp.asarray(0.003)),)
+    between = (SmoothRotations(jnp.asarray(0.003)),)
     problem = SequenceProblem(
         BODY,
         frames,
@@ -180,9 +180,7 @@ def test_rest_vertices_are_found(scene):
 
 def test_what_does_not_go_together_is_a_sentence(scene):
     problem, poses, _ = scene
-    with pytest.raises(
-        InputError, match="4 in `poses`, 5 in `times`, and 5 in stacked energies"
-    ):
+    with pytest.raises(InputError, match="4 in `poses`, 5 in `times`, and 5 in stacked energies"):
         solve_sequence(problem, jax.tree.map(lambda leaf: leaf[:4], poses))
     few = jax.tree.map(lambda leaf: leaf[:2], poses)
     with pytest.raises(InputError, match="2 frames were given, but an energy between frames needs 3"):

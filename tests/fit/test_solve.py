@@ -173,7 +173,7 @@ def every_term(rng) -> Sum:
     chosen = jnp.asarray(rng.integers(0, len(ALL), 10))
     points = BODY.vertices[chosen] + 0.1 * jnp.asarray(rng.normal(size=(10, 3)))
     normals, weights = jnp.asarray(rng.normal(size=(10, 3))), jnp.asarray(rng.uniform(size=10)).at[2].set(0)
-    bones = BODY.skin.parts()[chosen]
+    bones = BODY.skin.dominant_bones()[chosen]
     ranges = make_joint_ranges(
         SKELETON, {"elbow": (-0.1, 0.1)}, {"hand": Cone((1, 0, 0), 0.1, (0, 1, 0), 0.1)}
     )

@@ -78,7 +78,7 @@ def test_well_shown_poses_have_no_unseen_direction(rng):
 def test_sliding_along_a_plane_is_not_shown_by_point_to_plane():
     """Planes all alike: two shifts of the root along them and the turn about their normal."""
     rest = rest_pose(SKELETON)
-    root = jnp.flatnonzero(BODY.skin.parts() <= 2, size=16)
+    root = jnp.flatnonzero(BODY.skin.dominant_bones() <= 2, size=16)
     up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), (16, 3))
     count = SKELETON.num_dofs
     energy = PointToPlane(root, BODY.vertices[root], up, jnp.ones(16))
@@ -106,11 +106,11 @@ def test_joints_without_data_are_named(rng):
     """The turns of hand and elbow show nowhere but in the vertices beyond them."""
     pose = random_pose(SKELETON, rng, 0.3)
     elbow = SKELETON.index("elbow")
-    beyond = np.asarray(SKELETON.descent)[elbow][np.asarray(BODY.skin.parts())]
+    beyond = np.asarray(SKELETON.descendants)[elbow][np.asarray(BODY.skin.dominant_bones())]
     assert beyond.any()
     seen = ~beyond
     found = uncertainty(landmarks(pose, seen), BODY, pose)
-    below = np.isin(LAYOUT.joints, np.flatnonzero(SKELETON.descent[elbow]))
+    below = np.isin(LAYOUT.joints, np.flatnonzero(SKELETON.descendants[elbow]))
     # one for the elbow, three for the hand, none for the fixed tool
     assert below.sum() == 4
     null = np.asarray(found.directions)[:, np.asarray(found.unobservable)]

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import (
     Camera,
-    check_sees,
-    in_picture,
+    check_views,
+    is_in_image,
     look_at,
     project,
     ring_of_cameras,
@@ -33,7 +33,7 @@ def test_unproject_is_project_backwards(rng):
     again, deep = project(camera, points)
     np.testing.assert_allclose(again, pixels, atol=1e-9)
     np.testing.assert_allclose(deep, depth, atol=1e-12)
-    assert np.asarray(in_picture(camera, points)).all()
+    assert np.asarray(is_in_image(camera, points)).all()
 
 
 def test_a_camera_looks_at_its_target_upright():
@@ -46,7 +46,7 @@ def test_a_camera_looks_at_its_target_upright():
     # up is towards row 0, and its left hand, at +x, to the right
     np.testing.assert_allclose(pixels[1], [159.5, 119.5 - focal / 3])
     np.testing.assert_allclose(pixels[2], [159.5 + focal / 3, 119.5])
-    assert not np.asarray(in_picture(camera, jnp.array([0.0, 1, 5])))
+    assert not np.asarray(is_in_image(camera, jnp.array([0.0, 1, 5])))
 
 
 def test_looking_straight_down_is_a_rotation():
@@ -89,11 +89,11 @@ def test_rings_that_cannot_be_are_refused(change, told):
 def test_cameras_that_see_nothing_are_told_by_number():
     ring = ring_of_cameras(2, 360, 2, 1, [0, 1, 0])
     points = np.array([[0.0, 1, 0]])
-    check_sees(ring, points, "ring")
+    check_views(ring, points, "ring")
     with pytest.raises(InputError, match=r"ring: camera 1 at \(0, 1, 4\) points away from the body"):
-        check_sees([ring[0], look_at([0, 1, 4], [0, 1, 8], 64, 48, 60)], points, "ring")
+        check_views([ring[0], look_at([0, 1, 4], [0, 1, 8], 64, 48, 60)], points, "ring")
     with pytest.raises(InputError, match="camera 0 at .* has the body outside of its image"):
-        check_sees(ring, points + [0, 5, 0], "ring")
+        check_views(ring, points + [0, 5, 0], "ring")
 
 
 def test_calibrations_come_in_again(tmp_path):

@@ -6,7 +6,7 @@ import scipy.stats
 import trimesh
 
 from jaxcap.body.people.human import human
-from jaxcap.geometry.closest import closest_shares, nearest_on_surface
+from jaxcap.geometry.closest import closest_barycentric, nearest_on_surface
 from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
 
 
@@ -88,7 +88,7 @@ def test_places_are_where_the_distances_say_and_none_beyond_reach(rng):
     within = distances <= reach
     # which of the triangles about an edge has the place is a tie
     np.testing.assert_allclose(near.distances, np.where(within, distances, np.inf), atol=1e-15)
-    again = np.einsum("nk,nka->na", near.shares, vertices[faces[near.triangles]])
+    again = np.einsum("nk,nka->na", near.barycentric, vertices[faces[near.triangles]])
     np.testing.assert_allclose(again[within], places[within], atol=1e-12)
 
 
@@ -99,7 +99,7 @@ def test_triangles_without_an_area_have_their_sides(rng):
     points = rng.normal(size=(300, 3))
     ends = [(a, b), (2 * b - a, a), (a, b), (a, b), (a, a)]
     for triangle, (start, end) in zip(triangles, ends, strict=True):
-        shares, squared = closest_shares(np.repeat(triangle[None], len(points), 0), points)
+        shares, squared = closest_barycentric(np.repeat(triangle[None], len(points), 0), points)
         length = max(float(np.sum((end - start) ** 2)), 1e-300)
         share = np.clip((points - start) @ (end - start) / length, 0, 1)[:, None]
         expected = start + share * (end - start)

@@ -15,17 +15,17 @@ from jaxcap.geometry.camera import look_at, project, ring_of_cameras, unproject
 from jaxcap.io.meshes.mesh import read_mesh
 from jaxcap.io.meshes.ply import write_ply
 from jaxcap.metrics import scan_to_surface
-from jaxcap.scanner.depth import camera_rays, make_surface, render_depth
+from jaxcap.scanner.depth import camera_rays, make_ray_mesh, render_depth
 from jaxcap.scanner.fuse import fuse_cloud, grid_faces
 from jaxcap.scanner.noise import (
+    add_flying_pixels,
     add_noise,
     discontinuities,
-    let_fly,
-    lose_grazing,
     lose_holes,
     quantise,
+    remove_grazing,
 )  # fmt: skip
-from jaxcap.scanner.scan import dropped_views, scan_depths, scan_frame
+from jaxcap.scanner.scan import sample_dropped_views, scan_depths, scan_frame
 from jaxcap.scanner.settings import Scanner
 
 CLEAN = Scanner(noise=0.0, grazing=90.0)
@@ -54,17 +54,19 @@ def test_depth_of_a_plane_is_exact():
     vertices, faces = wall(0.0)
     lean = np.array([[1, 0, 0], [0, np.cos(0.4), -np.sin(0.4)], [0, np.sin(0.4), np.cos(0.4)]])
     camera = front()
-    image = render_depth(camera, make_surface(vertices @ lean.T, faces))
+    image = render_depth(camera, make_ray_mesh(vertices @ lean.T, faces))
     normal = lean @ [0, 0, 1]
     rays = camera_rays(camera) @ np.asarray(camera.rotation)
     np.testing.assert_allclose(image.depth, -(normal @ [0, 0, 3.0]) / (rays @ normal), rtol=1e-12)
-    np.testing.assert_allclose(image.facing, -(rays @ normal) / np.linalg.norm(rays, axis=-1), rtol=1e-12)
+    np.testing.assert_allclose(
+        image.incidence_cosines, -(rays @ normal) / np.linalg.norm(rays, axis=-1), rtol=1e-12
+    )
 
 
 def test_depth_of_a_sphere():
     ball = trimesh.creation.icosphere(5, 0.5)
     camera = front(160, 120)
-    image = render_depth(camera, make_surface(np.asarray(ball.vertices), np.asarray(ball.faces)))
+    image = render_depth(camera, make_ray_mesh(np.asarray(ball.vertices), np.asarray(ball.faces)))
     rays = camera_rays(camera)
     # |t r - c|^2 = 1/4 with the middle 3 m before the camera
     half, square = 3 * rays[..., 2], np.sum(rays**2, -1)
@@ -83,11 +85,11 @@ def test_a_pixel_sees_what_is_first_and_nothing_behind_the_camera():
     behind, _ = wall(5.0)
     image = render_depth(
         front(),
-        make_surface(np.concatenate([near, far, behind]), np.concatenate([faces, faces + 4, faces + 8])),
+        make_ray_mesh(np.concatenate([near, far, behind]), np.concatenate([faces, faces + 4, faces + 8])),
     )
     assert set(np.round(image.depth, 9).reshape(-1)) == {2.0, 3.0}
     assert image.depth[24, 32] == pytest.approx(2.0)
-    nothing = render_depth(front(), make_surface(behind, faces))
+    nothing = render_depth(front(), make_ray_mesh(behind, faces))
     assert not nothing.depth.any()
 
 
@@ -125,7 +127,7 @@ def test_flying_pixels_are_before_edges_and_behind_the_surface(rng):
     depth[20:40, 30:50] = 2.0
     edge = discontinuities(depth, 0.3) > 0.03
     assert edge.sum() == 4 * 19
-    flown = let_fly(depth, 0.5, 0.03, 0.3, rng)
+    flown = add_flying_pixels(depth, 0.5, 0.03, 0.3, rng)
     moved = flown != depth
     assert moved.sum() == 38
     assert edge[moved].all()
@@ -133,25 +135,25 @@ def test_flying_pixels_are_before_edges_and_behind_the_surface(rng):
     assert (flown[moved] <= 2.3).all()
     # before nothing at all
     alone = np.where(depth == 2.0, depth, 0.0)
-    flown = let_fly(alone, 1.0, 0.03, 0.3, rng)
+    flown = add_flying_pixels(alone, 1.0, 0.03, 0.3, rng)
     assert (flown != alone).sum() == 76
     assert not flown[alone == 0].any()
 
 
 def test_grazing_surfaces_are_lost():
     ball = trimesh.creation.icosphere(4, 0.5)
-    image = render_depth(front(160, 120), make_surface(np.asarray(ball.vertices), np.asarray(ball.faces)))
-    kept = lose_grazing(image, 60.0) > 0
-    assert (image.facing[kept] >= 0.5).all()
-    assert (image.facing[(image.depth > 0) & ~kept] < 0.5).all()
-    np.testing.assert_array_equal(lose_grazing(image, 90.0), image.depth)
+    image = render_depth(front(160, 120), make_ray_mesh(np.asarray(ball.vertices), np.asarray(ball.faces)))
+    kept = remove_grazing(image, 60.0) > 0
+    assert (image.incidence_cosines[kept] >= 0.5).all()
+    assert (image.incidence_cosines[(image.depth > 0) & ~kept] < 0.5).all()
+    np.testing.assert_array_equal(remove_grazing(image, 90.0), image.depth)
 
 
 def test_views_are_dropped_by_chance_but_never_all():
-    lost = np.array([dropped_views(0.3, 5, 7, frame) for frame in range(400)])
+    lost = np.array([sample_dropped_views(0.3, 5, 7, frame) for frame in range(400)])
     assert lost.mean() == pytest.approx(0.3, abs=0.04)
     assert not lost.all(1).any()
-    assert not dropped_views(0.99, 3, 0, 0).all()
+    assert not sample_dropped_views(0.99, 3, 0, 0).all()
 
 
 def test_scans_are_the_same_in_any_order(person):

@@ -9,14 +9,14 @@ import pytest
 
 from jaxcap.errors import InputError
 from jaxcap.io.archives import journal as journal_module
-from jaxcap.io.archives.journal import begin_journal, read_header, read_records, resume_journal
+from jaxcap.io.archives.journal import create_journal, read_header, read_records, resume_journal
 from jaxcap.io.table import write_csv, write_json
 
 HEADER = {"sigma0": 0.1, "up": "y", "vertices": None}
 
 
 def write(path, records):
-    with begin_journal(path, HEADER, records.shape[1]) as journal:
+    with create_journal(path, HEADER, records.shape[1]) as journal:
         for record in records:
             journal.append(record)
     return path.read_bytes()
@@ -68,7 +68,9 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     data[-3 * 60 + 20] ^= 1
     path.write_bytes(data)
     with (
-        pytest.warns(UserWarning, match=r"record 2, .* the 2 records after it are computed again.* journal.damaged"),
+        pytest.warns(
+            UserWarning, match=r"record 2, .* the 2 records after it are computed again.* journal.damaged"
+        ),
         resume_journal(path, HEADER, 7) as journal,
     ):
         assert same(journal.read(), records[:2])
@@ -136,7 +138,7 @@ def test_another_header_is_told_by_name(tmp_path, records):
 
 def test_record_of_another_width(tmp_path, records):
     with (
-        begin_journal(tmp_path / "journal", HEADER, 6) as journal,
+        create_journal(tmp_path / "journal", HEADER, 6) as journal,
         pytest.raises(ValueError, match="6 numbers"),
     ):
         journal.append(records[0])
@@ -145,7 +147,7 @@ def test_record_of_another_width(tmp_path, records):
 def test_journal_that_cannot_be(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        begin_journal(tmp_path / "file" / "journal", HEADER, 3)
+        create_journal(tmp_path / "file" / "journal", HEADER, 3)
 
 
 def test_tables(tmp_path):

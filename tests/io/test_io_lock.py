@@ -11,8 +11,8 @@ import pytest
 from alone import ALONE
 
 from jaxcap.errors import InputError
-from jaxcap.io.archives.journal import begin_journal
-from jaxcap.io.system.atomic import replacing, write_text
+from jaxcap.io.archives.journal import create_journal
+from jaxcap.io.system.atomic import atomic_path, write_text
 from jaxcap.io.system.lock import run_lock
 
 HOLD = f"""{ALONE}
@@ -79,7 +79,7 @@ def test_processes_on_one_path(tmp_path):
 
 
 def test_temporary_names_cannot_be_guessed(tmp_path):
-    with replacing(tmp_path / "a.txt") as first, replacing(tmp_path / "a.txt") as second:
+    with atomic_path(tmp_path / "a.txt") as first, atomic_path(tmp_path / "a.txt") as second:
         assert first != second
         assert (first.suffix, stat.S_IMODE(first.parent.stat().st_mode)) == (".txt", 0o700)
         first.write_text("1")
@@ -102,7 +102,7 @@ def test_permissions_are_those_of_any_new_file(tmp_path, mask):
     before = os.umask(mask)
     try:
         write_text(tmp_path / "a.txt", "text")
-        begin_journal(tmp_path / "journal", {}, 1).close()
+        create_journal(tmp_path / "journal", {}, 1).close()
     finally:
         os.umask(before)
     for name in ("a.txt", "journal"):
@@ -114,7 +114,7 @@ def test_longest_names_and_failures_leave_nothing(tmp_path):
     write_text(path, "text")
 
     def fail():
-        with replacing(path) as temporary:
+        with atomic_path(path) as temporary:
             temporary.write_text("half")
             raise RuntimeError
 
@@ -147,7 +147,7 @@ def test_second_run_is_refused_until_the_first_dies(tmp_path, holder):
 def test_what_another_program_is_writing_stays(tmp_path):
     """A run in a folder begins while a file is written there, without a lock of the folder."""
     (tmp_path / ".b.npz.abcdefgh.unfinished").mkdir()
-    with replacing(tmp_path / "a.npz") as temporary:
+    with atomic_path(tmp_path / "a.npz") as temporary:
         with run_lock(tmp_path):
             assert set(os.listdir(tmp_path)) == {".jaxcap.lock", temporary.parent.name}
         temporary.write_text("whole")

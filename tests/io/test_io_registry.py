@@ -50,11 +50,11 @@ def test_a_body_of_kinebens_files(skeleton, tmp_path):
     write_vj(tmp_path / "a.vj", skeleton, bones)
     body = read_body(tmp_path / "a.off", tmp_path / "a.skl", tmp_path / "a.vj", "cm")
     np.testing.assert_allclose(body.vertices, ball.vertices, atol=1e-8)
-    np.testing.assert_array_equal(body.skin.parts(), bones)
+    np.testing.assert_array_equal(body.skin.dominant_bones(), bones)
     with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
         read_body(tmp_path / "a.off", tmp_path / "a.skl", tmp_path / "a.vj")
     # files of its name beside it need not be given
-    np.testing.assert_array_equal(read_body(tmp_path / "a.off", unit="cm").skin.parts(), bones)
+    np.testing.assert_array_equal(read_body(tmp_path / "a.off", unit="cm").skin.dominant_bones(), bones)
     (tmp_path / "a.vj").unlink()
     with pytest.raises(InputError, match="expected a skeleton"):
         read_body(tmp_path / "a.off")

@@ -7,7 +7,7 @@ import numpy as np
 import optimistix as optx
 
 import jaxcap as jc
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.skeleton.joints import make_curvature
 from jaxcap.learn.skeleton.solve_joints import solve_joints
@@ -16,7 +16,7 @@ from tests.learn.test_learn_projection import arm
 
 def test_joints_and_poses_by_targets_weights_and_rest_vertices(rng):
     body, poses = arm(rng, 5)
-    targets = deform_all(body, poses) + 1e-3 * rng.normal(size=(5, len(body.vertices), 3))
+    targets = posed_vertices(body, poses) + 1e-3 * rng.normal(size=(5, len(body.vertices), 3))
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), 1.0)
     curvature = make_curvature(metric)
     pick = [jnp.asarray(rng.normal(size=shape)) for shape in ((3, 3), (5, 3, 4))]

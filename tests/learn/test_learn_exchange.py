@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.body.body import Body, deform_all
+from jaxcap.body.body import Body, posed_vertices
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
@@ -16,8 +16,8 @@ from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.state import LearnState
 from jaxcap.learn.structure.joint_insertion import find_splits
 from jaxcap.learn.structure.joint_removal import find_removals
-from jaxcap.learn.structure.skeleton_edit import Split, with_joint, without_joint
-from jaxcap.learn.structure.structure_search import exchange, exchangeable
+from jaxcap.learn.structure.skeleton_edit import Split, insert_joint, remove_joint
+from jaxcap.learn.structure.structure_search import exchange_joints, has_exchangeable_joints
 from tests.helpers import chain_body
 from tests.learn.test_learn_parts import same_partition, tube
 
@@ -72,7 +72,7 @@ def wrong(rng):
         still = np.zeros_like(turns[:, 0])
         guessed = np.stack([turns[:, 0], still, turns[:, 1], still, turns[:, 3]], 1)
         body, guess = jointed_tube(WRONG, skin, guessed, shifts)
-        return body, guess, deform_all(truth, poses), truth
+        return body, guess, posed_vertices(truth, poses), truth
 
     return make
 
@@ -93,13 +93,13 @@ def test_exchange_puts_the_tree_right(wrong, skin):
 
     before = float(objective(body, poses, targets, metric))
     state = LearnState(body, Motion(poses), np.array([[1, 3], [2, 4]]), 1e-3, (("start", before),), 0)
-    after = exchange(state, targets, place)
+    after = exchange_joints(state, targets, place)
     # the bones move rigidly: nothing has to be improved after either exchange
     assert after.history[0] == state.history[0] and after.history[-1][0] == "exchange"
     assert after.history[-1][1] < 1e-12 * before
     skeleton = after.body.skeleton
     assert skeleton.num_joints == len(set(skeleton.names)) == 5
-    labels, true = np.asarray(after.body.skin.parts()), np.asarray(truth.skin.parts())
+    labels, true = np.asarray(after.body.skin.dominant_bones()), np.asarray(truth.skin.parts())
     assert same_partition(labels, true)
     # which of its bones is which of the truth's
     same = [int(true[labels == bone][0]) for bone in range(5)]
@@ -114,15 +114,15 @@ def test_failed_exchanges_leave_all_as_it_was(wrong):
     body, poses, targets, _ = wrong("swing_twist")
     state = LearnState(body, Motion(poses), np.zeros((0, 2), int), 1e-3, (("start", 1.0),), 0)
     worse = lambda state, _: state._replace(history=(*state.history, ("round", 1.0)))  # noqa: E731
-    after = exchange(state, targets, worse)
+    after = exchange_joints(state, targets, worse)
     assert after._replace(history=()) == state._replace(history=())
     assert set(after.history[1:]) == {("exchange", 1.0)}
-    assert not exchangeable(chain_body())
+    assert not has_exchangeable_joints(chain_body())
 
 
 def test_what_is_lost_and_gained(wrong):
     body, poses, targets, _ = wrong("lbs")
-    errors = targets - deform_all(body, poses)
+    errors = targets - posed_vertices(body, poses)
     total = float(jnp.sum(errors**2))
     splits = find_splits(body, poses, targets)
     along = np.asarray(body.vertices)[:, 0]
@@ -130,22 +130,22 @@ def test_what_is_lost_and_gained(wrong):
     found = {joint: next(split for split in splits if split.joint == joint) for joint in ends}
     for joint, split in found.items():
         own = np.zeros(len(along), bool)
-        own[split.vertices] = split.shares[:, -1] > 0.5
+        own[split.vertices] = split.weights[:, -1] > 0.5
         np.testing.assert_array_equal(own, ends[joint])
         # most of what was left there, as the ends move rigidly: blends of others could mend a little
         left = float(jnp.sum(errors[:, own] ** 2))
         assert 0.8 * left < split.gain <= left
-        np.testing.assert_allclose(split.shares.sum(1), 1.0)
+        np.testing.assert_allclose(split.weights.sum(1), 1.0)
     assert {split.joint for split in splits if split.gain > 1e-9 * total} == {2, 4}
     removals = find_removals(body, poses, targets)
     assert {removal.joint for removal in removals[:2]} == {1, 3} and removals[1].cost < 1e-9 * total
     assert removals[2].cost > 1e-3 * total
-    np.testing.assert_allclose(removals[0].shares.sum(1), 1.0)
+    np.testing.assert_allclose(removals[0].weights.sum(1), 1.0)
 
 
 def test_a_bone_that_moves_nothing_costs_nothing(wrong):
     body, poses, targets, _ = wrong("lbs")
-    weights = jnp.asarray(body.skin.influence(body.skeleton.num_joints)).at[:, 2].set(0.0)
+    weights = jnp.asarray(body.skin.bone_weights(body.skeleton.num_joints)).at[:, 2].set(0.0)
     weights = weights.at[:, 0].add(1.0 - weights.sum(1))
     idle = Body(body.skeleton, LinearSkin(weights), body.vertices, body.faces)
     removals = find_removals(idle, poses, targets)
@@ -167,15 +167,15 @@ def test_other_bones_move_as_before(wrong, rng):
     rotations = np.stack([bone[0], bone[0] @ turns], 1)
     translations = np.stack([bone[1], np.einsum("fab,fb->fa", bone[0], shift) + bone[1]], 1)
     split = Split(2, 0.0, below, shares, rotations, translations, ((5, 2, middle),))
-    more = with_joint(body, poses, np.array([[1, 2]]), split)
+    more = insert_joint(body, poses, np.array([[1, 2]]), split)
     after = bone_motions(more.body.skeleton, more.poses)
     np.testing.assert_allclose(after.rotations[:, :5], before.rotations, atol=1e-8)
     np.testing.assert_allclose(after.translations[:, :5], before.translations, atol=1e-8)
     np.testing.assert_allclose(after.rotations[:, 5], before.rotations[:, 2] @ turns, atol=1e-8)
     np.testing.assert_array_equal(more.pairs, [[1, 2]])
     # and away again, by the blend that is best without it
-    removals = find_removals(more.body, more.poses, deform_all(body, poses))
+    removals = find_removals(more.body, more.poses, posed_vertices(body, poses))
     gone = next(removal for removal in removals if removal.joint == 5)
-    less = without_joint(*more, gone)
+    less = remove_joint(*more, gone)
     assert less.body.skeleton.names == body.skeleton.names
-    np.testing.assert_allclose(deform_all(less.body, less.poses), deform_all(body, poses), atol=1e-8)
+    np.testing.assert_allclose(posed_vertices(less.body, less.poses), posed_vertices(body, poses), atol=1e-8)

@@ -11,7 +11,7 @@ from jaxcap.geometry.procrustes import group_moments, nearest_rotation, rigid_er
 from jaxcap.learn.parts.agglomerate import agglomerate, merged_labels
 from jaxcap.learn.parts.parts import find_parts
 from jaxcap.learn.skeleton.left_right_pairs import find_pairs
-from jaxcap.learn.skeleton.reference_mesh import choose_rest
+from jaxcap.learn.skeleton.reference_mesh import choose_reference_mesh
 from jaxcap.learn.skeleton.tree import find_tree, pose_parts
 
 _kinematics = jax.jit(jax.vmap(forward_kinematics, (None, 0)))
@@ -163,7 +163,7 @@ def test_the_mesh_to_start_from_is_the_one_amid_the_others(rng):
     for frame, bend in enumerate(bends):
         meshes[frame, upper] = Rotation.from_rotvec([0, 0, bend]).apply(vertices[upper] - joint) + joint
         meshes[frame] = Rotation.random(random_state=rng).apply(meshes[frame])
-    assert choose_rest(meshes, faces) == 1
+    assert choose_reference_mesh(meshes, faces) == 1
 
 
 def test_pairs_are_siblings_alike_and_doubtful_ones_are_left():

@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.blend.blend import Blend, BlendProblem, settle_blend
-from jaxcap.learn.blend.variable_projection import adapt_all, improve_all, spread_vertices
+from jaxcap.learn.blend.blend import Blend, BlendProblem, optimise_blend
+from jaxcap.learn.blend.variable_projection import improve_body, optimise_all_vertices, sample_vertices
 from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.skeleton.joints import improve_joints, make_curvature
-from jaxcap.learn.skeleton.limbs import bone_rates, bones_of, make_limbs, move_limbs, read_limbs
+from jaxcap.learn.skeleton.limbs import (
+    bone_derivatives,
+    bone_transforms,
+    make_bone_state,
+    move_bones,
+    read_bone_state,
+)
 from jaxcap.learn.skeleton.reparent import bone_motions
-from jaxcap.learn.weights.rest_vertices import solve_vertices
+from jaxcap.learn.weights.rest_vertices import solve_rest_vertices
 from jaxcap.learn.weights.weights import improve_weights
 from jaxcap.observe import MeshSequence
 from tests.helpers import random_pose
@@ -53,7 +59,7 @@ def astray(body, poses, rng):
 
 
 def rmse(body, poses, targets) -> float:
-    return float(jnp.sqrt(jnp.mean(jnp.sum((deform_all(body, poses) - targets) ** 2, -1))))
+    return float(jnp.sqrt(jnp.mean(jnp.sum((posed_vertices(body, poses) - targets) ** 2, -1))))
 
 
 def in_turns(body, poses, targets, rounds: int):
@@ -62,7 +68,7 @@ def in_turns(body, poses, targets, rounds: int):
     value = np.inf
     for _ in range(rounds):
         body = improve_weights(body, poses, targets, metric, sweeps=4, coarse=False).body
-        body = eqx.tree_at(lambda b: b.vertices, body, solve_vertices(body, poses, targets, metric))
+        body = eqx.tree_at(lambda b: b.vertices, body, solve_rest_vertices(body, poses, targets, metric))
         value = rmse(body, poses, targets) ** 2 * targets.size / 3
         step = improve_joints(body, poses, targets, metric, curvature, NONE, damping, value)
         body, poses, damping = step.body, step.poses, step.damping
@@ -71,9 +77,9 @@ def in_turns(body, poses, targets, rounds: int):
 
 def test_reaches_the_body_where_turns_creep(rng):
     body, poses = arm(rng)
-    targets = deform_all(body, poses)
+    targets = posed_vertices(body, poses)
     start, moved = astray(body, poses, rng)
-    found = improve_all(start, moved, targets, NONE)
+    found = improve_body(start, moved, targets, NONE)
     crept = rmse(*in_turns(start, moved, targets, 14), targets)
     left = rmse(found.body, found.poses, targets)
     assert found.value < found.before
@@ -83,20 +89,20 @@ def test_reaches_the_body_where_turns_creep(rng):
 
 def test_bones_as_arrays_are_those_of_the_skeleton(rng):
     body, poses = arm(rng, 4)
-    tree, limbs = make_limbs(body.skeleton, poses)
+    tree, limbs = make_bone_state(body.skeleton, poses)
     bones = bone_motions(body.skeleton, poses)
-    np.testing.assert_allclose(bones_of(tree, limbs)[:, :3, :, :3], bones.rotations, atol=1e-14)
-    np.testing.assert_allclose(bones_of(tree, limbs)[:, :3, :, 3], bones.translations, atol=1e-14)
-    skeleton, again = read_limbs(body.skeleton, limbs)
+    np.testing.assert_allclose(bone_transforms(tree, limbs)[:, :3, :, :3], bones.rotations, atol=1e-14)
+    np.testing.assert_allclose(bone_transforms(tree, limbs)[:, :3, :, 3], bones.translations, atol=1e-14)
+    skeleton, again = read_bone_state(body.skeleton, limbs)
     np.testing.assert_allclose(bone_motions(skeleton, again).translations, bones.translations, atol=1e-14)
     count = len(tree.parents)
     d = jnp.asarray(rng.normal(size=(4, 3 * count + 3))), jnp.asarray(rng.normal(size=3 * count))
 
     def moved(step):
-        return bones_of(tree, move_limbs(tree, limbs, jax.tree.map(lambda x: step * x, d)))
+        return bone_transforms(tree, move_bones(tree, limbs, jax.tree.map(lambda x: step * x, d)))
 
     differences = (moved(1e-6) - moved(-1e-6)) / 2e-6
-    np.testing.assert_allclose(bone_rates(tree, limbs, d), differences, atol=1e-8)
+    np.testing.assert_allclose(bone_derivatives(tree, limbs, d), differences, atol=1e-8)
 
 
 def test_the_matrix_is_that_of_the_reduced_function(rng):
@@ -106,8 +112,8 @@ def test_the_matrix_is_that_of_the_reduced_function(rng):
     # weights at no bound, so that none comes or goes
     soft = (body.skin.weights + 0.2) / 1.6
     body = eqx.tree_at(lambda b: b.skin, body, jc.LinearSkin(soft))
-    targets = deform_all(body, poses)
-    tree, limbs = make_limbs(body.skeleton, poses)
+    targets = posed_vertices(body, poses)
+    tree, limbs = make_bone_state(body.skeleton, poses)
     count = len(tree.parents)
     aims = jnp.swapaxes(targets, 0, 1).reshape(len(soft), -1)
     near = jnp.broadcast_to(jnp.arange(3), soft.shape)
@@ -117,7 +123,7 @@ def test_the_matrix_is_that_of_the_reduced_function(rng):
     info = problem.information(y)
     assert max(float(jnp.abs(part).max()) for part in info.grad) < 1e-10
     d = jax.tree.map(lambda u: 1e-4 * jnp.asarray(rng.normal(size=u.shape)), units)
-    left = settle_blend(Blend(move_limbs(tree, limbs, d), y.weights, y.rest), tree, near, aims, 20)
+    left = optimise_blend(Blend(move_bones(tree, limbs, d), y.weights, y.rest), tree, near, aims, 20)
     expected = sum(jnp.vdot(a, b) for a, b in zip(d, info.hessian.mv(d), strict=True))
     np.testing.assert_allclose(2 * problem.value(left), expected, rtol=0.02)
 
@@ -136,15 +142,15 @@ def test_the_matrix_is_that_of_the_reduced_function(rng):
 def test_promising_bones_are_those_that_lower_the_squares(rng):
     """Priced bones let vertices settle as well as all of them do."""
     body, poses = arm(rng, 8)
-    targets = deform_all(body, poses)
-    start = eqx.tree_at(lambda b: b.skin, body, jc.LinearSkin(jnp.eye(3)[body.skin.parts()]))
-    _, left = adapt_all(start, poses, targets)
-    assert left < 1e-6 * float(jnp.sum((deform_all(start, poses) - targets) ** 2))
+    targets = posed_vertices(body, poses)
+    start = eqx.tree_at(lambda b: b.skin, body, jc.LinearSkin(jnp.eye(3)[body.skin.dominant_bones()]))
+    _, left = optimise_all_vertices(start, poses, targets)
+    assert left < 1e-6 * float(jnp.sum((posed_vertices(start, poses) - targets) ** 2))
 
 
 def test_spreads_vertices_over_small_parts():
     labels = np.repeat([0, 2, 3], [1000, 5, 95])
-    picked = spread_vertices(labels, 100)
+    picked = sample_vertices(labels, 100)
     assert len(np.unique(picked)) == len(picked)
     counts = np.bincount(labels[picked])
     assert len(picked) == 100
@@ -154,20 +160,20 @@ def test_spreads_vertices_over_small_parts():
 
 def test_says_what_it_cannot_do(rng):
     body, poses = arm(rng, 2)
-    targets = deform_all(body, poses)
-    rigid = eqx.tree_at(lambda b: b.skin, body, jc.body.RigidSkin(body.skin.parts()))
+    targets = posed_vertices(body, poses)
+    rigid = eqx.tree_at(lambda b: b.skin, body, jc.body.RigidSkin(body.skin.dominant_bones()))
     with pytest.raises(ValueError, match="LinearSkin"):
-        improve_all(rigid, poses, targets, NONE)
+        improve_body(rigid, poses, targets, NONE)
     kinds = ["free", "revolute", "ball"]
     bent = jc.make_skeleton(body.skeleton.names, body.skeleton.parents, kinds, body.skeleton.centres)
     hinge = jc.Body(bent, body.skin, body.vertices, body.faces)
     with pytest.raises(ValueError, match="ball joints"):
-        improve_all(hinge, poses, targets, NONE)
+        improve_body(hinge, poses, targets, NONE)
 
 
 def test_learning_goes_on_from_a_round_to_the_same_bits(rng):
     body, poses = arm(rng, 10)
-    meshes = MeshSequence(deform_all(body, poses), body.faces, 30.0)
+    meshes = MeshSequence(posed_vertices(body, poses), body.faces, 30.0)
     options = {"skin": "lbs", "alpha": 0.0, "joints": 2, "symmetry": False, "rounds": 3}
     states = []
     whole = learn_body(meshes, **options, on_round=states.append)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.body.body import deform_all
-from jaxcap.body.symmetry import bones_of, length_differences, symmetrise
+from jaxcap.body.body import posed_vertices
+from jaxcap.body.symmetry import bone_pairs, length_differences, symmetrise
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.objective import objective
-from jaxcap.learn.skeleton.joint_centre_prior import Given, cut_anchors
+from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres, boundary_centre_prior
 from jaxcap.learn.skeleton.joints import (
     improve_joints,
     make_curvature,
@@ -22,7 +22,7 @@ from jaxcap.learn.skeleton.joints import (
     normal_equations,
     shared_slots,
 )
-from jaxcap.learn.weights.rest_vertices import solve_vertices
+from jaxcap.learn.weights.rest_vertices import solve_rest_vertices
 from tests.helpers import chain_body, random_pose
 
 NONE = np.zeros((0, 2), int)
@@ -37,7 +37,7 @@ def scene(rng, swing_twist: bool, frames: int = 4):
     orientations = jnp.asarray(turns / np.linalg.norm(turns, axis=1, keepdims=True))
     body = eqx.tree_at(lambda b: b.skeleton.orientations, body, orientations)
     poses = jc.stack_poses([random_pose(body.skeleton, rng, 0.3) for _ in range(frames)]).poses
-    targets = deform_all(body, poses) + 0.01 * rng.normal(size=(frames, len(body.vertices), 3))
+    targets = posed_vertices(body, poses) + 0.01 * rng.normal(size=(frames, len(body.vertices), 3))
     return body, poses, targets, make_conformance(np.asarray(body.faces), len(body.vertices), 10.0)
 
 
@@ -64,7 +64,7 @@ def test_normal_equations_are_the_gradient(rng, swing_twist):
     np.testing.assert_allclose(frame_side, -by_frame / 2, rtol=1e-8, atol=1e-10)
     np.testing.assert_allclose(shared_side, -shared / 2, rtol=1e-8, atol=1e-10)
     # where nothing is left of the residual, Gauss-Newton's matrix is half the Hessian
-    targets = deform_all(body, poses)
+    targets = posed_vertices(body, poses)
     hessian = jax.hessian(lambda s: value_of(targets, s, zeros[0]))(zeros[1]) / 2
     np.testing.assert_allclose(arrow.shared, hessian, atol=1e-9 * float(jnp.abs(hessian).max()))
 
@@ -72,7 +72,7 @@ def test_normal_equations_are_the_gradient(rng, swing_twist):
 @pytest.mark.parametrize("swing_twist", [False, True])
 def test_joints_and_poses_are_found_again(rng, swing_twist):
     body, poses, _, metric = scene(rng, swing_twist, frames=8)
-    targets = deform_all(body, poses)
+    targets = posed_vertices(body, poses)
     count = body.skeleton.num_joints
     shifts = 0.01 * rng.normal(size=(count, 3))
     shifts[0] = 0.0
@@ -121,13 +121,13 @@ def test_paired_bones_stay_equally_long(rng):
     moved = eqx.tree_at(lambda s: s.centres, skeleton, skeleton.centres + step)
     change = length_differences(moved, pairs)[0] - differences
     np.testing.assert_allclose(change, jnp.einsum("pja,ja->p", slopes, step), atol=1e-11)
-    assert len(bones_of(skeleton, np.array([[1, 2]]))) == 0
+    assert len(bone_pairs(skeleton, np.array([[1, 2]]))) == 0
 
 
 @pytest.mark.parametrize("swing_twist", [False, True])
 def test_rest_vertices_are_least_squares(rng, swing_twist):
     body, poses, targets, metric = scene(rng, swing_twist)
-    found = solve_vertices(body, poses, targets, metric, tolerance=1e-10)
+    found = solve_rest_vertices(body, poses, targets, metric, tolerance=1e-10)
 
     def value(vertices):
         return objective(eqx.tree_at(lambda b: b.vertices, body, vertices), poses, targets, metric)
@@ -147,7 +147,7 @@ def test_anchors_hold_what_no_motion_tells(rng):
     angles = jnp.linspace(-1.0, 1.0, 12)
     hinge = jnp.stack([jnp.cos(angles / 2), 0 * angles, 0 * angles, jnp.sin(angles / 2)], 1)
     poses = eqx.tree_at(lambda p: p.rotations, poses, poses.rotations.at[:, joint].set(hinge))
-    anchors = cut_anchors(body, poses, metric, 1e-4)
+    anchors = boundary_centre_prior(body, poses, metric, 1e-4)
     rest, faces = np.asarray(body.vertices), np.asarray(body.faces)
     ends = {
         tuple(sorted((a, b)))
@@ -156,20 +156,20 @@ def test_anchors_hold_what_no_motion_tells(rng):
         if below[labels[a]] != below[labels[b]]
     }
     expected = np.mean([(rest[a] + rest[b]) / 2 for a, b in ends], axis=0)
-    np.testing.assert_allclose(anchors.middles[joint], expected, atol=1e-12)
+    np.testing.assert_allclose(anchors.means[joint], expected, atol=1e-12)
     assert not np.any(anchors.weights[0])
     along, across = anchors.weights[joint][2, 2], anchors.weights[joint][0, 0]
-    told = anchors.told[joint]
-    assert cut_anchors(body, poses, metric, 1e-14).weights[joint, 2, 2] < 1e-5 * along
+    told = anchors.information[joint]
+    assert boundary_centre_prior(body, poses, metric, 1e-14).weights[joint, 2, 2] < 1e-5 * along
     far = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres.at[joint, 0].add(9.0))
-    assert cut_anchors(far, poses, metric, 1e-4).weights[joint, 0, 0] > told[0, 0]
+    assert boundary_centre_prior(far, poses, metric, 1e-4).weights[joint, 0, 0] > told[0, 0]
     assert told[2, 2] < 1e-12 < along and across < told[0, 0] / 100
 
 
 def test_deform_is_pose_body(rng):
     body, poses, _, _ = scene(rng, True, frames=1)
     pose = jax.tree.map(lambda field: field[0], poses)
-    np.testing.assert_allclose(deform_all(body, poses)[0], jc.pose_body(body, pose).vertices)
+    np.testing.assert_allclose(posed_vertices(body, poses)[0], jc.pose_body(body, pose).vertices)
 
 
 def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
@@ -180,7 +180,7 @@ def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
     slight = random_pose(body.skeleton, rng, 1.0).rotations[still]
     turns = jax.vmap(lambda share: rotation.exp(share * 0.02 * rotation.log(slight)))(jnp.linspace(-1, 1, 12))
     poses = eqx.tree_at(lambda p: p.rotations, poses, poses.rotations.at[:, still].set(turns))
-    targets = deform_all(body, poses) + 0.0005 * rng.normal(size=(12, len(body.vertices), 3))
+    targets = posed_vertices(body, poses) + 0.0005 * rng.normal(size=(12, len(body.vertices), 3))
     shifts = np.zeros((count, 3))
     shifts[[still, *turning]] = 0.01
     off = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres + shifts)
@@ -188,11 +188,11 @@ def test_joints_that_no_motion_tells_stay_where_a_skeleton_has_them(rng):
     value, damping = float(objective(off, poses, targets, metric)), 1e-4
     for _ in range(10):
         off, poses, value, damping = improve_joints(
-            off, poses, targets, metric, curvature, NONE, damping, value, given=Given(given)
+            off, poses, targets, metric, curvature, NONE, damping, value, given_centres=GivenCentres(given)
         )
     assert np.linalg.norm(off.skeleton.centres[still] - given[still]) < 0.001
     away = np.linalg.norm(np.asarray(off.skeleton.centres - body.skeleton.centres), axis=1)
     assert away[turning].max() < 0.004
-    kept = improve_joints(off, poses, targets, metric, curvature, NONE, damping, value, given=Given(off.skeleton.centres, keep=True))  # fmt: skip
+    kept = improve_joints(off, poses, targets, metric, curvature, NONE, damping, value, given_centres=GivenCentres(off.skeleton.centres, is_fixed=True))  # fmt: skip
     assert kept.value < value
     np.testing.assert_allclose(kept.body.skeleton.centres, off.skeleton.centres, atol=1e-6)

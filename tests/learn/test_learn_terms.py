@@ -9,8 +9,8 @@ import pytest
 from jaxtyping import Array, Float
 
 import jaxcap as jc
-from jaxcap.body.body import deform_all
-from jaxcap.energy.energy import sum_of
+from jaxcap.body.body import posed_vertices
+from jaxcap.energy.energy import sum_energies
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.learn_body import learn_body
@@ -32,7 +32,7 @@ class Hand(jc.AbstractEnergy):
 
 
 def lowest(body, poses) -> float:
-    return float(deform_all(body, poses)[..., 1].min())
+    return float(posed_vertices(body, poses)[..., 1].min())
 
 
 def test_a_floor_raises_learned_poses(rng):
@@ -40,7 +40,7 @@ def test_a_floor_raises_learned_poses(rng):
     # the skeleton stands in the first mesh
     rest = jc.rest_pose(body.skeleton)
     poses = jax.tree.map(lambda leaf, still: leaf.at[0].set(still), poses, rest)
-    meshes = MeshSequence(deform_all(body, poses), body.faces, 30.0)
+    meshes = MeshSequence(posed_vertices(body, poses), body.faces, 30.0)
     height = lowest(body, poses) + 0.03
     floor = FeetOnFloor(jnp.arange(len(body.vertices)), jnp.asarray(height))
     options = {"skeleton": body.skeleton, "symmetry": False, "rounds": 1, "alpha": 1.0}
@@ -56,10 +56,10 @@ def test_a_floor_raises_learned_poses(rng):
 
 def test_equations_with_terms_are_the_gradient(rng):
     body, poses = arm(rng, 3)
-    targets = deform_all(body, poses) + 0.01 * rng.normal(size=(3, len(body.vertices), 3))
+    targets = posed_vertices(body, poses) + 0.01 * rng.normal(size=(3, len(body.vertices), 3))
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), 1.0)
     floor = FeetOnFloor(jnp.arange(len(body.vertices)), jnp.asarray(lowest(body, poses) + 0.05))
-    terms = sum_of([1e-3 * Hand(jnp.array([0.5, 0.2, 0.1])), 1e-2 * floor])
+    terms = sum_energies([1e-3 * Hand(jnp.array([0.5, 0.2, 0.1])), 1e-2 * floor])
     problem = JointProblem(body, targets, metric, make_curvature(metric), terms=terms)
     y = problem.start(poses)
     zero = jax.tree.map(jnp.zeros_like, problem.scales())

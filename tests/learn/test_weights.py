@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers import random_pose
 
-from jaxcap.body.body import Body, deform_all
+from jaxcap.body.body import Body, posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
@@ -54,12 +54,12 @@ def scene(skin: str):
     rng = np.random.default_rng(3)
     poses = stack_poses([random_pose(skeleton, rng, 0.6) for _ in range(FRAMES)]).poses
     body = Body(skeleton, true, jnp.asarray(vertices), jnp.asarray(faces))
-    return body, eqx.tree_at(lambda b: b.skin, body, start), poses, deform_all(body, poses)
+    return body, eqx.tree_at(lambda b: b.skin, body, start), poses, posed_vertices(body, poses)
 
 
 def plain_q(body, poses, targets, metric) -> float:
     """Q by a sparse matrix."""
-    errors = np.asarray(targets - deform_all(body, poses))
+    errors = np.asarray(targets - posed_vertices(body, poses))
     return sum(np.sum(error * (matrix(metric) @ error)) for error in errors)
 
 
@@ -76,7 +76,7 @@ def test_parts_become_the_true_weights(skin, alpha):
     metric = make_conformance(np.asarray(start.faces), len(start.vertices), alpha)
     better, energies = improve_weights(start, poses, targets, metric, sweeps=16, tolerance=0.0)
     before, errors = (
-        np.linalg.norm(deform_all(body, poses) - targets, axis=-1).mean() for body in (start, better)
+        np.linalg.norm(posed_vertices(body, poses) - targets, axis=-1).mean() for body in (start, better)
     )
     assert before > 2e-3 and errors < 1e-4
     assert_weights(better.skin)
@@ -115,8 +115,8 @@ def test_a_gain_is_what_the_sparse_matrix_says():
 
 def test_rigid_vertices_find_their_bones():
     true, start, poses, _ = scene("linear")
-    bones = true.skin.parts()
-    targets = deform_all(eqx.tree_at(lambda b: b.skin, true, RigidSkin(bones)), poses)
+    bones = true.skin.dominant_bones()
+    targets = posed_vertices(eqx.tree_at(lambda b: b.skin, true, RigidSkin(bones)), poses)
     lost = eqx.tree_at(lambda b: b.skin, start, RigidSkin(jnp.zeros_like(bones)))
     metric = make_conformance(np.asarray(start.faces), len(start.vertices), 100.0)
     found = improve_weights(lost, poses, targets, metric).body

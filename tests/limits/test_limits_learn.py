@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body
-from jaxcap.body.limits.limit_surface import SurfaceLimits, comfort, fits
+from jaxcap.body.limits.limit_surface import SurfaceLimits, comfort, missing_joints
 from jaxcap.body.limits.limits import allowed
 from jaxcap.body.limits.primitives import signed_distance
 from jaxcap.body.pose import Motion, Pose, rest_pose
@@ -19,7 +19,7 @@ from jaxcap.edit.ik.constraints import Constraint, make_constraints
 from jaxcap.edit.ik.solve import IkOptions, solve_ik
 from jaxcap.errors import InputError
 from jaxcap.limits.boxes import learn_boxes
-from jaxcap.limits.charts import chart_places, find_chart, middle_rotation
+from jaxcap.limits.charts import chart_coordinates, find_chart, middle_rotation
 from jaxcap.limits.check import allowed_frames, comfort_frames, nearest_frames, residual_frames
 from jaxcap.limits.compare import compare_samples
 from jaxcap.limits.learn import learn_limits
@@ -93,7 +93,7 @@ def test_a_chart_has_as_many_angles_as_a_joint_used(rng):
         (hinge, Rotation.from_rotvec(angles[:, :1] * axis.apply([0, 0, 1.0]))),
         (universal, two),
     ):
-        places = chart_places(chart, quaternions(turned))
+        places = chart_coordinates(chart, quaternions(turned))
         back = Rotation.from_quat(
             np.asarray(jax.vmap(chart.rotation)(jnp.asarray(places))), scalar_first=True
         )
@@ -108,7 +108,7 @@ def test_a_hinge_that_is_turned_at_all_times_is_still_a_hinge(rng):
     turned = Rotation.from_rotvec([0.3, 0.0, 0.1]) * turns
     chart = find_chart(samples_of(turned))
     assert chart.kind == "hinge"
-    places = chart_places(chart, quaternions(turned))
+    places = chart_coordinates(chart, quaternions(turned))
     back = Rotation.from_quat(np.asarray(jax.vmap(chart.rotation)(jnp.asarray(places))), scalar_first=True)
     assert (back.inv() * turned).magnitude().max() < 1e-9
 
@@ -152,9 +152,9 @@ def test_voxels_hold_all_samples_and_join_only_within(rng):
 
 def test_a_threshold_leaves_out_what_is_thin_and_says_when_nothing_is_left(rng):
     places = np.concatenate([rng.uniform(0, 0.1, (1000, 3)), [[0.45, 0.45, 0.45]]])
-    assert (voxelise(places, 3, 0.1, least=5).counts >= 5).all()
+    assert (voxelise(places, 3, 0.1, min_samples=5).counts >= 5).all()
     with pytest.raises(ValueError, match="No voxel has 5000 samples"):
-        voxelise(places, 3, 0.1, least=5000)
+        voxelise(places, 3, 0.1, min_samples=5000)
 
 
 def test_matches_are_the_best_one_to_one_and_then_the_closest(rng):
@@ -364,8 +364,8 @@ def test_inverse_kinematics_stays_within_learned_limits(learned):
 
 def test_limits_tell_which_joints_a_skeleton_lacks(learned):
     other = make_skeleton(("hip", "elbow"), (-1, 0), ("ball", "revolute"), np.zeros((2, 3)))
-    assert fits(learned[0], SHOULDER) == ()
-    assert fits(learned[0], other) == ("shoulder",)
+    assert missing_joints(learned[0], SHOULDER) == ()
+    assert missing_joints(learned[0], other) == ("shoulder",)
 
 
 def test_comfort_of_one_pose_is_that_of_its_frame(learned):

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 import jaxcap as jc
 from jaxcap.errors import InputError
 from jaxcap.markers.segments.gaps import (
-    describe_gaps,
+    describe_problems,
     find_pieces,
     gap_statistics,
-    is_still,
+    is_static,
     join_pieces,
-    never_seen,
+    never_visible,
     split_unlabelled,
 )
 
@@ -63,28 +63,28 @@ def test_statistics_are_those_of_a_slow_count(seed, count, share):
     gaps = gap_statistics(named(np.where(seen[..., None], np.ones(3), np.nan)))
     for marker in range(3):
         pieces = [len(run) for run in "".join(".#"[int(x)] for x in seen[:, marker]).split("#") if run]
-        assert gaps.count[marker] == len(pieces)
-        assert gaps.longest[marker] == max(pieces, default=0)
-        assert gaps.seen[marker] == pytest.approx(seen[:, marker].mean())
+        assert gaps.num_gaps[marker] == len(pieces)
+        assert gaps.longest_gap[marker] == max(pieces, default=0)
+        assert gaps.visible_fraction[marker] == pytest.approx(seen[:, marker].mean())
 
 
 def test_what_is_wrong_is_told():
     places = two_limbs(60)
-    assert describe_gaps(named(places)) == ()
+    assert describe_problems(named(places)) == ()
     lost = places.copy()
     lost[:, 3] = np.nan
     lost[10:12] = np.nan
-    assert never_seen(named(lost)) == ("M3",)
-    told = " ".join(describe_gaps(named(lost)))
+    assert never_visible(named(lost)) == ("M3",)
+    told = " ".join(describe_problems(named(lost)))
     assert "Marker M3 is never visible" in told
     assert "2 of 60 frames have no visible marker" in told
     still = np.repeat(places[:1], 60, 0)
-    assert is_still(named(still))
-    assert not is_still(named(places))
-    assert "All 60 frames are equal" in " ".join(describe_gaps(named(still)))
+    assert is_static(named(still))
+    assert not is_static(named(places))
+    assert "All 60 frames are equal" in " ".join(describe_problems(named(still)))
     still[5:9, 2] = np.nan
-    assert is_still(named(still))
-    assert describe_gaps(named(np.full((4, 2, 3), np.nan))) == ("No marker is visible in any frame.",)
+    assert is_static(named(still))
+    assert describe_problems(named(np.full((4, 2, 3), np.nan))) == ("No marker is visible in any frame.",)
 
 
 CUTS = [(0, 50, 80), (0, 150, 175), (2, 100, 130), (5, 60, 62), (6, 20, 70), (7, 110, 160)]
@@ -95,22 +95,22 @@ def test_pieces_are_found_and_joined():
     places = two_limbs()
     frames, truth = broken(places, CUTS)
     assert find_pieces(frames) == truth
-    told = describe_gaps(frames)
+    told = describe_problems(frames)
     assert "M0, *1 and *2 look like one trajectory in 3 pieces" in told[0]
     joined = join_pieces(frames)
     assert joined.labels == tuple(f"M{i}" for i in range(8))
     expected = places.copy()
     for marker, begin, end in CUTS:
         expected[begin:end, marker] = np.nan
-    np.testing.assert_array_equal(joined.seen, ~np.isnan(expected).any(2))
-    np.testing.assert_array_equal(joined.places, np.nan_to_num(expected))
+    np.testing.assert_array_equal(joined.visible, ~np.isnan(expected).any(2))
+    np.testing.assert_array_equal(joined.positions, np.nan_to_num(expected))
 
 
 def test_the_order_of_markers_does_not_matter():
     frames, truth = broken(two_limbs(), CUTS)
     order = np.random.default_rng(1).permutation(len(frames.labels))
     mixed = jc.MarkerFrames(
-        frames.places[:, order], frames.seen[:, order], tuple(frames.labels[i] for i in order), 60.0
+        frames.positions[:, order], frames.visible[:, order], tuple(frames.labels[i] for i in order), 60.0
     )
     found = {tuple(int(order[i]) for i in chain) for chain in find_pieces(mixed)}
     assert found == set(truth)
@@ -126,8 +126,8 @@ def test_markers_that_only_take_turns_are_not_joined():
     assert np.linalg.norm(places[105, 0] - places[105, 1]) > 0.1
     assert find_pieces(named(turns)) == ()
     frames, truth = broken(places, [(0, 50, 80)])
-    assert find_pieces(frames, within=0.6) == truth
-    assert find_pieces(frames, within=0.4) == ()
+    assert find_pieces(frames, max_gap=0.6) == truth
+    assert find_pieces(frames, max_gap=0.4) == ()
 
 
 def test_a_marker_alone_goes_on_at_its_speed():
@@ -153,7 +153,7 @@ def test_names_with_a_star_say_nothing_across_a_gap():
     assert pieces.labels[-2:] == ("*32.1", "*32.2")
     joined = join_pieces(pieces)
     assert joined.labels == (*(f"M{i}" for i in range(8)), "*32.2")
-    np.testing.assert_allclose(joined.places[:, 3], places[:, 3])
+    np.testing.assert_allclose(joined.positions[:, 3], places[:, 3])
 
 
 def test_chains_that_cannot_be_are_refused():
@@ -188,7 +188,7 @@ def test_frames_are_sliced():
     frames = named(two_limbs(20))
     assert len(frames) == 20
     assert (len(frames[5:]), frames[5:].rate, frames[::2].rate) == (15, 60.0, 30.0)
-    np.testing.assert_array_equal(frames[np.array([3, 1])].places, frames.places[np.array([3, 1])])
+    np.testing.assert_array_equal(frames[np.array([3, 1])].positions, frames.positions[np.array([3, 1])])
 
 
 @pytest.mark.shared
@@ -197,14 +197,14 @@ def test_a_real_trial_in_pieces(shared):
     frames = jc.read_markers(shared / "data" / "markers" / "biobuddy_right_hip.c3d")
     assert find_pieces(frames) == ()
     rng = np.random.default_rng(0)
-    places = np.asarray(frames.places)
+    places = np.asarray(frames.positions)
     cuts = [
         (m, b, b + rng.integers(1, 80))
         for m in range(73)
         for b in rng.choice(np.arange(100, 1500, 100), 2, False)
     ]
     pieces, truth = broken(places, cuts)
-    pieces = jc.MarkerFrames(pieces.places, pieces.seen, pieces.labels, frames.rate)
+    pieces = jc.MarkerFrames(pieces.positions, pieces.visible, pieces.labels, frames.rate)
 
     def links(chains):
         return {pair for chain in chains for pair in pairwise(chain)}

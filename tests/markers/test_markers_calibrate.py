@@ -8,8 +8,8 @@ import pytest
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.calibration.calibration_parameters import prior_precision, shift_subject, solved_joints
-from jaxcap.markers.calibration.gauge_freedom import gauge_directions, gauge_rows
-from jaxcap.markers.calibration.observability import centre_covariances, length_deviations
+from jaxcap.markers.calibration.gauge_freedom import gauge_constraints, gauge_directions
+from jaxcap.markers.calibration.observability import bone_length_deviations, centre_covariances
 from jaxcap.markers.calibration.residuals import marker_residuals
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
@@ -23,9 +23,9 @@ def test_what_no_marker_tells_changes_no_residual(rng):
     gauge = gauge_directions(SUBJECT, JOINTS)
     assert gauge.shape == (3 * (4 + 18), 3 * 5 + 3)
     assert np.linalg.matrix_rank(gauge) == 18
-    assert np.linalg.matrix_rank(gauge_rows(SUBJECT, JOINTS) @ gauge) == 18
+    assert np.linalg.matrix_rank(gauge_constraints(SUBJECT, JOINTS) @ gauge) == 18
     # the last three move all of the body as one: the root's translation undoes them exactly
-    places = np.asarray(seen_by(SUBJECT, moving(np.random.default_rng(1)), rng, 0.0).places[3])
+    places = np.asarray(seen_by(SUBJECT, moving(np.random.default_rng(1)), rng, 0.0).positions[3])
     pose = moving(np.random.default_rng(1))[3]
     shift = np.array([0.01, -0.02, 0.03])
     moved = shift_subject(SUBJECT, JOINTS, jnp.asarray(gauge[:, -3:] @ shift))
@@ -43,7 +43,7 @@ def test_calibration_finds_the_performer(rng):
     motion = moving(rng, 60)
     frames = seen_by(SUBJECT, motion, rng)
     template = wrong(SUBJECT, rng)
-    places, seen = np.array(frames.places), np.array(frames.seen)
+    places, seen = np.array(frames.positions), np.array(frames.visible)
     for frame in range(0, 60, 3):
         a, b = rng.choice(18, 2, replace=False)
         places[frame, [a, b]] = places[frame, [b, a]]
@@ -68,9 +68,9 @@ def test_calibration_finds_the_performer(rng):
 def test_a_hinge_does_not_tell_where_along_its_axis_it_is(rng):
     motion = moving(rng, 60, hinge=2)
     found = calibrate(seen_by(SUBJECT, motion, rng), wrong(SUBJECT, rng))
-    about = [line for line in found.told if "left_hand" in line]
+    about = [line for line in found.messages if "left_hand" in line]
     assert len(about) == 1 and about[0].startswith("Along the axis of rotation")
-    assert not any("right_hand" in line or "right_arm" in line for line in found.told)
+    assert not any("right_hand" in line or "right_arm" in line for line in found.messages)
     values, vectors = np.linalg.eigh(centre_covariances(found.subject, found.joints, found.covariance)[1])
     assert np.sqrt(values[2]) > 5e-3 > 1.5e-3 > np.sqrt(values[1])
     assert abs(vectors[2, 2]) > 0.9
@@ -78,11 +78,11 @@ def test_a_hinge_does_not_tell_where_along_its_axis_it_is(rng):
 
 def test_joints_without_markers_are_told(rng):
     frames = seen_by(SUBJECT, moving(rng, 30), rng)
-    seen = np.array(frames.seen)
+    seen = np.array(frames.visible)
     seen[:, SUBJECT.bones == 2] = False
-    found = calibrate(MarkerFrames(frames.places, seen, frames.labels, 100.0), SUBJECT)
+    found = calibrate(MarkerFrames(frames.positions, seen, frames.labels, 100.0), SUBJECT)
     assert 2 not in found.joints
-    assert any("No markers determine" in line and "left_hand" in line for line in found.told)
+    assert any("No markers determine" in line and "left_hand" in line for line in found.messages)
 
 
 def test_intervals_hold_what_they_say():
@@ -91,7 +91,7 @@ def test_intervals_hold_what_they_say():
         rng = np.random.default_rng(seed)
         motion = moving(rng, 30)
         found = calibrate(seen_by(SUBJECT, motion, rng), wrong(SUBJECT, rng))
-        deviations = length_deviations(found.subject, found.joints, found.covariance)[[2, 4]]
+        deviations = bone_length_deviations(found.subject, found.joints, found.covariance)[[2, 4]]
         inside.append(np.abs(bone_lengths(found.subject) - 0.3) < 1.645 * deviations)
     # 48 lengths, 90 %: from 80 to 98 % with a chance of 95 %
     assert 0.8 <= np.mean(inside) <= 0.99
@@ -99,10 +99,10 @@ def test_intervals_hold_what_they_say():
 
 def test_what_cannot_be_calibrated_is_refused(rng):
     frames = seen_by(SUBJECT, moving(rng, 5), rng)
-    seen = np.zeros_like(frames.seen)
+    seen = np.zeros_like(frames.visible)
     seen[:, :2] = True
     with pytest.raises(ValueError, match="Only 2 markers are ever visible"):
-        calibrate(MarkerFrames(frames.places, seen, frames.labels, 100.0), SUBJECT)
+        calibrate(MarkerFrames(frames.positions, seen, frames.labels, 100.0), SUBJECT)
     with pytest.raises(ValueError, match="no joint 'tail'"):
         calibrate(frames, SUBJECT, symmetry=[("tail", "left_hand")])
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.markers.rotation_centres.axis_sara import find_hinge
-from jaxcap.markers.rotation_centres.centres import METHODS, find_joint
-from jaxcap.markers.rotation_centres.gamage import concentric
+from jaxcap.markers.rotation_centres.centres import CENTRE_METHODS, find_joint
+from jaxcap.markers.rotation_centres.gamage import concentric_centre
 from jaxcap.markers.rotation_centres.precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.sphere import density_weights, fit_circle, fit_sphere
-from jaxcap.markers.segments.relative_motion import relative
+from jaxcap.markers.segments.relative_motion import relative_motion
 from jaxcap.markers.segments.segment import make_segments
-from jaxcap.markers.segments.segment_frames import fit_frames
+from jaxcap.markers.segments.segment_frames import fit_segment_frames
 from tests.markers_scene import puppet
 
 PAIR = ((-1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.25)), (0, (0.0, 0.0, 0.0), (0.05, 0.0, -0.25)))
@@ -21,15 +21,15 @@ def between(rng, **how):
     scene = puppet(rng, bodies=PAIR, **how)
     segments = make_segments([np.flatnonzero(scene.owner == k) for k in (0, 1)], len(scene.owner))
     seen = np.ones(scene.places.shape[:2], bool)
-    frames = fit_frames(scene.places, seen, segments)
+    frames = fit_segment_frames(scene.places, seen, segments)
     # where the true centre is in the parent's frame as fitted
     back = np.einsum("fba,fb->fa", frames.rotations[:, 0], scene.joints[:, 1] - frames.origins[:, 0])
-    motion = relative(scene.places, seen, segments, frames, 0, 1)
+    motion = relative_motion(scene.places, seen, segments, frames, 0, 1)
     assert motion is not None
     return motion, back.mean(0), scene, frames
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", sorted(CENTRE_METHODS))
 def test_centres_are_exact_without_noise(rng, method):
     motion, centre, scene, frames = between(rng, frames=80)
     joint = find_joint(motion, 0, 1, method)
@@ -40,12 +40,12 @@ def test_centres_are_exact_without_noise(rng, method):
     assert joint.axis_in_parent is None
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", sorted(CENTRE_METHODS))
 def test_a_hinge_has_rank_five_and_an_exact_axis(rng, method):
     axis = np.array([2.0, 1.0, -0.5]) / np.linalg.norm([2.0, 1.0, -0.5])
     motion, centre, scene, frames = between(rng, frames=80, hinges={1: tuple(axis)})
     hinge = find_hinge(motion.rotations)
-    assert hinge.singular[0] < 1e-7 < 1e-2 < hinge.singular[1]
+    assert hinge.singular_values[0] < 1e-7 < 1e-2 < hinge.singular_values[1]
     world = frames.rotations[:, 0] @ hinge.in_parent
     cosines = np.einsum("fa,fab,b->f", world, scene.rotations[:, 0], axis)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-10)
@@ -53,7 +53,7 @@ def test_a_hinge_has_rank_five_and_an_exact_axis(rng, method):
     off = joint.in_parent - centre
     np.testing.assert_allclose(off - (off @ hinge.in_parent) * hinge.in_parent, 0, atol=1e-6)
     # where along the axis is not told, and says so
-    assert joint.precision[2] > 0.1 > 1e-3 > joint.precision[1]
+    assert joint.deviations[2] > 0.1 > 1e-3 > joint.deviations[1]
     assert abs(joint.directions[2] @ hinge.in_parent) == pytest.approx(1, abs=1e-6)
 
 
@@ -74,7 +74,7 @@ def test_precision_covers_the_error():
     for seed in range(20):
         motion, centre, *_ = between(np.random.default_rng(seed), frames=200, noise=0.003)
         joint = find_joint(motion, 0, 1, "score")
-        inside.append(np.abs(joint.directions @ (joint.in_parent - centre)) < 1.645 * joint.precision)
+        inside.append(np.abs(joint.directions @ (joint.in_parent - centre)) < 1.645 * joint.deviations)
     assert 0.75 < np.mean(inside) <= 1.0
 
 
@@ -87,7 +87,7 @@ def test_the_algebraic_sphere_is_biased_and_the_corrected_and_geometric_ones_are
         track = centre + away + 0.01 * rng.normal(size=(400, 3))
         seen = np.ones((400, 1), bool)
         for some, unbiased in ((algebraic, False), (corrected, True)):
-            found, _ = concentric(track[:, None], seen, np.ones(1), centre, 10.0, False, unbiased)
+            found, _ = concentric_centre(track[:, None], seen, np.ones(1), centre, 10.0, False, unbiased)
             some.append((found - centre)[2])
         geometric.append((fit_sphere(track, np.ones(400), centre, 10.0, False).centre - centre)[2])
     # the bias is towards the data
@@ -130,22 +130,24 @@ def test_the_bound_is_that_of_the_arc():
 
 def test_a_joint_that_does_not_turn_is_not_made_up(rng):
     motion, *_ = between(rng, frames=200, noise=0.002, still=(1,))
-    for method in METHODS:
+    for method in CENTRE_METHODS:
         joint = find_joint(motion, 0, 1, method)
-        assert joint.precision.min() > 0.1
+        assert joint.deviations.min() > 0.1
         # it stays where it was thought to be
-        assert np.linalg.norm(joint.in_parent - motion.middle) < 0.02
+        assert np.linalg.norm(joint.in_parent - motion.prior_centre) < 0.02
 
 
 def test_frames_by_axes_and_by_procrustes_agree_on_rigid_markers(rng):
     scene = puppet(rng, frames=30)
     segments = make_segments([np.flatnonzero(scene.owner == k) for k in range(6)], len(scene.owner))
     seen = np.ones(scene.places.shape[:2], bool)
-    one, other = (fit_frames(scene.places, seen, segments, method) for method in ("procrustes", "axes"))
+    one, other = (
+        fit_segment_frames(scene.places, seen, segments, method) for method in ("procrustes", "axes")
+    )
     np.testing.assert_allclose(one.rotations, other.rotations, atol=1e-9)
     np.testing.assert_allclose(one.origins, other.origins, atol=1e-9)
     assert np.nanmax(one.residuals(scene.places, seen, segments)) < 1e-9
     # fewer than three markers leave the frame open
     seen[5, :2] = False
-    known = fit_frames(scene.places, seen, segments).known
+    known = fit_segment_frames(scene.places, seen, segments).known
     assert not known[5, 0] and known.sum() == known.size - 1

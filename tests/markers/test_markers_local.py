@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from jaxcap.markers.local import fit_local
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.segment import make_segments
-from jaxcap.markers.skeleton.lengths import bone_lengths, joint_places
+from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
 from jaxcap.markers.skeleton.tree import find_tree
-from jaxcap.markers.subject import marker_places
+from jaxcap.markers.subject import marker_positions
 from jaxcap.observe import make_markers
 from tests.markers_scene import PUPPET, puppet
 
@@ -29,7 +29,7 @@ def edges(tree, owner):
 
 
 def predicted(fit):
-    return np.asarray(jax.jit(jax.vmap(marker_places, (None, 0)))(fit.subject, fit.motion.poses))
+    return np.asarray(jax.jit(jax.vmap(marker_positions, (None, 0)))(fit.subject, fit.motion.poses))
 
 
 def test_exact_markers_give_the_puppet_again(rng):
@@ -38,13 +38,13 @@ def test_exact_markers_give_the_puppet_again(rng):
     assert edges(fit.tree, scene.owner) == PARENTS
     assert fit.skeleton.kinds.count("revolute") == 1 and fit.skeleton.kinds.count("free") == 1
     np.testing.assert_allclose(predicted(fit), scene.places, atol=1e-6)
-    places, known = joint_places(fit.tree)
+    places, known = joint_trajectories(fit.tree)
     for k, joint in enumerate(fit.joints):
         if joint is not None and joint.axis_in_parent is None:
             whose = max(int(scene.owner[fit.segments.members[s][0]]) for s in (k, joint.parent))
             assert known[:, k].all()
             np.testing.assert_allclose(places[:, k], scene.joints[:, whose], atol=1e-6)
-    assert fit.told == ()
+    assert fit.messages == ()
 
 
 def test_pairs_of_markers_come_by_their_frames_through_joints(rng):
@@ -58,7 +58,7 @@ def test_pairs_of_markers_come_by_their_frames_through_joints(rng):
     segments = make_segments([np.flatnonzero(owner == k) for k in range(6)], len(owner))
     tree = find_tree(places, seen, segments)
     assert edges(tree, owner) == PARENTS
-    found, _ = joint_places(tree)
+    found, _ = joint_trajectories(tree)
     for k in (1, 3):
         joint = k if tree.parents[k] == 0 else 0
         assert np.abs(found[:, joint] - scene.joints[:, k]).max() < 1e-4
@@ -93,7 +93,7 @@ def test_a_template_says_what_is_joined(rng):
     bones = {name: name for name in first.skeleton.names if name != "segment1"}
     fit = fit_local(taken(scene), segments, template=(first.skeleton, bones))
     # what is not in the template is told to hang on nothing
-    assert any("not connected to the other markers" in sentence for sentence in fit.told)
+    assert any("not connected to the other markers" in sentence for sentence in fit.messages)
     with pytest.raises(ValueError, match="The template has no joint 'x'"):
         fit_local(taken(scene), segments, template=(first.skeleton, {"segment0": "x"}))
 
@@ -107,13 +107,15 @@ def test_lengths_agree_and_symmetry_makes_pairs_equal(rng):
     between = [(0, 1), (1, 2), (2, 3)]
     known = np.ones((frames, 4), bool)
     for method in ("mean", "least_squares", "global"):
-        np.testing.assert_allclose(bone_lengths(joints, known, between, method), [0.3, 0.3, 0.33], atol=1e-9)
+        np.testing.assert_allclose(
+            estimate_bone_lengths(joints, known, between, method), [0.3, 0.3, 0.33], atol=1e-9
+        )
     noisy = joints + 0.004 * rng.normal(size=joints.shape)
     known[50:90, 2] = False
-    found = bone_lengths(noisy, known, between, "global")
+    found = estimate_bone_lengths(noisy, known, between, "global")
     np.testing.assert_allclose(found, [0.3, 0.3, 0.33], atol=1e-3)
     for method in ("mean", "global"):
-        paired = bone_lengths(noisy, known, between, method, same=[(0, 2)])
+        paired = estimate_bone_lengths(noisy, known, between, method, equal_pairs=[(0, 2)])
         assert paired[0] == paired[2] and 0.3 < paired[0] < 0.33
 
 
@@ -126,7 +128,7 @@ def test_global_lengths_are_the_least_squares_over_all_poses(rng):
     joints = np.concatenate([np.zeros((frames, 1, 3)), np.cumsum(steps, axis=1)], 1)
     joints = joints + 0.03 * rng.normal(size=joints.shape)
     between = [(0, 1), (1, 2), (2, 3)]
-    found = bone_lengths(joints, np.ones((frames, 4), bool), between, "global")
+    found = estimate_bone_lengths(joints, np.ones((frames, 4), bool), between, "global")
 
     def residual(unknown):
         lengths, rest = unknown[:3], unknown[3:].reshape(frames, 4, 3)
@@ -162,17 +164,19 @@ def test_a_marker_never_seen_and_a_joint_that_hardly_turns_are_told(rng):
     stiff = puppet(rng, noise=0.001, still=(2,))
     segments = make_segments([np.flatnonzero(stiff.owner == k) for k in range(6)], len(stiff.owner))
     fit = fit_local(taken(scene, places))
-    assert any("'m7' is never visible" in sentence for sentence in fit.told)
+    assert any("'m7' is never visible" in sentence for sentence in fit.messages)
     assert fit.bones[7] == -1
     fit = fit_local(taken(stiff), segments)
-    assert any("rotates by" in sentence and "has a standard deviation of" in sentence for sentence in fit.told)
+    assert any(
+        "rotates by" in sentence and "has a standard deviation of" in sentence for sentence in fit.messages
+    )
 
 
 def test_two_subjects_in_one_file_are_told(rng):
     one, other = puppet(rng), puppet(rng)
     both = np.concatenate([one.places, other.places + [1.5, 0.3, 0.0]], 1)
     fit = fit_local(taken(one, both))
-    assert any("another subject" in sentence for sentence in fit.told)
+    assert any("another subject" in sentence for sentence in fit.messages)
     assert fit.skeleton.num_joints == 6
     mine = {int(m) // 24 for m in np.flatnonzero(fit.bones >= 0)}
     assert len(mine) == 1
@@ -196,7 +200,7 @@ def test_cmu_subject_from_41_markers_without_labels(shared):
     for a, b in (("RFWT", "RKNE"), ("LFWT", "LKNE"), ("RTHI", "RSHN"), ("LTHI", "LSHN"), ("RSHN", "RTOE"), ("LSHN", "LTOE"),
                  ("C7", "RFHD"), ("RUPA", "RWRA"), ("LUPA", "LWRA"), ("T10", "RBWT")):  # fmt: skip
         assert joined(a, b), (a, b)
-    away = np.linalg.norm(predicted(fit) - np.asarray(frames.places), axis=-1)
+    away = np.linalg.norm(predicted(fit) - np.asarray(frames.positions), axis=-1)
     assert np.median(away[:, fit.bones >= 0]) < 0.03
 
 
@@ -206,13 +210,13 @@ def test_medial_knee_marker_is_loose(shared):
 
     folder = shared / "data" / "markers"
     takes = [read_markers(folder / f"biobuddy_{name}.c3d") for name in ("static", "right_hip", "right_knee")]
-    places = np.concatenate([np.asarray(take.places, float) for take in takes])
+    places = np.concatenate([np.asarray(take.positions, float) for take in takes])
     labels = takes[0].labels
     segments = find_partition(places, np.ones(places.shape[:2], bool)).segments
-    assert segments.loose[labels.index("RMFE")]
+    assert segments.is_loose[labels.index("RMFE")]
     for names in (
         ("LASIS", "RASIS", "LPSIS", "RPSIS"),
         ("RTHI1", "RTHI2", "RTHI3"),
         ("RLEG1", "RLEG2", "RLEG3"),
     ):
-        assert len({int(segments.of_marker[labels.index(name)]) for name in names} - {-1}) == 1
+        assert len({int(segments.marker_segments[labels.index(name)]) for name in names} - {-1}) == 1

@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.errors import InputError
 from jaxcap.io.markers.marker_corrections import read_corrections, write_corrections
-from jaxcap.markers.segments.maximal_cliques import maximal_sets
-from jaxcap.markers.segments.pair_distances import pair_deviations
-from jaxcap.markers.segments.partition import correct, find_partition
+from jaxcap.markers.segments.maximal_cliques import maximal_cliques
+from jaxcap.markers.segments.pair_distances import pair_distance_ranges
+from jaxcap.markers.segments.partition import apply_corrections, find_partition
 from jaxcap.markers.segments.segment import make_segments
-from jaxcap.markers.segments.swaps import mend_swaps
+from jaxcap.markers.segments.swaps import correct_swaps
 from tests.markers_scene import puppet
 
 
@@ -51,7 +51,7 @@ def test_order_of_markers_and_place_of_the_world_change_nothing(rng):
 def test_deviation_is_the_papers_over_frames_that_show_both(rng):
     places = puppet(rng, frames=60).places[:, :9]
     seen = rng.random(places.shape[:2]) > 0.3
-    got = pair_deviations(places, seen, tail=0)
+    got = pair_distance_ranges(places, seen, trimmed_fraction=0)
     for i, j in itertools.combinations(range(9), 2):
         both = seen[:, i] & seen[:, j]
         distances = np.linalg.norm(places[both, i] - places[both, j], axis=1)
@@ -69,7 +69,7 @@ def test_cover_is_all_maximal_sets(rng):
         if related[np.ix_(some, some)].all()
     ]
     maximal = {frozenset(c) for c in cliques if not any(c < other for other in cliques)}
-    found = maximal_sets(related, np.ones((9, 9)))
+    found = maximal_cliques(related, np.ones((9, 9)))
     assert {frozenset(c) for c in found} == maximal
     assert [len(c) for c in found] == sorted((len(c) for c in maximal), reverse=True)
 
@@ -90,23 +90,23 @@ def test_gaps_and_exchanged_labels_change_no_segment(rng):
     places = np.where(seen[..., None], places, 0.0)
     assert sets(find_partition(places, seen).segments) == truth(scene.owner)
     labels = tuple(f"m{i}" for i in range(places.shape[1]))
-    mended = mend_swaps(places, seen, labels)
-    undone = {(f, min(i, j), max(i, j)) for f, i, j in mended.exchanges}
+    mended = correct_swaps(places, seen, labels)
+    undone = {(f, min(i, j), max(i, j)) for f, i, j in mended.swaps}
     assert len(undone & set(exchanged)) >= 0.9 * len(exchanged)
     # nothing that was right is made wrong
     assert len(undone - set(exchanged)) <= 1
     frame, i, j = exchanged[0]
     if (frame, i, j) in undone:
-        assert any(f"'m{i}' and 'm{j}'" in sentence for sentence in mended.told)
+        assert any(f"'m{i}' and 'm{j}'" in sentence for sentence in mended.messages)
 
 
 def test_a_pair_is_untangled_by_its_jumps(rng):
     scene = puppet(rng, markers=2)
     places = scene.places.copy()
     places[100:130, [2, 3]] = places[100:130, [3, 2]]
-    mended = mend_swaps(places, everything(places), tuple("abcdefghijkl"))
-    np.testing.assert_array_equal(mended.places, scene.places)
-    assert mended.told == (
+    mended = correct_swaps(places, everything(places), tuple("abcdefghijkl"))
+    np.testing.assert_array_equal(mended.positions, scene.places)
+    assert mended.messages == (
         "The labels 'c' and 'd' were swapped in 30 frames (100 to 129); the swap is corrected.",
     )
 
@@ -114,7 +114,7 @@ def test_a_pair_is_untangled_by_its_jumps(rng):
 def test_clean_markers_are_left_as_they_are(rng):
     scene = puppet(rng, noise=0.002)
     labels = tuple(f"m{i}" for i in range(scene.places.shape[1]))
-    assert mend_swaps(scene.places, everything(scene.places), labels).exchanges == ()
+    assert correct_swaps(scene.places, everything(scene.places), labels).swaps == ()
 
 
 def test_markers_that_move_apart_are_an_error_and_a_stray_one_is_loose(rng):
@@ -123,7 +123,7 @@ def test_markers_that_move_apart_are_an_error_and_a_stray_one_is_loose(rng):
         find_partition(apart, everything(apart), 0.02)
     scene = puppet(rng)
     places = np.concatenate([scene.places, rng.normal(size=(300, 1, 3))], 1)
-    assert np.flatnonzero(find_partition(places, everything(places)).segments.loose).tolist() == [24]
+    assert np.flatnonzero(find_partition(places, everything(places)).segments.is_loose).tolist() == [24]
 
 
 def test_corrections(tmp_path, rng):
@@ -131,7 +131,7 @@ def test_corrections(tmp_path, rng):
     labels = ("a", "b", "c", "d", "e", "f")
     path = tmp_path / "corrections.txt"
     path.write_text("# marker segment weight\nc arm 0.5\na -\nf hand\n")
-    mended = correct(segments, labels, read_corrections(path))
+    mended = apply_corrections(segments, labels, read_corrections(path))
     assert dict(zip(mended.names, mended.members, strict=True)) == {
         "trunk": (1,),
         "arm": (3, 4, 2),
@@ -141,7 +141,7 @@ def test_corrections(tmp_path, rng):
     write_corrections(path, {"c": ("arm", 0.5), "a": ("-", 0.0)})
     assert read_corrections(path) == {"c": ("arm", 0.5), "a": ("-", 0.0)}
     with pytest.raises(ValueError, match="There is no marker 'x'"):
-        correct(segments, labels, {"x": ("arm", 1.0)})
+        apply_corrections(segments, labels, {"x": ("arm", 1.0)})
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.markers.calibration.problem import RIDGE, CalibrationEstimate, make_calibration_problem, slid
+from jaxcap.markers.calibration.problem import (
+    RIDGE,
+    CalibrationEstimate,
+    apply_sliding,
+    make_calibration_problem,
+)
 from jaxcap.markers.calibration.robust import UNBOUNDED
-from jaxcap.markers.calibration.rotation_prior import turning_of
+from jaxcap.markers.calibration.rotation_prior import estimate_rotation_prior
 from jaxcap.markers.calibration.solve_calibration import solve_calibration
-from jaxcap.markers.subject import marker_places
+from jaxcap.markers.subject import marker_positions
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 JOINTS, FRAMES = (1, 2, 3, 4), 5
@@ -36,19 +41,21 @@ def scene(rng, models=None, terms=()):
         subject = dataclasses.replace(subject, models=models)
     motion = moving(rng, FRAMES)
     frames = seen_by(subject, motion, rng, 0.003)
-    seen = np.array(frames.seen)
+    seen = np.array(frames.visible)
     seen[1, 3] = False
     problem = make_calibration_problem(
-        wrong(subject, rng), jnp.asarray(frames.places), jnp.asarray(seen), JOINTS, ((2, 4),), terms=terms
+        wrong(subject, rng), jnp.asarray(frames.positions), jnp.asarray(seen), JOINTS, ((2, 4),), terms=terms
     )
     dofs = subject.skeleton.num_dofs
     spread = rng.normal(size=(FRAMES, dofs, dofs))
-    turning = turning_of(
+    turning = estimate_rotation_prior(
         subject.skeleton, motion.poses, jnp.asarray(1e-2 * spread @ np.swapaxes(spread, 1, 2))
     )
     features = jnp.asarray(rng.normal(size=(FRAMES, subject.num_markers, 2)))
     problem = eqx.tree_at(
-        lambda p: (p.turning, p.features, p.slide_deviation), problem, (turning, features, jnp.asarray(0.02))
+        lambda p: (p.turning, p.skin_features, p.slide_deviation),
+        problem,
+        (turning, features, jnp.asarray(0.02)),
     )
     estimate = CalibrationEstimate(
         motion.poses,
@@ -80,8 +87,8 @@ def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
     """At a point that explains every place exactly, Gauss-Newton's matrix is the Hessian."""
     problem, y = scene(rng)
     subject = problem.subject(y)
-    place = lambda pose, phi: marker_places(slid(subject, y.slides, phi), pose)  # noqa: E731
-    places = jax.vmap(place)(y.poses, problem.features)
+    place = lambda pose, phi: marker_positions(apply_sliding(subject, y.slides, phi), pose)  # noqa: E731
+    places = jax.vmap(place)(y.poses, problem.skin_features)
     exact = eqx.tree_at(lambda p: (p.places, p.bound), problem, (places, jnp.asarray(UNBOUNDED)))
     free = eqx.tree_at(lambda p: p.turning.precision, exact, jnp.zeros_like(exact.turning.precision))
     zero = jax.tree.map(jnp.zeros_like, free.scales())
@@ -123,6 +130,6 @@ def test_a_term_moves_a_calibration(rng):
     plain, y = scene(rng)
     pulled = eqx.tree_at(lambda p: p.terms, plain, Above(jnp.asarray(22.0)), is_leaf=lambda x: x is None)
     solve = eqx.filter_jit(solve_calibration)
-    height = lambda found: jax.vmap(lambda p: marker_places(found.subject, p))(found.poses)[:, :3, 1]  # noqa: E731
+    height = lambda found: jax.vmap(lambda p: marker_positions(found.subject, p))(found.poses)[:, :3, 1]  # noqa: E731
     before, after = height(solve(plain, y)), height(solve(pulled, y))
     assert float(jnp.abs(after - 1.1).mean()) < float(jnp.abs(before - 1.1).mean()) - 1e-4

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.markers.calibration.residuals import linearise, marker_residuals
-from jaxcap.markers.subject import make_subject, marker_places
+from jaxcap.markers.calibration.residuals import linearise_residuals, marker_residuals
+from jaxcap.markers.subject import make_subject, marker_positions
 from tests.helpers import chain_skeleton
 
-_linearise = eqx.filter_jit(linearise)
-_marker_places = eqx.filter_jit(marker_places)
+_linearise = eqx.filter_jit(linearise_residuals)
+_marker_places = eqx.filter_jit(marker_positions)
 _residuals = eqx.filter_jit(marker_residuals)
 
 

@@ -5,7 +5,12 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.calibration.soft_tissue import find_skin, skin_shifts, slide_deviation, sliding
+from jaxcap.markers.calibration.soft_tissue import (
+    estimate_slide_deviation,
+    initial_slide_deviation,
+    skin_features,
+    skin_shifts,
+)
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 
@@ -14,18 +19,18 @@ SUBJECT = truth()
 
 def slid(motion, rng, size):
     """Markers that slide with their bone's joints, and by how much, metres."""
-    features = sliding(SUBJECT, motion.poses)
+    features = skin_features(SUBJECT, motion.poses)
     slides = size * rng.normal(size=(features.shape[2], SUBJECT.num_markers, 3))
     frames = seen_by(SUBJECT, motion, rng)
     shifts = skin_shifts(features, slides)
     turns = jax.vmap(lambda pose: jc.forward_kinematics(SUBJECT.skeleton, pose).rotations)(motion.poses)
     seen = np.einsum("fmab,fmb->fma", np.asarray(turns)[:, np.asarray(SUBJECT.bones)], shifts)
-    return MarkerFrames(frames.places + seen, frames.seen, frames.labels, frames.rate), shifts
+    return MarkerFrames(frames.positions + seen, frames.visible, frames.labels, frames.rate), shifts
 
 
 def test_turns_of_both_ends_of_a_bone_are_features(rng):
     motion = moving(rng, 50)
-    features = sliding(SUBJECT, motion.poses)
+    features = skin_features(SUBJECT, motion.poses)
     bones = np.asarray(SUBJECT.bones)
     assert features.shape[:2] == (50, 18)
     np.testing.assert_allclose(features.mean(0), 0, atol=1e-12)
@@ -38,20 +43,20 @@ def test_turns_of_both_ends_of_a_bone_are_features(rng):
 
 def test_skin_is_found_where_residuals_follow_the_joints(rng):
     motion = moving(rng, 60)
-    features = sliding(SUBJECT, motion.poses)
+    features = skin_features(SUBJECT, motion.poses)
     noise = 1e-3 * rng.normal(size=(60, 18, 3))
     seen = np.ones((60, 18), bool)
-    assert find_skin(features, noise, seen) is None
+    assert initial_slide_deviation(features, noise, seen) is None
     slides = 0.01 * rng.normal(size=(features.shape[2], 18, 3))
-    found = find_skin(features, noise + skin_shifts(features, slides), seen)
+    found = initial_slide_deviation(features, noise + skin_shifts(features, slides), seen)
     assert found is not None and 0.005 < found < 0.02
-    known = slide_deviation(SUBJECT, features, slides)
+    known = estimate_slide_deviation(SUBJECT, features, slides)
     assert abs(known / np.sqrt(np.mean(slides**2)) - 1) < 0.2
     # to move all markers of a bone as one is no news, as the bone itself may have moved
     turned = slides + np.cross(rng.normal(size=(len(slides), 1, 3)), np.asarray(SUBJECT.offsets))
-    same = slide_deviation(SUBJECT, features, turned)
+    same = estimate_slide_deviation(SUBJECT, features, turned)
     assert abs(same / known - 1) < 1e-6
-    assert find_skin(features, noise, np.zeros_like(seen)) is None
+    assert initial_slide_deviation(features, noise, np.zeros_like(seen)) is None
 
 
 def test_slides_are_not_taken_for_longer_bones():

@@ -9,7 +9,7 @@ from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.errors import InputError
 from jaxcap.io.markers.subject import load_subject, save_subject
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
-from jaxcap.markers.motion.solve_frame import Search
+from jaxcap.markers.motion.solve_frame import SearchCriteria
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 from jaxcap.observe import MarkerFrames
 from tests.markers_limb import moving, seen_by, truth
@@ -29,7 +29,7 @@ def test_exact_markers_give_the_exact_motion(rng):
     frames = seen_by(SUBJECT, motion, rng, noise=0.0)
     solved = solve_markers(SUBJECT, frames)
     assert errors(solved.motion, motion).max() < 1e-6
-    assert not solved.lost.any() and not solved.told
+    assert not solved.lost.any() and not solved.messages
     assert solved.motion.rate == frames.rate
 
 
@@ -38,7 +38,7 @@ def test_gaps_and_swapped_labels(rng):
     labels are left out; a frame without markers is told and harms no other."""
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    places, seen = np.array(frames.places), np.array(frames.seen)
+    places, seen = np.array(frames.positions), np.array(frames.visible)
     places[7, [0, 9]] = places[7, [9, 0]]
     seen[12:18, 5] = False
     seen[25] = False
@@ -51,7 +51,7 @@ def test_gaps_and_swapped_labels(rng):
     off = errors(zero.motion, motion)
     assert np.delete(off, 25, 0).max() < 0.01
     assert zero.weights[7, [0, 9]].max() < 0.01 and zero.weights[8].min() > 0.1
-    assert zero.lost.tolist() == [frame == 25 for frame in range(40)] and "25" in zero.told[0]
+    assert zero.lost.tolist() == [frame == 25 for frame in range(40)] and "25" in zero.messages[0]
     np.testing.assert_array_equal(zero.motion.poses.rotations[25], zero.motion.poses.rotations[24])
     assert np.isnan(zero.residuals).sum() == (~seen).sum()
 
@@ -59,14 +59,14 @@ def test_gaps_and_swapped_labels(rng):
 def test_order_of_markers_and_splitting_of_frames_change_nothing(rng):
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    fine = Search(iterations=40, tolerance=1e-7)
+    fine = SearchCriteria(max_iterations=40, tolerance=1e-7)
     whole = solve_markers(SUBJECT, frames, fine)
     order = rng.permutation(len(frames.labels))
     labels = tuple(frames.labels[i] for i in order) + ("ball",)
-    places = np.concatenate([np.asarray(frames.places)[:, order], np.ones((40, 1, 3))], 1)
+    places = np.concatenate([np.asarray(frames.positions)[:, order], np.ones((40, 1, 3))], 1)
     mixed = solve_markers(SUBJECT, MarkerFrames(places, np.ones((40, 19), bool), labels, 100.0), fine)
     np.testing.assert_array_equal(mixed.residuals, whole.residuals)
-    assert "ball" in mixed.told[0]
+    assert "ball" in mixed.messages[0]
     halves = [solve_markers(SUBJECT, frames[part], fine) for part in (slice(0, 23), slice(23, 40))]
     parts = np.concatenate([np.asarray(_joints(half.motion.poses)) for half in halves])
     np.testing.assert_allclose(parts, _joints(whole.motion.poses), atol=1e-5)
@@ -75,9 +75,9 @@ def test_order_of_markers_and_splitting_of_frames_change_nothing(rng):
 def test_unseen_joints_stay(rng):
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    seen = np.array(frames.seen)
+    seen = np.array(frames.visible)
     seen[10:, SUBJECT.bones == 2] = False
-    solved = solve_markers(SUBJECT, MarkerFrames(frames.places, seen, SUBJECT.labels, 100.0))
+    solved = solve_markers(SUBJECT, MarkerFrames(frames.positions, seen, SUBJECT.labels, 100.0))
     rotations = np.asarray(solved.motion.poses.rotations)
     np.testing.assert_allclose(rotations[10:, 2], np.broadcast_to(rotations[9, 2], (30, 4)), atol=1e-12)
     assert errors(solved.motion, motion)[:, [0, 1, 3, 4]].max() < 0.01
@@ -95,7 +95,7 @@ def test_streaming_is_solving(rng):
     frames = seen_by(SUBJECT, motion, rng)
     whole = solve_markers(SUBJECT, frames)
     streamer, state = make_streamer(SUBJECT)
-    places = np.array(frames.places)
+    places = np.array(frames.positions)
     places[30] = np.nan
     poses = []
     for place in places:
@@ -110,7 +110,9 @@ def test_streaming_is_solving(rng):
 def test_strangers_are_refused(rng):
     frames = seen_by(SUBJECT, moving(rng, 3), rng)
     with pytest.raises(ValueError, match="None of the frames' markers"):
-        solve_markers(SUBJECT, MarkerFrames(frames.places, frames.seen, tuple(map(str, range(18))), 100.0))
+        solve_markers(
+            SUBJECT, MarkerFrames(frames.positions, frames.visible, tuple(map(str, range(18))), 100.0)
+        )
 
 
 def test_subjects_come_back_from_files(tmp_path):

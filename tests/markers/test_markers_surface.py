@@ -8,7 +8,7 @@ import trimesh
 from helpers import chain_body, check_energy, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.people.human import body_of
+from jaxcap.body.people.human import human_from_traits
 from jaxcap.body.people.morph_targets import Traits
 from jaxcap.body.pose import rest_pose
 from jaxcap.fit.solve import solve
@@ -99,7 +99,7 @@ def test_markers_on_chosen_vertices_stand_over_them():
 
 @pytest.mark.parametrize("resolution", ["low", "full"])
 def test_landmarks_lie_where_the_anatomy_has_them(resolution):
-    body = body_of(Traits(1.0, 25.0, 0.5, 0.5), resolution)
+    body = human_from_traits(Traits(1.0, 25.0, 0.5, 0.5), resolution)
     markers = anatomical_markers([*LABELS, "no landmark"], resolution)
     assert markers.labels == tuple(LABELS)
     at = dict(zip(LABELS, np.asarray(places_of(markers, body, rest_pose(body.skeleton))), strict=True))
@@ -125,7 +125,7 @@ def test_landmarks_lie_where_the_anatomy_has_them(resolution):
 def stood():
     """A person that stands with bent limbs, turned and moved, seen with 2 mm of noise and with gaps."""
     rng = np.random.default_rng(4)
-    body = body_of(PERSON, "low", "tracking")
+    body = human_from_traits(PERSON, "low", "tracking")
     markers = anatomical_markers(LABELS, "low")
     still = random_pose(body.skeleton, rng, 0.12)
     pose = eqx.tree_at(
@@ -144,7 +144,7 @@ def stood():
 
 def test_the_person_of_a_static_trial_is_found(stood):
     body, pose, frames = stood
-    fit = fit_shape(frames, given={"age": 45.0}, deviation=0.001)
+    fit = fit_shape(frames, known_traits={"age": 45.0}, deviation=0.001)
     assert np.nanmax(fit.residuals) < 0.01
     tall = [float(np.ptp(np.asarray(b.vertices)[:, 1])) for b in (fit.body, body)]
     assert abs(tall[0] - tall[1]) < 0.015
@@ -156,14 +156,14 @@ def test_the_person_of_a_static_trial_is_found(stood):
 
 
 def test_the_person_with_given_bones_is_found_and_what_bones_do_not_tell_is_told():
-    body = body_of(PERSON, "low")
+    body = human_from_traits(PERSON, "low")
     fit = fit_shape(lengths=bone_lengths(body.skeleton))
     lengths, true = (np.array(list(bone_lengths(b.skeleton).values())) for b in (fit.body, body))
     assert np.abs(lengths - true).max() < 0.003
     assert fit.deviations.stature < 0.05
     tall = fit_shape(lengths={("LeftUpLeg", "LeftLeg"): 0.45}, height=1.82)
     assert abs(float(np.ptp(np.asarray(tall.body.vertices)[:, 1])) - 1.82) < 0.005
-    assert any("weight is poorly determined" in sentence for sentence in tall.told)
+    assert any("weight is poorly determined" in sentence for sentence in tall.messages)
     assert tall.deviations.weight > fit.deviations.weight
 
 
@@ -189,9 +189,12 @@ def test_a_real_static_trial(shared):
         (lambda: fit_shape(), "neither frames nor bone lengths"),
         (lambda: fit_shape(lengths={("LeftLeg", "Tail"): 0.4}), "no joint 'Tail'"),
         (lambda: fit_shape(lengths={("LeftLeg", "LeftFoot"): 400.0}), "is 400.0 m; expected metres"),
-        (lambda: fit_shape(lengths={("LeftLeg", "LeftFoot"): 0.4}, given={"hair": 1.0}), "no trait 'hair'"),
         (
-            lambda: fit_shape(lengths={("LeftLeg", "LeftFoot"): 0.4}, given={"age": 3.0}),
+            lambda: fit_shape(lengths={("LeftLeg", "LeftFoot"): 0.4}, known_traits={"hair": 1.0}),
+            "no trait 'hair'",
+        ),
+        (
+            lambda: fit_shape(lengths={("LeftLeg", "LeftFoot"): 0.4}, known_traits={"age": 3.0}),
             "age of a human is 3.0",
         ),
         (lambda: fit_shape(make_markers(np.zeros((2, 1, 3)) + 1, ("C7",), 100.0)), "Only 1 markers are both"),

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from jaxcap.prior.covariance_selection import num_zeroed, partial_correlations, zero_weak
-from jaxcap.prior.gaussian_mixture import FLOOR, Mixture, fit_mixture, log_density, spread_labels
-from jaxcap.prior.model_selection import THRESHOLDS, choose_mixture, held_out_folds
+from jaxcap.prior.covariance_selection import count_zero_couplings, partial_correlations, threshold_couplings
+from jaxcap.prior.gaussian_mixture import MIN_DEVIATION, Mixture, fit_mixture, kmeans_labels, log_density
+from jaxcap.prior.model_selection import THRESHOLDS, cross_validation_folds, select_mixture
 
 
 def some_covariance(rng, size: float = 0.3) -> np.ndarray:
@@ -77,19 +77,19 @@ def test_likelihood_never_falls_and_precisions_are_positive_definite(kind, sampl
     assert (np.diff(history) >= -1e-9 * np.maximum(1.0, np.abs(history[1:]))).all()
     assert mixture.weights.sum() == pytest.approx(1.0)
     assert (mixture.weights > 0).all()
-    zeroed = zero_weak(mixture, threshold)
+    zeroed = threshold_couplings(mixture, threshold)
     for precisions in (mixture.precisions, zeroed.precisions):
         values = np.linalg.eigvalsh(precisions)
         assert (values > 0).all()
         assert np.isfinite(precisions).all()
     # no component is narrower than the floor
-    assert np.linalg.eigvalsh(mixture.precisions).max() <= (1 + 1e-6) / FLOOR**2
+    assert np.linalg.eigvalsh(mixture.precisions).max() <= (1 + 1e-6) / MIN_DEVIATION**2
     np.linalg.cholesky(zeroed.precisions)
     assert np.isfinite(log_density(zeroed, x)).all()
 
 
 def test_a_start_where_all_samples_are_the_same():
-    labels, apart = spread_labels(np.ones((5, 6)), 3, np.random.default_rng(0))
+    labels, apart = kmeans_labels(np.ones((5, 6)), 3, np.random.default_rng(0))
     assert labels.shape == (5,)
     assert apart == 0
     mixture = fit_mixture(np.ones((5, 6)), 3).mixture
@@ -100,7 +100,7 @@ def test_a_start_where_all_samples_are_the_same():
 def test_one_gaussian_is_one_component(rng, samples):
     """Each pose left out by itself, and blocks of them."""
     x = rng.multivariate_normal(rng.normal(size=6), some_covariance(rng), size=samples)
-    chosen = choose_mixture(x, most=5)
+    chosen = select_mixture(x, max_components=5)
     assert len(chosen.mixture.weights) == 1
     assert np.argmax(chosen.held_out.max(1)) == 0
 
@@ -108,9 +108,9 @@ def test_one_gaussian_is_one_component(rng, samples):
 @pytest.mark.parametrize(("count", "samples"), [(2, 40), (3, 60), (2, 300), (3, 300)])
 def test_separate_clusters_are_as_many_components(rng, count, samples):
     x = clusters(rng, count, samples)[0]
-    chosen = choose_mixture(x, most=6)
+    chosen = select_mixture(x, max_components=6)
     assert len(chosen.mixture.weights) == count
-    assert chosen.best > chosen.single + 0.5
+    assert chosen.best_log_likelihood > chosen.single_log_likelihood + 0.5
 
 
 def test_zeroing_keeps_couplings_that_are_there_and_gains_likelihood(rng):
@@ -121,15 +121,15 @@ def test_zeroing_keeps_couplings_that_are_there_and_gains_likelihood(rng):
         x = rng.multivariate_normal(np.zeros(6), covariance, size=60)
         test = rng.multivariate_normal(np.zeros(6), covariance, size=2000)
         whole = fit_mixture(x, 1).mixture
-        zeroed = zero_weak(whole, 0.4)
+        zeroed = threshold_couplings(whole, 0.4)
         gains.append(log_density(zeroed, test).mean() - log_density(whole, test).mean())
     assert np.mean(gains) > 0.05
-    chosen = choose_mixture(x, most=2)
+    chosen = select_mixture(x, max_components=2)
     assert chosen.threshold > 0
-    assert chosen.held_out[0].max() > chosen.single
+    assert chosen.held_out[0].max() > chosen.single_log_likelihood
     couplings = partial_correlations(chosen.mixture.precisions[0])
     assert (couplings[[0, 2, 4], [1, 3, 5]] > 0.5).all()
-    assert num_zeroed(chosen.mixture.precisions)[0] >= 6
+    assert count_zero_couplings(chosen.mixture.precisions)[0] >= 6
 
 
 def test_couplings_that_cannot_be_zero_are_lowered():
@@ -142,18 +142,18 @@ def test_couplings_that_cannot_be_zero_are_lowered():
     assert np.linalg.eigvalsh(precision)[0] > 0
     plain = np.where(np.abs(precision) < 0.8, 0.0, precision)
     assert np.linalg.eigvalsh(plain)[0] < 0
-    found = zero_weak(mixture, 0.8).precisions[0]
+    found = threshold_couplings(mixture, 0.8).precisions[0]
     assert 0 < found[1, 2] < weak
     assert found[0, 1] == found[0, 2] == strong
     np.testing.assert_allclose(found, found.T)
     assert np.linalg.eigvalsh(found)[0] >= 0.099 * np.linalg.eigvalsh(precision)[0]
-    np.testing.assert_allclose(zero_weak(mixture, 1.01).precisions[0], np.eye(6))
-    np.testing.assert_array_equal(zero_weak(mixture, 0.0).precisions[0], precision)
+    np.testing.assert_allclose(threshold_couplings(mixture, 1.01).precisions[0], np.eye(6))
+    np.testing.assert_array_equal(threshold_couplings(mixture, 0.0).precisions[0], precision)
 
 
 def test_many_poses_are_left_out_in_blocks():
-    np.testing.assert_array_equal(held_out_folds(5), np.arange(5))
-    folds = held_out_folds(1000)
+    np.testing.assert_array_equal(cross_validation_folds(5), np.arange(5))
+    folds = cross_validation_folds(1000)
     assert (np.diff(folds) >= 0).all()
     assert (np.bincount(folds) == 100).all()
 
@@ -164,4 +164,4 @@ def test_what_is_refused(rng):
     with pytest.raises(ValueError, match="not finite"):
         fit_mixture(np.full((9, 6), np.nan), 1)
     with pytest.raises(ValueError, match="There are 3 poses"):
-        choose_mixture(np.zeros((3, 6)))
+        select_mixture(np.zeros((3, 6)))

@@ -11,14 +11,20 @@ from scipy.stats import multivariate_normal
 import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.body.limits.limits import allowed
-from jaxcap.body.limits.rotation_vector_boxes import own_vectors
-from jaxcap.body.pair_prior import log_density, misfit, mixture_peak, pair_vectors, successive_pairs
+from jaxcap.body.limits.rotation_vector_boxes import local_rotation_vectors
+from jaxcap.body.pair_prior import (
+    describe_mismatch,
+    log_density,
+    mixture_mode,
+    pair_vectors,
+    successive_pairs,
+)
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import energies
 from jaxcap.geometry import rotation
 from jaxcap.io.archives.npz import load_limits
 from jaxcap.io.archives.prior import load_boxes
-from jaxcap.prior.pose_prior import turn_vectors
+from jaxcap.prior.pose_prior import rotation_vectors
 
 BODY = chain_body()
 SKELETON = BODY.skeleton
@@ -88,7 +94,7 @@ def test_peaks_are_the_highest_places(rng, prior):
     np.testing.assert_allclose(climb(prior.modes), 0.0, atol=1e-7)
     np.testing.assert_allclose(log_density(prior, prior.modes), prior.log_peaks, atol=1e-12)
     curvature = jax.hessian(lambda x: jnp.sum(log_density(prior, x)))(prior.modes)
-    for p, bend in enumerate(prior.bends):
+    for p, bend in enumerate(prior.curvature_factors):
         np.testing.assert_allclose(
             -bend @ bend.T, curvature[p, :, p], atol=1e-6 * float(jnp.abs(curvature).max())
         )
@@ -102,7 +108,7 @@ def test_the_peak_of_two_that_overlap_is_between_them():
     for apart, middle in ((1.5, True), (4.0, False)):
         means = np.zeros((2, 6))
         means[1, 0] = apart
-        mode = mixture_peak(np.array([0.5, 0.5]), means, np.tile(np.eye(6), (2, 1, 1)))[0]
+        mode = mixture_mode(np.array([0.5, 0.5]), means, np.tile(np.eye(6), (2, 1, 1)))[0]
         assert (abs(mode[0] - apart / 2) < 1e-4) == middle
 
 
@@ -185,7 +191,7 @@ def swinging(frames: int = 240, seed: int = 0) -> jc.Motion:
 def learned():
     motion = swinging()
     return (
-        jc.prior.learn_pair_prior(SKELETON, motion, most=3),
+        jc.prior.learn_pair_prior(SKELETON, motion, max_components=3),
         jc.prior.learn_ranges(SKELETON, motion),
         motion,
     )
@@ -214,7 +220,7 @@ def test_poses_in_a_stack_and_motions_are_learned_alike(learned):
     prior, _, motion = learned
     halves = [motion.slice(slice(0, 100)), motion.slice(slice(100, None))]
     for poses in (halves, motion.poses):
-        again = jc.prior.learn_pair_prior(SKELETON, poses, most=3)
+        again = jc.prior.learn_pair_prior(SKELETON, poses, max_components=3)
         np.testing.assert_array_equal(again.means, prior.means)
 
 
@@ -223,7 +229,7 @@ def test_ranges_hold_what_was_seen_and_turn_back_what_was_not(rng, learned):
     assert boxes.joints == ("spine", "chest", "elbow", "hand", "neck", "jaw")
     for frame in range(0, 240, 40):
         assert allowed(boxes, SKELETON, motion[frame]).all()
-    vectors = turn_vectors(SKELETON, motion)[:, SKELETON.index("hand")]
+    vectors = rotation_vectors(SKELETON, motion)[:, SKELETON.index("hand")]
     np.testing.assert_allclose(boxes.lower[boxes.joints.index("hand")], vectors.min(0))
     wild = random_pose(SKELETON, rng, 1.0)
     back = boxes.nearest(SKELETON, wild)
@@ -231,7 +237,7 @@ def test_ranges_hold_what_was_seen_and_turn_back_what_was_not(rng, learned):
     assert allowed(boxes, SKELETON, back).all()
     np.testing.assert_array_equal(back.rotations[0], wild.rotations[0])
     np.testing.assert_array_equal(boxes.nearest(SKELETON, motion[3]).rotations, motion[3].rotations)
-    beyond = own_vectors(SKELETON, wild)[boxes.owners(SKELETON)[::3]].reshape(-1)
+    beyond = local_rotation_vectors(SKELETON, wild)[boxes.owners(SKELETON)[::3]].reshape(-1)
     residual = boxes.residual(SKELETON, wild)
     inside = beyond - residual
     np.testing.assert_allclose(inside, jnp.clip(beyond, boxes.lower.ravel(), boxes.upper.ravel()), atol=1e-12)
@@ -244,7 +250,7 @@ def test_a_prior_of_another_skeleton_is_refused(tmp_path, learned):
     prior, boxes, _ = learned
     path = tmp_path / "prior.npz"
     jc.io.save_prior(path, prior, boxes)
-    assert misfit(prior, SKELETON) is None
+    assert describe_mismatch(prior, SKELETON) is None
     other = jc.make_skeleton(("a", "b"), (-1, 0), ("free", "ball"), np.eye(3)[:2])
     with pytest.raises(jc.InputError, match="another skeleton: there is no joint 'spine' among a, b"):
         jc.io.load_prior(path, other)
@@ -340,7 +346,7 @@ def test_an_elbow_that_bends_the_other_way_is_less_likely(shared):
     skeleton = read[0][0]
     motions = [motion.slice(slice(None, None, 20)) for _, motion in read]
     prior, boxes = (
-        jc.prior.learn_pair_prior(skeleton, motions, most=3),
+        jc.prior.learn_pair_prior(skeleton, motions, max_components=3),
         jc.prior.learn_ranges(skeleton, motions),
     )
     likely = eqx.filter_jit(jc.prior.likelihood)

@@ -155,11 +155,17 @@ def test_sentences_in_full():
         "VertexLandmarks: `targets` is a floating-point array of shape (3, 3); expected a floating-point "
         "array of shape (C, 3), where C is 4 as in `vertices`."
     )
-    with pytest.raises(InputError, match=f"Body: `skin` has length {V + 1}; expected {V}, dimension V of `vertices`"):
+    with pytest.raises(
+        InputError, match=f"Body: `skin` has length {V + 1}; expected {V}, dimension V of `vertices`"
+    ):
         jc.Body(BODY.skeleton, jc.LinearSkin(jnp.ones((V + 1, J))), BODY.vertices, BODY.faces)
-    with pytest.raises(InputError, match=f"Body: `skin` has length {J + 1}; expected {J}, dimension J of `skeleton`"):
+    with pytest.raises(
+        InputError, match=f"Body: `skin` has length {J + 1}; expected {J}, dimension J of `skeleton`"
+    ):
         jc.Body(BODY.skeleton, jc.LinearSkin(jnp.ones((V, J + 1))), BODY.vertices, BODY.faces)
-    with pytest.raises(InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `places`"):
+    with pytest.raises(
+        InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `places`"
+    ):
         jc.MarkerFrames(jnp.ones((2, 4, 3)), jnp.ones((2, 4), bool), tuple("abc"))
     with pytest.raises(
         InputError, match="Motion: `rate` is -30.0; expected a number of frames per second above 0"
@@ -276,7 +282,7 @@ def test_units():
 def test_scans_of_files_are_clouds(monkeypatch):
     """What `read_clouds` gives goes wherever clouds do, and comes to the same."""
     # searches are slow, and are not what this is about
-    monkeypatch.setattr(sequence, "wanted", lambda frame: False)
+    monkeypatch.setattr(sequence, "needs_search", lambda frame: False)
     points = np.asarray(BODY.vertices, float)
     scans = Scans(["a", "b"], lambda frame: (points, points - points.mean(0), np.zeros((0, 3), int)))
     clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]
@@ -305,7 +311,5 @@ def test_scans_of_files_are_clouds(monkeypatch):
     for one in (clouds[0], scans[0]):
         with pytest.raises(InputError):
             jc.track(BODY, one)
-    with pytest.raises(
-        InputError, match="Cloud 0 is a floating-point array of shape .*; expected a Cloud"
-    ):
+    with pytest.raises(InputError, match="Cloud 0 is a floating-point array of shape .*; expected a Cloud"):
         jc.track(BODY, points[None])

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from benchmarks import report
-from benchmarks._scenes import Noise, about_vertical, human_motion, scan_frame
+from benchmarks._scenes import Noise, human_motion, rotation_about_y, scan_frame
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
 from jaxcap.metrics import scan_to_surface
@@ -211,7 +211,7 @@ def test_a_scan_is_as_noisy_as_it_says(rng):
 
 def test_outliers_and_turns(rng):
     body = human(resolution="low")
-    turn = about_vertical(np.pi / 2)
+    turn = rotation_about_y(np.pi / 2)
     np.testing.assert_allclose(turn @ [0.0, 0.0, 1.0], [1.0, 0.0, 0.0], atol=1e-12)
     noise = Noise(points=1000, deviation=0.0, tilt=0.0, outliers=0.3)
     scanned = scan_frame(body, rest_pose(body.skeleton), rng, noise, turn=turn)

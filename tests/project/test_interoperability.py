@@ -56,7 +56,7 @@ def opensim_tables(names, folder):
     assert centres.getNumRows() == motion.num_frames
     expected = jc.markers.joint_frames(body.skeleton, motion)
     read = jc.read_markers(folder / "joints.trc")
-    np.testing.assert_allclose(read.places, expected.places, atol=1e-5)
+    np.testing.assert_allclose(read.positions, expected.positions, atol=1e-5)
     table = names["opensim"].TimeSeriesTable("angles.mot")
     first = table.getRowAtIndex(3).to_numpy()
     np.testing.assert_allclose(first, np.asarray(names["angles"])[3], atol=1e-3)

@@ -188,4 +188,4 @@ def test_a_sentence_is_told_of_the_outermost_function():
     with pytest.raises(InputError) as caught:
         jc.human(resolution=2)
     assert caught.value.function == "human"
-    assert re.match("A body cannot be reduced to 2 vertices", caught.value.sentence)
+    assert re.match("A body cannot be reduced to 2 vertices", caught.value.message)

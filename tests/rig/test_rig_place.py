@@ -20,9 +20,9 @@ from jaxcap.rig.template import (
     average_build,
     build_body,
     load_template,
-    move,
     pose_template,
-    prior_spreads,
+    prior_deviations,
+    retract_person,
 )
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
@@ -66,7 +66,7 @@ def test_a_build_stretches_bones_by_its_lengths_and_nothing_else():
     expected = 2.0 * bones(rest)
     shins = np.isin(names[1:], ["LeftFoot", "RightFoot"])
     np.testing.assert_allclose(bones(stretched), np.where(shins, 1.2, 1.0) * expected, atol=1e-6)
-    weights = np.asarray(rest.skin.influence(len(names)))
+    weights = np.asarray(rest.skin.bone_weights(len(names)))
     head = weights[:, names.index("Head")] > 0.999
     np.testing.assert_allclose(
         stretched.vertices[head] - stretched.vertices[head][0],
@@ -95,7 +95,7 @@ def test_joints_are_found_in_people_of_another_build(rng, options, up):
     assert errors.max() < 0.040
     # left and right follow from which way the feet point: a swap would put joints far off
     np.testing.assert_allclose(np.asarray(body.vertices), vertices @ turn)
-    weights = np.asarray(body.skin.influence(len(names)))
+    weights = np.asarray(body.skin.bone_weights(len(names)))
     np.testing.assert_allclose(weights.sum(1), 1, atol=1e-6)
     assert (weights > 0).sum(1).max() <= 4
     # at rest the body is the mesh as given
@@ -132,7 +132,7 @@ def test_the_skeleton_stands_inside_a_real_performer(shared):
 
 def test_the_template_is_drawn_by_the_squares_of_its_pairs(rng):
     template = load_template()
-    spreads = jnp.asarray(prior_spreads(template))
+    spreads = jnp.asarray(prior_deviations(template))
     start = Person(average_build(template), rest_pose(template.body.skeleton))
     size, count = 0.1, len(template.body.vertices)
     places = np.asarray(pose_template(template, start).vertices)
@@ -146,7 +146,7 @@ def test_the_template_is_drawn_by_the_squares_of_its_pairs(rng):
     problem = TemplateProblem(template, *(jnp.asarray(part) for part in arrays))
 
     def plain(d):
-        person = move(template, start, spreads * d)
+        person = retract_person(template, start, spreads * d)
         left = targets - np.asarray(pose_template(template, person).vertices)
         # the root is free; all else is held about rest and the expected size
         held = np.asarray(d).copy()
@@ -158,7 +158,7 @@ def test_the_template_is_drawn_by_the_squares_of_its_pairs(rng):
     for _ in range(3):
         d = rng.normal(size=len(spreads))
         d *= 1e-3 / np.linalg.norm(d)
-        there = move(template, start, spreads * d)
+        there = retract_person(template, start, spreads * d)
         assert float(problem.value(there)) == pytest.approx(plain(d), rel=1e-12)
         slope = (plain(d) - plain(-d)) / 2
         assert float(info.grad @ d) == pytest.approx(slope, rel=1e-4)

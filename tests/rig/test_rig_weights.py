@@ -8,7 +8,7 @@ import trimesh
 
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.rig.envelopes import bone_distances, default_radii, default_tails, envelope_parts
+from jaxcap.rig.envelopes import assign_bones, bone_distances, default_radii, default_tails
 from jaxcap.rig.heat import heat_weights, prune_weights, smooth_weights, surface_operators
 from jaxcap.rig.rig import rig_mesh
 
@@ -57,12 +57,12 @@ def test_distance_to_a_bone_is_that_to_its_densely_sampled_points(rng):
 
 def test_a_vertex_goes_to_the_envelope_that_covers_it_deepest():
     vertices = np.array([[0.25, 0.1, 0.0], [0.75, 0.1, 0.0], [0.52, 0.05, 0.0]])
-    even = envelope_parts(vertices, chain(), TAILS, np.array([0.2, 0.2, 0.2]))
+    even = assign_bones(vertices, chain(), TAILS, np.array([0.2, 0.2, 0.2]))
     np.testing.assert_array_equal(even, [0, 1, 1])
     # the third is nearer to b, but deeper in a's wide envelope; b without envelope gets none
-    wide = envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.2, 0.2]))
+    wide = assign_bones(vertices, chain(), TAILS, np.array([1.0, 0.2, 0.2]))
     np.testing.assert_array_equal(wide[[0, 2]], 0)
-    without = envelope_parts(vertices, chain(), TAILS, np.array([1.0, 0.0, 1.5]))
+    without = assign_bones(vertices, chain(), TAILS, np.array([1.0, 0.0, 1.5]))
     np.testing.assert_array_equal(without, [0, 2, 0])
 
 
@@ -71,15 +71,15 @@ def test_a_vertex_in_no_envelope_is_named_and_the_radius_told_would_do():
     radii = np.array([0.2, 0.2, 0.2])
     message = r"Vertex 1 at \(0\.7500, 0\.3000, 0\.0000\) m .*'b'.* 0\.3000 m"
     with pytest.raises(InputError, match=message) as error:
-        envelope_parts(vertices, chain(), TAILS, radii)
+        assign_bones(vertices, chain(), TAILS, radii)
     told = float(re.findall(r"at least (\d\.\d+) m", str(error.value))[0])
-    widened = envelope_parts(vertices, chain(), TAILS, np.array([0.2, told + 1e-9, 0.2]))
+    widened = assign_bones(vertices, chain(), TAILS, np.array([0.2, told + 1e-9, 0.2]))
     np.testing.assert_array_equal(widened, [0, 1])
 
 
 def test_default_envelopes_cover_every_vertex():
     mesh = bar()
-    parts = envelope_parts(mesh.vertices, chain(), TAILS, default_radii(mesh.vertices, chain(), TAILS))
+    parts = assign_bones(mesh.vertices, chain(), TAILS, default_radii(mesh.vertices, chain(), TAILS))
     middle = np.abs(mesh.vertices[:, 0] % 0.5 - 0.25) < 0.15
     np.testing.assert_array_equal(parts[middle], mesh.vertices[middle, 0] // 0.5)
 
@@ -152,6 +152,6 @@ def test_a_mesh_with_unused_vertices_and_degenerate_triangles_is_rigged():
     faces = np.concatenate([mesh.faces, [[3, 3, 4]]])
     for method in ("heat", "envelopes"):
         body = rig_mesh(vertices, faces, chain(), method, tails=TAILS)
-        influence = np.asarray(body.skin.influence(3))
+        influence = np.asarray(body.skin.bone_weights(3))
         assert np.isfinite(influence).all()
         np.testing.assert_allclose(influence.sum(1), 1, atol=1e-6)

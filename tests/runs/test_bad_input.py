@@ -15,7 +15,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.fit.tracking.check import check_cloud, check_extent
 from jaxcap.io.archives.npz import save_body, save_motion
-from jaxcap.io.gltf.gltf_document import read_head
+from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 from jaxcap.io.system.lock import run_lock
 from jaxcap.observe import make_cloud
@@ -86,7 +86,9 @@ def test_one_run_at_a_time(inputs, tmp_path, capsys):
             ("track", inputs / "body.npz", inputs / "clouds.npz", "-o", out, "--overwrite"),
             ("demo", "-o", out),
         ):
-            assert f"out: another run (process {os.getpid()}) writes to this output" in fails(capsys, *command)
+            assert f"out: another run (process {os.getpid()}) writes to this output" in fails(
+                capsys, *command
+            )
         assert tree(out) == before
     with run_lock(out / "body.npz"):
         command = ("learn", inputs / "clouds.npz", "-o", out / "body.npz")
@@ -319,7 +321,7 @@ def test_a_head_that_promises_more_than_is_there(tmp_path):
     path = tmp_path / "body.glb"
     path.write_bytes(struct.pack("<4s4I", b"glTF", 2, 20, 2**32 - 1, 0x4E4F534A) + b"{}")
     tracemalloc.start()
-    assert read_head(path) == {}
+    assert read_gltf_json(path) == {}
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1e6

@@ -12,12 +12,12 @@ from benchmarks._fuzz_nasty import bomb, nasty_files
 from benchmarks._fuzz_read import FAULTS, outcome
 from benchmarks._fuzz_scenes import gltf, gltf_bytes
 from benchmarks._fuzz_seeds import FORMATS, make_seeds
-from jaxcap.cli.console.errors import told
-from jaxcap.errors import InputError, is_sentence
+from jaxcap.cli.console.errors import report_errors
+from jaxcap.errors import InputError, is_user_error
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.archive import load_arrays
 from jaxcap.io.gltf.gltf_reader import read_gltf
-from jaxcap.io.system.door import reads
+from jaxcap.io.system.door import reader_of
 
 #: bytes of files that are read in a moment
 SMALL = 50_000
@@ -81,20 +81,20 @@ def test_only_what_the_package_says_is_a_sentence(capsys):
     """NumPy's functions leave no frame, so a file of the package is the last one of its errors as well."""
     with pytest.raises(ValueError, match="broadcast") as theirs:
         look_at([0, 0], [0, 0, 0], 64, 48, 50)
-    assert not is_sentence(theirs.value)
+    assert not is_user_error(theirs.value)
     with pytest.raises(InputError) as ours:
         look_at([0, 0, 0], [0, 0, 0], 64, 48, 50)
-    assert is_sentence(ours.value)
+    assert is_user_error(ours.value)
     # neither is raised by the package
     for function, words in ((_ours, "no such joint"), (_reshaped, "cannot reshape")):
-        with pytest.raises(ValueError, match=words) as raised, told():
+        with pytest.raises(ValueError, match=words) as raised, report_errors():
             function()
-        assert not is_sentence(raised.value)
+        assert not is_user_error(raised.value)
     assert not capsys.readouterr().err
 
 
 def test_the_last_door_names_the_file(tmp_path):
-    @reads("a list of cats")
+    @reader_of("a list of cats")
     def read(path, error):
         raise error
 
@@ -165,7 +165,9 @@ def test_members_that_lie_are_told(tmp_path):
         content = io.BytesIO()
         np.save(content, np.zeros((2, 3)))
         file.writestr("a.npy", content.getvalue().replace(b"(2, 3)", b"(4, 3)"))
-    with pytest.raises(InputError, match=r"'a' has the shape \(4, 3\) and needs 96 bytes, but the file has 48"):
+    with pytest.raises(
+        InputError, match=r"'a' has the shape \(4, 3\) and needs 96 bytes, but the file has 48"
+    ):
         load_arrays(path)
 
 

@@ -97,11 +97,11 @@ def test_track(start, tmp_path):
 
 
 def test_learn(start, tmp_path):
-    from jaxcap.body.body import deform_all
+    from jaxcap.body.body import posed_vertices
     from tests.cli.test_cli_learn import FRAMES, bar, poses
 
     body = bar()
-    meshes = np.asarray(deform_all(body, poses()))
+    meshes = np.asarray(posed_vertices(body, poses()))
     meshes = meshes + 0.001 * np.random.default_rng(0).normal(size=meshes.shape)
     np.savez(tmp_path / "meshes.npz", vertices=meshes[:FRAMES], faces=np.asarray(body.faces))
     command = ["learn", tmp_path / "meshes.npz", "--joints", 1, "--rounds", 3, "-o"]

@@ -60,11 +60,11 @@ def test_track_that_searches(tmp_path):
 
 
 def test_learn(tmp_path):
-    from jaxcap.body.body import deform_all
+    from jaxcap.body.body import posed_vertices
     from tests.cli.test_cli_learn import bar, poses
 
     body = bar()
-    np.savez(tmp_path / "meshes.npz", vertices=deform_all(body, poses()), faces=np.asarray(body.faces))
+    np.savez(tmp_path / "meshes.npz", vertices=posed_vertices(body, poses()), faces=np.asarray(body.faces))
     words = ["learn", tmp_path / "meshes.npz", "--joints", 1, "--rounds", 2, "-o", tmp_path / "body.npz"]
     assert max(silences(tmp_path, *words, "--report", tmp_path / "report")) < LONGEST
 

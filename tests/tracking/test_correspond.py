@@ -13,7 +13,7 @@ from jaxcap.fit.correspondence.correspond import (
     SoftAssignment,
     find_pairs,
     make_scan,
-    places_on,
+    pair_positions,
     within_aperture,
 )
 from jaxcap.geometry.camera import look_at
@@ -32,7 +32,7 @@ def scan_of(rng, count: int = 400, size: float = 1.05):
 
 def pairs_of(scan, matching=PLAIN, visible=None):
     found = find_pairs(VERTICES, VERTICES, FACES, scan, matching, visible)
-    assert (np.asarray(found.shares) == 1).all()
+    assert (np.asarray(found.barycentric) == 1).all()
     return [np.asarray(part) for part in (found.vertices[:, 0], found.points, found.normals, found.weights)]
 
 
@@ -43,10 +43,10 @@ ONE_WAY = PLAIN._replace(from_body=False)
 def all_of(scan, matching, visible=None):
     """Vertices, shares, points, normals, weights and the distances of pairs on the ball."""
     found = find_pairs(VERTICES, VERTICES, FACES, scan, matching, visible)
-    apart = np.linalg.norm(places_on(found, jnp.asarray(VERTICES)) - found.points, axis=1)
-    np.testing.assert_allclose(np.sum(found.shares, 1), 1.0, atol=1e-12)
-    assert np.all(np.asarray(found.shares) >= 0)
-    return [np.asarray(x) for x in (found.vertices, found.shares, found.points, found.normals, found.weights, apart)]  # fmt: skip
+    apart = np.linalg.norm(pair_positions(found, jnp.asarray(VERTICES)) - found.points, axis=1)
+    np.testing.assert_allclose(np.sum(found.barycentric, 1), 1.0, atol=1e-12)
+    assert np.all(np.asarray(found.barycentric) >= 0)
+    return [np.asarray(x) for x in (found.vertices, found.barycentric, found.points, found.normals, found.weights, apart)]  # fmt: skip
 
 
 def test_nearest_both_ways_as_brute_force_has_them(rng):
@@ -55,10 +55,10 @@ def test_nearest_both_ways_as_brute_force_has_them(rng):
     apart = np.linalg.norm(scan.points[:, None] - VERTICES[None], axis=2)
     count = len(scan.points)
     assert (rows[:count] == apart.argmin(1)).all()
-    np.testing.assert_allclose(points[scan.padded :], scan.points[apart.argmin(0)])
+    np.testing.assert_allclose(points[scan.padded_size :], scan.points[apart.argmin(0)])
     # as many pairs for every scan of one padding, those of the padding without weight
-    assert len(rows) == scan.padded + len(VERTICES)
-    assert (weights[count : scan.padded] == 0).all()
+    assert len(rows) == scan.padded_size + len(VERTICES)
+    assert (weights[count : scan.padded_size] == 0).all()
     assert (weights[:count] > 0).all()
 
 
@@ -86,7 +86,7 @@ def test_what_no_camera_sees_is_in_no_pair(rng):
 def test_every_triangle_loses_the_pair_that_is_furthest_apart(rng):
     scan = scan_of(rng)
     plain, uniform = pairs_of(scan)[3], pairs_of(scan, Matching())[3]
-    body = slice(scan.padded, None)
+    body = slice(scan.padded_size, None)
     apart = np.linalg.norm(VERTICES - pairs_of(scan)[1][body], axis=1)
     worst = FACES[np.arange(len(FACES)), apart[FACES].argmax(1)]
     assert (uniform[body][worst] == 0).all()
@@ -106,7 +106,7 @@ def test_directions_are_the_means_of_both_normals(rng):
 def test_one_way_alone(rng, ways):
     scan = scan_of(rng)
     rows, *_ = pairs_of(scan, PLAIN._replace(from_scan=ways[0], from_body=ways[1]))
-    assert len(rows) == (scan.padded if ways[0] else len(VERTICES))
+    assert len(rows) == (scan.padded_size if ways[0] else len(VERTICES))
 
 
 def test_nearest_on_the_surface_as_trimesh_has_it(rng):
@@ -146,7 +146,7 @@ def test_vertices_meet_the_surface_of_a_scan_at_its_nearest_points(rng):
     """From the body a surface's pairs are those of vertices, as wide as the others."""
     scan = scan_of(rng)
     plain, wide = (all_of(scan, Matching(assignment=kind)) for kind in KINDS[:2])
-    body = slice(scan.padded, None)
+    body = slice(scan.padded_size, None)
     assert wide[0].shape == (len(plain[0]), 3)
     np.testing.assert_array_equal(wide[0][body], plain[0][body].repeat(3, 1))
     np.testing.assert_array_equal(wide[1][body], np.eye(1, 3).repeat(len(VERTICES), 0))
@@ -224,8 +224,8 @@ def test_soft_pairs_become_nearest_vertices(rng):
     np.testing.assert_allclose(weights[:vertices], mass, atol=1e-6)
     means = (nearest @ scan.points)[mass > 0] / mass[mass > 0, None]
     np.testing.assert_allclose(points[:vertices][mass > 0], means, atol=1e-6)
-    np.testing.assert_allclose(points[vertices:], places[scan.padded :], atol=1e-6)
-    np.testing.assert_allclose(weights[vertices:], kept[scan.padded :], atol=1e-6)
+    np.testing.assert_allclose(points[vertices:], places[scan.padded_size :], atol=1e-6)
+    np.testing.assert_allclose(weights[vertices:], kept[scan.padded_size :], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_every_triangle_of_the_scan_loses_its_worst_point(rng):
         assert not kept[triangle[np.argmax(apart[triangle])]]
     assert kept.any()
     # as many pairs as its vertices have with their padding
-    assert len(found.weights) == scan.padded >= len(POINTS)
+    assert len(found.weights) == scan.padded_size >= len(POINTS)
 
 
 def test_reach_and_normals_hold_as_for_clouds():

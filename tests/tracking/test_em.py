@@ -15,8 +15,8 @@ from jaxcap.fit.tracking.em import (
     Estimate,
     box_volume,
     data_energy,
+    e_step,
     em_step,
-    expectation,
     frame_statistics,
     make_mixture,
     uniform_priors,
@@ -25,7 +25,7 @@ from jaxcap.observe import Cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton
-PARTS = make_parts(BODY.skin.parts(), SKELETON.num_joints, BODY.vertices)
+PARTS = make_parts(BODY.skin.dominant_bones(), SKELETON.num_joints, BODY.vertices)
 #: the paper's: distances to points, all parts, no floor under sigma; normals are not known here
 MIXTURE = make_mixture(
     outlier=0.1,
@@ -75,7 +75,7 @@ def test_the_likelihood_never_falls(rng):
     assert float(last.sigma) == pytest.approx(NOISE, rel=0.1)
     joints = [pose_body(BODY, pose).joints for pose in (last.pose, truth)]
     assert np.linalg.norm(joints[0] - joints[1], axis=1).max() < 0.005
-    shares = np.bincount(BODY.skin.parts(), minlength=SKELETON.num_joints) / len(BODY.vertices)
+    shares = np.bincount(BODY.skin.dominant_bones(), minlength=SKELETON.num_joints) / len(BODY.vertices)
     np.testing.assert_allclose(last.priors, shares, atol=0.05)
 
 
@@ -86,7 +86,7 @@ def test_what_is_minimised_is_the_expected_distance(rng, tangential):
     cloud = eqx.tree_at(lambda c: c.weights, cloud, jnp.asarray(rng.uniform(0, 2, 120)).at[7].set(0.0))
     pose = random_pose(SKELETON, rng, 0.2, scale=1.2)
     estimate = Estimate(pose, jnp.asarray(0.05), uniform_priors(PARTS))
-    posed, found = eqx.filter_jit(expectation)(BODY, PARTS, MIXTURE, cloud, box_volume(cloud), estimate)
+    posed, found = eqx.filter_jit(e_step)(BODY, PARTS, MIXTURE, cloud, box_volume(cloud), estimate)
     energy = data_energy(found, posed, cloud, estimate.sigma, jnp.asarray(tangential))
 
     def full_sum(there, normals):
@@ -124,5 +124,5 @@ def test_the_box_is_around_what_weighs(rng):
 
 def test_parts_without_vertices_have_no_share():
     priors = uniform_priors(PARTS)
-    present = np.isin(np.arange(SKELETON.num_joints), BODY.skin.parts())
+    present = np.isin(np.arange(SKELETON.num_joints), BODY.skin.dominant_bones())
     np.testing.assert_allclose(priors, present / present.sum(), atol=1e-15)

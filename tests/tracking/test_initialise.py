@@ -11,7 +11,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.prior import tangent_deviations
-from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, subtree_starts, turned_starts
+from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
@@ -68,7 +68,7 @@ def test_a_person_is_found_from_nothing(tracker, rng):
 def test_starts_look_in_all_directions_from_the_middle_of_the_cloud(tracker, rng):
     """In spite of one point in ten that lies anywhere: a turn that fits is among the starts."""
     truth = turned(rest_pose(SKELETON), 120.0, [1.0, 0.2, -3.0])
-    starts = turned_starts(tracker, scan(truth, rng, wild=60), rest_pose(SKELETON), 6, jnp.asarray(UP))
+    starts = rotated_starts(tracker, scan(truth, rng, wild=60), rest_pose(SKELETON), 6, jnp.asarray(UP))
     errors = []
     for number in range(6):
         start = jax.tree.map(lambda leaf, number=number: leaf[number], starts)
@@ -103,7 +103,7 @@ def test_a_limb_moves_while_the_rest_stays():
     assert not moved[0].any()
     turning = np.array([kind != "fixed" for kind in SKELETON.kinds])
     subtrees = [
-        tuple(np.asarray(SKELETON.descent)[joint] & turning) for joint in range(1, SKELETON.num_joints)
+        tuple(np.asarray(SKELETON.descendants)[joint] & turning) for joint in range(1, SKELETON.num_joints)
     ]
     drawn = {tuple(row) for row in moved[1:]}
     assert drawn <= set(subtrees)

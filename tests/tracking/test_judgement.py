@@ -14,10 +14,16 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.fit.correspondence.visibility import visible_vertices
-from jaxcap.fit.judgement.evidence import _seen_by, gather_evidence
-from jaxcap.fit.judgement.inside import within_others
-from jaxcap.fit.judgement.surface import _even_samples, judged_surface, region_name
-from jaxcap.fit.judgement.usual import nothing_usual, renew, sensors_of, usual_of, warned
+from jaxcap.fit.judgement.evidence import _visible_in_camera, gather_evidence
+from jaxcap.fit.judgement.inside import inside_degrees
+from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_surface
+from jaxcap.fit.judgement.usual import (
+    initial_values,
+    mark_flagged,
+    median_values,
+    sensor_directions,
+    update_values,
+)
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
 from jaxcap.geometry.mesh import sample_surface
@@ -25,10 +31,10 @@ from jaxcap.observe import Cloud, make_cloud
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton
-SURFACE = judged_surface(BODY)
+SURFACE = sampled_surface(BODY)
 REST = rest_pose(SKELETON)
-NOTHING = nothing_usual(SURFACE)
-NOBODY = sensors_of(NOTHING)
+NOTHING = initial_values(SURFACE)
+NOBODY = sensor_directions(NOTHING)
 POINTS = 3000
 _pose_body = eqx.filter_jit(pose_body)
 
@@ -56,7 +62,9 @@ def learned(frames: int, rng):
     """What is usual after some right frames."""
     usual = NOTHING
     for _ in range(frames):
-        usual = renew(usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensors_of(usual)))
+        usual = update_values(
+            usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(usual))
+        )
     return usual
 
 
@@ -65,7 +73,7 @@ def in_front(points, normals):
 
 
 def judged(usual, pose: Pose, cloud: Cloud):
-    return judge_evidence(SURFACE, usual, gather_evidence(SURFACE, pose, cloud, sensors_of(usual)))
+    return judge_evidence(SURFACE, usual, gather_evidence(SURFACE, pose, cloud, sensor_directions(usual)))
 
 
 def test_regions_are_limbs():
@@ -92,7 +100,7 @@ def test_a_right_pose_leaves_nothing_unexplained_and_nothing_empty(rng):
 def test_a_clump_of_points_is_counted_where_it_is(rng):
     """A ball a hand's breadth before the left shin, of one point in thirty."""
     shin = np.asarray(_pose_body(BODY, REST).vertices)[
-        np.asarray(BODY.skin.parts()) == SKELETON.index("LeftLeg")
+        np.asarray(BODY.skin.dominant_bones()) == SKELETON.index("LeftLeg")
     ]
     ball = shin.mean(0) + [0.0, 0.0, 0.25] + 0.03 * rng.normal(size=(POINTS // 30, 3))
     evidence = gather_evidence(SURFACE, REST, scan(REST, rng, extra=ball), NOBODY)
@@ -106,8 +114,8 @@ def test_a_clump_of_points_is_counted_where_it_is(rng):
 def test_a_limb_without_points_is_empty_by_its_area(rng):
     arm = np.asarray([name == "left arm" for name in SURFACE.names])
     away, cloud = turned(REST, LeftArm=0.9), scan(REST, rng)
-    usual = renew(NOTHING, gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY))
-    evidence = gather_evidence(SURFACE, away, cloud, sensors_of(usual))
+    usual = update_values(NOTHING, gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY))
+    evidence = gather_evidence(SURFACE, away, cloud, sensor_directions(usual))
     area = float(SURFACE.areas @ arm[SURFACE.regions])
     assert 0.3 * area < float(jnp.sum(evidence.empty[arm])) < area
     assert float(jnp.sum(evidence.empty[~arm])) < 0.005
@@ -124,11 +132,11 @@ def test_right_frames_are_good_and_wrong_ones_are_not(rng, kept):
     usual = NOTHING
     for frame in range(6):
         pose = turned(REST, LeftArm=0.1 * frame, RightLeg=-0.1 * frame, RightUpLeg=0.1 * frame)
-        evidence = gather_evidence(SURFACE, pose, scan(pose, rng, kept), sensors_of(usual))
+        evidence = gather_evidence(SURFACE, pose, scan(pose, rng, kept), sensor_directions(usual))
         judgement = judge_evidence(SURFACE, usual, evidence)
         assert judgement.verdict == "good", judgement.reasons
         assert judgement.reasons == ()
-        usual = renew(usual, evidence)
+        usual = update_values(usual, evidence)
     cloud = scan(pose, rng, kept)
     for wrong in (turned(pose, RightLeg=1.5), turned(pose, LeftArm=1.0), turned(pose, LeftForeArm=2.0)):
         judgement = judged(usual, wrong, cloud)
@@ -141,7 +149,7 @@ def test_right_frames_are_good_and_wrong_ones_are_not(rng, kept):
 def test_clothes_are_usual_once_they_were_seen(rng):
     """A jacket of 60 mm about the trunk: doubtful at first, and good afterwards; a lost arm is still seen."""
     trunk = [SKELETON.index(name) for name in ("LowerBack", "Spine", "Spine1")]
-    offset = 0.06 * np.isin(np.asarray(BODY.skin.parts()), trunk)
+    offset = 0.06 * np.isin(np.asarray(BODY.skin.dominant_bones()), trunk)
 
     def clothed(pose):
         posed = _pose_body(BODY, pose)
@@ -156,8 +164,8 @@ def test_clothes_are_usual_once_they_were_seen(rng):
     assert first.reasons[0] == "unexplained points near the trunk"
     one_by_one = NOTHING
     for frame in evidence:
-        one_by_one = renew(one_by_one, frame)
-    at_once = usual_of(jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence))
+        one_by_one = update_values(one_by_one, frame)
+    at_once = median_values(jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence))
     for usual in (one_by_one, at_once):
         again = judged(usual, poses[2], clothed(poses[2]))
         assert again.verdict == "good", (again.shares, again.reasons)
@@ -173,12 +181,12 @@ def test_a_ball_within_another_by_its_area(distance):
     points = np.concatenate([0.5 * ball, 0.5 * ball + [distance, 0.0, 0.0]])
     regions, areas = np.repeat([0, 1], 800), np.full(1600, np.pi / 800)
     arguments = [jnp.asarray(a) for a in (points, np.tile(ball, (2, 1)), areas, regions)]
-    within = np.asarray(within_others(*arguments, jnp.asarray(1.0 - np.eye(2)), 0.02))
+    within = np.asarray(inside_degrees(*arguments, jnp.asarray(1.0 - np.eye(2)), 0.02))
     cap = np.pi * max(0.5 - distance / 2, 0.0)
     assert areas @ within / 2 == pytest.approx(cap, rel=0.05, abs=1e-3)
     assert not within[np.linalg.norm(points - points[800:].mean(0), axis=1)[regions == 0].argmax()]
     # a region is not within itself, nor in what it hangs on
-    assert not np.asarray(within_others(*arguments, jnp.zeros((2, 2)), 0.02)).any()
+    assert not np.asarray(inside_degrees(*arguments, jnp.zeros((2, 2)), 0.02)).any()
 
 
 def test_legs_through_each_other_are_told_where_every_point_is_explained(rng):
@@ -202,7 +210,7 @@ def test_legs_through_each_other_are_told_where_every_point_is_explained(rng):
 def test_a_camera_sees_what_its_depth_buffer_says():
     camera = look_at([0.4, 0.6, 2.5], [0.0, 0.0, 0.0], 320, 240, 60.0)
     posed = _pose_body(SURFACE.body, REST)
-    ours = np.asarray(_seen_by(camera, posed.vertices, SURFACE.normals, SURFACE.size))
+    ours = np.asarray(_visible_in_camera(camera, posed.vertices, SURFACE.normals, SURFACE.size))
     corners, _ = _even_samples(np.asarray(BODY.vertices), np.asarray(BODY.faces))
     seen = np.asarray(visible_vertices(camera, BODY.vertices, BODY.faces, 0.02))[corners]
     # samples are within triangles, and those of which one corner is hidden are on an edge
@@ -215,11 +223,11 @@ def test_a_fault_that_grows_slowly_does_not_become_usual(rng):
     usual, verdicts = learned(5, rng), []
     for angle in np.radians(np.arange(0, 60, 0.5)):
         pose, cloud = turned(REST, LeftArm=float(angle)), scan(REST, rng)
-        evidence = gather_evidence(SURFACE, pose, cloud, sensors_of(usual))
+        evidence = gather_evidence(SURFACE, pose, cloud, sensor_directions(usual))
         judgement = judge_evidence(SURFACE, usual, evidence)
         verdicts.append(judgement.verdict)
         # the worst that may happen: that all that is not lost is learned from
-        usual = usual if judgement.verdict == "lost" else renew(usual, evidence)
+        usual = usual if judgement.verdict == "lost" else update_values(usual, evidence)
     assert verdicts[0] == "good"
     assert "good" not in verdicts[-20:]
 
@@ -233,9 +241,9 @@ def test_a_body_that_always_ran_through_itself_is_not_usual(rng):
     crossed = retract(SKELETON, REST, jnp.asarray(change))
     usual = NOTHING
     for _ in range(4):
-        evidence = gather_evidence(SURFACE, crossed, scan(crossed, rng), sensors_of(usual))
+        evidence = gather_evidence(SURFACE, crossed, scan(crossed, rng), sensor_directions(usual))
         judgement = judge_evidence(SURFACE, usual, evidence)
-        usual = renew(usual, evidence)
+        usual = update_values(usual, evidence)
     assert float(np.max(evidence.inside)) > 0.02
     assert judgement.verdict != "good"
     assert any("leg inside another part" in reason for reason in judgement.reasons)
@@ -251,7 +259,7 @@ def test_parts_without_points_are_told(rng):
         return points[:, 0] * np.sign(elbow[0]) < abs(elbow[0]) - 0.04
 
     def unseen(kept):
-        evidence = gather_evidence(SURFACE, REST, scan(REST, rng, kept), sensors_of(usual))
+        evidence = gather_evidence(SURFACE, REST, scan(REST, rng, kept), sensor_directions(usual))
         return judge_evidence(SURFACE, usual, evidence).unseen
 
     assert not unseen(lambda points, normals: np.ones(len(points), bool))
@@ -263,7 +271,7 @@ def test_parts_beside_one_without_points_need_more_of_them(rng):
     """A forearm that takes a few points of the trunk is as much of a guess as the upper arm that has none."""
     usual = learned(3, rng)
     judgement = judge_evidence(
-        SURFACE, usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensors_of(usual))
+        SURFACE, usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(usual))
     )
     there = {"LeftArm": 0.0, "LeftForeArm": 0.4, "RightForeArm": 0.4}
     support = np.array([there.get(part, 1.0) for part in judgement.parts])
@@ -274,10 +282,13 @@ def test_a_fault_at_the_limit_does_not_flicker(rng):
     """After a frame that was not good, one has to lie further within the limits."""
     usual = learned(3, rng)
     cloud = scan(turned(REST, LeftArm=0.12), rng)
-    after = [judged(known, REST, cloud) for known in (usual, warned(usual))]
+    after = [judged(known, REST, cloud) for known in (usual, mark_flagged(usual))]
     np.testing.assert_array_equal(after[0].shares, after[1].shares)
     doubt = [float(one.doubt) for one in after]
     assert doubt[1] < doubt[0]
     between = [dataclasses.replace(one, shares=np.full((3, 18), np.mean(doubt))) for one in after]
     assert [one.verdict for one in between] == ["good", "doubtful"]
-    assert float(renew(warned(usual), gather_evidence(SURFACE, REST, cloud, NOBODY)).warned) == 0.0
+    assert (
+        float(update_values(mark_flagged(usual), gather_evidence(SURFACE, REST, cloud, NOBODY)).flagged)
+        == 0.0
+    )

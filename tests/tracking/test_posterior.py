@@ -116,7 +116,7 @@ def test_a_culled_search_finds_the_same():
     np.testing.assert_array_equal(np.asarray(nearest)[within], np.asarray(vertex)[within])
     # and as few pairs as this were gone through
     tiles, blocks = nearest_module._tiles_and_blocks(parts, vertices, normals, ordered, 0.4)
-    assert np.mean(nearest_module._in_reach(tiles, blocks, reach)) < nearest_module.FEW
+    assert np.mean(nearest_module._in_reach(tiles, blocks, reach)) < nearest_module.MAX_CULLED_SHARE
 
 
 @pytest.mark.shared

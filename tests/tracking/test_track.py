@@ -133,7 +133,7 @@ def test_a_scan_is_the_loop(scene):
     stacked = stack_clouds(clouds[:3])
     last, (poses, statistics) = eqx.filter_jit(scan_track)(TRACKER, state, stacked)
     for number in range(3):
-        state, alone = recover.next_frame(TRACKER, state, clouds[number])
+        state, alone = recover.track_frame_jit(TRACKER, state, clouds[number])
         pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
         assert apart(pose, state.estimate.pose) < 1e-8
         assert float(statistics.log_likelihood[number]) == pytest.approx(
@@ -148,7 +148,7 @@ def test_a_batch_is_its_members(scene):
     poses, statistics = fit_batch(TRACKER, starts, stack_clouds([clouds[1], clouds[4]]), sigma=0.05)
     for number, frame in enumerate((1, 4)):
         state = start_state(TRACKER, truth[frame], 0.05)
-        state, alone = recover.next_frame(TRACKER, state, clouds[frame])
+        state, alone = recover.track_frame_jit(TRACKER, state, clouds[frame])
         pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
         assert apart(pose, state.estimate.pose) < 1e-8
         assert float(statistics.sigma[number]) == pytest.approx(float(alone.sigma), rel=1e-8)
@@ -159,7 +159,7 @@ def test_the_order_of_points_does_not_matter(scene, rng):
     state = start_state(TRACKER, truth[0])
     order = rng.permutation(clouds[1].points.shape[0])
     shuffled = jax.tree.map(lambda leaf: leaf[order], clouds[1])
-    one, other = (recover.next_frame(TRACKER, state, cloud)[0] for cloud in (clouds[1], shuffled))
+    one, other = (recover.track_frame_jit(TRACKER, state, cloud)[0] for cloud in (clouds[1], shuffled))
     assert apart(one.estimate.pose, truth[0]) > 0.01
     assert apart(one.estimate.pose, other.estimate.pose) < 1e-6
 
@@ -188,8 +188,8 @@ def test_a_rigid_motion_of_cloud_and_start_moves_the_result_alike(scene):
         turned(_pose_body(BODY, truth[2]).vertices) + shift,
         atol=1e-12,
     )
-    here, _ = recover.next_frame(TRACKER, start_state(TRACKER, truth[1]), cloud)
-    far, _ = recover.next_frame(TRACKER, start_state(TRACKER, moved(truth[1])), there)
+    here, _ = recover.track_frame_jit(TRACKER, start_state(TRACKER, truth[1]), cloud)
+    far, _ = recover.track_frame_jit(TRACKER, start_state(TRACKER, moved(truth[1])), there)
     assert apart(far.estimate.pose, moved(here.estimate.pose)) < 1e-6
 
 
@@ -221,7 +221,7 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
 
     def first(start, search):
         frames = track_frames(
-            TRACKER, clouds[:1], start, search=search, sigma=0.02, announce=announced.append
+            TRACKER, clouds[:1], start, search=search, sigma=0.02, on_search=announced.append
         )
         return next(frames)
 
@@ -238,13 +238,13 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
 
 
 def test_searches_that_do_not_help_become_rare():
-    patience, waits = recover.Patience(), []
+    patience, waits = recover.SearchPause(), []
     for _ in range(8):
-        patience = patience.after_failure()
+        patience = patience.extend()
         waits.append(patience.wait)
         while patience.wait > 0:
-            patience = patience.after(good=False)
+            patience = patience.advance(good=False)
     assert waits == [2, 4, 8, 16, 32, 64, 128, 128]
     for _ in range(7):
-        patience = patience.after(good=True)
-    assert patience.after_failure().wait == 2
+        patience = patience.advance(good=True)
+    assert patience.extend().wait == 2

@@ -7,7 +7,7 @@ from helpers import chain_body
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.fit.tracking.limb_flips import limb_ends, turn_over
+from jaxcap.fit.tracking.limb_flips import flip_limb_ends, limb_ends
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
@@ -48,6 +48,6 @@ def test_a_hand_is_turned_back():
         return np.linalg.norm(found - truth, axis=-1)[:, skeleton.index("LThumb")].max()
 
     assert off(wrong) > 0.03
-    assert off(turn_over(tracker, clouds, wrong)) < 0.01
+    assert off(flip_limb_ends(tracker, clouds, wrong)) < 0.01
     right = [motion[frame] for frame in range(2)]
-    assert off(turn_over(tracker, clouds, right)) == 0
+    assert off(flip_limb_ends(tracker, clouds, right)) == 0

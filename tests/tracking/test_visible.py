@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.adapt.poses.pose import PIXELS
+from jaxcap.adapt.poses.pose import DEPTH_BUFFER_SIZE
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.demo.performance import walk_and_wave
 from jaxcap.fit.correspondence.visibility import visible_vertices
-from jaxcap.geometry.camera import in_picture, look_at, ring_of_cameras
+from jaxcap.geometry.camera import is_in_image, look_at, ring_of_cameras
 
 TOLERANCE = 0.005
 _pose_body = eqx.filter_jit(pose_body)
@@ -29,10 +29,12 @@ def seen_by_rays(camera, vertices, normals, faces):
     own = (faces[hit] == np.arange(len(vertices))[:, None]).any(1)
     hidden = (hit >= 0) & ~own & ((1 - share) * np.linalg.norm(away, axis=1) > TOLERANCE)
     turned = np.sum(normals * away, 1) < 0
-    return ~hidden & turned & np.asarray(in_picture(camera, jnp.asarray(vertices)))
+    return ~hidden & turned & np.asarray(is_in_image(camera, jnp.asarray(vertices)))
 
 
-@pytest.mark.parametrize(("resolution", "pixels"), [("full", 320), ("low", 320), ("medium", PIXELS)])
+@pytest.mark.parametrize(
+    ("resolution", "pixels"), [("full", 320), ("low", 320), ("medium", DEPTH_BUFFER_SIZE)]
+)
 def test_a_human_is_as_visible_as_rays_say(resolution, pixels):
     body = human(resolution=resolution)
     posed = _pose_body(body, walk_and_wave(body.skeleton, 1.5)[40])

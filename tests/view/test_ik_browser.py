@@ -11,12 +11,12 @@ from browser import chromium, vertices, wait_for_node
 from PIL import Image
 
 import jaxcap as jc
-from benchmarks._browser import pixel as on_page
-from benchmarks._browser import wait_for_eye
+from benchmarks._browser import project_to_page as on_page
+from benchmarks._browser import wait_for_camera
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik.solve import SOLVERS
 from jaxcap.view.ik.controls import SOLVERS as LABELS
-from jaxcap.view.ik.handles import MET
+from jaxcap.view.ik.handles import REACHED_COLOUR
 from jaxcap.view.ik.window import serve_ik
 from jaxcap.view.windows.serve import address, close_server, open_server
 
@@ -56,7 +56,7 @@ def open_window(chromium, served):
     window = wait(lambda: set(windows) - before).pop()
     wait(lambda: not window.note, PATIENCE)
     wait_for_node(page, SURFACE)
-    wait_for_eye(page, window.client.camera, window.middle)
+    wait_for_camera(page, window.client.camera, window.middle)
     return page, window
 
 
@@ -74,10 +74,10 @@ def hand_of(body) -> int:
 
 
 def drag(page, start, end, steps: int = 8) -> None:
-    page.mouse.move(*start)
+    page.mouse.retract(*start)
     page.mouse.down()
     for share in np.linspace(0, 1, steps + 1)[1:]:
-        page.mouse.move(*(start + share * (end - start)))
+        page.mouse.retract(*(start + share * (end - start)))
         time.sleep(0.05)
 
 
@@ -118,28 +118,28 @@ def test_a_point_is_clicked_dragged_and_arrives(chromium, served, body):
     start = pixel(window, held.target)
     end = start + [-50.0, -45.0]
     drag(page, start, end)
-    wait(lambda: window.session.grabbed is not None)
+    wait(lambda: window.session.drag_start is not None)
     page.mouse.up()
-    wait(lambda: window.session.grabbed is None and len(window.session.past) == 2)
+    wait(lambda: window.session.drag_start is None and len(window.session.undo_states) == 2)
     session = window.session
-    target = ik.constraint_at(session, held.point).target
+    target = ik.find_constraint(session, held.point).target
     assert np.linalg.norm(pixel(window, target) - end) < 3
     assert np.linalg.norm(np.subtract(target, held.target)) > 0.1
     # the session, the page and the picture say that the vertex is there
-    assert np.linalg.norm(np.subtract(ik.place_of(session, held.point), target)) < 0.01
+    assert np.linalg.norm(np.subtract(ik.point_position(session, held.point), target)) < 0.01
     wait(lambda: np.linalg.norm(vertices(page, SURFACE)[held.point] - target) < 0.01)
     # a ball under the mouse is lit up
-    page.mouse.move(5, 300)
-    wait(lambda: looks_like(colour_at(page, end), MET))
-    assert not looks_like(colour_at(page, start), MET)
+    page.mouse.retract(5, 300)
+    wait(lambda: looks_like(colour_at(page, end), REACHED_COLOUR))
+    assert not looks_like(colour_at(page, start), REACHED_COLOUR)
 
     # the other browser has seen nothing of it
     assert bystander.session.state.constraints == ()
     np.testing.assert_allclose(vertices(other, SURFACE), body.vertices, atol=1e-6)
-    assert not looks_like(colour_at(other, end), MET)
+    assert not looks_like(colour_at(other, end), REACHED_COLOUR)
 
     page.get_by_role("button", name="Undo").click()
-    wait(lambda: len(window.session.past) == 1)
+    wait(lambda: len(window.session.undo_states) == 1)
     wait(lambda: np.abs(vertices(page, SURFACE) - np.asarray(body.vertices)).max() < 1e-5)
     page.close()
     other.close()
@@ -213,7 +213,7 @@ def test_a_solver_that_fails_is_told_in_the_window(chromium, body, capfd):
     page = chromium(address(server))
     page.get_by_text("this prior has a fault").wait_for()
     (window,) = windows
-    np.testing.assert_array_equal(window.session.state.pose.rotations, window.session.home.rotations)
+    np.testing.assert_array_equal(window.session.state.pose.rotations, window.session.initial_pose.rotations)
     page.close()
     close_server(server)
     assert "Traceback" not in "".join(capfd.readouterr())
@@ -228,7 +228,7 @@ def test_a_body_without_faces_is_dragged_by_its_points(chromium, body):
     (window,) = wait(lambda: list(windows))
     wait(lambda: not window.note, PATIENCE)
     wait_for_node(page, "/body/points")
-    wait_for_eye(page, window.client.camera, window.middle)
+    wait_for_camera(page, window.client.camera, window.middle)
     page.mouse.click(*pixel(window, bare.vertices[hand_of(bare)]))
     (held,) = wait(lambda: window.session.state.constraints)
     assert np.linalg.norm(np.subtract(held.target, bare.vertices[hand_of(bare)])) < 0.05

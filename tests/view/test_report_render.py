@@ -5,7 +5,7 @@ import trimesh
 from matplotlib.figure import Figure
 
 from jaxcap.report.plots import draw_scan
-from jaxcap.report.render import draw_shadow, draw_surface, in_front, raised, turned
+from jaxcap.report.render import draw_shadow, draw_surface, raise_view, rotate_view, visible_points
 
 
 def test_points_behind_a_surface_are_hidden(rng):
@@ -16,7 +16,7 @@ def test_points_behind_a_surface_are_hidden(rng):
     within = np.hypot(points[:, 0], points[:, 1])
     sure = np.abs(within - 1.0) > 0.15
     hidden = (within < 1.0) & (points[:, 2] < 1.0)
-    shown = in_front(np.asarray(ball.vertices), points, cell=0.08)
+    shown = visible_points(np.asarray(ball.vertices), points, cell=0.08)
     found = np.zeros(500, bool)
     found[shown] = True
     np.testing.assert_array_equal(found[sure], ~hidden[sure])
@@ -46,7 +46,7 @@ def test_light_comes_from_the_upper_left_and_colours_stay():
 def test_a_shadow_lies_on_the_floor():
     box = trimesh.creation.box((0.2, 1.0, 0.2))
     plot = Figure().subplots()
-    view = raised(turned(np.eye(3), 30.0), 20.0)
+    view = raise_view(rotate_view(np.eye(3), 30.0), 20.0)
     np.testing.assert_allclose(view @ view.T, np.eye(3), atol=1e-12)
     seen = draw_shadow(plot, box.vertices, box.faces, view)
     flat = seen @ view

@@ -9,15 +9,15 @@ import pytest
 from browser import chromium, shown, vertices, wait_for_node, wait_for_vertex  # noqa: F401
 from helpers import chain_body, random_pose
 
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.cli.track.frame_records import pack, row_template, row_width, whose_poses
+from jaxcap.cli.track.frame_records import pack, pose_layout, row_template, row_width
 from jaxcap.fit.tracking.track_frame import make_tracker
-from jaxcap.io.archives.journal import begin_journal
+from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
 from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
-from jaxcap.view.figures.clouds import SeenClouds
+from jaxcap.view.figures.clouds import DisplayClouds
 from jaxcap.view.live import follow_run
 from jaxcap.view.notebook import show
 from jaxcap.view.windows import controls
@@ -34,7 +34,7 @@ def motion() -> Motion:
 
 @pytest.fixture(scope="module")
 def posed(motion) -> np.ndarray:
-    return np.asarray(deform_all(chain_body(), motion.poses))
+    return np.asarray(posed_vertices(chain_body(), motion.poses))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def server(motion, posed):
     scans = Scans([f"scan{i}" for i in range(len(posed))], lambda i: (posed[i] + shift[i], None, NO_FACES))
     server = open_server(0)
     take = make_take("a take", body.skeleton, body, motion)
-    serve_contents(server, Contents(takes=[take], clouds=[SeenClouds(scans)]))
+    serve_contents(server, Contents(takes=[take], clouds=[DisplayClouds(scans)]))
     yield server
     close_server(server)
 
@@ -74,7 +74,7 @@ def test_a_scrub_brings_the_frame_and_changes_the_picture(chromium, window, pose
 
 def test_it_plays_and_stops(chromium, window, posed, monkeypatch):  # noqa: F811
     # the slider does not follow while it plays: where it stands it has to
-    monkeypatch.setattr(controls, "FOLLOWING", 0.01)
+    monkeypatch.setattr(controls, "SLIDER_RATE", 0.01)
     page = chromium(window)
     wait_for_node(page, SURFACE)
     page.get_by_role("button", name="Play").click()
@@ -187,8 +187,8 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
         return pack(dataclasses.replace(row_template(tracker), pose=motion[frame]), 0.1)
 
     server = open_server(0)
-    with begin_journal(
-        tmp_path / "journal", whose_poses(body.skeleton), row_width(row_template(tracker))
+    with create_journal(
+        tmp_path / "journal", pose_layout(body.skeleton), row_width(row_template(tracker))
     ) as journal:
         followers = serve_contents(server, Contents(takes=[follow_run(tmp_path, body)]))
         page = chromium(address(server))
@@ -202,14 +202,14 @@ def test_a_running_track_appears_frame_by_frame(chromium, tmp_path, motion, pose
             file.write(record(5).tobytes()[:200])
         page.wait_for_timeout(600)
         np.testing.assert_allclose(vertices(page, SURFACE), posed[4], atol=1e-5)
-        assert followers[0].told == ""
+        assert followers[0].error == ""
     # begun anew with another body: a window that stands still tells it
-    other = {**whose_poses(body.skeleton), "joints": ["a"]}
-    with begin_journal(tmp_path / "journal", other, row_width(row_template(tracker))) as journal:
+    other = {**pose_layout(body.skeleton), "joints": ["a"]}
+    with create_journal(tmp_path / "journal", other, row_width(row_template(tracker))) as journal:
         journal.append(record(6))
         page.get_by_text("this run is of another body").wait_for()
-    with begin_journal(
-        tmp_path / "journal", whose_poses(body.skeleton), row_width(row_template(tracker))
+    with create_journal(
+        tmp_path / "journal", pose_layout(body.skeleton), row_width(row_template(tracker))
     ) as journal:
         journal.append(record(7))
         wait_for_vertex(page, SURFACE, 0, posed[7, 0])

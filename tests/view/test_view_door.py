@@ -21,8 +21,8 @@ from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.ik.window import serve_ik
 from jaxcap.view.windows import serve
-from jaxcap.view.windows.door import Door
-from jaxcap.view.windows.serve import address, address_elsewhere, close_server, open_server
+from jaxcap.view.windows.door import AccessGuard
+from jaxcap.view.windows.serve import address, close_server, open_server, remote_address
 
 __all__ = ["chromium"]
 
@@ -167,14 +167,14 @@ def test_hosts_that_name_this_server(host, named, opened):
     from websockets import Headers
     from websockets.http11 import Request
 
-    door = Door(host, 80)
+    door = AccessGuard(host, 80)
     assert (door.path(Request(f"/{door.token}/a?b", Headers(Host=named))) == "/a") == opened
 
 
 def test_every_server_has_a_token_of_its_own():
-    assert len({Door("127.0.0.1", 80).token for _ in range(20)}) == 20
-    assert Door("0.0.0.0", 1).address.startswith("http://127.0.0.1:1/")
-    assert Door("::", 1).address.startswith("http://[::1]:1/")
+    assert len({AccessGuard("127.0.0.1", 80).token for _ in range(20)}) == 20
+    assert AccessGuard("0.0.0.0", 1).address.startswith("http://127.0.0.1:1/")
+    assert AccessGuard("::", 1).address.startswith("http://[::1]:1/")
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_opened(monkeypatch):
@@ -190,7 +190,7 @@ def test_a_viser_that_cannot_be_guarded_is_not_opened(monkeypatch):
         def __exit__(self, *_):
             pass
 
-    monkeypatch.setattr(serve, "guarding", Other)
+    monkeypatch.setattr(serve, "guard_servers", Other)
     free = socket.create_server(("127.0.0.1", 0))
     port = free.getsockname()[1]
     free.close()
@@ -243,7 +243,7 @@ def test_names_from_files_are_no_markup(chromium):
         '<img src="http://evil.example/x.png"> *b* _c_ [d](http://evil.example) `e` {1+1} http://evil.example'
     )
     server = open_server(0)
-    serve_contents(server, Contents(takes=[make_take("take", body.skeleton, body)], told=[bad]))
+    serve_contents(server, Contents(takes=[make_take("take", body.skeleton, body)], notes=[bad]))
     page = chromium(address(server))
     wait_for_node(page, "/0/body/surface")
     page.get_by_text(re.compile(r"<img src=.* \*b\* _c_ \[d\].* `e` \{1\+1\}")).wait_for()
@@ -253,9 +253,9 @@ def test_names_from_files_are_no_markup(chromium):
 
 
 def test_other_machines_are_given_an_address_that_opens(server):
-    assert address_elsewhere(server) is None
+    assert remote_address(server) is None
     everywhere = open_server(0, "0.0.0.0")
-    url = address_elsewhere(everywhere) or ""
+    url = remote_address(everywhere) or ""
     assert urlsplit(url).hostname not in ("0.0.0.0", "127.0.0.1", "localhost")
     assert urlsplit(url).path == urlsplit(address(everywhere)).path
     assert urllib.request.urlopen(url, timeout=20).status == 200
@@ -266,10 +266,10 @@ def test_the_command_tells_both_addresses(capsys, monkeypatch):
     def end() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(window, "resting", end)
+    monkeypatch.setattr(window, "pause_status", end)
     for host in ("0.0.0.0", "127.0.0.1"):
         with pytest.raises(KeyboardInterrupt):
-            window.keep_window("view", "a", lambda server: None, 0, host, False)
+            window.run_window("view", "a", lambda server: None, 0, host, False)
         told = capsys.readouterr().out
         assert told.startswith("a: http://127.0.0.1:")
         assert (", on other machines http://" in told) == (host == "0.0.0.0")

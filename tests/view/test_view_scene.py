@@ -14,7 +14,7 @@ from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.skeletons.bvh import write_bvh
 from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.view.contents import Contents, make_take
-from jaxcap.view.figures.eye import DIRECTIONS, FIELD, place_eye
+from jaxcap.view.figures.eye import DIRECTIONS, FIELD, place_camera
 from jaxcap.view.figures.skeleton_figure import bone_solids
 from jaxcap.view.load import load
 from jaxcap.view.windows.column import Choice
@@ -44,8 +44,8 @@ def test_a_motion_of_no_body_given_is_its_own_bones(tmp_path, motion, body):
     found = load([str(tmp_path / "take.bvh"), str(tmp_path / "again.bvh")], [("far", moved)])
     assert [take.motion.body is None for take in found.takes] == [True, True, False]
     assert [len(take.motion) for take in found.takes] == [len(motion), 7, 1]
-    assert "take.bvh: this motion does not fit far, so its own bones" in found.told[0]
-    assert len(found.told) == 2 and "again.bvh" in found.told[1]
+    assert "take.bvh: this motion does not fit far, so its own bones" in found.notes[0]
+    assert len(found.notes) == 2 and "again.bvh" in found.notes[1]
     # a skeleton file is that of a motion, and not shown at rest once more
     write_skl(tmp_path / "a.skl", other)
     poses = [random_pose(other, np.random.default_rng(i)) for i in range(3)]
@@ -85,7 +85,7 @@ def test_a_step_is_one_frame_and_stops():
 @pytest.mark.parametrize("size", [(300.0, 900.0), (900.0, 300.0)])
 def test_an_eye_sees_the_whole_box(name, size, rng):
     box = np.sort(rng.normal(size=(2, 3)), axis=0) * [1.0, 3.0, 0.5]
-    eye, target = place_eye(box, name, *size)
+    eye, target = place_camera(box, name, *size)
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     # an OpenGL camera by its definition
     ahead = (target - eye) / np.linalg.norm(target - eye)
@@ -133,7 +133,7 @@ def test_takes_stand_in_line_on_one_floor():
     box = stage.box()
     assert box[0, 0] <= first[0, 0] and box[1, 0] >= second[1, 0]
     # over each other each is where it was recorded
-    stage.place(0.0)
+    stage.arrange(0.0)
     np.testing.assert_array_equal(stage.columns[1].group.position, np.zeros(3))
     close_server(server)
 
@@ -145,7 +145,7 @@ def test_a_click_names_what_it_hits():
         Contents(takes=[make_take("solid", body.skeleton, body), make_take("bare", body.skeleton)]),
     )
     choice = Choice()
-    stage.draw(0, stage.look(0, choice), choice)
+    stage.draw(0, stage.appearances(0, choice), choice)
     solid, bare = (np.asarray(column.group.position) for column in stage.columns)
     vertex = np.asarray(body.vertices)[40] + solid
     middle = np.asarray(body.vertices).mean(0) + solid
@@ -162,6 +162,6 @@ def test_a_click_names_what_it_hits():
     assert not stage._pin.visible
     # what is hidden is not hit
     hidden = Choice(surface=False)
-    stage.draw(0, stage.look(0, hidden), hidden)
+    stage.draw(0, stage.appearances(0, hidden), hidden)
     assert stage.pick(away, vertex - away, hidden) is None
     close_server(server)

@@ -20,7 +20,7 @@ from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
 from jaxcap.view.contents import make_take
-from jaxcap.view.figures.clouds import SeenClouds
+from jaxcap.view.figures.clouds import DisplayClouds
 from jaxcap.view.figures.figure import BodyFigure
 from jaxcap.view.figures.skeleton_figure import SkeletonFigure
 from jaxcap.view.notebook import show
@@ -183,14 +183,14 @@ def test_a_scan_that_is_being_written_is_told_and_tried_again():
 
     server = open_server(0)
     take = make_take("take", body.skeleton, body)
-    column = Column(server.scene, "/0", 0, take, SeenClouds(Scans(["scan.ply"], read)))
-    look = column.look(0.0, 0, Choice(colours=DISTANCE))
+    column = Column(server.scene, "/0", 0, take, DisplayClouds(Scans(["scan.ply"], read)))
+    look = column.appearance(0.0, 0, Choice(colours=DISTANCE))
     column.draw(look, Choice(colours=DISTANCE))
-    assert look.wrong == "scan.ply: this is not a whole file." and look.points is None
+    assert look.error == "scan.ply: this is not a whole file." and look.points is None
     there.append(True)
-    look = column.look(0.0, 0, Choice(colours=DISTANCE))
+    look = column.appearance(0.0, 0, Choice(colours=DISTANCE))
     column.draw(look, Choice(colours=DISTANCE))
-    assert look.wrong == "" and column.scan is not None and column.scan.node.visible
+    assert look.error == "" and column.scan is not None and column.scan.node.visible
     close_server(server)
 
 

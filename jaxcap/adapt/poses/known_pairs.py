@@ -4,21 +4,23 @@ from collections.abc import Callable, Container, Mapping
 
 from ...body.body import Body
 from ...body.pose import Pose
-from ...fit.correspondence.correspond import Pairs
+from ...fit.correspondence.correspond import PointPairs
 from ...parallel import parallel_map
-from .pose import same_pose
+from .pose import are_equal_poses
 
 
-class KnownPairs:
+class PairCache:
     """A cache of pairs by frame."""
 
     def __init__(self):
-        self._known: dict[int, tuple[Body, Pose, Pairs]] = {}
+        self._known: dict[int, tuple[Body, Pose, PointPairs]] = {}
 
-    def pairs(self, body: Body, poses: Mapping[int, Pose], find: Callable[[int, Pose], Pairs]) -> list[Pairs]:
+    def pairs(
+        self, body: Body, poses: Mapping[int, Pose], find_pairs: Callable[[int, Pose], PointPairs]
+    ) -> list[PointPairs]:
         """Return the pairs of a body in the poses of some frames; those not known are found on all cores."""
-        new = {frame: pose for frame, pose in poses.items() if not self._holds(frame, body, pose)}
-        found = parallel_map(lambda each: find(*each), new.items())
+        new = {frame: pose for frame, pose in poses.items() if not self._is_current(frame, body, pose)}
+        found = parallel_map(lambda each: find_pairs(*each), new.items())
         for (frame, pose), pairs in zip(new.items(), found, strict=True):
             self._known[frame] = body, pose, pairs
         return [self._known[frame][2] for frame in poses]
@@ -27,6 +29,6 @@ class KnownPairs:
         """Discard the pairs of all other frames."""
         self._known = {frame: known for frame, known in self._known.items() if frame in frames}
 
-    def _holds(self, frame: int, body: Body, pose: Pose) -> bool:
+    def _is_current(self, frame: int, body: Body, pose: Pose) -> bool:
         known = self._known.get(frame)
-        return known is not None and known[0] is body and same_pose(known[1], pose)
+        return known is not None and known[0] is body and are_equal_poses(known[1], pose)

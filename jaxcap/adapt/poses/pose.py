@@ -12,25 +12,25 @@ from ...body.body import Body, pose_body
 from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from ...energy.data.pairs import Pairs
+from ...energy.data.pairs import PointPairs
 from ...energy.energy import AbstractEnergy
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import Matching, Scan, as_scan, find_pairs
+from ...fit.correspondence.correspond import IndexedScan, Matching, as_scan, find_pairs
 from ...fit.correspondence.visibility import visible_vertices
 from ...fit.problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...observe import Cloud
 from ...observe import Scan as FileScan
-from ..problems import mean_square, pose_problem
+from ..problems import mean_squared_distance, pose_problem
 
 #: tried factors of a step's length: also above one, as nearest neighbours slow a surface down
-LENGTHS = (1.5, 1.0, 0.5, 0.25, 0.1)
+STEP_FACTORS = (1.5, 1.0, 0.5, 0.25, 0.1)
 #: number of steps that may raise Q before the search ends, and relative decrease of Q that counts as progress
-UPHILL, ENOUGH = 2, 1e-3
+MAX_UPHILL_STEPS, MIN_RELATIVE_DECREASE = 2, 1e-3
 #: rows and columns of the depth buffers for visibility, which agrees with ray casting for at least 98 % of
 #: vertices
-PIXELS = 256
+DEPTH_BUFFER_SIZE = 256
 
 
 class PoseFit(NamedTuple):
@@ -40,13 +40,13 @@ class PoseFit(NamedTuple):
     #: mean weighted squared distance of a pair, metres squared
     data: float
     #: the last pairs
-    pairs: Pairs
+    pairs: PointPairs
 
 
 @checked
 def fit_pose(
     body: Body,
-    scan: Scan | Cloud | FileScan,
+    scan: IndexedScan | Cloud | FileScan,
     start: Pose,
     prior: AbstractEnergy,
     matching: Matching = Matching(),
@@ -70,31 +70,37 @@ def fit_pose(
     log-likelihood.
     """
     scan = as_scan(scan)
-    start = start if boxes is None else move_within_boxes(boxes, body.skeleton, start)
+    start = start if boxes is None else clamp_pose(boxes, body.skeleton, start)
 
     def remake(pose: Pose) -> PoseProblem:
         return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), prior, weight, boxes, terms)
 
-    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=damping, relative=True, lengths=LENGTHS)
-    found = alternate(remake, start, solver, rounds=steps, enough=ENOUGH, uphill=UPHILL)
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=damping, relative=True, lengths=STEP_FACTORS)
+    found = alternate(
+        remake, start, solver, rounds=steps, min_gain=MIN_RELATIVE_DECREASE, patience=MAX_UPHILL_STEPS
+    )
     pairs = found.problem.energy.terms[0].energy.pairs
-    return PoseFit(found.y, mean_square(body, found.y, pairs), pairs)
+    return PoseFit(found.y, mean_squared_distance(body, found.y, pairs), pairs)
 
 
 def pairs_of(
     body: Body,
     pose: Pose,
-    scan: Scan,
+    scan: IndexedScan,
     matching: Matching,
     cameras: Sequence[Camera] = (),
-) -> Pairs:
+) -> PointPairs:
     """Find the pairs of a posed body with a scan.
 
     Vertices that none of the `cameras` sees are in no pair (4.1.2, visibility constraint). Without cameras,
     visibility is not tested.
     """
     posed, normals = _surface(body, pose)
-    visible = np.asarray(visible_vertices(cameras, posed, body.faces, pixels=PIXELS)) if cameras else None
+    visible = (
+        np.asarray(visible_vertices(cameras, posed, body.faces, pixels=DEPTH_BUFFER_SIZE))
+        if cameras
+        else None
+    )
     faces = np.asarray(body.faces)
     return find_pairs(np.asarray(posed, float), np.asarray(normals, float), faces, scan, matching, visible)
 
@@ -106,11 +112,11 @@ def _surface(body: Body, pose: Pose):
 
 
 @eqx.filter_jit
-def move_within_boxes(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
+def clamp_pose(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
     """Clamp a pose to the limits of its joint rotations."""
-    return boxes.nearest(skeleton, pose)
+    return boxes.project(skeleton, pose)
 
 
-def same_pose(a: Pose, b: Pose) -> bool:
+def are_equal_poses(a: Pose, b: Pose) -> bool:
     """Test if two poses are bitwise equal."""
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))

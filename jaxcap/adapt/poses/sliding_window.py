@@ -12,18 +12,18 @@ from ...body.body import Body
 from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from ...energy.data.pairs import Pairs
+from ...energy.data.pairs import PointPairs
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.temporal import second_difference
 from ...fit.alternate import alternate
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..problems import stack, stack_pairs, unstack, window_problem
-from .known_pairs import KnownPairs
-from .pose import LENGTHS, UPHILL, move_within_boxes
+from .known_pairs import PairCache
+from .pose import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose
 
 #: number of frames of a window, and number of frames by which it advances
-FRAMES, STRIDE = 11, 5
+WINDOW_FRAMES, STRIDE = 11, 5
 #: damping of a window's first step, as a share of each curvature
 DAMPING = 1e-4
 
@@ -32,12 +32,12 @@ DAMPING = 1e-4
 def smooth_poses(
     body: Body,
     poses: list[Pose],
-    pairs_at: Callable[[int, Pose], Pairs],
+    pairs_at: Callable[[int, Pose], PointPairs],
     prior: AbstractEnergy,
     weight: float,
     temporal: float,
     *,
-    frames: int = FRAMES,
+    frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
     steps: int = 2,
     boxes: PoseBoxes | None = None,
@@ -66,35 +66,35 @@ def smooth_poses(
 def smooth_windows(
     body: Body,
     poses: list[Pose],
-    pairs_at: Callable[[int, Pose], Pairs],
+    pairs_at: Callable[[int, Pose], PointPairs],
     prior: AbstractEnergy,
     weight: float,
     temporal: float,
     *,
-    frames: int = FRAMES,
+    frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
     steps: int = 2,
     boxes: PoseBoxes | None = None,
     terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
-    begin: int = 0,
+    resume_frame: int = 0,
 ) -> Iterator[tuple[list[Pose], int]]:
     """Smooth poses as `smooth_poses`; yield all poses and the next window's first frame after each window.
 
-    `begin` at this frame resumes from these poses with the same result. After the last window it is the
+    `resume_frame` at this frame resumes from these poses with the same result. After the last window it is the
     number of poses.
     """
     when = np.arange(len(poses)) if times is None else np.asarray(times)
-    if not begin and boxes is not None:
-        poses = [move_within_boxes(boxes, body.skeleton, pose) for pose in poses]
+    if not resume_frame and boxes is not None:
+        poses = [clamp_pose(boxes, body.skeleton, pose) for pose in poses]
     # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
-    poses, known = list(poses), KnownPairs()
+    poses, known = list(poses), PairCache()
 
     if len(poses) < 3:
         yield poses, len(poses)
         return
-    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=DAMPING, relative=True, lengths=LENGTHS)
-    start = begin
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=DAMPING, relative=True, lengths=STEP_FACTORS)
+    start = resume_frame
     while start < len(poses):
         stop = min(start + frames, len(poses))
         # the last window begins earlier, as another length would compile again
@@ -113,26 +113,26 @@ def smooth_windows(
                 temporal,
                 when[first:last],
                 boxes,
-                held=int(first > 0),
+                num_fixed=int(first > 0),
                 terms=terms,
             )
 
         estimate = SequenceEstimate(stack(poses[start:stop]), {})
-        best = alternate(remake, estimate, solver, rounds=steps, uphill=UPHILL)
+        best = alternate(remake, estimate, solver, rounds=steps, patience=MAX_UPHILL_STEPS)
         poses[start:stop] = unstack(best.y.poses, stop - start)
         start = stop if stop == len(poses) else min(start + stride, len(poses) - frames)
         yield list(poses), start
 
 
 def temporal_energy(
-    skeleton: Skeleton, poses: Pose, since: Float[Array, "G"] | None = None
+    skeleton: Skeleton, poses: Pose, intervals: Float[Array, "G"] | None = None
 ) -> Float[Array, ""]:
     """Compute `Q_temp` (eqs. 4.9 and 4.10), radians squared.
 
     It is the mean over inner frames and joints of the squared difference of a rotation vector from the mean
-    of its neighbours in time. `since` is the number of frames from each pose to the next, one by default.
+    of its neighbours in time. `intervals` is the number of frames from each pose to the next, one by default.
     """
     q = poses.rotations
-    since = jnp.ones(len(q) - 1) if since is None else since
-    apart = second_difference(q[:-2], q[1:-1], q[2:], since[:-1], since[1:])
+    intervals = jnp.ones(len(q) - 1) if intervals is None else intervals
+    apart = second_difference(q[:-2], q[1:-1], q[2:], intervals[:-1], intervals[1:])
     return jnp.sum(apart**2) / (apart.shape[0] * apart.shape[1])

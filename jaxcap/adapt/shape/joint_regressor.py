@@ -21,7 +21,7 @@ class JointRegressor(NamedTuple):
 def make_joint_regressor(template: Body, width: float = 0.12) -> JointRegressor:
     """Weight, for each joint, the vertices about `width` metres around it that it or its parent moves."""
     skeleton = template.skeleton
-    influence = np.asarray(template.skin.influence(skeleton.num_joints), float)
+    influence = np.asarray(template.skin.bone_weights(skeleton.num_joints), float)
     vertices, centres = np.asarray(template.vertices, float), np.asarray(skeleton.centres, float)
     parents = np.maximum(np.array(skeleton.parents), 0)
     near = np.exp(-0.5 * np.sum((vertices[:, None] - centres[None]) ** 2, -1) / width**2)
@@ -30,13 +30,13 @@ def make_joint_regressor(template: Body, width: float = 0.12) -> JointRegressor:
     return JointRegressor(shares / shares.sum(1, keepdims=True), vertices, centres)
 
 
-def regress_joints(beside: JointRegressor, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "J 3"]:
+def regress_joints(regressor: JointRegressor, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "J 3"]:
     """Regress joint positions from vertices: fit a similarity to the surface around each joint."""
-    old, new = beside.shares @ beside.vertices, beside.shares @ vertices
+    old, new = regressor.shares @ regressor.vertices, regressor.shares @ vertices
     places = []
-    for joint, shares in enumerate(beside.shares):
-        before, after = beside.vertices - old[joint], vertices - new[joint]
+    for joint, shares in enumerate(regressor.shares):
+        before, after = regressor.vertices - old[joint], vertices - new[joint]
         turn = nearest_rotation((after * shares[:, None]).T @ before)
         size = np.sqrt((shares @ np.sum(after**2, 1)) / (shares @ np.sum(before**2, 1)))
-        places.append(new[joint] + size * turn @ (beside.centres[joint] - old[joint]))
+        places.append(new[joint] + size * turn @ (regressor.centres[joint] - old[joint]))
     return np.stack(places)

@@ -12,21 +12,21 @@ from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...energy.energy import AbstractEnergy
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import Matching, Scan
+from ...fit.correspondence.correspond import IndexedScan, Matching
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
-from ..poses.pose import LENGTHS, UPHILL, pairs_of
+from ..poses.pose import MAX_UPHILL_STEPS, STEP_FACTORS, pairs_of
 from ..problems import stack, stack_pairs, unstack, window_problem
 
 #: limits of an actor's size relative to the template
-SMALLEST, LARGEST = 0.5, 2.0
+MIN_SIZE, MAX_SIZE = 0.5, 2.0
 
 
 def fit_size(
     body: Body,
-    scans: Sequence[Scan],
+    scans: Sequence[IndexedScan],
     poses: Sequence[Pose],
     prior: AbstractEnergy,
     matching: Matching,
@@ -35,37 +35,37 @@ def fit_size(
     cameras: Sequence[Camera] = (),
     boxes: PoseBoxes | None = None,
     terms: AbstractEnergy | None = None,
-    already: float = 1.0,
+    initial_size: float = 1.0,
 ) -> tuple[Body, list[Pose], float]:
     """Scale a body to the actor, and refine its poses in some scans.
 
     Each iteration finds new pairs and takes a step on all poses and the size that they share. Return the
     body, the poses and the scale of this call.
 
-    **Arguments:** `cameras`, `boxes` and `terms` as in `fit_pose`; `already`, the body's size relative to the
+    **Arguments:** `cameras`, `boxes` and `terms` as in `fit_pose`; `initial_size`, the body's size relative to the
     template.
     """
-    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=LENGTHS)
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=STEP_FACTORS)
     count = len(scans)
 
     def remake(y: SequenceEstimate) -> SequenceProblem:
-        there = resized(body, jnp.exp(y.values["size"]))
+        there = scale_body(body, jnp.exp(y.values["size"]))
         pairs = [
             pairs_of(there, pose, scan, matching, cameras)
             for pose, scan in zip(unstack(y.poses, count), scans, strict=True)
         ]
         stacked = stack_pairs(pairs)
         problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes, terms=terms)
-        unknown = {"size": Size(SMALLEST / already, LARGEST / already)}
+        unknown = {"size": Size(MIN_SIZE / initial_size, MAX_SIZE / initial_size)}
         return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
 
     start = SequenceEstimate(stack(poses), {"size": jnp.zeros((), body.vertices.dtype)})
-    found = alternate(remake, start, solver, rounds=rounds, enough=1e-3, uphill=UPHILL).y
+    found = alternate(remake, start, solver, rounds=rounds, min_gain=1e-3, patience=MAX_UPHILL_STEPS).y
     size = float(jnp.exp(found.values["size"]))
-    return resized(body, jnp.asarray(size, body.vertices.dtype)), unstack(found.poses, count), size
+    return scale_body(body, jnp.asarray(size, body.vertices.dtype)), unstack(found.poses, count), size
 
 
-def resized(body: Body, size: Float[Array, ""]) -> Body:
+def scale_body(body: Body, size: Float[Array, ""]) -> Body:
     """Scale a body at rest about the origin."""
     return eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres), body, (body.vertices * size, body.skeleton.centres * size)

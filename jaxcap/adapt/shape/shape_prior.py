@@ -8,12 +8,12 @@ import scipy.sparse
 from jaxtyping import Float, Int
 
 from ...arguments import checked
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.people.sample import sample_poses
 from ...body.pose import Pose
 from ...geometry.laplacian import laplacian_matrix, vertex_adjacency
 
-_deform_all = eqx.filter_jit(deform_all)
+_deform_all = eqx.filter_jit(posed_vertices)
 
 
 class ShapePrior(NamedTuple):
@@ -58,7 +58,7 @@ def make_shape_prior(body: Body, poses: Pose, meshes: Float[np.ndarray, "M V 3"]
     return ShapePrior(matrix, poses, np.stack([matrix @ np.asarray(mesh, float) for mesh in meshes]))
 
 
-def own_shape_prior(body: Body, count: int = 5) -> ShapePrior:
+def body_shape_prior(body: Body, count: int = 5) -> ShapePrior:
     """Make the shape prior of a body itself, at rest and in sampled poses."""
     poses = sample_poses(body.skeleton, count)
     return make_shape_prior(body, poses, np.asarray(_deform_all(body, poses), float))
@@ -70,7 +70,7 @@ def uniform_laplacian(body: Body) -> scipy.sparse.csr_matrix:
     return scipy.sparse.csr_matrix(laplacian_matrix(adjacency))
 
 
-def neighbours_in(prior: ShapePrior) -> Int[np.ndarray, "E 2"]:
+def prior_edges(prior: ShapePrior) -> Int[np.ndarray, "E 2"]:
     """List the edges of a prior's mesh, each once, the smaller index first, in ascending order."""
     upper = scipy.sparse.triu(prior.laplacian, 1, format="coo")
     edges = np.stack([upper.row, upper.col], 1).astype(np.int64)
@@ -87,7 +87,7 @@ def shape_energy(prior: ShapePrior, body: Body) -> float:
     return float(np.mean(np.sum(apart**2, -1)))
 
 
-def scaled(prior: ShapePrior, size: float) -> ShapePrior:
+def scale_shape_prior(prior: ShapePrior, size: float) -> ShapePrior:
     """Scale a prior by `size` about the origin.
 
     **Raises:** `ValueError` if the size is not above zero.

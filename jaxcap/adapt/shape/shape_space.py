@@ -9,31 +9,31 @@ from jaxtyping import Array, Float
 
 from ...arguments import checked
 from ...body.body import Body
-from ...body.decimate import Attachment, attach, follow
+from ...body.decimate import Attachment, attach_points, attached_positions
 from ...body.people.human import human
-from ...body.people.random_humans import human_resolution, people_of_many_shapes
-from ...body.shape_modes import Modes, moved
+from ...body.people.random_humans import human_resolution, sample_humans
+from ...body.shape_modes import ShapeModes, apply_modes
 from ...geometry.closest import nearest_on_surface
 from ...geometry.linear import solve_symmetric
 
 #: number of shape modes, if there are enough bodies
 COUNT = 30
 #: number of sampled humans, and their resolution for templates of other triangles
-DRAWN, OTHER = 200, "medium"
+NUM_SAMPLES, DEFAULT_RESOLUTION = 200, "medium"
 #: iterations of the fit of a person to such a template, and standard deviation of its joints, metres
-ROUNDS, JOINTS_TRUST = 15, 0.1
+NUM_FIT_ITERATIONS, JOINT_DEVIATION = 15, 0.1
 #: a template is similar to a person if this share of its vertices, and its joints on average, are nearer than
 #: the second share of its height
-MOST, NEAR = 0.95, 0.02
+MIN_MATCHED_SHARE, MAX_MATCHED_DISTANCE = 0.95, 0.02
 
 
 class People(eqx.Module):
     """The template and the main shape modes of people, with coefficients of standard deviation one."""
 
     template: Body
-    modes: Modes
+    modes: ShapeModes
     #: the template's shape coefficients
-    standing: Float[Array, "K"]
+    template_coefficients: Float[Array, "K"]
 
 
 @checked
@@ -53,60 +53,63 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
                 f"Body {number} has {len(body.vertices)} vertices and {body.skeleton.num_joints} joints; expected "
                 f"{vertices} and {joints}, as in the template; give bodies that share its triangles."
             )
-    rows = np.stack([_flat(body) for body in bodies])
+    rows = np.stack([_flatten_body(body) for body in bodies])
     mean = rows.mean(0)
     _, sizes, axes = np.linalg.svd(rows - mean, full_matrices=False)
     count = min(count, int(np.sum(sizes > 1e-6 * sizes[0])))
     deviations = sizes[:count] / np.sqrt(len(bodies) - 1)
     directions = (axes[:count] * deviations[:, None]).reshape(count, -1, 3)
-    standing = axes[:count] @ (_flat(template) - mean) / deviations
+    standing = axes[:count] @ (_flatten_body(template) - mean) / deviations
     dtype = template.vertices.dtype
-    modes = Modes(jnp.asarray(directions[:, :joints], dtype), jnp.asarray(directions[:, joints:], dtype))
+    modes = ShapeModes(jnp.asarray(directions[:, :joints], dtype), jnp.asarray(directions[:, joints:], dtype))
     return People(template, modes, jnp.asarray(standing, dtype))
 
 
 @checked
-def people_like(template: Body, whole: Body | None = None) -> People | None:
+def people_like(template: Body, full_body: Body | None = None) -> People | None:
     """Learn the shape space of sampled humans for a template; None if the template is not like a human.
 
-    The template, or the `whole` body that it was reduced from, has the human's triangles and joints; or the
+    The template, or the `full_body` body that it was reduced from, has the human's triangles and joints; or the
     template has other triangles, but the joints and about the surface of some human at rest. In the last two
     cases the template's vertices are attached to that surface.
     """
-    of, shift = template if whole is None else whole, np.zeros(3)
+    of, shift = template if full_body is None else full_body, np.zeros(3)
     resolution = human_resolution(of)
     if resolution is not None:
-        drawn = people_of_many_shapes(DRAWN, resolution=resolution, joints="tracking")
+        drawn = sample_humans(NUM_SAMPLES, resolution=resolution, joints="tracking")
     else:
-        one = human(joints="tracking", resolution=OTHER)
-        if whole is not None or template.skeleton.names != one.skeleton.names:
+        one = human(joints="tracking", resolution=DEFAULT_RESOLUTION)
+        if full_body is not None or template.skeleton.names != one.skeleton.names:
             return None
-        drawn = people_of_many_shapes(DRAWN, resolution=OTHER, joints="tracking")
-        of, shift = someone_like(template, learn_people(one, drawn))
-        if not is_like(template, of):
+        drawn = sample_humans(NUM_SAMPLES, resolution=DEFAULT_RESOLUTION, joints="tracking")
+        of, shift = fit_person(template, learn_people(one, drawn))
+        if not is_similar(template, of):
             return None
     if of is not template:
         surface = np.asarray(of.vertices, float) - shift, np.asarray(of.faces)
-        hold = attach(np.asarray(template.vertices, float) - shift, *surface)
-        drawn = [_carried(template, body, hold, shift) for body in drawn]
+        hold = attach_points(np.asarray(template.vertices, float) - shift, *surface)
+        drawn = [_transfer_body(template, body, hold, shift) for body in drawn]
     return learn_people(template, drawn)
 
 
-def someone_like(template: Body, people: People) -> tuple[Body, Float[np.ndarray, "3"]]:
+def fit_person(template: Body, people: People) -> tuple[Body, Float[np.ndarray, "3"]]:
     """Fit a person to a template with the same joints and other triangles.
 
     The fit starts from the joints; then it alternates with closest points on the template. Return the person
     at the template's position, and its shift from the shape space's position, metres.
     """
     centres = np.asarray(template.skeleton.centres - people.template.skeleton.centres, float)
-    body = person(people, _traits(people.modes.centres, centres, people.standing, JOINTS_TRUST))
+    body = make_person(
+        people,
+        _fit_coefficients(people.modes.centres, centres, people.template_coefficients, JOINT_DEVIATION),
+    )
     shift = np.asarray(template.skeleton.centres - body.skeleton.centres, float).mean(0)
     vertices, faces = np.asarray(template.vertices, float), np.asarray(template.faces)
-    for _ in range(ROUNDS):
+    for _ in range(NUM_FIT_ITERATIONS):
         there = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
-        places = np.einsum("nk,nka->na", there.shares, vertices[faces[there.triangles]])
+        places = np.einsum("nk,nka->na", there.barycentric, vertices[faces[there.triangles]])
         seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(places, body.vertices.dtype))
-        body = person(people, traits_like(people, seen))
+        body = make_person(people, fit_coefficients(people, seen))
         shift = (places - np.asarray(body.vertices, float)).mean(0)
     moved_body = eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres),
@@ -116,49 +119,59 @@ def someone_like(template: Body, people: People) -> tuple[Body, Float[np.ndarray
     return moved_body, shift
 
 
-def is_like(template: Body, person: Body) -> bool:
+def is_similar(template: Body, person: Body) -> bool:
     """Test if a template of other triangles matches a person at rest, in surface and joints."""
     vertices = np.asarray(template.vertices, float)
     height = float(np.ptp(vertices, axis=0).max())
     off = nearest_on_surface(vertices, np.asarray(person.vertices, float), np.asarray(person.faces)).distances
     joints = np.linalg.norm(np.asarray(template.skeleton.centres - person.skeleton.centres, float), axis=1)
-    return bool(np.quantile(off, MOST) < NEAR * height and np.mean(joints) < NEAR * height)
+    return bool(
+        np.quantile(off, MIN_MATCHED_SHARE) < MAX_MATCHED_DISTANCE * height
+        and np.mean(joints) < MAX_MATCHED_DISTANCE * height
+    )
 
 
-def _carried(template: Body, body: Body, hold: Attachment, shift: Float[np.ndarray, "3"]) -> Body:
+def _transfer_body(template: Body, body: Body, attachment: Attachment, shift: Float[np.ndarray, "3"]) -> Body:
     """Convert a body to the template's triangles and position."""
-    vertices = follow(hold, np.asarray(body.vertices, float)) + shift
+    vertices = attached_positions(attachment, np.asarray(body.vertices, float)) + shift
     skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, body.skeleton.centres + shift)
     return Body(skeleton, template.skin, jnp.asarray(vertices, template.vertices.dtype), template.faces)
 
 
-def person(people: People, traits: Float[Array, "K"]) -> Body:
+def make_person(people: People, coefficients: Float[Array, "K"]) -> Body:
     """Build the body at rest with shape coefficients relative to the template."""
-    return moved(people.template, people.modes, traits)
+    return apply_modes(people.template, people.modes, coefficients)
 
 
-def traits_like(people: People, body: Body, trust: float = 0.1) -> Float[Array, "K"]:
+def fit_coefficients(people: People, body: Body, deviation: float = 0.1) -> Float[Array, "K"]:
     """Fit shape coefficients to a body of the same triangles at rest, at any position.
 
-    This is least squares of the vertices' shifts; `trust` is the standard deviation of a residual, metres.
+    This is least squares of the vertices' shifts; `deviation` is the standard deviation of a residual, metres.
     """
-    return _traits(people.modes.vertices, body.vertices - people.template.vertices, people.standing, trust)
+    return _fit_coefficients(
+        people.modes.vertices,
+        body.vertices - people.template.vertices,
+        people.template_coefficients,
+        deviation,
+    )
 
 
-def _traits(modes, shifts, standing: Float[Array, "K"], trust: float) -> Float[Array, "K"]:
+def _fit_coefficients(
+    modes, shifts, template_coefficients: Float[Array, "K"], deviation: float
+) -> Float[Array, "K"]:
     """Fit coefficients to shifts of some points, `(N, 3)`, with modes `(K, N, 3)`."""
     modes, shifts = np.asarray(modes, float), np.asarray(shifts, float)
     modes = (modes - modes.mean(1, keepdims=True)).reshape(len(modes), -1)
     shifts = (shifts - shifts.mean(0)).reshape(-1)
     # all points together count as one measurement, as their errors are correlated
-    weight = 1.0 / (trust**2 * shifts.size / 3)
-    known = np.asarray(standing, float)
+    weight = 1.0 / (deviation**2 * shifts.size / 3)
+    known = np.asarray(template_coefficients, float)
     matrix = weight * modes @ modes.T + np.eye(len(modes)) * 1e-3
     traits = solve_symmetric(matrix, weight * modes @ shifts - 1e-3 * known)
-    return jnp.asarray(traits, standing.dtype)
+    return jnp.asarray(traits, template_coefficients.dtype)
 
 
-def _flat(body: Body) -> Float[np.ndarray, "N"]:
+def _flatten_body(body: Body) -> Float[np.ndarray, "N"]:
     return np.concatenate(
         [np.asarray(body.skeleton.centres, float), np.asarray(body.vertices, float)]
     ).reshape(-1)

@@ -19,9 +19,9 @@ from jaxtyping import Array, Float, Int
 from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
-from ...energy.data.pairs import PairDistances, Pairs, corner_directions
-from ...fit.linear.sparse_blocks import Bordered, SparseBlocks
-from ...fit.linearise import frame_rows, vertex_maps
+from ...energy.data.pairs import PairDistances, PointPairs, corner_directions
+from ...fit.linear.sparse_blocks import BorderedMatrix, SparseBlocks
+from ...fit.linearise import frame_jacobian, vertex_maps
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
 from ...fit.solvers.minimise import take_step
@@ -41,21 +41,21 @@ class ShapeTerm(eqx.Module):
     columns: Int[Array, "N"]
     values: Float[Array, "N"]
     #: `L^T L`: its diagonal, and its entries above the diagonal by pairs of vertices
-    own: Float[Array, "V"]
-    couples: Int[Array, "E 2"]
-    across: Float[Array, "E"]
+    diagonal: Float[Array, "V"]
+    coupled_vertices: Int[Array, "E 2"]
+    off_diagonal: Float[Array, "E"]
     poses: Pose
     vectors: Float[Array, "M V 3"]
     #: weight of squared changes of Laplacian vectors, mean over meshes, against the sum of squared distances
     weight: Float[Array, ""]
     #: weight of every vertex's squared shift, for parts that no scan shows
-    hold: Float[Array, ""]
+    shift_weight: Float[Array, ""]
 
     def laplacian(self, x: Float[Array, "V *k"]) -> Float[Array, "V *k"]:
-        return _product(self.values, self.rows, self.columns, x)
+        return _sparse_product(self.values, self.rows, self.columns, x)
 
     def transposed(self, x: Float[Array, "V *k"]) -> Float[Array, "V *k"]:
-        return _product(self.values, self.columns, self.rows, x)
+        return _sparse_product(self.values, self.columns, self.rows, x)
 
 
 class Coupling(eqx.Module):
@@ -63,17 +63,17 @@ class Coupling(eqx.Module):
 
     edges: Int[Array, "E 2"]
     #: the block of each two of a pair's vertices: that of a vertex, or, after all of these, of an edge
-    slots: Int[Array, "F C P"]
+    block_indices: Int[Array, "F C P"]
 
 
 @checked
 def adapt_shape(
     body: Body,
     poses: Pose,
-    pairs: Pairs,
+    pairs: PointPairs,
     prior: ShapePrior,
     weight: float,
-    hold: float = 1e-4,
+    shift_weight: float = 1e-4,
     tolerance: float = 1e-6,
 ) -> Body:
     """Adapt rest vertices to pairs and a shape prior by one sparse linear system.
@@ -81,14 +81,14 @@ def adapt_shape(
     Minimise the pairs' squared distances, summed over frames, plus `weight` times the squared change of the
     Laplacian vectors, mean over the prior's poses.
 
-    **Arguments:** `hold`, a weak weight of every vertex's squared shift; `tolerance`, the residual at which
+    **Arguments:** `shift_weight`, a weak weight of every vertex's squared shift; `tolerance`, the residual at which
     conjugate gradients end, as a share of the right side.
 
     **Raises:** `ValueError` if two vertices of a pair share no edge.
     """
-    shape = shape_term(body, prior, weight, hold)
+    shape = shape_term(body, prior, weight, shift_weight)
     limit = jnp.asarray(tolerance, body.vertices.dtype)
-    step = _vertex_step(body, poses, pairs, couple(body, pairs), shape, limit)
+    step = _vertex_step(body, poses, pairs, find_couplings(body, pairs), shape, limit)
     return eqx.tree_at(lambda b: b.vertices, body, body.vertices + step)
 
 
@@ -96,10 +96,10 @@ def adapt_shape(
 def adapt_together(
     problem: SequenceProblem,
     poses: Pose,
-    pairs: Pairs,
+    pairs: PointPairs,
     prior: ShapePrior,
     weight: float | Float[Array, ""],
-    hold: float | Float[Array, ""] = 1e-4,
+    shift_weight: float | Float[Array, ""] = 1e-4,
     tolerance: float = 1e-5,
 ) -> tuple[Body, Pose]:
     """Take one Gauss-Newton step on all poses, the coefficients of modes and all rest vertices.
@@ -121,13 +121,13 @@ def adapt_together(
     problem, poses, pairs = jax.tree.map(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, poses, pairs)
     )
-    shape = shape_term(body, prior, weight, hold)
-    whole = SurfaceProblem(problem, pairs, couple(body, pairs), shape, jnp.asarray(tolerance, dtype))
-    return _whole_step(whole, poses)
+    shape = shape_term(body, prior, weight, shift_weight)
+    whole = SurfaceProblem(problem, pairs, find_couplings(body, pairs), shape, jnp.asarray(tolerance, dtype))
+    return _surface_step(whole, poses)
 
 
 def shape_term(
-    body: Body, prior: ShapePrior, weight: float | Float[Array, ""], hold: float | Float[Array, ""]
+    body: Body, prior: ShapePrior, weight: float | Float[Array, ""], shift_weight: float | Float[Array, ""]
 ) -> ShapeTerm:
     """Convert a shape prior to arrays."""
     dtype = body.vertices.dtype
@@ -144,11 +144,11 @@ def shape_term(
         jax.tree.map(lambda leaf: leaf.astype(dtype), prior.poses),
         jnp.asarray(prior.vectors, dtype),
         jnp.asarray(weight, dtype),
-        jnp.asarray(hold, dtype),
+        jnp.asarray(shift_weight, dtype),
     )
 
 
-def couple(body: Body, pairs: Pairs) -> Coupling:
+def find_couplings(body: Body, pairs: PointPairs) -> Coupling:
     """Find the couplings of vertices by pairs.
 
     **Raises:** `ValueError` if two vertices of a pair share no edge.
@@ -157,8 +157,8 @@ def couple(body: Body, pairs: Pairs) -> Coupling:
     # pairs within a triangle couple its vertices; pairs at vertices couple none
     edges = mesh_edges(np.asarray(body.faces)) if rows.shape[2] > 1 else np.zeros((0, 2), int)
     keys = edges[:, 0] * np.int64(count) + edges[:, 1]
-    slots = np.zeros((*rows.shape[:2], len(_couples(rows.shape[2]))), np.int64)
-    for number, (k, other) in enumerate(_couples(rows.shape[2])):
+    slots = np.zeros((*rows.shape[:2], len(_corner_pairs(rows.shape[2]))), np.int64)
+    for number, (k, other) in enumerate(_corner_pairs(rows.shape[2])):
         low, high = np.minimum(rows[..., k], rows[..., other]), np.maximum(rows[..., k], rows[..., other])
         found = np.searchsorted(keys, low * count + high)
         known = (low == high) | (keys[np.minimum(found, len(keys) - 1)] == low * count + high)
@@ -186,7 +186,7 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
     """
 
     sequence: SequenceProblem
-    pairs: Pairs
+    pairs: PointPairs
     coupling: Coupling
     shape: ShapeTerm
     tolerance: Float[Array, ""]
@@ -208,15 +208,15 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
             lambda mesh: self.shape.laplacian(pose_body(body, mesh[0]).vertices) - mesh[1],
             (self.shape.poses, self.shape.vectors),
         )
-        own = self.shape.weight * jnp.mean(jnp.sum(missing**2, (1, 2))) + self.shape.hold * jnp.sum(
+        own = self.shape.weight * jnp.mean(jnp.sum(missing**2, (1, 2))) + self.shape.shift_weight * jnp.sum(
             y.shifts**2
         )
-        return self._there(y).value(y.sequence) + 0.5 * own
+        return self._shifted_sequence(y).value(y.sequence) + 0.5 * own
 
     def information(self, y: SurfaceEstimate) -> ConstrainedInfo:
-        body, there, shape = self.body_at(y), self._there(y), self.shape
+        body, there, shape = self.body_at(y), self._shifted_sequence(y), self.shape
         inner, (x, s) = there.information(y.sequence), there.scales()
-        blocks, side = vertex_equations(
+        blocks, side = vertex_normal_equations(
             body, y.sequence.poses, self.pairs, self.coupling, shape, self.tolerance
         )
         tangent = there.body_tangent(y.sequence.values)
@@ -224,9 +224,9 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
 
         def of_frame(total, frame):
             pose, pairs = frame
-            _, rows = frame_rows(PairDistances(pairs), body, pose, None, tangent)
+            _, rows = frame_jacobian(PairDistances(pairs), body, pose, None, tangent)
             pulled = jnp.einsum(
-                "ckrb,crn->ckbn", _by_vertex(body, pose, pairs), rows.reshape(-1, 3, rows.shape[1])
+                "ckrb,crn->ckbn", _pair_jacobian(body, pose, pairs), rows.reshape(-1, 3, rows.shape[1])
             )
             coupled = jnp.zeros((*body.vertices.shape, rows.shape[1]), rows.dtype)
             coupled = coupled.at[pairs.vertices].add(pulled)
@@ -250,20 +250,20 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
         matrix, pull, rough = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
         arrow: Any = inner.hessian
         arrow = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + matrix * s[:, None] * s)
-        hessian = Bordered(
+        hessian = BorderedMatrix(
             arrow, by_frame * x[:, :, None, None], jnp.moveaxis((border + rough) * s, 2, 0), blocks
         )
-        gradient = inner.grad[0], inner.grad[1] + s * pull, shape.hold * y.shifts - side
+        gradient = inner.grad[0], inner.grad[1] + s * pull, shape.shift_weight * y.shifts - side
         return ConstrainedInfo(self.value(y), gradient, hessian, constraints=inner.constraints)  # pyright: ignore[reportCallIssue]
 
-    def _there(self, y: SurfaceEstimate) -> SequenceProblem:
+    def _shifted_sequence(self, y: SurfaceEstimate) -> SequenceProblem:
         """Return the sequence's problem with the shifted vertices."""
         shifted = self.sequence.body.vertices + y.shifts
         return eqx.tree_at(lambda p: p.body.vertices, self.sequence, shifted)
 
 
 @eqx.filter_jit
-def _whole_step(problem: SurfaceProblem, poses: Pose) -> tuple[Body, Pose]:
+def _surface_step(problem: SurfaceProblem, poses: Pose) -> tuple[Body, Pose]:
     start = SurfaceEstimate(problem.sequence.start(poses), jnp.zeros_like(problem.sequence.body.vertices))
     found = take_step(problem, start, NormalDescent(relative=True), DAMPING)
     return problem.body_at(found), found.sequence.poses
@@ -271,25 +271,35 @@ def _whole_step(problem: SurfaceProblem, poses: Pose) -> tuple[Body, Pose]:
 
 @eqx.filter_jit
 def _vertex_step(
-    body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
+    body: Body,
+    poses: Pose,
+    pairs: PointPairs,
+    coupling: Coupling,
+    shape: ShapeTerm,
+    tolerance: Float[Array, ""],
 ) -> Float[Array, "V 3"]:
-    matrix, side = vertex_equations(body, poses, pairs, coupling, shape, tolerance)
+    matrix, side = vertex_normal_equations(body, poses, pairs, coupling, shape, tolerance)
     return matrix.factorise().solve(side)
 
 
-def vertex_equations(
-    body: Body, poses: Pose, pairs: Pairs, coupling: Coupling, shape: ShapeTerm, tolerance: Float[Array, ""]
+def vertex_normal_equations(
+    body: Body,
+    poses: Pose,
+    pairs: PointPairs,
+    coupling: Coupling,
+    shape: ShapeTerm,
+    tolerance: Float[Array, ""],
 ) -> tuple[SparseBlocks, Float[Array, "V 3"]]:
     """Assemble the normal equations of rest vertices from frames, training meshes and the weight of shifts.
 
     Return the sparse matrix and the right side.
     """
-    couples, count = _couples(pairs.vertices.shape[-1]), len(body.vertices)
+    couples, count = _corner_pairs(pairs.vertices.shape[-1]), len(body.vertices)
 
     def of_frame(total, frame):
         pose, pairs, slots = frame
         matrices, sides = total
-        rows = _by_vertex(body, pose, pairs)
+        rows = _pair_jacobian(body, pose, pairs)
         apart = PairDistances(pairs).residual(pose_body(body, pose)).reshape(-1, 3)
         matrices = matrices.at[pairs.vertices].add(jnp.einsum("ckra,ckrb->ckab", rows, rows))
         sides = sides.at[pairs.vertices].add(-jnp.einsum("ckra,cr->cka", rows, apart))
@@ -307,35 +317,37 @@ def vertex_equations(
         own, across, side = total
         maps, places = vertex_maps(body, pose)
         missing = vectors - shape.laplacian(places)
-        first, second = shape.couples.T
-        own = own + jnp.einsum("v,vba,vbc->vac", shape.own, maps, maps)
-        across = across + jnp.einsum("e,eba,ebc->eac", shape.across, maps[first], maps[second])
+        first, second = shape.coupled_vertices.T
+        own = own + jnp.einsum("v,vba,vbc->vac", shape.diagonal, maps, maps)
+        across = across + jnp.einsum("e,eba,ebc->eac", shape.off_diagonal, maps[first], maps[second])
         return (own, across, side + jnp.einsum("vba,vb->va", maps, shape.transposed(missing))), None
 
     zero = jnp.zeros((count + len(coupling.edges), 3, 3), body.vertices.dtype)
-    (blocks, side), _ = jax.lax.scan(of_frame, (zero, zero[:count, 0]), (poses, pairs, coupling.slots))
-    none = zero[:count], jnp.zeros((len(shape.couples), 3, 3), zero.dtype), zero[:count, 0]
+    (blocks, side), _ = jax.lax.scan(
+        of_frame, (zero, zero[:count, 0]), (poses, pairs, coupling.block_indices)
+    )
+    none = zero[:count], jnp.zeros((len(shape.coupled_vertices), 3, 3), zero.dtype), zero[:count, 0]
     told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
     own, across, pull = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
-    own = blocks[:count] + own + shape.hold * jnp.eye(3, dtype=zero.dtype)
+    own = blocks[:count] + own + shape.shift_weight * jnp.eye(3, dtype=zero.dtype)
     matrix = SparseBlocks(
         own,
-        jnp.concatenate([coupling.edges, shape.couples]),
+        jnp.concatenate([coupling.edges, shape.coupled_vertices]),
         jnp.concatenate([blocks[count:], across]),
         tolerance,
     )
     return matrix, side + pull
 
 
-def _by_vertex(body: Body, pose: Pose, pairs: Pairs) -> Float[Array, "C K R 3"]:
+def _pair_jacobian(body: Body, pose: Pose, pairs: PointPairs) -> Float[Array, "C K R 3"]:
     """Compute the Jacobian of the pairs' residuals with respect to the rest positions of their vertices."""
     maps, _ = vertex_maps(body, pose)
     return jnp.einsum("ckra,ckab->ckrb", corner_directions(pairs), maps[pairs.vertices])
 
 
-def _product(values, rows, columns, x):
+def _sparse_product(values, rows, columns, x):
     return jax.ops.segment_sum(values.reshape(-1, *[1] * (x.ndim - 1)) * x[columns], rows, len(x))
 
 
-def _couples(corners: int) -> list[tuple[int, int]]:
+def _corner_pairs(corners: int) -> list[tuple[int, int]]:
     return list(itertools.combinations(range(corners), 2))

@@ -12,7 +12,7 @@ ChartKind = Literal["hinge", "universal", "ball"]
 #: number of used dimensions, of three, of each chart
 DIMENSIONS: dict[str, int] = {"hinge": 1, "universal": 2, "ball": 3}
 #: largest norm of a vector part; longer ones are shortened, as the chart ends half a turn from the middle
-LONGEST = 0.9999
+MAX_NORM = 0.9999
 
 
 class Chart(eqx.Module):
@@ -34,28 +34,28 @@ class Chart(eqx.Module):
     def dimension(self) -> int:
         return DIMENSIONS[self.kind]
 
-    def coordinates(self, turned: Float[Array, "4"]) -> Float[Array, "3"]:
+    def coordinates(self, quaternion: Float[Array, "4"]) -> Float[Array, "3"]:
         """Compute the coordinates of a rotation; of a rotation that the joint's kind does not allow, those
         of its allowed part."""
-        relative = rotation.multiply(rotation.conjugate(self.middle), turned)
+        relative = rotation.multiply(rotation.conjugate(self.middle), quaternion)
         if self.kind == "ball":
             return jnp.where(relative[0] < 0, -relative[1:], relative[1:])
         if self.kind == "hinge":
-            return jnp.zeros(3, turned.dtype).at[0].set(rotation.angle_about(relative, self.axes[0]) / 2)
-        return jnp.append(rotation.angles_about(relative, *self.axes) / 2, jnp.zeros((), turned.dtype))
+            return jnp.zeros(3, quaternion.dtype).at[0].set(rotation.angle_about(relative, self.axes[0]) / 2)
+        return jnp.append(rotation.angles_about(relative, *self.axes) / 2, jnp.zeros((), quaternion.dtype))
 
-    def rotation(self, place: Float[Array, "3"]) -> Float[Array, "4"]:
+    def rotation(self, point: Float[Array, "3"]) -> Float[Array, "4"]:
         """Compute the rotation at coordinates: `coordinates(rotation(x)) = x` within the chart."""
         if self.kind == "ball":
-            squared = jnp.sum(place**2)
-            long = squared > LONGEST**2
+            squared = jnp.sum(point**2)
+            long = squared > MAX_NORM**2
             length = jnp.sqrt(jnp.where(long, squared, 1.0))
-            place = jnp.where(long, place * LONGEST / length, place)
-            relative = jnp.append(jnp.sqrt(1.0 - jnp.sum(place**2)), place)
+            point = jnp.where(long, point * MAX_NORM / length, point)
+            relative = jnp.append(jnp.sqrt(1.0 - jnp.sum(point**2)), point)
         else:
-            relative = rotation.about_axis(self.axes[0], 2 * place[0])
+            relative = rotation.about_axis(self.axes[0], 2 * point[0])
             if self.kind == "universal":
-                relative = rotation.multiply(relative, rotation.about_axis(self.axes[1], 2 * place[1]))
+                relative = rotation.multiply(relative, rotation.about_axis(self.axes[1], 2 * point[1]))
         return rotation.normalise(rotation.multiply(self.middle, relative))
 
     def squared_distance(self, a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
@@ -64,7 +64,7 @@ class Chart(eqx.Module):
         For quaternions it is `sin^2` of that half angle, which is the same for `q` and `-q`.
         """
         if self.kind != "ball":
-            return jnp.sum((a - self.image(b, a)) ** 2)
+            return jnp.sum((a - self.unwrap(b, a)) ** 2)
         scalars = jnp.sqrt(jnp.maximum(1.0 - jnp.sum(a**2), 1e-12)) * jnp.sqrt(
             jnp.maximum(1.0 - jnp.sum(b**2), 1e-12)
         )
@@ -72,8 +72,8 @@ class Chart(eqx.Module):
         cosine = scalars + jnp.sum(a * b)
         return 1.0 - cosine**2
 
-    def image(self, place: Float[Array, "3"], near: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Add whole turns to the angles of `place` so that it is closest to `near`."""
+    def unwrap(self, point: Float[Array, "3"], reference: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Add whole turns to the angles of `point` so that it is closest to `reference`."""
         if self.kind == "ball":
-            return place
-        return near + (place - near + jnp.pi / 2) % jnp.pi - jnp.pi / 2
+            return point
+        return reference + (point - reference + jnp.pi / 2) % jnp.pi - jnp.pi / 2

@@ -45,10 +45,10 @@ class EulerBoxes(AbstractLimits):
         angles = self._angles(pose)
         return (angles - jnp.clip(angles, self.lower, self.upper)).reshape(-1)
 
-    def owners(self, skeleton: Skeleton):
+    def residual_joints(self, skeleton: Skeleton):
         return jnp.repeat(self.joints, 3)
 
-    def nearest(self, skeleton: Skeleton, pose: Pose):
+    def project(self, skeleton: Skeleton, pose: Pose):
         """Clamp every angle to its range."""
         angles = self._angles(pose)
         clamped = jnp.clip(angles, self.lower, self.upper)
@@ -62,10 +62,10 @@ class EulerBoxes(AbstractLimits):
 
     def _angles(self, pose: Pose) -> Float[Array, "E 3"]:
         """Compute the Euler angles; of the two equivalent triples, the one nearer to its box."""
-        return euler_angles(pose.rotations[self.joints], self.frames, self.lower, self.upper)
+        return nearest_euler_angles(pose.rotations[self.joints], self.frames, self.lower, self.upper)
 
 
-def euler_angles(
+def nearest_euler_angles(
     rotations: Float[Array, "E 4"],
     frames: Float[Array, "E 4"],
     lower: Float[Array, "#E 3"],

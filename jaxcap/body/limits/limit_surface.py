@@ -11,7 +11,7 @@ from ..skeleton import Skeleton
 from .chart import Chart
 from .limits import AbstractLimits
 from .primitives import Primitives, signed_distance
-from .surface_projection import nearest_inside
+from .surface_projection import project_inside
 
 
 class LimitSurface(eqx.Module):
@@ -47,22 +47,24 @@ class LimitSurface(eqx.Module):
     def __check_init__(self):
         check_fields(self)
 
-    def shares(self, parent: Float[Array, "3"]) -> Float[Array, "V"]:
+    def keyframe_weights(self, parent_coordinates: Float[Array, "3"]) -> Float[Array, "V"]:
         """Compute the blend weight of each keyframe at coordinates of the parent; they sum to one."""
-        apart = jnp.sum((self.keys - parent) ** 2, -1)
+        apart = jnp.sum((self.keys - parent_coordinates) ** 2, -1)
         return jax.nn.softmax(-0.5 * apart / self.reach**2)
 
-    def primitives(self, parent: Float[Array, "3"] | None) -> Primitives:
+    def primitives(self, parent_coordinates: Float[Array, "3"] | None) -> Primitives:
         """Interpolate the primitives at coordinates of the parent."""
-        if parent is None:
+        if parent_coordinates is None:
             centres, thickness = self.centres[0], self.thickness[0]
         else:
-            shares = self.shares(parent)
+            shares = self.keyframe_weights(parent_coordinates)
             centres = jnp.tensordot(shares, self.centres, 1)
             thickness = shares @ self.thickness
         return Primitives(centres, thickness, self.unit, self.level, self.stiffness)
 
-    def places(self, skeleton: Skeleton, pose: Pose) -> tuple[Float[Array, "3"], Float[Array, "3"] | None]:
+    def coordinates(
+        self, skeleton: Skeleton, pose: Pose
+    ) -> tuple[Float[Array, "3"], Float[Array, "3"] | None]:
         """Compute the coordinates of a pose in the charts of the joint and of its parent."""
         place = self.chart.coordinates(pose.rotations[skeleton.index(self.joint)])
         if self.parent_chart is None or self.parent is None:
@@ -81,23 +83,23 @@ class SurfaceLimits(AbstractLimits):
         """
         beyond = []
         for surface in self.surfaces:
-            place, parent = surface.places(skeleton, pose)
+            place, parent = surface.coordinates(skeleton, pose)
             beyond.append(2 * jnp.maximum(signed_distance(surface.primitives(parent), place), 0.0))
         return jnp.stack(beyond)
 
-    def owners(self, skeleton: Skeleton):
+    def residual_joints(self, skeleton: Skeleton):
         return jnp.array([skeleton.index(surface.joint) for surface in self.surfaces], jnp.int32)
 
-    def nearest(self, skeleton: Skeleton, pose: Pose):
+    def project(self, skeleton: Skeleton, pose: Pose):
         """Project parents first, then each child onto the limits at its parent's new rotation (Limits,
         section 4.2)."""
         rotations = pose.rotations
         for surface in self.surfaces:
             here = Pose(pose.translations, rotations, pose.scale)
-            place, parent = surface.places(skeleton, here)
+            place, parent = surface.coordinates(skeleton, here)
             primitives = surface.primitives(parent)
             inside = signed_distance(primitives, place) <= 0
-            found = surface.chart.rotation(nearest_inside(primitives, surface.chart, place))
+            found = surface.chart.rotation(project_inside(primitives, surface.chart, place))
             joint = skeleton.index(surface.joint)
             rotations = rotations.at[joint].set(jnp.where(inside, rotations[joint], found))
         return Pose(pose.translations, rotations, pose.scale)
@@ -111,29 +113,29 @@ def comfort(limits: SurfaceLimits, skeleton: Skeleton, pose: Pose) -> Float[Arra
     It is one where the joint is most of the time, and zero where it has never been. The density is that of
     joint and parent together, with each sample spread over its voxel.
     """
-    return jnp.stack([_comfort(surface, *surface.places(skeleton, pose)) for surface in limits.surfaces])
+    return jnp.stack([_comfort(surface, *surface.coordinates(skeleton, pose)) for surface in limits.surfaces])
 
 
 def density(
-    surface: LimitSurface, place: Float[Array, "3"], parent: Float[Array, "3"] | None
+    surface: LimitSurface, coordinates: Float[Array, "3"], parent_coordinates: Float[Array, "3"] | None
 ) -> Float[Array, ""]:
     """Estimate the density of samples at a point, up to a factor."""
     # the standard deviation is the width of a sample's voxel, two units
-    near = jnp.exp(-0.125 * jnp.sum((surface.centres - place) ** 2, -1) / surface.unit**2)
+    near = jnp.exp(-0.125 * jnp.sum((surface.centres - coordinates) ** 2, -1) / surface.unit**2)
     by_key = jnp.sum(surface.counts * near, -1)
-    if parent is None:
+    if parent_coordinates is None:
         return by_key[0]
-    keys = jnp.exp(-0.5 * jnp.sum((surface.keys - parent) ** 2, -1) / surface.reach**2)
+    keys = jnp.exp(-0.5 * jnp.sum((surface.keys - parent_coordinates) ** 2, -1) / surface.reach**2)
     return keys @ by_key
 
 
-def _comfort(surface: LimitSurface, place, parent) -> Float[Array, ""]:
-    here = density(surface, place, parent)
+def _comfort(surface: LimitSurface, coordinates, parent_coordinates) -> Float[Array, ""]:
+    here = density(surface, coordinates, parent_coordinates)
     rank = jnp.searchsorted(surface.densities, here, side="right")
     return rank / len(surface.densities)
 
 
-def fits(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
+def missing_joints(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
     """List the joints that the limits name and the skeleton lacks."""
     named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
     return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))

@@ -40,11 +40,11 @@ class AbstractLimits(eqx.Module):
         cosines for cones, of either sign."""
 
     @abc.abstractmethod
-    def owners(self, skeleton: Skeleton) -> Int[Array, "C"]:
+    def residual_joints(self, skeleton: Skeleton) -> Int[Array, "C"]:
         """Return the joint of each residual."""
 
     @abc.abstractmethod
-    def nearest(self, skeleton: Skeleton, pose: Pose) -> Pose:
+    def project(self, skeleton: Skeleton, pose: Pose) -> Pose:
         """Project every limited joint onto its nearest allowed rotation; allowed joints stay unchanged."""
 
 
@@ -52,7 +52,7 @@ class AbstractLimits(eqx.Module):
 def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Array, "J"]:
     """Test if each joint is within its limits; joints without limits are."""
     beyond = jnp.abs(limits.residual(skeleton, pose))
-    worst = jnp.zeros(skeleton.num_joints, beyond.dtype).at[limits.owners(skeleton)].max(beyond)
+    worst = jnp.zeros(skeleton.num_joints, beyond.dtype).at[limits.residual_joints(skeleton)].max(beyond)
     return worst <= TOLERANCE
 
 
@@ -64,12 +64,12 @@ class AllLimits(AbstractLimits):
     def residual(self, skeleton: Skeleton, pose: Pose):
         return jnp.concatenate([part.residual(skeleton, pose) for part in self.parts])
 
-    def owners(self, skeleton: Skeleton):
-        return jnp.concatenate([part.owners(skeleton) for part in self.parts])
+    def residual_joints(self, skeleton: Skeleton):
+        return jnp.concatenate([part.residual_joints(skeleton) for part in self.parts])
 
-    def nearest(self, skeleton: Skeleton, pose: Pose):
+    def project(self, skeleton: Skeleton, pose: Pose):
         for part in self.parts:
-            pose = part.nearest(skeleton, pose)
+            pose = part.project(skeleton, pose)
         return pose
 
 
@@ -96,7 +96,7 @@ class JointRanges(AbstractLimits):
     #: joint of each range
     joints: Int[Array, "R"]
     #: index of the limited angle of its joint: 0, or 1 for a universal joint's second
-    numbers: Int[Array, "R"]
+    angle_indices: Int[Array, "R"]
     lower: Float[Array, "R"]
     upper: Float[Array, "R"]
     #: joint of each cone pair
@@ -122,27 +122,27 @@ class JointRanges(AbstractLimits):
         heading = cone_residual(turned, self.heading, self.heading_angle)
         return jnp.concatenate([beyond, heading, cone_residual(turned, self.bank, self.bank_angle)])
 
-    def owners(self, skeleton: Skeleton):
+    def residual_joints(self, skeleton: Skeleton):
         return jnp.concatenate([self.joints, self.ball_joints, self.ball_joints])
 
-    def nearest(self, skeleton: Skeleton, pose: Pose):
+    def project(self, skeleton: Skeleton, pose: Pose):
         """Clamp each angle to its range, and project onto the two cones alternately until both hold."""
         angles = self._angles(skeleton, pose)
         clamped = jnp.clip(angles, self.lower, self.upper)
         # only violated joints change, so that allowed ones stay bitwise equal
         table = jnp.stack([revolute_angles(skeleton, pose), jnp.zeros(skeleton.num_joints)], -1)
-        table = jnp.where(_universal(skeleton)[:, None], universal_angles(skeleton, pose), table)
-        table = table.at[self.joints, self.numbers].set(clamped.astype(table.dtype))
+        table = jnp.where(_is_universal(skeleton)[:, None], universal_angles(skeleton, pose), table)
+        table = table.at[self.joints, self.angle_indices].set(clamped.astype(table.dtype))
         moved = jnp.zeros(skeleton.num_joints, bool).at[self.joints].max(clamped != angles)
         first, second = (rotation.about_axis(skeleton.axes[:, i], table[:, i]) for i in range(2))
-        boxed = jnp.where(_universal(skeleton)[:, None], rotation.multiply(first, second), first)
+        boxed = jnp.where(_is_universal(skeleton)[:, None], rotation.multiply(first, second), first)
         rotations = jnp.where(moved[:, None], boxed, pose.rotations)
         turned = rotations[self.ball_joints]
         turned = turned.astype(jnp.result_type(turned, self.heading, self.heading_angle))
 
         def into_both(_, turned):
-            return _into_cone(
-                _into_cone(turned, self.heading, self.heading_angle), self.bank, self.bank_angle
+            return _project_onto_cone(
+                _project_onto_cone(turned, self.heading, self.heading_angle), self.bank, self.bank_angle
             )
 
         # unrolled, it would dominate the compile time of a program with limits
@@ -153,33 +153,33 @@ class JointRanges(AbstractLimits):
     def _angles(self, skeleton: Skeleton, pose: Pose) -> Float[Array, "R"]:
         """Compute the angle of each range, modulo a turn the one nearest to the middle of the range."""
         first, pairs = revolute_angles(skeleton, pose), universal_angles(skeleton, pose)
-        universal = _universal(skeleton)[self.joints]
-        angles = jnp.where(universal, pairs[self.joints, self.numbers], first[self.joints])
+        universal = _is_universal(skeleton)[self.joints]
+        angles = jnp.where(universal, pairs[self.joints, self.angle_indices], first[self.joints])
         middle = (self.lower + self.upper) / 2
         return middle + (angles - middle + jnp.pi) % (2 * jnp.pi) - jnp.pi
 
 
 def cone_residual(
-    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+    rotations: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
 ) -> Float[Array, "B"]:
     """Compute `min(x_B . R x_B - cos(angle), 0)` (Kineben, eq. 15)."""
-    return jnp.minimum(jnp.sum(axis * rotation.rotate(turned, axis), -1) - jnp.cos(angle), 0.0)
+    return jnp.minimum(jnp.sum(axis * rotation.rotate(rotations, axis), -1) - jnp.cos(angle), 0.0)
 
 
-def _into_cone(
-    turned: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
+def _project_onto_cone(
+    rotations: Float[Array, "B 4"], axis: Float[Array, "B 3"], angle: Float[Array, "B"]
 ) -> Float[Array, "B 4"]:
     """Apply the smallest rotation that brings the axis into its cone."""
-    there = rotation.rotate(turned, axis)
+    there = rotation.rotate(rotations, axis)
     across = jnp.cross(there, axis)
     sine = jnp.sqrt(jnp.maximum(jnp.sum(across**2, -1), 1e-30))
     beyond = jnp.arctan2(sine, jnp.sum(there * axis, -1)) - angle
     # slightly inside of the edge, so that rounding does not leave it outside
     back = rotation.about_axis(across / sine[:, None], beyond + 1e-6)
-    return jnp.where((beyond > 0)[:, None], rotation.multiply(back, turned), turned)
+    return jnp.where((beyond > 0)[:, None], rotation.multiply(back, rotations), rotations)
 
 
-def _universal(skeleton: Skeleton) -> Bool[Array, "J"]:
+def _is_universal(skeleton: Skeleton) -> Bool[Array, "J"]:
     return jnp.array([kind == "universal" for kind in skeleton.kinds])
 
 
@@ -201,7 +201,7 @@ def make_joint_ranges(
     rows, balls = [], []
     place = {name: joint for joint, name in enumerate(skeleton.names)}
     for name, limits in (ranges or {}).items():
-        joint = _joint(skeleton, place, name, ("revolute", "universal"), "range")
+        joint = _find_joint(skeleton, place, name, ("revolute", "universal"), "range")
         pairs = np.asarray(limits, float).reshape(-1, 2)
         count = KINDS[skeleton.kinds[joint]][1]
         if len(pairs) != count:
@@ -217,7 +217,7 @@ def make_joint_ranges(
             # a range with an infinite bound has no middle
             rows.append((joint, number, max(lower, -2 * np.pi), min(upper, 2 * np.pi)))
     for name, cone in (cones or {}).items():
-        joint = _joint(skeleton, place, name, ("ball", "free"), "cone")
+        joint = _find_joint(skeleton, place, name, ("ball", "free"), "cone")
         axes = np.asarray([cone.heading, cone.bank], float)
         lengths = np.linalg.norm(axes, axis=1)
         angles = np.asarray([cone.heading_angle, cone.bank_angle], float)
@@ -233,7 +233,7 @@ def make_joint_ranges(
     angles = np.asarray([ball[2] for ball in balls], float).reshape(-1, 2)
     return JointRanges(
         joints=jnp.asarray(table[:, 0].astype(np.int32)),
-        numbers=jnp.asarray(table[:, 1].astype(np.int32)),
+        angle_indices=jnp.asarray(table[:, 1].astype(np.int32)),
         lower=jnp.asarray(table[:, 2]),
         upper=jnp.asarray(table[:, 3]),
         ball_joints=jnp.asarray([ball[0] for ball in balls], dtype=jnp.int32),
@@ -244,16 +244,18 @@ def make_joint_ranges(
     )
 
 
-def _joint(skeleton: Skeleton, place: Mapping[str, int], name: str, kinds: tuple[str, ...], what: str) -> int:
-    if name not in place:
+def _find_joint(
+    skeleton: Skeleton, joint_indices: Mapping[str, int], name: str, kinds: tuple[str, ...], limit_name: str
+) -> int:
+    if name not in joint_indices:
         raise ValueError(
-            f"There is a {what} for joint '{name}', which is not in the skeleton; expected one of "
+            f"There is a {limit_name} for joint '{name}', which is not in the skeleton; expected one of "
             f"{', '.join(skeleton.names)}."
         )
-    joint = place[name]
+    joint = joint_indices[name]
     if skeleton.kinds[joint] not in kinds:
         raise ValueError(
-            f"There is a {what} for joint '{name}', which is {skeleton.kinds[joint]}; expected a "
+            f"There is a {limit_name} for joint '{name}', which is {skeleton.kinds[joint]}; expected a "
             f"{' or '.join(kinds)} joint."
         )
     return joint

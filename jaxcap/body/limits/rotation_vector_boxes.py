@@ -12,14 +12,14 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...geometry import rotation
-from ..pose import Pose, own_vectors, retract
+from ..pose import Pose, local_rotation_vectors, retract
 from ..skeleton import KINDS, Skeleton, dof_layout
 from .limits import AbstractLimits
 
 #: alternating projections onto a universal joint's axes and its box
 ALTERNATIONS = 20
 #: axis components below this are taken as zero
-ASLANT = 1e-6
+MIN_AXIS_COMPONENT = 1e-6
 #: largest norm of a rotation vector: slightly below pi, beyond which its sign flips
 HALF_TURN = np.pi - 1e-5
 
@@ -38,24 +38,24 @@ class PoseBoxes(AbstractLimits):
 
     def residual(self, skeleton: Skeleton, pose: Pose):
         """Compute the excess of each component beyond its range, radians, negative below it."""
-        own = own_vectors(skeleton, pose)[self.indices(skeleton)]
+        own = local_rotation_vectors(skeleton, pose)[self.indices(skeleton)]
         return (own - jnp.clip(own, self.lower, self.upper)).reshape(-1)
 
-    def owners(self, skeleton: Skeleton):
+    def residual_joints(self, skeleton: Skeleton):
         return jnp.repeat(jnp.asarray(self.indices(skeleton), jnp.int32), 3)
 
-    def nearest(self, skeleton: Skeleton, pose: Pose):
+    def project(self, skeleton: Skeleton, pose: Pose):
         """Clamp every component to its range, which is the projection in these coordinates.
 
         A revolute joint stays on its axis and a universal one on its two, where these intersect the box.
         Joints that cannot rotate stay unchanged.
         """
         joints = self.indices(skeleton)
-        own = own_vectors(skeleton, pose)[joints]
-        turned = _turned(skeleton, joints, self._on_axes(skeleton, own))
+        own = local_rotation_vectors(skeleton, pose)[joints]
+        turned = _from_local_vectors(skeleton, joints, self._project_onto_axes(skeleton, own))
         # only violated joints change, so that allowed ones stay bitwise equal
         beyond = jnp.any(jnp.clip(own, self.lower, self.upper) != own, -1, keepdims=True)
-        beyond = beyond & ~_of_kinds(skeleton, joints, "fixed", "translate")[:, None]
+        beyond = beyond & ~_has_kind(skeleton, joints, "fixed", "translate")[:, None]
         rotations = jnp.where(beyond, turned, pose.rotations[joints]).astype(pose.rotations.dtype)
         return Pose(pose.translations, pose.rotations.at[joints].set(rotations), pose.scale)
 
@@ -63,23 +63,25 @@ class PoseBoxes(AbstractLimits):
         """Look up the joint of each box. Raises `KeyError` where the skeleton lacks one."""
         return np.array([skeleton.index(name) for name in self.joints], int)
 
-    def _on_axes(self, skeleton: Skeleton, own: Float[Array, "J 3"]) -> Float[Array, "J 3"]:
+    def _project_onto_axes(
+        self, skeleton: Skeleton, rotation_vectors: Float[Array, "J 3"]
+    ) -> Float[Array, "J 3"]:
         """Project rotation vectors onto the boxes and onto the rotations that the joints' kinds allow."""
-        joints, within = self.indices(skeleton), _within(own, self.lower, self.upper)
-        revolute, universal = (_of_kinds(skeleton, joints, kind) for kind in ("revolute", "universal"))
+        joints, within = self.indices(skeleton), _clamp_vectors(rotation_vectors, self.lower, self.upper)
+        revolute, universal = (_has_kind(skeleton, joints, kind) for kind in ("revolute", "universal"))
         if revolute.any():
-            axes, low, high = _hinges(self, skeleton, joints)
-            angles = jnp.clip(jnp.sum(own * axes, -1), low, high)
-            along = _within(angles[:, None] * axes, self.lower, self.upper)
+            axes, low, high = _hinge_ranges(self, skeleton, joints)
+            angles = jnp.clip(jnp.sum(rotation_vectors * axes, -1), low, high)
+            along = _clamp_vectors(angles[:, None] * axes, self.lower, self.upper)
             within = jnp.where(revolute[:, None], along, within)
         if universal.any():
             first, second = skeleton.axes[joints, 0], skeleton.axes[joints, 1]
 
             def nearer(_, within):
-                angles = rotation.angles_about(_turned(skeleton, joints, within), first, second)
+                angles = rotation.angles_about(_from_local_vectors(skeleton, joints, within), first, second)
                 pair = (rotation.about_axis(first, angles[:, 0]), rotation.about_axis(second, angles[:, 1]))
-                vectors = _own(skeleton, joints, rotation.multiply(*pair))
-                return _within(vectors, self.lower, self.upper)
+                vectors = _to_local_vectors(skeleton, joints, rotation.multiply(*pair))
+                return _clamp_vectors(vectors, self.lower, self.upper)
 
             alternated = jax.lax.fori_loop(0, ALTERNATIONS, nearer, within)
             within = jnp.where(universal[:, None], alternated, within)
@@ -90,13 +92,13 @@ class BoxChart(NamedTuple):
     """Coordinates `x` of the tangents of a pose, `d = turn @ x`, in which boxes are bounds."""
 
     #: radians and metres; the identity except for ball joints with a box
-    turn: Float[Array, "D D"]
+    basis: Float[Array, "D D"]
     #: bounds of each component of `x`; infinite where it is free
-    low: Float[Array, "D"]
-    high: Float[Array, "D"]
+    lower: Float[Array, "D"]
+    upper: Float[Array, "D"]
 
 
-def box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
+def make_box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
     """Create the chart of boxes about a pose that is within them (Adaptation, 4.1.4).
 
     A pose changes by `R <- R exp(d)`, and a box bounds `w = O^T log R`, with `O` the joint's own frame. As
@@ -109,9 +111,9 @@ def box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
     turn = jnp.eye(skeleton.num_dofs + 1, dtype=dtype)
     low, high = (jnp.full(skeleton.num_dofs + 1, end, dtype) for end in (-jnp.inf, jnp.inf))
     joints = boxes.indices(skeleton)
-    own = own_vectors(skeleton, pose)[joints]
+    own = local_rotation_vectors(skeleton, pose)[joints]
 
-    rows = np.flatnonzero(_of_kinds(skeleton, joints, "ball", "free"))
+    rows = np.flatnonzero(_has_kind(skeleton, joints, "ball", "free"))
     slots = layout.rotations[joints[rows]]
     blocks = rotation.right_jacobian(rotation.log(pose.rotations[joints[rows]]))
     blocks = jnp.matmul(blocks, rotation.to_matrix(skeleton.orientations[joints[rows]]), precision="highest")
@@ -120,24 +122,24 @@ def box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart:
     low = low.at[slots].set((boxes.lower - own)[rows].astype(dtype))
     high = high.at[slots].set((boxes.upper - own)[rows].astype(dtype))
 
-    rows = np.flatnonzero(_of_kinds(skeleton, joints, "revolute"))
+    rows = np.flatnonzero(_has_kind(skeleton, joints, "revolute"))
     slots = layout.rotations[joints[rows], 0]
-    axes, least, most = _hinges(boxes, skeleton, joints)
+    axes, least, most = _hinge_ranges(boxes, skeleton, joints)
     angles = jnp.sum(own * axes, -1)
     low = low.at[slots].set((least - angles)[rows].astype(dtype))
     high = high.at[slots].set((most - angles)[rows].astype(dtype))
     return BoxChart(turn[:-1, :-1], low[:-1], high[:-1])
 
 
-def chart_equations(
-    chart: BoxChart, matrix: Float[Array, "D D"], side: Float[Array, "D"]
+def transform_normal_equations(
+    chart: BoxChart, matrix: Float[Array, "D D"], rhs: Float[Array, "D"]
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
     """Transform normal equations of tangents to the chart's coordinates."""
     product = partial(jnp.matmul, precision="highest")
-    return product(chart.turn.T, product(matrix, chart.turn)), product(chart.turn.T, side)
+    return product(chart.basis.T, product(matrix, chart.basis)), product(chart.basis.T, rhs)
 
 
-def move_within(
+def retract_within(
     boxes: PoseBoxes, skeleton: Skeleton, pose: Pose, chart: BoxChart, x: Float[Array, "D"]
 ) -> Pose:
     """Move a pose by coordinates of its chart, of any size, and keep it in the boxes to rounding.
@@ -146,14 +148,14 @@ def move_within(
     reaches it. All other joints move as in `retract`.
     """
     joints = boxes.indices(skeleton)
-    moved = retract(skeleton, pose, jnp.matmul(chart.turn, x, precision="highest"))
-    rows = np.flatnonzero(_of_kinds(skeleton, joints, "ball", "free"))
+    moved = retract(skeleton, pose, jnp.matmul(chart.basis, x, precision="highest"))
+    rows = np.flatnonzero(_has_kind(skeleton, joints, "ball", "free"))
     ball, lower, upper = joints[rows], boxes.lower[rows], boxes.upper[rows]
-    own = own_vectors(skeleton, pose)[ball] + x[dof_layout(skeleton).rotations[ball]]
-    straight = _turned(skeleton, ball, _within(own, lower, upper))
+    own = local_rotation_vectors(skeleton, pose)[ball] + x[dof_layout(skeleton).rotations[ball]]
+    straight = _from_local_vectors(skeleton, ball, _clamp_vectors(own, lower, upper))
     rotations = jnp.where(_bounded(boxes)[rows], straight, moved.rotations[ball])
     rotations = moved.rotations.at[ball].set(rotations.astype(moved.rotations.dtype))
-    return boxes.nearest(skeleton, Pose(moved.translations, rotations, moved.scale))
+    return boxes.project(skeleton, Pose(moved.translations, rotations, moved.scale))
 
 
 @checked
@@ -169,12 +171,12 @@ def make_pose_boxes(
     return PoseBoxes(tuple(joints), jnp.asarray(lower, float), jnp.asarray(upper, float))
 
 
-def no_boxes() -> PoseBoxes:
+def empty_boxes() -> PoseBoxes:
     """Create boxes of no joint, which limit nothing."""
     return make_pose_boxes((), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
-def turning_joints(skeleton: Skeleton) -> tuple[int, ...]:
+def rotating_joints(skeleton: Skeleton) -> tuple[int, ...]:
     """List the joints whose rotations are part of a pose: all that rotate except roots.
 
     Roots only orient the whole body.
@@ -186,15 +188,15 @@ def turning_joints(skeleton: Skeleton) -> tuple[int, ...]:
     )
 
 
-def _within(
-    own: Float[Array, "B 3"], lower: Float[Array, "B 3"], upper: Float[Array, "B 3"]
+def _clamp_vectors(
+    vectors: Float[Array, "B 3"], lower: Float[Array, "B 3"], upper: Float[Array, "B 3"]
 ) -> Float[Array, "B 3"]:
     """Clamp every component to its range, and shorten the vector to at most half a turn.
 
     It is shortened along the line to the smallest rotation in the box, which stays in the box.
     """
-    clipped = jnp.clip(own, lower, upper)
-    least = jnp.clip(jnp.zeros_like(own), lower, upper)
+    clipped = jnp.clip(vectors, lower, upper)
+    least = jnp.clip(jnp.zeros_like(vectors), lower, upper)
     way = clipped - least
     # solve |least + share way| = pi; where the vector is shorter, share is at least 1
     a, b, c = (jnp.sum(p * q, -1, keepdims=True) for p, q in ((way, way), (way, least), (least, least)))
@@ -203,12 +205,12 @@ def _within(
     return jnp.where(share < 1.0, least + share * way, clipped)
 
 
-def _hinges(
+def _hinge_ranges(
     boxes: PoseBoxes, skeleton: Skeleton, joints: Int[np.ndarray, "B"]
 ) -> tuple[Float[Array, "B 3"], Float[Array, "B"], Float[Array, "B"]]:
     """Compute each joint's first axis in its own frame, and the range of angles about it in the box."""
     axes = rotation.rotate(rotation.conjugate(skeleton.orientations[joints]), skeleton.axes[joints, 0])
-    turns = jnp.abs(axes) > ASLANT
+    turns = jnp.abs(axes) > MIN_AXIS_COMPONENT
     ends = jnp.stack([boxes.lower, boxes.upper]) / jnp.where(turns, axes, 1.0)
     low = jnp.max(jnp.where(turns, jnp.min(ends, 0), -jnp.inf), -1)
     high = jnp.min(jnp.where(turns, jnp.max(ends, 0), jnp.inf), -1)
@@ -220,20 +222,20 @@ def _bounded(boxes: PoseBoxes) -> Bool[Array, "B 1"]:
     return jnp.any(jnp.isfinite(boxes.lower) | jnp.isfinite(boxes.upper), -1, keepdims=True)
 
 
-def _own(
+def _to_local_vectors(
     skeleton: Skeleton, joints: Int[np.ndarray, "B"], rotations: Float[Array, "B 4"]
 ) -> Float[Array, "B 3"]:
     """Convert rotations to rotation vectors in their joints' own frames."""
     return rotation.rotate(rotation.conjugate(skeleton.orientations[joints]), rotation.log(rotations))
 
 
-def _turned(
-    skeleton: Skeleton, joints: Int[np.ndarray, "B"], own: Float[Array, "B 3"]
+def _from_local_vectors(
+    skeleton: Skeleton, joints: Int[np.ndarray, "B"], vectors: Float[Array, "B 3"]
 ) -> Float[Array, "B 4"]:
-    """Convert rotation vectors of `_own` back to quaternions."""
-    return rotation.normalise(rotation.exp(rotation.rotate(skeleton.orientations[joints], own)))
+    """Convert rotation vectors of `_to_local_vectors` back to quaternions."""
+    return rotation.normalise(rotation.exp(rotation.rotate(skeleton.orientations[joints], vectors)))
 
 
-def _of_kinds(skeleton: Skeleton, joints: Int[np.ndarray, "B"], *kinds: str) -> np.ndarray:
+def _has_kind(skeleton: Skeleton, joints: Int[np.ndarray, "B"], *kinds: str) -> np.ndarray:
     """Test if joints are of some kinds, (B,)."""
     return np.isin(np.array(skeleton.kinds)[joints], kinds)

@@ -8,12 +8,12 @@ from .chart import Chart
 from .primitives import Primitives, field, radii
 
 #: rounds of a straight step to the surface and a tangential step along it; bisections of a straight step
-ROUNDS, HALVINGS = 3, 5
+ROUNDS, NUM_BISECTIONS = 3, 5
 #: margin of the field above the level, so that rounding does not put a point outside again
-ABOVE = 0.02
+LEVEL_MARGIN = 0.02
 
 
-def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
+def project_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
     """Find the allowed point nearest to a forbidden one, by rotation distance.
 
     Every primitive contains a ball that is inside the surface by itself. The nearest point of these balls
@@ -23,37 +23,37 @@ def nearest_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
     """
 
     def inside(x):
-        return field(primitives, x) >= primitives.level + ABOVE / 2
+        return field(primitives, x) >= primitives.level + LEVEL_MARGIN / 2
 
     def apart(x):
         return chart.squared_distance(x, point)
 
     def improve(_, place):
-        edge = _furthest(inside, place, chart.image(point, place))
+        edge = _last_inside(inside, place, chart.unwrap(point, place))
         normal = _unit(jax.grad(lambda x: field(primitives, x))(edge))
         down = -jax.grad(apart)(edge) / 2
         aside = edge + down - jnp.sum(down * normal) * normal
-        aside = jnp.where(inside(aside), aside, _nearest_ball(primitives, chart, aside))
+        aside = jnp.where(inside(aside), aside, _nearest_ball_point(primitives, chart, aside))
         best = jnp.where(apart(edge) < apart(place), edge, place)
         return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
 
     # in one dimension there is no tangential direction
     rounds = 1 if chart.dimension == 1 else ROUNDS
-    return jax.lax.fori_loop(0, rounds, improve, _nearest_ball(primitives, chart, point))
+    return jax.lax.fori_loop(0, rounds, improve, _nearest_ball_point(primitives, chart, point))
 
 
-def _nearest_ball(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
+def _nearest_ball_point(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
     """Find the nearest point of the balls, by rotation distance."""
     apart = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
-    reach = radii(primitives) - ABOVE * primitives.unit / primitives.stiffness
+    reach = radii(primitives) - LEVEL_MARGIN * primitives.unit / primitives.stiffness
     nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
     centre, radius = primitives.centres[nearest], reach[nearest]
     towards = -jax.grad(chart.squared_distance)(centre, point)
-    away = jnp.linalg.norm(chart.image(point, centre) - centre)
+    away = jnp.linalg.norm(chart.unwrap(point, centre) - centre)
     return centre + jnp.minimum(radius, away) * _unit(towards)
 
 
-def _furthest(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, "3"]:
+def _last_inside(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float[Array, "3"]:
     """Find the last allowed point from an allowed start towards a forbidden end, by bisection."""
 
     def halve(_, shares):
@@ -63,7 +63,7 @@ def _furthest(inside, start: Float[Array, "3"], end: Float[Array, "3"]) -> Float
         return jnp.where(there, middle, low), jnp.where(there, high, middle)
 
     zero = jnp.zeros((), start.dtype)
-    low, _ = jax.lax.fori_loop(0, HALVINGS, halve, (zero, zero + 1.0))
+    low, _ = jax.lax.fori_loop(0, NUM_BISECTIONS, halve, (zero, zero + 1.0))
     return start + low * (end - start)
 
 

@@ -11,33 +11,33 @@ from ...arguments import checked
 from ...assets import asset_path
 from ...geometry import rotation
 from ..body import Body
-from ..decimate import Attachment, follow, reduce_body
+from ..decimate import Attachment, attached_positions, reduce_body
 from ..skeleton import Skeleton, make_skeleton
 from ..skin import LinearSkin
 from ..skin.interpolate import interpolate_weights
-from .morph_targets import AGES, Morphs, Traits, apply_morphs, reach_height
+from .morph_targets import AGES, MorphTargets, Traits, apply_morphs, fit_stature
 
 #: intermediate joints that never move in CMU's motions
-CARRIERS = ("LHipJoint", "RHipJoint")
+FIXED_JOINTS = ("LHipJoint", "RHipJoint")
 #: joints too small for a scan of a whole body to show
-TWIGS = (
+SMALL_JOINTS = (
     "LThumb", "LeftFingerBase", "LeftHandFinger1", "RThumb", "RightFingerBase", "RightHandFinger1",
 )  # fmt: skip
 RESOLUTIONS = ("full", "medium", "low")
 
 
-class _Human(NamedTuple):
+class _HumanAsset(NamedTuple):
     """The content of `assets/human.npz` (written by scripts/build_human.py)."""
 
     names: list[str]
     parents: list[int]
-    morphs: Morphs
+    morphs: MorphTargets
     #: the triangles, the skinning weights and, where reduced, the attachment to the full mesh
     surfaces: dict[str, tuple[np.ndarray, np.ndarray, Attachment | None]]
 
 
 @functools.lru_cache(maxsize=1)
-def _load() -> _Human:
+def _load() -> _HumanAsset:
     with np.load(asset_path("human.npz"), allow_pickle=False) as file:
         weights = file["weights"].astype(float)
         weights /= weights.sum(axis=1, keepdims=True)
@@ -50,12 +50,12 @@ def _load() -> _Human:
                 file[f"{name}_shares"].astype(float),
                 file[f"{name}_heights"].astype(float),
             )
-            carried = interpolate_weights(weights, hold.corners, hold.shares)
+            carried = interpolate_weights(weights, hold.corners, hold.barycentric)
             surfaces[name] = file[f"{name}_faces"].astype(np.int32), carried, hold
-        return _Human(
+        return _HumanAsset(
             file["names"].tolist(),
             file["parents"].tolist(),
-            Morphs(*(file[field] for field in Morphs._fields)),
+            MorphTargets(*(file[field] for field in MorphTargets._fields)),
             surfaces,
         )
 
@@ -98,13 +98,13 @@ def human(
     **Raises:** `InputError` with one sentence for an option out of its range, `FileNotFoundError` where the
     asset is missing.
     """
-    traits = _traits(sex, age, weight, muscle)
+    traits = _make_traits(sex, age, weight, muscle)
     if height is not None:
-        traits = reach_height(_load().morphs, traits, float(height))
-    return body_of(traits, resolution, joints)
+        traits = fit_stature(_load().morphs, traits, float(height))
+    return human_from_traits(traits, resolution, joints)
 
 
-def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full") -> Body:
+def human_from_traits(traits: Traits, resolution: str | int = "full", joints: str = "full") -> Body:
     """Create the embedded human with given traits, which are within their ranges; see `human`."""
     if isinstance(resolution, str) and resolution not in RESOLUTIONS:
         raise ValueError(
@@ -113,24 +113,26 @@ def body_of(traits: Traits, resolution: str | int = "full", joints: str = "full"
     if joints not in ("full", "tracking"):
         raise ValueError(f"The set of joints '{joints}' is unknown; give 'full' or 'tracking'.")
     asset, named = _load(), resolution if isinstance(resolution, str) else "full"
-    vertices, ends = shape_of(traits, named)
+    vertices, ends = shape_from_traits(traits, named)
     faces, weights, _ = asset.surfaces[named]
-    skeleton, skin = _skeleton(asset, ends, joints), LinearSkin(jnp.asarray(weights))
+    skeleton, skin = _human_skeleton(asset, ends, joints), LinearSkin(jnp.asarray(weights))
     body = Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
     return body if isinstance(resolution, str) else reduce_body(body, resolution)
 
 
-def shape_of(
+def shape_from_traits(
     traits: Traits, resolution: str = "full"
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
     """Compute vertices of a named resolution and both ends of the bones at rest, metres, from traits."""
     asset = _load()
     vertices, ends = apply_morphs(asset.morphs, traits)
     hold = asset.surfaces[resolution][2]
-    return (vertices if hold is None else follow(hold, vertices)), ends
+    return (vertices if hold is None else attached_positions(hold, vertices)), ends
 
 
-def _traits(sex: str | float | int, age: float | int, weight: float | int, muscle: float | int) -> Traits:
+def _make_traits(
+    sex: str | float | int, age: float | int, weight: float | int, muscle: float | int
+) -> Traits:
     if isinstance(sex, str):
         if sex not in ("female", "male"):
             raise ValueError(f"The sex '{sex}' is unknown; give 'female', 'male' or a number from 0 to 1.")
@@ -144,8 +146,8 @@ def _traits(sex: str | float | int, age: float | int, weight: float | int, muscl
     return traits
 
 
-def _skeleton(asset: _Human, ends: Float[np.ndarray, "J 2 3"], joints: str) -> Skeleton:
-    fixed = CARRIERS + TWIGS if joints == "tracking" else CARRIERS
+def _human_skeleton(asset: _HumanAsset, ends: Float[np.ndarray, "J 2 3"], joints: str) -> Skeleton:
+    fixed = FIXED_JOINTS + SMALL_JOINTS if joints == "tracking" else FIXED_JOINTS
     frames = _joint_frames(asset.names, ends)
     return make_skeleton(
         asset.names,

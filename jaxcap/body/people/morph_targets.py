@@ -10,10 +10,10 @@ from scipy.optimize import brentq
 #: age in years at which each age target has weight one
 AGES = {"child": 10.0, "young": 25.0, "old": 90.0}
 #: unit of the stored displacements, a tenth of a millimetre as in MakeHuman's files, metres
-STEP = 1e-4
+DISPLACEMENT_UNIT = 1e-4
 
 
-class Morphs(NamedTuple):
+class MorphTargets(NamedTuple):
     """A mesh with its bones, and T targets that displace both.
 
     The weight of a target is the product of the weights of all states in its name, such as
@@ -45,41 +45,41 @@ class Traits(NamedTuple):
     stature: float = 0.0
 
 
-def shares(traits: Traits) -> dict[str, float]:
+def state_weights(traits: Traits) -> dict[str, float]:
     """Compute the weight of each state for a person: linear between the states of one trait."""
     return {
-        **_between(traits.sex, {"female": 0.0, "male": 1.0}),
-        **_between(traits.age, AGES),
-        **_between(traits.weight, {"minweight": 0.0, "averageweight": 0.5, "maxweight": 1.0}),
-        **_between(traits.muscle, {"minmuscle": 0.0, "averagemuscle": 0.5, "maxmuscle": 1.0}),
+        **_interpolate_states(traits.sex, {"female": 0.0, "male": 1.0}),
+        **_interpolate_states(traits.age, AGES),
+        **_interpolate_states(traits.weight, {"minweight": 0.0, "averageweight": 0.5, "maxweight": 1.0}),
+        **_interpolate_states(traits.muscle, {"minmuscle": 0.0, "averagemuscle": 0.5, "maxmuscle": 1.0}),
         "minheight": max(-traits.stature, 0.0),
         "maxheight": max(traits.stature, 0.0),
     }
 
 
-def _between(value: float, places: dict[str, float]) -> dict[str, float]:
-    knots = list(places.values())
+def _interpolate_states(value: float, positions: dict[str, float]) -> dict[str, float]:
+    knots = list(positions.values())
     return {
         state: float(np.interp(value, knots, peak))
-        for state, peak in zip(places, np.eye(len(knots)), strict=True)
+        for state, peak in zip(positions, np.eye(len(knots)), strict=True)
     }
 
 
 def apply_morphs(
-    morphs: Morphs, traits: Traits
+    morphs: MorphTargets, traits: Traits
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 2 3"]]:
     """Compute vertices and ends of the bones of one person, metres."""
-    present = shares(traits)
+    present = state_weights(traits)
     vertices, joints = morphs.vertices.astype(float), morphs.joints.astype(float)
     for target, states in enumerate(morphs.target_states):
         weight = np.prod([present[state] for state in str(states).split()])
         if weight > 0:
-            vertices += weight * STEP * morphs.target_vertices[target]
+            vertices += weight * DISPLACEMENT_UNIT * morphs.target_vertices[target]
             joints += weight * morphs.target_joints[target]
     return vertices, joints
 
 
-def reach_height(morphs: Morphs, traits: Traits, height: float) -> Traits:
+def fit_stature(morphs: MorphTargets, traits: Traits, height: float) -> Traits:
     """Find the stature of a person that is `height` metres tall, to a micrometre.
 
     **Raises:** `ValueError` with one sentence when no stature reaches it.

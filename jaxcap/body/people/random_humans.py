@@ -9,7 +9,7 @@ from .human import RESOLUTIONS, human
 
 
 @functools.lru_cache(maxsize=2)
-def people_of_many_shapes(
+def sample_humans(
     count: int, *, seed: int = 0, resolution: str = "full", joints: str = "full"
 ) -> tuple[Body, ...]:
     """Sample women and men of 18 to 75 years, of all weights and muscles, 1.45 to 2 m tall.

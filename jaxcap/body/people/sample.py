@@ -14,7 +14,7 @@ from ..skeleton import Skeleton
 from .anatomy import rest_deviations
 
 #: standard deviation of joints without known anatomy, radians; largest multiple of the deviation
-_UNKNOWN, _MOST = 0.5, 2.0
+_DEFAULT_DEVIATION, _MAX_DEVIATIONS = 0.5, 2.0
 
 
 @checked
@@ -29,26 +29,26 @@ def sample_poses(skeleton: Skeleton, count: int = 64, seed: int = 0) -> Pose:
     """
     if count < 1:
         raise ValueError(f"The number of poses is {count}; expected at least 1.")
-    deviations = rest_deviations(skeleton, _UNKNOWN)
+    deviations = rest_deviations(skeleton, _DEFAULT_DEVIATION)
     deviations = np.where(np.isfinite(deviations), deviations, 0.0)
     normal = np.random.default_rng(seed).normal(size=(count, skeleton.num_joints, 3))
-    turns = np.clip(normal, -_MOST, _MOST) * deviations
+    turns = np.clip(normal, -_MAX_DEVIATIONS, _MAX_DEVIATIONS) * deviations
     turns[0] = 0.0
-    return _turned(skeleton, jnp.asarray(turns, skeleton.centres.dtype))
+    return _pose_from_vectors(skeleton, jnp.asarray(turns, skeleton.centres.dtype))
 
 
 @eqx.filter_jit
-def _turned(skeleton: Skeleton, turns: jax.Array) -> Pose:
+def _pose_from_vectors(skeleton: Skeleton, vectors: jax.Array) -> Pose:
     rest = rest_pose(skeleton)
 
     def one(own):
         turn = rotation.exp(rotation.rotate(skeleton.orientations, own))
         return project(skeleton, Pose(rest.translations, turn, rest.scale))
 
-    return jax.vmap(one)(turns)
+    return jax.vmap(one)(vectors)
 
 
-def unlike_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
+def select_diverse_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.ndarray, "N"]:
     """Select at most `count` diverse poses of a stack by farthest-point sampling, as ascending indices.
 
     The first pose is always selected. Distances are those of joint positions relative to the root.

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...geometry import dualquat, rotation
-from ..geometric_jacobian import bones_below
+from ..geometric_jacobian import descendant_matrix
 from ..kinematics import Transforms
 from ..pose import Pose
 from .interpolate import interpolate_weights
@@ -24,24 +24,24 @@ class DualQuaternionSkin(AbstractSkin):
 
     def deform(self, vertices, skeleton, pose, transforms):
         del skeleton
-        motions = bone_motions(pose, transforms)
+        motions = bone_dual_quaternions(pose, transforms)
         return pose.scale * dualquat.apply(dualquat.align(self.weights, motions) @ motions, vertices)
 
-    def parts(self):
+    def dominant_bones(self):
         return jnp.argmax(self.weights, 1)
 
-    def influence(self, num_bones):
+    def bone_weights(self, num_bones):
         del num_bones
         return self.weights
 
     def take(self, vertices):
         return DualQuaternionSkin(self.weights[vertices])
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         """Interpolate the weights of the corners."""
         del skeleton
         return DualQuaternionSkin(
-            jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype)
+            jnp.asarray(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
         )
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
@@ -49,7 +49,7 @@ class DualQuaternionSkin(AbstractSkin):
 
         A bone's `d_j` moves with the field of the joints above it at the rate `(a + e b) d_j / 2`.
         """
-        motions = bone_motions(pose, transforms)
+        motions = bone_dual_quaternions(pose, transforms)
         weights = dualquat.align(self.weights, motions)
         pulled = dualquat.pull_back(weights @ motions, vertices, pose.scale * directions)
         # (J, 6, 8): the rate of each bone's dual quaternion by each unit field
@@ -57,11 +57,11 @@ class DualQuaternionSkin(AbstractSkin):
         units = dualquat.multiply(*jnp.broadcast_arrays(fields, motions[:, None]))
         wrench = jnp.repeat(weights, 6, 1)[:, None] * (pulled @ units.reshape(-1, 8).T)
         twists = jnp.concatenate([rates.angular, rates.linear / pose.scale], 1)
-        below = bones_below(skeleton, rates)
+        below = descendant_matrix(skeleton, rates)
         return wrench @ (below[:, None] * twists.T).reshape(-1, below.shape[1])
 
 
-def bone_motions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
+def bone_dual_quaternions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
     """Convert the bones' world transforms without the pose's scale to unit dual quaternions."""
     q = rotation.from_matrix(transforms.rotations / pose.scale)
     return dualquat.from_rigid(q, transforms.translations / pose.scale)

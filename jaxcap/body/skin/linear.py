@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..geometric_jacobian import bones_below
+from ..geometric_jacobian import descendant_matrix
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
 
@@ -24,20 +24,22 @@ class LinearSkin(AbstractSkin):
         bones = jnp.concatenate([transforms.rotations, transforms.translations[:, :, None]], 2)
         return spread @ jnp.swapaxes(bones, 1, 2).reshape(-1, 3)
 
-    def parts(self):
+    def dominant_bones(self):
         return jnp.argmax(self.weights, 1)
 
-    def influence(self, num_bones):
+    def bone_weights(self, num_bones):
         del num_bones
         return self.weights
 
     def take(self, vertices):
         return LinearSkin(self.weights[vertices])
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         """Interpolate the weights of the corners."""
         del skeleton
-        return LinearSkin(jnp.asarray(interpolate_weights(self.weights, corners, shares), self.weights.dtype))
+        return LinearSkin(
+            jnp.asarray(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
+        )
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Differentiate by a weighted sum over the bones below each joint,
@@ -49,7 +51,7 @@ class LinearSkin(AbstractSkin):
         force `n` of each bone are summed.
         """
         del pose
-        below = bones_below(skeleton, rates)
+        below = descendant_matrix(skeleton, rates)
         homogeneous = jnp.concatenate([vertices, jnp.ones_like(vertices[:, :1])], 1)
         bones = jnp.concatenate([transforms.rotations, transforms.translations[:, :, None]], 2)
         x, y, z = (self.weights * (homogeneous @ bones[:, i].T) for i in range(3))

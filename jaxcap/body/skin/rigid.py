@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from ..geometric_jacobian import bones_below, field_rows
+from ..geometric_jacobian import descendant_matrix, project_velocities
 from .skin import AbstractSkin
 
 
@@ -18,22 +18,25 @@ class RigidSkin(AbstractSkin):
         r, t = transforms.rotations[self.bones], transforms.translations[self.bones]
         return jnp.einsum("vab,vb->va", r, vertices) + t
 
-    def parts(self):
+    def dominant_bones(self):
         return self.bones
 
-    def influence(self, num_bones):
+    def bone_weights(self, num_bones):
         return (self.bones[:, None] == jnp.arange(num_bones)).astype(float)
 
     def take(self, vertices):
         return RigidSkin(self.bones[vertices])
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         """Select the bones of the nearest corners."""
         del skeleton
-        nearest = np.argmax(np.asarray(shares), 1)[:, None]
+        nearest = np.argmax(np.asarray(barycentric), 1)[:, None]
         return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Evaluate the field of every parameter whose joint moves the vertex's bone; others are zero."""
         points = self.deform(vertices, skeleton, pose, transforms)
-        return field_rows(points, directions, rates) * bones_below(skeleton, rates)[self.bones][:, None]
+        return (
+            project_velocities(points, directions, rates)
+            * descendant_matrix(skeleton, rates)[self.bones][:, None]
+        )

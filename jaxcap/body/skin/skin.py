@@ -6,7 +6,7 @@ import equinox as eqx
 from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields
-from ..geometric_jacobian import Rates
+from ..geometric_jacobian import GeometricJacobian
 from ..kinematics import Transforms
 from ..pose import Pose
 from ..skeleton import Skeleton
@@ -16,9 +16,9 @@ from .interpolate import AnyArray
 class AbstractSkin(eqx.Module):
     """Binds every vertex of a body to its bones.
 
-    A skin deforms the vertices (`deform`), assigns each to one bone (`parts`), gives the weight of each
-    bone (`influence`), and differentiates by unknown parameters (`jacobian`). It also makes the skin of a
-    subset of the vertices (`take`) and of other points on the same surface (`carry`).
+    A skin deforms the vertices (`deform`), assigns each to one bone (`dominant_bones`), gives the weight of each
+    bone (`bone_weights`), and differentiates by unknown parameters (`jacobian`). It also makes the skin of a
+    subset of the vertices (`take`) and of other points on the same surface (`transfer`).
     """
 
     def __check_init__(self):
@@ -34,11 +34,11 @@ class AbstractSkin(eqx.Module):
         """
 
     @abc.abstractmethod
-    def parts(self) -> Int[Array, "V"]:
+    def dominant_bones(self) -> Int[Array, "V"]:
         """Return the bone of each vertex."""
 
     @abc.abstractmethod
-    def influence(self, num_bones: int) -> Float[Array, "V J"]:
+    def bone_weights(self, num_bones: int) -> Float[Array, "V J"]:
         """Return the share of each bone in the motion of each vertex; rows sum to one."""
 
     @abc.abstractmethod
@@ -46,12 +46,12 @@ class AbstractSkin(eqx.Module):
         """Select the skin of chosen vertices, in their order."""
 
     @abc.abstractmethod
-    def carry(
-        self, corners: Int[AnyArray, "N 3"], shares: Float[AnyArray, "N 3"], skeleton: Skeleton
+    def transfer(
+        self, corners: Int[AnyArray, "N 3"], barycentric: Float[AnyArray, "N 3"], skeleton: Skeleton
     ) -> "AbstractSkin":
         """Interpolate the skin at points on the surface, each in a triangle of three vertices.
 
-        **Arguments:** `corners` are the vertices of the triangles, `shares` the barycentric coordinates of
+        **Arguments:** `corners` are the vertices of the triangles, `barycentric` the barycentric coordinates of
         the points; negative ones count as zero.
         """
 
@@ -63,7 +63,7 @@ class AbstractSkin(eqx.Module):
         skeleton: Skeleton,
         pose: Pose,
         transforms: Transforms,
-        rates: Rates,
+        rates: GeometricJacobian,
     ) -> Float[Array, "V R N"]:
         """Differentiate `deform` along `directions (V, R, 3)` of each posed vertex by the N parameters of
         `rates`: `n . dx_v / dk`.

@@ -6,8 +6,8 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...geometry import dualquat
-from ..geometric_jacobian import bones_below, field_rows
-from ..joint_swing_twist import split_joints
+from ..geometric_jacobian import descendant_matrix, project_velocities
+from ..joint_swing_twist import decompose_joints
 from ..skeleton import Skeleton
 from .interpolate import interpolate
 from .skin import AbstractSkin
@@ -36,15 +36,15 @@ class SwingTwistSkin(AbstractSkin):
     twist: Float[Array, "V J"]
 
     def deform(self, vertices, skeleton, pose, transforms):
-        split = split_joints(skeleton, pose)
-        weights, motions = self._aligned(split.twists)
+        split = decompose_joints(skeleton, pose)
+        weights, motions = self._signed_weights(split.twists)
         twisted = dualquat.apply(weights @ motions, vertices)
         swings = self._blend_swings(split.swings)
         beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
         return jnp.einsum("vab,vb->va", r, beside) + t
 
-    def _aligned(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
+    def _signed_weights(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
         """Compute signed weights of all joints' twists and, last, of the identity; and these motions."""
         neutral = 1.0 - jnp.sum(self.twist, 1, keepdims=True)
         motions = jnp.concatenate([twists, dualquat.identity(twists.dtype)[None]])
@@ -54,39 +54,42 @@ class SwingTwistSkin(AbstractSkin):
         still = jnp.eye(3, 4, dtype=swings.dtype)
         return (self.swing @ (swings - still).reshape(-1, 12)).reshape(-1, 3, 4) + still
 
-    def parts(self):
-        return jnp.argmax(self.influence(self.swing.shape[1]), 1)
+    def dominant_bones(self):
+        return jnp.argmax(self.bone_weights(self.swing.shape[1]), 1)
 
-    def influence(self, num_bones):
+    def bone_weights(self, num_bones):
         """Compute the mean of swing and twist weights; the base has the rest."""
         del num_bones
-        return (with_base(self.swing, self.bases) + with_base(self.twist, self.bases)) / 2
+        return (add_base_weight(self.swing, self.bases) + add_base_weight(self.twist, self.bases)) / 2
 
     def take(self, vertices):
         return SwingTwistSkin(self.bases[vertices], self.swing[vertices], self.twist[vertices])
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         """Interpolate the weights of the corners, on the base that keeps most of them."""
         rows = [
-            interpolate(np.asarray(with_base(weights, self.bases)), corners, shares)
+            interpolate(np.asarray(add_base_weight(weights, self.bases)), corners, barycentric)
             for weights in (self.swing, self.twist)
         ]
-        return on_best_base(rows[0], rows[1], skeleton, self.swing.dtype)
+        return assign_bases(rows[0], rows[1], skeleton, self.swing.dtype)
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Move the base with the joints above it, and add the weighted twist and swing rates of each child.
 
         No parameter needs a pass over the surface.
         """
-        split = split_joints(skeleton, pose)
-        weights, motions = self._aligned(split.twists)
+        split = decompose_joints(skeleton, pose)
+        weights, motions = self._signed_weights(split.twists)
         blended = weights @ motions
         twisted = dualquat.apply(blended, vertices)
         swings = self._blend_swings(split.swings)
         beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
         posed = jnp.einsum("vab,vb->va", r, beside) + t
-        rows = field_rows(posed, directions, rates) * bones_below(skeleton, rates)[self.bases][:, None]
+        rows = (
+            project_velocities(posed, directions, rates)
+            * descendant_matrix(skeleton, rates)[self.bases][:, None]
+        )
         # directions in the frame before the base moves, and before the swing
         inner = jnp.einsum("vrb,vbc->vrc", directions, r)
         innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
@@ -108,22 +111,22 @@ def swing_twist_from(skin: AbstractSkin, skeleton: Skeleton) -> SwingTwistSkin:
 
     **Raises:** `ValueError` where the skin is for another number of bones.
     """
-    rows = np.asarray(skin.influence(skeleton.num_joints))
+    rows = np.asarray(skin.bone_weights(skeleton.num_joints))
     if rows.shape[1] != skeleton.num_joints:
         raise ValueError(
             f"The skin is for {rows.shape[1]} bones and the skeleton has {skeleton.num_joints} joints; "
             "give the skeleton that the skin was made for."
         )
-    return on_best_base(rows, rows, skeleton, rows.dtype)
+    return assign_bases(rows, rows, skeleton, rows.dtype)
 
 
-def with_base(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Array, "V J"]:
+def add_base_weight(weights: Float[Array, "V J"], bases: Int[Array, "V"]) -> Float[Array, "V J"]:
     """Add the remaining weight of each row to the base."""
     rest = 1.0 - jnp.sum(weights, 1, keepdims=True)
     return weights + jnp.where(bases[:, None] == jnp.arange(weights.shape[1]), rest, 0.0)
 
 
-def on_best_base(
+def assign_bases(
     swing: Float[np.ndarray, "V J"], twist: Float[np.ndarray, "V J"], skeleton: Skeleton, dtype
 ) -> SwingTwistSkin:
     """Convert influences of any bones, rows one in sum, to weights of the children of one base."""
@@ -134,6 +137,6 @@ def on_best_base(
     # among equal bases, the one with the largest weight of its own
     bases = np.argmax(mean @ hangs + (1 + 1e-6) * mean, 1)
     children = hangs[:, bases].T
-    below = skeleton.descent.T
+    below = skeleton.descendants.T
     swing, twist = (np.where(children, weights @ below, 0.0) for weights in (swing, twist))
     return SwingTwistSkin(jnp.asarray(bases), jnp.asarray(swing, dtype), jnp.asarray(twist, dtype))

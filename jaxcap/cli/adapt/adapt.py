@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan
+from ...adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
 from ...adapt.check import check_actor
-from ...adapt.evaluate import Stages, compare_stages, quantile, variant_names
+from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
 from ...adapt.task import Stage
 from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...fit.correspondence.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
 from ...io.archives.prior import Priors
 from ...io.meshes.clouds import Scans, read_clouds
@@ -23,7 +23,7 @@ from ...io.system.lock import run_lock
 from ...report.adaptation import report_adaptation
 from ..console.console import say, warn
 from ..console.options import (
-    BODY_WORDS,
+    BODY_FORMATS,
     BodySpec,
     CloudsSpec,
     Flag,
@@ -34,23 +34,30 @@ from ..console.options import (
     arg,
     clouds_words,
 )
-from ..console.rounds import Rounds
-from ..outputs import nothing_left
-from ..scan.rate import ScanRate, rate_of, tell_rate
+from ..console.rounds import RoundProgress
+from ..outputs import is_run_complete
+from ..scan.rate import ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
-from .actor import finished_run, save_actor
-from .input import check_input, explained_words, first_pose, load_cameras, warn_of_lost, warn_of_unusable
-from .prior import carried, prior_file, read_priors
-from .state import check_results, fingerprint_of, hash_of, keep_state, kept_words, state_to_go_on_from
+from .actor import load_finished_run, save_actor
+from .input import check_input, first_pose, format_explained, load_cameras, warn_of_lost, warn_of_unusable
+from .prior import carried_arrays, prior_file, read_priors
+from .state import (
+    check_results,
+    checkpoint_sentence,
+    fingerprint_of,
+    hash_file,
+    keep_state,
+    load_resumed_state,
+)
 
 PriorForm = Literal["nearest", "mean"]
 #: assignment of scan points, by the name of the option's value
-PAIRS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
-Paired = Literal["vertices", "surface", "soft"]
+ASSIGNMENTS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
+AssignmentName = Literal["vertices", "surface", "soft"]
 #: minimum number of frames within a long stage between two checkpoints, and maximum number of checkpoints, as
 #: each one has all poses
-KEPT, TIMES = 25, 40
+MIN_CHECKPOINT_FRAMES, TIMES = 25, 40
 UNORDERED = (
     "successive scans are not more similar than other pairs of scans, so they are treated as unordered in time, and the "
     "motion is not smoothed; give --ordered if they show one motion"
@@ -64,7 +71,7 @@ class Adapt:
 
     Scans need not be registered, complete or free of noise. --resume continues an interrupted run."""
 
-    body: Annotated[BodySpec, arg(help=f"The template: {BODY_WORDS}.")]
+    body: Annotated[BodySpec, arg(help=f"The template: {BODY_FORMATS}.")]
     clouds: CloudsSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the actor's body, .npz."""
@@ -87,7 +94,7 @@ class Adapt:
     matched."""
     aperture: Flag = False
     """Use only the fields of view of --cameras, and ignore occlusion."""
-    pairs: Paired = "vertices"
+    pairs: AssignmentName = "vertices"
     """Match scan points to the nearest vertex (vertices), to the nearest point of the surface (surface), or to
     vertices with Gaussian weights (soft). With surface, vertices are also matched to the surface of scans that are
     meshes; soft needs a first pose within 3 cm."""
@@ -146,7 +153,7 @@ class Adapt:
     def run(self) -> None:
         self.check()
         with run_lock(self.out, self.motion_path):
-            if not (self.resume and nothing_left(self.results, self.kept)):
+            if not (self.resume and is_run_complete(self.results, self.checkpoint_path)):
                 self.adapt_all()
 
     @property
@@ -157,23 +164,23 @@ class Adapt:
     def adapt_all(self) -> None:
         """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
         known = prior_file(self.body, self.prior)
-        header = {**self.settings(), "prior": hash_of(known), "limits": hash_of(self.limits)}
+        header = {**self.settings(), "prior": hash_file(known), "limits": hash_file(self.limits)}
         body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
             told = clouds_words(self.clouds)
             raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
-        tell_rate(rate_of(self.rate, self.clouds))
+        print_rate(find_rate(self.rate, self.clouds))
         seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)
-        finished = self.resume and self.out.is_file() and not self.kept.is_file()
+        finished = self.resume and self.out.is_file() and not self.checkpoint_path.is_file()
         state = (
-            finished_run(self.out, self.motion_path, header)
+            load_finished_run(self.out, self.motion_path, header)
             if finished
-            else state_to_go_on_from(self.kept, header, self.resume, self.overwrite)
+            else load_resumed_state(self.checkpoint_path, header, self.resume, self.overwrite)
         )
-        priors = read_priors(known, body, own=self.prior is None, reduced=self.vertices is not None)
-        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried(self.body, priors)
+        priors = read_priors(known, body, from_template=self.prior is None, reduced=self.vertices is not None)
+        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried_arrays(self.body, priors)
         warn_of_unusable(seen.unusable)
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
@@ -182,21 +189,23 @@ class Adapt:
             self.write(state, header, scans, beside)
         if self.report is not None:
             self.write_report(self.report, task, state, known)
-        self.kept.unlink(missing_ok=True)
+        self.checkpoint_path.unlink(missing_ok=True)
 
     def write(
-        self, state: AdaptState, header: dict[str, object], scans: Scans, beside: dict[str, np.ndarray]
+        self, state: AdaptState, header: dict[str, object], scans: Scans, extra_arrays: dict[str, np.ndarray]
     ) -> None:
-        """Write the motion, and the body with the arrays `beside` it; print a line about both."""
+        """Write the motion, and the body with the arrays `extra_arrays` it; print a line about both."""
         try:
             write_motion(self.motion_path, state.body.skeleton, state.motion)
-            save_actor(self.out, state, beside, header, self.motion_path)
+            save_actor(self.out, state, extra_arrays, header, self.motion_path)
         except InputError as error:
-            raise InputError(f"{sentence_of(error)} {kept_words(self.kept, state.done)}.") from None
+            raise InputError(
+                f"{user_message(error)} {checkpoint_sentence(self.checkpoint_path, state.done)}."
+            ) from None
         say(
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
-            f"{explained_words(state)}"
+            f"{format_explained(state)}"
         )
         warn_of_lost(state, scans)
 
@@ -205,30 +214,34 @@ class Adapt:
     ) -> AdaptState:
         """Run all remaining stages, with a checkpoint after each and within long ones; `first` names the
         first scan."""
-        stages = plan(task.settings)
-        with Rounds(len(stages), 0 if state is None else state.done, "adapting") as bar:
+        stages = plan_stages(task.settings)
+        with RoundProgress(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
-                for reached in adapt_body(task, state, every=max(KEPT, task.frames // TIMES)):
+                for reached in adapt_body(
+                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // TIMES)
+                ):
                     if reached.done == 1 and not (reached.within or self.unchecked):
-                        _check_first(task, reached, first)
-                    keep_state(self.kept, reached, header)
+                        _check_first_scan(task, reached, first)
+                    keep_state(self.checkpoint_path, reached, header)
                     state = reached
-                    bar.tell(state.done, _reached(task, state, stages))
+                    bar.update(state.done, _format_progress(task, state, stages))
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
-                raise KeyboardInterrupt(f"stopped; {kept_words(self.kept, done)}") from None
+                raise KeyboardInterrupt(
+                    f"stopped; {checkpoint_sentence(self.checkpoint_path, done)}"
+                ) from None
         assert state is not None
         return state
 
     def write_report(self, path: Path, task: AdaptTask, state: AdaptState, known: Path | None) -> None:
         """Measure the result and its baselines, and write the report; `known` is the file of the prior. After
         a stop, or later, --resume does only this."""
-        names, stages = variant_names(task.settings), Stages(())
-        with Rounds(len(names), 0, "measuring") as bar:
+        names, stages = variant_names(task.settings), Evaluation(())
+        with RoundProgress(len(names), 0, "measuring") as bar:
             try:
                 for stages in compare_stages(task, state, step=self.report_every):
-                    done, near = len(stages.variants), quantile(stages.variants[-1].to_body, 0.5)
-                    bar.tell(done, f"{names[done - 1]}: {1000 * near:.2f} mm from scan to body, median")
+                    done, near = len(stages.variants), quantile(stages.variants[-1].scan_to_body, 0.5)
+                    bar.update(done, f"{names[done - 1]}: {1000 * near:.2f} mm from scan to body, median")
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     f"stopped; body and motion are written, --resume writes {path}"
@@ -245,7 +258,7 @@ class Adapt:
         say(f"{path}: the report")
 
     @property
-    def kept(self) -> Path:
+    def checkpoint_path(self) -> Path:
         """The path of the checkpoint."""
         return self.out.with_name(self.out.name + ".partial")
 
@@ -266,8 +279,8 @@ class Adapt:
             "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
             "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
             "--along": (self.along, 0 <= self.along <= 1, "between 0 and 1"),
-            "--smoothness": (self.smoothness, _none_or_from_zero(self.smoothness), "at least 0"),
-            "--pose-weight": (self.pose_weight, _none_or_from_zero(self.pose_weight), "at least 0"),
+            "--smoothness": (self.smoothness, _is_none_or_nonnegative(self.smoothness), "at least 0"),
+            "--pose-weight": (self.pose_weight, _is_none_or_nonnegative(self.pose_weight), "at least 0"),
             "--shape-weight": (
                 min(self.shape_weight),
                 0 < min(self.shape_weight) <= max(self.shape_weight) < np.inf,
@@ -300,16 +313,16 @@ class Adapt:
             angle=self.pair_angle,
             reach=self.pair_reach,
             along=self.along,
-            assignment=PAIRS[self.pairs],
+            assignment=ASSIGNMENTS[self.pairs],
             aperture=cameras if self.aperture else (),
         )
         clouds = Clouds(scans, body, self.up)
         return make_adapt_task(
             body,
             clouds,
-            rate_of(self.rate, self.clouds).frames,
+            find_rate(self.rate, self.clouds).frames,
             start=None if self.start is None else first_pose(self.start, skeleton),
-            likely=None if priors is None else form(priors.prior),
+            pose_prior=None if priors is None else form(priors.prior),
             settings=AdaptSettings(
                 frames=self.frames,
                 joint=self.joint_deviation,
@@ -317,7 +330,7 @@ class Adapt:
                 pose=self.pose_weight,
                 temporal=self.smoothness,
                 every=self.adapt_every,
-                together=self.together,
+                simultaneous=self.together,
                 unordered=True if self.unordered else False if self.ordered else None,
                 matching=matching,
             ),
@@ -327,7 +340,7 @@ class Adapt:
             shape=None if priors is None else priors.shape,
             terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
             mesh=clouds.mesh if self.pairs == "surface" else None,
-            whole=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
+            full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
 
     def settings(self) -> dict[str, object]:
@@ -355,23 +368,23 @@ class Adapt:
             "first",
             "last",
         )
-        files = {"cameras": hash_of(self.cameras), "start": hash_of(self.start)}
+        files = {"cameras": hash_file(self.cameras), "start": hash_file(self.start)}
         plain = {name: getattr(self, name) for name in names}
-        rate = rate_of(self.rate, self.clouds).frames
+        rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
 
 
-def _check_first(task: AdaptTask, state: AdaptState, where: str) -> None:
+def _check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
     """Check that the first scan is of one person; the message names the option to continue anyway."""
     try:
         check_actor(task, state, where)
     except InputError as error:
         raise InputError(
-            f"{sentence_of(error)} If the scan does show one person, give --unchecked."
+            f"{user_message(error)} If the scan does show one person, give --unchecked."
         ) from None
 
 
-def _reached(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
+def _format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
     """Format the progress of a state for the user."""
     if state.within:
         stage = stages[state.done]
@@ -379,5 +392,5 @@ def _reached(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str
     return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
 
 
-def _none_or_from_zero(weight: float | None) -> bool:
+def _is_none_or_nonnegative(weight: float | None) -> bool:
     return weight is None or 0 <= weight < np.inf

@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...adapt.check import check_cameras
-from ...adapt.poses.task_pairs import some_of
+from ...adapt.poses.task_pairs import select_evenly
 from ...adapt.task import AdaptState
 from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...fit.tracking.check import check_extent
 from ...geometry.camera import Camera
 from ...io.cameras import read_cameras
@@ -28,11 +28,11 @@ from ..motions import load_motion
 from ..sources import Up, up_rotation
 
 #: minimum number, and minimum share, of usable scans
-LEAST, GOOD = 3, 0.5
+MIN_SCANS, MIN_USABLE_SHARE = 3, 0.5
 #: number of scans that are compared with the cameras, evenly spaced
-LOOKED_AT = 5
+COMPARED_SCANS = 5
 #: maximum number of scans with a warning each
-TOLD = 5
+MAX_WARNINGS = 5
 #: maximum number of lost frames that are listed with their reasons
 NAMED = 20
 
@@ -61,9 +61,9 @@ def check_input(scans: Scans, body: Body) -> InputSummary:
         except InputError as error:
             if frame == 0:
                 raise
-            found[frame] = sentence_of(error)
+            found[frame] = user_message(error)
     good = len(scans) - len(found)
-    if found and (good < LEAST or good < GOOD * len(scans)):
+    if found and (good < MIN_SCANS or good < MIN_USABLE_SHARE * len(scans)):
         raise InputError(
             f"{len(found)} of {len(scans)} scans cannot be used, which is too many; the first: "
             f"{next(iter(found.values()))}"
@@ -79,13 +79,13 @@ def _digest(scan: Scan) -> str:
 
 def warn_of_unusable(reasons: Mapping[int, str]) -> None:
     """Warn of scans that are skipped, with reasons for the first ones."""
-    for frame in list(reasons)[:TOLD]:
+    for frame in list(reasons)[:MAX_WARNINGS]:
         warn(f"{reasons[frame].rstrip('.')}; frame {frame} is fitted without a scan.")
-    if len(reasons) > TOLD:
-        warn(f"{len(reasons) - TOLD} further frames are fitted without a scan, too.")
+    if len(reasons) > MAX_WARNINGS:
+        warn(f"{len(reasons) - MAX_WARNINGS} further frames are fitted without a scan, too.")
 
 
-def explained_words(state: AdaptState) -> str:
+def format_explained(state: AdaptState) -> str:
     """Format the number of frames in which the body explains the scan."""
     frames, lost = len(state.motion), len(state.lost)
     return "all scans explained" if not lost else f"{frames - lost} of {frames} scans explained"
@@ -108,7 +108,9 @@ def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tup
     `InputError` if they cannot have observed the scans of these frames."""
     cameras = [_upright(camera, up) for camera in read_cameras(path)]
     turn = up_rotation(up)
-    check_cameras(cameras, [scans[n].points @ turn.T for n in some_of(frames, LOOKED_AT)], str(path))
+    check_cameras(
+        cameras, [scans[n].points @ turn.T for n in select_evenly(frames, COMPARED_SCANS)], str(path)
+    )
     return tuple(cameras)
 
 
@@ -125,7 +127,7 @@ def first_pose(path: Path, skeleton: Skeleton) -> Pose:
     try:
         plan = plan_retarget(of, skeleton, None, motion)
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None
     for line in plan.matches.warnings:
         warn(f"{path}: {line}")
     return retarget(motion.slice(slice(1)), of, skeleton, plan=plan)[0]

@@ -6,31 +6,31 @@ import numpy as np
 
 from ...body.body import Body
 from ...io.archives.npz import load_limits
-from ...io.archives.prior import Priors, carries_prior, load_priors, prior_arrays
+from ...io.archives.prior import Priors, has_prior, load_priors, prior_arrays
 from ..console.console import say
 
 #: option value that disables a template's own prior
 NONE = "none"
 
 
-def prior_file(body: str, asked: Path | None) -> Path | None:
+def prior_file(body: str, requested: Path | None) -> Path | None:
     """Select the file of the priors: the requested one, or the template's if it has priors; None if there are
     none, or `NONE` is requested. Raises `InputError` if the template's file cannot be read."""
-    if asked is not None:
-        return None if str(asked) == NONE else asked
-    return Path(body) if _is_npz(body) and carries_prior(body) else None
+    if requested is not None:
+        return None if str(requested) == NONE else requested
+    return Path(body) if _is_npz(body) and has_prior(body) else None
 
 
-def read_priors(path: Path | None, body: Body, *, own: bool, reduced: bool) -> Priors | None:
-    """Load the priors of a file, if any; print a line if they are the template's `own`. For a `reduced`
+def read_priors(path: Path | None, body: Body, *, from_template: bool, reduced: bool) -> Priors | None:
+    """Load the priors of a file, if any; print a line if they are the template's `from_template`. For a `reduced`
     template its own shape prior is omitted, as its vertices differ.
 
     **Raises:** `InputError` as `load_priors` does.
     """
     if path is None:
         return None
-    priors = load_priors(path, body, shape=not (own and reduced))
-    if own:
+    priors = load_priors(path, body, shape=not (from_template and reduced))
+    if from_template:
         parts = [f"{len(priors.prior.pairs)} pairs of joints"]
         parts += [] if priors.boxes is None else [f"ranges of {len(priors.boxes.joints)} joints"]
         parts += [] if priors.shape is None else [f"the shape of {len(priors.shape.vectors)} meshes"]
@@ -39,7 +39,7 @@ def read_priors(path: Path | None, body: Body, *, own: bool, reduced: bool) -> P
     return priors
 
 
-def carried(body: str, priors: Priors | None) -> dict[str, np.ndarray]:
+def carried_arrays(body: str, priors: Priors | None) -> dict[str, np.ndarray]:
     """Collect the additional arrays of the actor's file, as `save_body` takes them: the pose prior and the
     ranges in use, as the actor's joints and their rest frames are the template's, and other limits in the
     template's file.

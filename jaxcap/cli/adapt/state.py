@@ -10,7 +10,7 @@ import numpy as np
 from ...adapt.objective import Terms
 from ...adapt.task import AdaptState
 from ...body.body import Body
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track_frame import make_tracker
 from ...io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -21,7 +21,7 @@ from ..track.frame_records import pack, row_template, unpack
 from ..track.results import make_writable
 
 #: required arrays of a checkpoint besides body, motion and history
-NEEDS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
+REQUIRED_ARRAYS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
 def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
@@ -47,7 +47,7 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
         make_writable(path.absolute().parent)
 
 
-def checkpoint_of(state: AdaptState) -> Checkpoint:
+def make_checkpoint(state: AdaptState) -> Checkpoint:
     """Convert a state to a checkpoint."""
     arrays = {
         "done": np.array(state.done),
@@ -65,12 +65,12 @@ def checkpoint_of(state: AdaptState) -> Checkpoint:
     return Checkpoint(state.body, state.motion, state.history, arrays)
 
 
-def state_of(kept: Checkpoint, path: Path) -> AdaptState:
-    """Restore the state of a checkpoint by `checkpoint_of`, bit for bit; `path`, its file, is for messages.
+def restore_state(checkpoint: Checkpoint, path: Path) -> AdaptState:
+    """Restore the state of a checkpoint by `make_checkpoint`, bit for bit; `path`, its file, is for messages.
 
     **Raises:** `InputError` if an array is invalid.
     """
-    arrays, frames = kept.arrays, len(kept.motion)
+    arrays, frames = checkpoint.arrays, len(checkpoint.motion)
 
     def number(name: str) -> float:
         return get_array(arrays, name, path, ()).item() if name in arrays else 0.0
@@ -90,29 +90,29 @@ def state_of(kept: Checkpoint, path: Path) -> AdaptState:
     terms = get_array(arrays, "terms", path, (None, len(Terms._fields)))
     return AdaptState(
         done=done,
-        body=kept.body,
+        body=checkpoint.body,
         size=number("size"),
-        motion=kept.motion,
+        motion=checkpoint.motion,
         lost=whole("lost"),
         reasons=tuple(reasons),
         chosen=whole("chosen"),
-        history=kept.history,
+        history=checkpoint.history,
         traits=tuple(get_array(arrays, "traits", path, (None,)).tolist()),
         weight=number("weight"),
         temporal=number("temporal"),
         within=within,
-        tracked=_tracked(kept, path),
+        tracked=_restore_tracked(checkpoint, path),
         terms=tuple(Terms(*row) for row in terms.tolist()),
     )
 
 
-def _tracked(kept: Checkpoint, path: Path) -> TrackedFrame | None:
+def _restore_tracked(checkpoint: Checkpoint, path: Path) -> TrackedFrame | None:
     """Restore the last tracked frame, which may have infinite values; None if there is none. Raises
     `InputError`."""
-    row = kept.arrays.get("tracked", np.zeros(0))
+    row = checkpoint.arrays.get("tracked", np.zeros(0))
     if not row.size:
         return None
-    template = row_template(make_tracker(kept.body), kept.motion[0])
+    template = row_template(make_tracker(checkpoint.body), checkpoint.motion[0])
     if row.shape != pack(template, 0.0).shape or row.dtype.kind != "f":
         raise InputError(f"{path}: the last tracked frame is damaged; give --overwrite to begin anew.")
     return unpack(template, row)[0]
@@ -129,7 +129,7 @@ def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
     return {"template": template.hexdigest(), "scans": len(scans), **each}
 
 
-def hash_of(path: Path | None) -> str | None:
+def hash_file(path: Path | None) -> str | None:
     """Hash a file, if one is given. Raises `InputError` if it cannot be read."""
     if path is None:
         return None
@@ -139,7 +139,7 @@ def hash_of(path: Path | None) -> str | None:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
 
 
-def state_to_go_on_from(
+def load_resumed_state(
     path: Path, header: Mapping[str, object], resume: bool, overwrite: bool
 ) -> AdaptState | None:
     """Load the state that `keep_state` wrote; None to start again.
@@ -148,7 +148,7 @@ def state_to_go_on_from(
     """
     if resume:
         # without a file the run was stopped before its first checkpoint
-        return state_of(load_checkpoint(path, header, NEEDS), path) if path.is_file() else None
+        return restore_state(load_checkpoint(path, header, REQUIRED_ARRAYS), path) if path.is_file() else None
     if path.exists() and not overwrite:
         raise InputError(
             f"{path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
@@ -162,14 +162,14 @@ def keep_state(path: Path, state: AdaptState, header: Mapping[str, object]) -> N
     **Raises:** `InputError` if it cannot be written; the previous checkpoint is kept.
     """
     try:
-        save_checkpoint(path, checkpoint_of(state), header)
+        save_checkpoint(path, make_checkpoint(state), header)
     except InputError as error:
         # the kept checkpoint is of the stage before, or of an earlier frame of this one
         done = state.done if state.within else state.done - 1
-        raise InputError(f"{sentence_of(error)} {kept_words(path, done)}.") from None
+        raise InputError(f"{user_message(error)} {checkpoint_sentence(path, done)}.") from None
 
 
-def kept_words(path: Path, done: int) -> str:
+def checkpoint_sentence(path: Path, done: int) -> str:
     """Format the state of an interrupted run for the user."""
     if not (done and path.is_file()):
         return "no stage is complete"

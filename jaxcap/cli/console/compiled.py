@@ -16,12 +16,12 @@ from pathlib import Path
 from ...errors import InputError
 
 #: maximum size of the folder when a run starts, bytes
-LARGEST = 1 << 30
+MAX_CACHE_BYTES = 1 << 30
 #: minimum compile time of a cached function, seconds
-WORTH = "0.1"
+MIN_COMPILE_SECONDS = "0.1"
 
 
-def prepare_jax(keep: bool) -> None:
+def prepare_jax(use_cache: bool) -> None:
     """Set JAX's cache folder of compiled functions and silence its compiler; do nothing if JAX is already
     imported. Environment variables of the user take precedence.
 
@@ -31,7 +31,7 @@ def prepare_jax(keep: bool) -> None:
         return
     # the compiler writes to stderr directly, for example "Very slow compile? If you want to file a bug ..."
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    if not keep:
+    if not use_cache:
         os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
         return
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
@@ -40,7 +40,7 @@ def prepare_jax(keep: bool) -> None:
     try:
         folder = make_private(Path(named).expanduser() if named else _users()) / _machine()
         folder.mkdir(exist_ok=True)
-        trim(folder, LARGEST)
+        trim(folder, MAX_CACHE_BYTES)
     except OSError as error:
         if named:
             raise InputError(
@@ -50,7 +50,7 @@ def prepare_jax(keep: bool) -> None:
         # a home without write access: compile in each run
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", WORTH)
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", MIN_COMPILE_SECONDS)
 
 
 def make_private(folder: Path) -> Path:

@@ -5,10 +5,10 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from .heartbeat import doing, shown_by, write_line
+from .heartbeat import redirect_status, set_activity, write_line
 
 #: seconds between two progress lines without a terminal
-QUIET = 5.0
+PROGRESS_SECONDS = 5.0
 
 
 def say(text: str) -> None:
@@ -21,13 +21,13 @@ def warn(text: str) -> None:
     write_line(sys.stderr, f"jaxcap: {text}")
 
 
-def counted(count: int, one: str, many: str = "") -> str:
-    """Format a number and its noun, as in "1 frame" and "3 bodies"; `many` is the plural if it is not `one`
+def pluralise(count: int, singular: str, plural: str = "") -> str:
+    """Format a number and its noun, as in "1 frame" and "3 bodies"; `plural` is the plural if it is not `singular`
     with an s."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
+    return f"{count} {singular if count == 1 else plural or singular + 's'}"
 
 
-def table(head: list[str], rows: list[list[str]]) -> None:
+def print_table(head: list[str], rows: list[list[str]]) -> None:
     """Print a table with aligned columns, the first to the left."""
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     for row in [head, *rows]:
@@ -39,15 +39,17 @@ def table(head: list[str], rows: list[list[str]]) -> None:
 
 
 def progress(
-    frames: Iterable, total: int, done: int = 0, label: str = "tracking", what: str = "frames"
+    frames: Iterable, total: int, done: int = 0, label: str = "tracking", noun: str = "frames"
 ) -> Iterator:
-    """Iterate over frames (or `what`) and report progress on stderr: on a terminal a bar with frames per second
+    """Iterate over frames (or `noun`) and report progress on stderr: on a terminal a bar with frames per second
     and the time left, otherwise a line every few seconds."""
-    yield from (_bar if sys.stderr.isatty() else _lines)(frames, total, done, label, what)
+    yield from (_iterate_with_bar if sys.stderr.isatty() else _iterate_with_lines)(
+        frames, total, done, label, noun
+    )
 
 
 @contextlib.contextmanager
-def bar(label: str, total: int, done: int) -> Iterator[Callable[..., None]]:
+def progress_bar(label: str, total: int, done: int) -> Iterator[Callable[..., None]]:
     """Show a progress bar on the terminal and yield its update function `move(done, note, total)`, with None
     for unchanged values."""
     from rich.console import Console
@@ -68,33 +70,33 @@ def bar(label: str, total: int, done: int) -> Iterator[Callable[..., None]]:
             if note is not None:
                 shown.update(task, note=note)
 
-        with shown_by(lambda word: shown.update(task, word=word)):
+        with redirect_status(lambda word: shown.update(task, word=word)):
             yield move
 
 
-def _bar(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
-    with bar(label, total, done) as move:
-        clock = _Clock(what)
-        doing(label)
+def _iterate_with_bar(frames: Iterable, total: int, done: int, label: str, noun: str) -> Iterator:
+    with progress_bar(label, total, done) as move:
+        clock = _RateMeter(noun)
+        set_activity(label)
         for number, frame in enumerate(frames, done + 1):
             move(number, clock.tick())
-            doing(label)
+            set_activity(label)
             yield frame
 
 
-def _lines(frames: Iterable, total: int, done: int, label: str, what: str) -> Iterator:
-    clock, told = _Clock(what), time.monotonic()
-    doing(label)
+def _iterate_with_lines(frames: Iterable, total: int, done: int, label: str, noun: str) -> Iterator:
+    clock, told = _RateMeter(noun), time.monotonic()
+    set_activity(label)
     for number, frame in enumerate(frames, done + 1):
         rate, now = clock.tick(), time.monotonic()
-        if now - told > QUIET:
-            warn(f"{label}: {number} of {total} {what}, {rate}, {clock.left(total - number)} left")
+        if now - told > PROGRESS_SECONDS:
+            warn(f"{label}: {number} of {total} {noun}, {rate}, {clock.left(total - number)} left")
             told = now
-        doing(f"{label}, {number} of {total} {what} done")
+        set_activity(f"{label}, {number} of {total} {noun} done")
         yield frame
 
 
-class _Clock:
+class _RateMeter:
     """Frames a second, without the first frame, which compiles."""
 
     def __init__(self, what: str):

@@ -1,7 +1,7 @@
 """Status lines on stderr: after some seconds without output, a line names the current activity and its
 duration.
 
-The activity is the last argument of `doing`. The library reports it by `logging`, at the level INFO: it
+The activity is the last argument of `set_activity`. The library reports it by `logging`, at the level INFO: it
 prints nothing itself, but knows when it begins to search, to adjust or to write.
 """
 
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 #: seconds without output before a status line, and between two checks
-QUIET, LOOK = 7.0, 1.0
+SILENCE_SECONDS, CHECK_SECONDS = 7.0, 1.0
 #: source files of JAX that trace, lower and compile a function
 _COMPILERS = tuple(
     os.path.join("jax", "_src", *names)
@@ -24,17 +24,17 @@ _COMPILERS = tuple(
 )
 
 
-class _Voice:
+class _Output:
     """All lines of the program, one at a time, and when the last was."""
 
     def __init__(self):
         self.lock = threading.RLock()
-        self.last = self.since = time.monotonic()
-        self.doing = ""
+        self.last = self.activity_start = time.monotonic()
+        self.activity = ""
         #: callback that shows a status in the progress bar of a run instead of a line
         self.shown: Callable[[str], None] | None = None
         #: True while a window is open, as no user waits for output
-        self.resting = False
+        self.is_paused = False
         #: whether the last line on the terminal is to be replaced
         self._passing = False
 
@@ -45,7 +45,7 @@ class _Voice:
             stream.flush()
             self.last = time.monotonic()
 
-    def passing(self, text: str) -> None:
+    def write_status(self, text: str) -> None:
         """Print a temporary status, which the next line replaces."""
         with self.lock:
             self.last = time.monotonic()
@@ -65,38 +65,38 @@ class _Voice:
             sys.stderr.flush()
             self._passing = False
 
-    def beat(self) -> None:
+    def write_activity_if_silent(self) -> None:
         """Print a status after a long time without output."""
         with self.lock:
             now = time.monotonic()
-            if self.resting or now - self.last < QUIET:
+            if self.is_paused or now - self.last < SILENCE_SECONDS:
                 return
-            compiles = ", compiling, which is done once" if _compiles() else ""
-            self.passing(f"{self.doing or 'working'}{compiles}: {now - self.since:.0f} s")
+            compiles = ", compiling, which is done once" if _is_compiling() else ""
+            self.write_status(f"{self.activity or 'working'}{compiles}: {now - self.activity_start:.0f} s")
 
 
-_VOICE = _Voice()
-write_line = _VOICE.line
+_OUTPUT = _Output()
+write_line = _OUTPUT.line
 
 
-def doing(text: str) -> None:
+def set_activity(text: str) -> None:
     """Set the current activity; it is printed only if it takes long."""
-    _VOICE.doing, _VOICE.since = text, time.monotonic()
+    _OUTPUT.activity, _OUTPUT.activity_start = text, time.monotonic()
 
 
 @contextlib.contextmanager
-def break_silence() -> Iterator[None]:
+def periodic_status() -> Iterator[None]:
     """Print status lines after long times without output, until the end of the block."""
     stop, log, handler = threading.Event(), logging.getLogger("jaxcap"), _Listener(logging.INFO)
     before = log.level
 
     def watch() -> None:
-        while not stop.wait(LOOK):
-            _VOICE.beat()
+        while not stop.wait(CHECK_SECONDS):
+            _OUTPUT.write_activity_if_silent()
 
     thread = threading.Thread(target=watch, daemon=True, name="heartbeat")
-    _VOICE.last = time.monotonic()
-    doing("starting")
+    _OUTPUT.last = time.monotonic()
+    set_activity("starting")
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     thread.start()
@@ -107,37 +107,37 @@ def break_silence() -> Iterator[None]:
         thread.join()
         log.removeHandler(handler)
         log.setLevel(before)
-        _VOICE.clear()
+        _OUTPUT.clear()
 
 
 @contextlib.contextmanager
-def shown_by(show: Callable[[str], None]) -> Iterator[None]:
+def redirect_status(show: Callable[[str], None]) -> Iterator[None]:
     """Show statuses in a progress bar on the terminal instead of below it."""
-    _VOICE.shown = show
+    _OUTPUT.shown = show
     try:
         yield
     finally:
-        _VOICE.shown = None
+        _OUTPUT.shown = None
 
 
 @contextlib.contextmanager
-def resting() -> Iterator[None]:
+def pause_status() -> Iterator[None]:
     """Print no statuses while a window is open."""
-    _VOICE.resting = True
+    _OUTPUT.is_paused = True
     try:
         yield
     finally:
-        _VOICE.resting = False
+        _OUTPUT.is_paused = False
 
 
 class _Listener(logging.Handler):
     """Report log messages of the library as the current activity."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        doing(record.getMessage())
+        set_activity(record.getMessage())
 
 
-def _compiles() -> bool:
+def _is_compiling() -> bool:
     """Check if a thread runs JAX's compiler."""
     for frame in sys._current_frames().values():
         while frame is not None:

@@ -98,10 +98,10 @@ def verb_help(verb: type, prog: str) -> str:
         os.environ.pop("COLUMNS")
         if columns is not None:
             os.environ["COLUMNS"] = columns
-    return grouped(said.getvalue(), prog.removeprefix("jaxcap "))
+    return group_options(said.getvalue(), prog.removeprefix("jaxcap "))
 
 
-def grouped(text: str, verb: str) -> str:
+def group_options(text: str, verb: str) -> str:
     """Arrange the options of a tyro help text without boxes in the groups of a verb.
 
     In that text an entry is indented by two columns, its further lines by more, and titles by one.
@@ -118,17 +118,17 @@ def grouped(text: str, verb: str) -> str:
     found: dict[str, list[str]] = {BASICS: [], INPUT: [], _title(verb): [], OUTPUT: [], KINEBEN: []}
     for entry in entries:
         found[_group(entry, verb)].append(entry)
-    found[BASICS].sort(key=_place)
+    found[BASICS].sort(key=_basic_option_order)
     paragraphs = [textwrap.fill(part, width) for part in "\n".join(rows[:start]).split("\n\n")]
     blocks = [
-        "\n".join([f"{title}:", *(_laid_out(entry, width) for entry in group)])
+        "\n".join([f"{title}:", *(_format_entry(entry, width) for entry in group)])
         for title, group in found.items()
         if group
     ]
     return "\n\n".join([*filter(None, paragraphs), *blocks]) + "\n"
 
 
-def _laid_out(entry: str, width: int) -> str:
+def _format_entry(entry: str, width: int) -> str:
     """Format an entry: names to the left, their description to the right or below."""
     names, _, meaning = entry.partition("  ")
     blank = " " * COLUMN
@@ -156,7 +156,7 @@ def _group(entry: str, verb: str) -> str:
     return next((title for title, options in GROUPS.items() if name in options), _title(verb))
 
 
-def _place(entry: str) -> int:
+def _basic_option_order(entry: str) -> int:
     """Return the sort key of a basic option; positional ones come first."""
     name = _name(entry)
     return GROUPS[BASICS].index(name) if name in GROUPS[BASICS] else -1

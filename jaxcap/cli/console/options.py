@@ -6,21 +6,21 @@ from typing import Annotated
 
 import tyro
 
-from ..sources import BODY_WORDS as BODY_WORDS
+from ..sources import BODY_FORMATS as BODY_FORMATS
 from ..sources import Up as Up
 
 arg = tyro.conf.arg
 #: descriptions of motion and skeleton files for every help text; see `motions`
-MOTION_WORDS = (
+MOTION_FORMATS = (
     ".bvh, .npz, .amc (with its .asf in the same folder), or a skinned .glb, .gltf or USD with an animation "
     "(`character.glb:Walk` selects one of several clips)"
 )
-SKELETON_WORDS = (
+SKELETON_FORMATS = (
     ".skl, .bvh, .asf, a body or motion .npz, a skinned .glb, .gltf or USD, or `human` with options"
 )
 #: bodies, motions and clouds as command line arguments; see `sources`
-BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"{BODY_WORDS}.")]]
-MotionSpec = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION", help=f"A motion: {MOTION_WORDS}.")]]
+BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"{BODY_FORMATS}.")]]
+MotionSpec = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION", help=f"A motion: {MOTION_FORMATS}.")]]
 MotionsSpec = tyro.conf.Positional[
     Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
 ]
@@ -36,7 +36,7 @@ CloudsSpec = tyro.conf.Positional[
 ]
 OptionalBody = Annotated[
     str | None,
-    arg(metavar="BODY", help_behavior_hint="", help=f"Body of the motion: {BODY_WORDS}."),
+    arg(metavar="BODY", help_behavior_hint="", help=f"Body of the motion: {BODY_FORMATS}."),
 ]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Skl = Annotated[

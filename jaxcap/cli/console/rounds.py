@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from .console import bar, warn
-from .heartbeat import doing
+from .console import progress_bar, warn
+from .heartbeat import set_activity
 
 
-class Rounds:
+class RoundProgress:
     """On a terminal a bar of rounds with the objective, else a line a round; all on stderr.
 
     `total` rounds are the most; a run that ends well before them leaves the bar full."""
@@ -20,13 +20,13 @@ class Rounds:
         self._move: Callable[..., None] | None = None
         self._open = contextlib.ExitStack()
 
-    def __enter__(self) -> "Rounds":
+    def __enter__(self) -> "RoundProgress":
         if sys.stderr.isatty():
-            self._move = self._open.enter_context(bar(self.label, self.total, self.done))
-        doing(self.label)
+            self._move = self._open.enter_context(progress_bar(self.label, self.total, self.done))
+        set_activity(self.label)
         return self
 
-    def tell(self, done: int, note: str) -> None:
+    def update(self, done: int, note: str) -> None:
         """Report that `done` rounds are complete."""
         self.done = done
         if self._move is not None:
@@ -34,7 +34,7 @@ class Rounds:
         else:
             seconds = time.monotonic() - self.start
             warn(f"{self.label}: round {done} of at most {self.total}, {note}, {seconds:.0f} s")
-        doing(f"{self.label}, round {done + 1}")
+        set_activity(f"{self.label}, round {done + 1}")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

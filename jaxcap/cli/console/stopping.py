@@ -6,24 +6,24 @@ import signal
 import threading
 from collections.abc import Iterator
 
-from .errors import STOPPED
+from .errors import EXIT_INTERRUPTED
 
 
 @contextlib.contextmanager
-def leaving_at_once() -> Iterator[None]:
+def exit_on_interrupt() -> Iterator[None]:
     """Exit on Ctrl-C without a traceback: libraries catch the exception during import, or convert it to their
     own, and there are no results to save yet."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    signal.signal(signal.SIGINT, _leave)
+    signal.signal(signal.SIGINT, _exit_now)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _leave(*_) -> None:
+def _exit_now(*_) -> None:
     os.write(2, b"\njaxcap: stopped\n")
-    os._exit(STOPPED)
+    os._exit(EXIT_INTERRUPTED)

@@ -10,27 +10,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ...errors import InputError
-from .heartbeat import doing
+from .heartbeat import set_activity
 from .help import verb_help
-from .stopping import leaving_at_once
+from .stopping import exit_on_interrupt
 
 #: horizontal lines of tyro's boxes, on terminals with Unicode and with ASCII only
 _RULE = re.compile("─+|-{3,}")
 #: columns of indentation of a missing option, and of its description
-_SET_IN, _EXPLAINED = 4, 8
+_OPTION_INDENT, _DESCRIPTION_INDENT = 4, 8
 
 
 class Verb(NamedTuple):
     """A verb that is not imported yet."""
 
     #: its class relative to `jaxcap.cli`: `edit.cut.Cut`
-    place: str
+    class_path: str
     #: one line of the help
     summary: str
 
     def load(self) -> Any:
         """Import the class."""
-        module, _, name = self.place.rpartition(".")
+        module, _, name = self.class_path.rpartition(".")
         return getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
 
 
@@ -42,9 +42,9 @@ class Group(NamedTuple):
     verbs: "Mapping[str, Verb | Group]"
 
 
-def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = True) -> None:
+def run_verb(group: Group, prog: str, arguments: Sequence[str], use_cache: bool = True) -> None:
     """Run the verb named by the first arguments with the others; without arguments, print the help. Only this
-    verb is imported; `keep` enables the cache of compiled functions.
+    verb is imported; `use_cache` enables the cache of compiled functions.
 
     **Raises:** `InputError` if the verb or an option does not exist, or an option is missing or has an
     invalid value.
@@ -58,10 +58,10 @@ def run_verb(group: Group, prog: str, arguments: Sequence[str], keep: bool = Tru
         what = f"no option '{word}' of '{prog}'" if word.startswith("-") else f"no '{prog} {word}'"
         raise InputError(f"there is {what}{_meant(word, group.verbs)}; verbs are {', '.join(group.verbs)}.")
     if isinstance(found, Group):
-        run_verb(found, f"{prog} {word}", rest, keep)
+        run_verb(found, f"{prog} {word}", rest, use_cache)
     else:
-        command = _command(found, f"{prog} {word}", rest, keep)
-        doing(word)
+        command = _command(found, f"{prog} {word}", rest, use_cache)
+        set_activity(word)
         command.run()
 
 
@@ -83,12 +83,12 @@ def help_of(group: Group, prog: str) -> str:
     )
 
 
-def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
+def _command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool) -> Any:
     """Parse arguments to an instance of a verb. Raises `InputError` if they are wrong."""
-    with leaving_at_once():
+    with exit_on_interrupt():
         from .compiled import prepare_jax
 
-        prepare_jax(keep)
+        prepare_jax(use_cache)
         import tyro
 
         made = verb.load()
@@ -102,10 +102,10 @@ def _command(verb: Verb, prog: str, words: Sequence[str], keep: bool) -> Any:
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise InputError(unboxed(said.getvalue())) from None
+        raise InputError(error_box_sentence(said.getvalue())) from None
 
 
-def unboxed(box: str) -> str:
+def error_box_sentence(box: str) -> str:
     """Convert an error box of tyro to one sentence. Its parts are separated by horizontal lines; missing
     options are indented, and their descriptions, which the help repeats, further."""
     # the title is in the box's upper edge, or above the first line
@@ -117,8 +117,8 @@ def unboxed(box: str) -> str:
         depth, text = len(row) - len(row.lstrip()) - left, row.strip()
         if _RULE.fullmatch(text):
             parts.append("")
-        elif depth < _EXPLAINED:
-            apart = ", " if depth == _SET_IN and not parts[-1].endswith(":") else " "
+        elif depth < _DESCRIPTION_INDENT:
+            apart = ", " if depth == _OPTION_INDENT and not parts[-1].endswith(":") else " "
             parts[-1] += f"{apart}{text}" if parts[-1] else text
     # remove the errors of each alternative of a union type, and None
     texts = [re.sub(r" Got errors:.*", "", part).replace("{None}|", "").rstrip(".") for part in parts]

@@ -7,27 +7,27 @@ import numpy as np
 
 from ...body.limits.limit_surface import LimitSurface
 from ...errors import InputError
-from ...io.archives.archive import array_names, kind_of, load_arrays
-from ...io.archives.checkpoint import KIND as CHECKPOINT
+from ...io.archives.archive import array_names, load_arrays, read_format_name
+from ...io.archives.checkpoint import FORMAT as CHECKPOINT
 from ...io.archives.limits import load_limits
-from ...io.archives.npz import get_array, load_body, load_kind, load_motion, skeleton_of
-from ...io.archives.prior import carries_prior, load_prior
+from ...io.archives.npz import get_array, load_body, load_format, load_motion, skeleton_of
+from ...io.archives.prior import has_prior, load_prior
 from ...io.kinds import kind_of_arrays
 from ...io.markers.subject import load_subject
 from ...io.meshes.meshes import read_meshes
 from ...io.skeletons.amass import read_amass
-from ...io.system.door import reads
+from ...io.system.door import reader_of
 from ...io.text import shortened
 from ..console.console import say
-from .bodies import metres, tell_body, tell_motion, tell_moving, tell_skeleton
-from .folders import tell_clouds
-from .listing import say_list
+from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size
+from .folders import describe_clouds
+from .listing import print_list
 
 
-@reads("an .npz file")
-def tell_arrays(path: Path, unit: str) -> str:
+@reader_of("an .npz file")
+def describe_arrays(path: Path, unit: str) -> str:
     """Print a description of an `.npz`, and return its kind."""
-    kind = kind_of_arrays(array_names(path), kind_of(path))
+    kind = kind_of_arrays(array_names(path), read_format_name(path))
     tell = {
         "body": _body,
         "motion": _motion,
@@ -40,15 +40,15 @@ def tell_arrays(path: Path, unit: str) -> str:
     if kind in tell:
         return tell[kind](path)
     if kind == "meshes":
-        return tell_meshes(path, unit)
+        return describe_meshes(path, unit)
     if kind == "clouds":
-        return tell_clouds(str(path), unit)
+        return describe_clouds(str(path), unit)
     if kind == "keys":
-        keys = load_kind(path, "jaxcap keys")
+        keys = load_format(path, "jaxcap keys")
         say(
             f"keys: {len(get_array(keys, 'frames', path, (None,), 'whole'))} of {get_array(keys, 'count', path, (), 'whole')} frames"
         )
-        tell_skeleton(skeleton_of(keys, path))
+        describe_skeleton(skeleton_of(keys, path))
     elif kind == "joints":
         shape = load_arrays(path, lambda name: name == "joints")["joints"].shape
         say(f"joint centres: an array of shape {' x '.join(map(str, shape))}")
@@ -57,28 +57,28 @@ def tell_arrays(path: Path, unit: str) -> str:
     return kind
 
 
-def tell_meshes(path: Path | str, unit: str) -> str:
+def describe_meshes(path: Path | str, unit: str) -> str:
     """Print the number and size of registered meshes."""
     sequence = read_meshes(path, unit)
     say(
         f"registered meshes: {len(sequence)} with {sequence.vertices.shape[1]} vertices and "
-        f"{len(sequence.faces)} triangles; size of the first {metres(np.ptp(np.asarray(sequence[0]), axis=0))}"
+        f"{len(sequence.faces)} triangles; size of the first {format_size(np.ptp(np.asarray(sequence[0]), axis=0))}"
     )
     return "meshes"
 
 
 def _body(path: Path) -> str:
-    tell_body(load_body(path))
-    if carries_prior(path):
+    describe_body(load_body(path))
+    if has_prior(path):
         say(f"this file also contains a pose prior: {len(load_prior(path).pairs)} pairs of joints")
     return "body"
 
 
 def _motion(path: Path) -> str:
-    if "names" in load_kind(path, "jaxcap motion"):
-        return tell_moving(path, None)
+    if "names" in load_format(path, "jaxcap motion"):
+        return describe_motion_file(path, None)
     motion = load_motion(path)
-    tell_motion(motion)
+    describe_motion(motion)
     say(f"this file contains no skeleton; the motion has {motion.poses.rotations.shape[1]} joints")
     return "motion of a body"
 
@@ -94,8 +94,8 @@ def _amass(path: Path) -> str:
         )
         say(f"this file contains no skeleton: {error}")
         return "motion of a body"
-    tell_motion(motion)
-    tell_skeleton(skeleton)
+    describe_motion(motion)
+    describe_skeleton(skeleton)
     return "motion"
 
 
@@ -103,13 +103,13 @@ def _subject(path: Path) -> str:
     subject = load_subject(path)
     placed = int((np.asarray(subject.weights) > 0).sum())
     say(f"subject: {subject.num_markers} markers, {placed} of them attached to bones")
-    tell_skeleton(subject.skeleton)
+    describe_skeleton(subject.skeleton)
     return "subject"
 
 
 def _limits(path: Path) -> str:
     surfaces = load_limits(path).surfaces
-    say_list(map(_limit, surfaces), len(surfaces), "limits")
+    print_list(map(_limit, surfaces), len(surfaces), "limits")
     return "limits"
 
 
@@ -129,12 +129,12 @@ def _prior(path: Path) -> str:
         f"prior of {parent} and {child}: {int((weights > 0).sum())} components"
         for (parent, child), weights in pairs
     )
-    say_list(lines, len(prior.pairs), "pairs")
+    print_list(lines, len(prior.pairs), "pairs")
     return "prior"
 
 
 def _checkpoint(path: Path) -> str:
-    arrays = load_kind(path, CHECKPOINT)
+    arrays = load_format(path, CHECKPOINT)
     steps = get_array(arrays, "history.steps", path, (None,), "text")
     vertices = get_array(arrays, "body.vertices", path, (None, 3))
     say(f"checkpoint: {len(steps)} steps are complete; the body has {len(vertices)} vertices")
@@ -143,4 +143,4 @@ def _checkpoint(path: Path) -> str:
 
 def _others(arrays: Mapping[str, np.ndarray]) -> None:
     lines = (f"{shortened(name)}: {values.dtype} {values.shape}" for name, values in arrays.items())
-    say_list(lines, len(arrays), "arrays")
+    print_list(lines, len(arrays), "arrays")

@@ -12,27 +12,27 @@ from ...errors import InputError
 from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import BODY, UNITS, likely_units, shortened
-from ..console.console import counted, say
-from ..motions import extent, load_motion, tell_clip
-from .listing import indented, say_list
+from ..console.console import pluralise, say
+from ..motions import extent, load_motion, warn_of_clip
+from .listing import indented, print_list
 
 
-def tell_body(body: Body) -> None:
+def describe_body(body: Body) -> None:
     """Print a body's size, its skin type, and its joints."""
     size = np.ptp(np.asarray(body.vertices), axis=0)
     say(
-        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {metres(size)}, {type(body.skin).__name__}"
+        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {type(body.skin).__name__}"
     )
-    tell_skeleton(body.skeleton)
+    describe_skeleton(body.skeleton)
 
 
-def tell_skeleton(skeleton: Skeleton) -> None:
+def describe_skeleton(skeleton: Skeleton) -> None:
     """Print the joint tree of a skeleton."""
     kinds = [f"{skeleton.kinds.count(kind)} {kind}" for kind in dict.fromkeys(skeleton.kinds)]
     say(
-        f"skeleton: {counted(skeleton.num_joints, 'joint')} ({', '.join(kinds)}), {skeleton.num_dofs} parameters"
+        f"skeleton: {pluralise(skeleton.num_joints, 'joint')} ({', '.join(kinds)}), {skeleton.num_dofs} parameters"
     )
-    say_list(_joints(skeleton), skeleton.num_joints, "joints")
+    print_list(_joints(skeleton), skeleton.num_joints, "joints")
 
 
 def _joints(skeleton: Skeleton) -> Iterator[str]:
@@ -43,28 +43,30 @@ def _joints(skeleton: Skeleton) -> Iterator[str]:
         yield indented(f"{shortened(name)} ({kind}{above})", int(depth))
 
 
-def tell_motion(motion: Motion) -> None:
+def describe_motion(motion: Motion) -> None:
     """Print the length of a motion."""
     count = motion.num_frames
-    say(f"motion: {counted(count, 'frame')} at {motion.rate:g} frames per second, {count / motion.rate:.2f} s")
+    say(
+        f"motion: {pluralise(count, 'frame')} at {motion.rate:g} frames per second, {count / motion.rate:.2f} s"
+    )
 
 
-def tell_skinned(path: Path) -> str:
+def describe_skinned(path: Path) -> str:
     """Print a description of a skinned `.glb`, `.gltf` or USD."""
     body, motion = read_skinned(path)
-    tell_clip(path)
+    warn_of_clip(path)
     if motion is not None:
-        tell_motion(motion)
-    tell_body(body)
+        describe_motion(motion)
+    describe_body(body)
     return "skinned" if motion is None else "animated"
 
 
-def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
+def describe_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
     """Print a description of a BVH file; return its kind and the unit that a verb needs, as the file has
     none."""
     skeleton, motion = load_motion(path, unit)
-    tell_motion(motion)
-    tell_skeleton(skeleton)
+    describe_motion(motion)
+    describe_skeleton(skeleton)
     reach = extent(skeleton)
     if unit is not None or BODY[0] <= reach <= BODY[1] or skeleton.num_joints == 1:
         return "motion", unit
@@ -79,21 +81,21 @@ def tell_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
     return "motion", likely[0] if likely else "UNIT"
 
 
-def tell_moving(path: Path, unit: str | None) -> str:
+def describe_motion_file(path: Path, unit: str | None) -> str:
     """Print a description of a motion with its skeleton."""
     skeleton, motion = load_motion(path, unit)
-    tell_motion(motion)
-    tell_skeleton(skeleton)
+    describe_motion(motion)
+    describe_skeleton(skeleton)
     return "motion"
 
 
-def tell_mesh(path: Path, unit: str) -> str:
+def describe_mesh(path: Path, unit: str) -> str:
     """Print the size of a mesh or a cloud, and check if it can be the surface of a body."""
     mesh = read_mesh(path, unit)
     what = "mesh" if len(mesh.faces) else "cloud"
     normals = ", with normals" if mesh.normals is not None else ""
     say(
-        f"{what}: {counted(len(mesh.vertices), 'vertex', 'vertices')}, {counted(len(mesh.faces), 'face')}, {metres(np.ptp(mesh.vertices, axis=0))}{normals}"
+        f"{what}: {pluralise(len(mesh.vertices), 'vertex', 'vertices')}, {pluralise(len(mesh.faces), 'face')}, {format_size(np.ptp(mesh.vertices, axis=0))}{normals}"
     )
     if not len(mesh.faces):
         return "cloud"
@@ -105,6 +107,6 @@ def tell_mesh(path: Path, unit: str) -> str:
     return "mesh"
 
 
-def metres(size: np.ndarray) -> str:
+def format_size(size: np.ndarray) -> str:
     """Format the sides of a box."""
     return " x ".join(f"{length:.3g}" for length in size) + " m"

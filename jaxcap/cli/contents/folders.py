@@ -8,19 +8,19 @@ import numpy as np
 from ...errors import InputError
 from ...io.archives.npz import load_motion
 from ...io.cameras import read_cameras
-from ...io.kinds import MANY, WORDS, identify
+from ...io.kinds import KIND_NAMES, KIND_PLURALS, identify
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.meshes.mesh import SUFFIXES
-from ...io.skeletons.beside import bones_beside
-from ..console.console import counted, say
-from .bodies import metres, tell_motion
-from .texts import tell_journal, tell_statistics
+from ...io.skeletons.beside import find_rig_files
+from ..console.console import pluralise, say
+from .bodies import describe_motion, format_size
+from .texts import describe_journal, describe_statistics
 
 #: maximum number of files of a folder that are identified
-LOOKED_AT = 1000
+MAX_IDENTIFIED = 1000
 
 
-def tell_folder(folder: Path, unit: str) -> str:
+def describe_folder(folder: Path, unit: str) -> str:
     """Print a description of a folder, and return its kind. Raises `InputError` if no verb can read any file
     in it."""
     kind = identify(folder)
@@ -30,39 +30,39 @@ def tell_folder(folder: Path, unit: str) -> str:
     there = Counter(found.values())
     if kind == "scans":
         cameras = read_cameras(folder / "cameras.json")
-        say(f"scans of {counted(len(cameras), 'camera')}")
-        return tell_clouds(str(folder), unit, "scans")
+        say(f"scans of {pluralise(len(cameras), 'camera')}")
+        return describe_clouds(str(folder), unit, "scans")
     if there["mesh"]:
-        return tell_clouds(str(folder), unit)
+        return describe_clouds(str(folder), unit)
     if not there:
         raise InputError(
             f"{folder}: this folder has no file that a verb reads; `jaxcap demo -o {folder}/demo` makes an "
             "example."
         )
     for one, count in there.most_common():
-        say(WORDS[one] if count == 1 else f"{count} {MANY[one]}")
+        say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")
     return f"folder of {there.most_common(1)[0][0]}"
 
 
-def tell_clouds(source: str, unit: str, kind: str = "clouds") -> str:
+def describe_clouds(source: str, unit: str, kind: str = "clouds") -> str:
     """Print the number of clouds; meshes with the same triangles are registered ones."""
     scans = read_clouds(source, unit=unit)
     first = scans[0]
-    if kind == "clouds" and _registered(scans):
+    if kind == "clouds" and _is_registered(scans):
         say(
             f"registered meshes: {len(scans)} with {len(first.points)} vertices and {len(first.faces)} triangles; size of the first "
-            f"{metres(np.ptp(first.points, axis=0))}"
+            f"{format_size(np.ptp(first.points, axis=0))}"
         )
         return "meshes"
     normals = "with" if first.normals is not None else "without"
     say(
-        f"clouds: {counted(len(scans), 'frame')}; the first has {counted(len(first.points), 'point')} {normals} normals, "
-        f"{metres(np.ptp(first.points, axis=0))}"
+        f"clouds: {pluralise(len(scans), 'frame')}; the first has {pluralise(len(first.points), 'point')} {normals} normals, "
+        f"{format_size(np.ptp(first.points, axis=0))}"
     )
     return kind
 
 
-def _registered(scans: Scans) -> bool:
+def _is_registered(scans: Scans) -> bool:
     """Check if the first, the middle and the last frame have the same triangles and number of vertices."""
     if len(scans) < 2 or not len(scans[0].faces):
         return False
@@ -76,30 +76,30 @@ def _registered(scans: Scans) -> bool:
 
 def _run(folder: Path) -> str:
     if (folder / "motion.npz").is_file():
-        tell_motion(load_motion(folder / "motion.npz"))
+        describe_motion(load_motion(folder / "motion.npz"))
     if (folder / "statistics.json").is_file():
-        tell_statistics(folder / "statistics.json")
+        describe_statistics(folder / "statistics.json")
     if not (folder / "journal").is_file():
         return "run"
-    tell_journal(folder / "journal")
+    describe_journal(folder / "journal")
     return "run" if (folder / "motion.npz").is_file() else "unfinished"
 
 
-def first_of(folder: Path, kind: str) -> Path | None:
+def first_file_of_kind(folder: Path, kind: str) -> Path | None:
     """Return the first file of a kind in a folder."""
     return next((path for path, one in _kinds(folder).items() if one == kind), None)
 
 
 def _kinds(folder: Path) -> dict[Path, str]:
     """Identify the first files of a folder; skeleton files of a mesh count as part of its body."""
-    files = [path for path in sorted(folder.iterdir())[:LOOKED_AT] if path.is_file()]
+    files = [path for path in sorted(folder.iterdir())[:MAX_IDENTIFIED] if path.is_file()]
     kinds = {path: kind for path in files if (kind := _kind(path)) is not None}
-    beside = {path for mesh, kind in kinds.items() if kind == "rigged" for path in bones_beside(mesh) or ()}
+    beside = {path for mesh, kind in kinds.items() if kind == "rigged" for path in find_rig_files(mesh) or ()}
     return {path: kind for path, kind in kinds.items() if path not in beside}
 
 
 def _kind(path: Path) -> str | None:
     """Identify a file of a folder, meshes by suffix only, as a folder may have thousands."""
     if path.suffix.lower() in SUFFIXES:
-        return "rigged" if bones_beside(path) else "mesh"
+        return "rigged" if find_rig_files(path) else "mesh"
     return identify(path)

@@ -6,15 +6,15 @@ from collections.abc import Iterable
 from ..console.console import say
 
 #: maximum number of lines of a list, and maximum depth of an indentation
-MOST, DEEPEST = 200, 20
+MAX_LINES, DEEPEST = 200, 20
 
 
-def say_list(lines: Iterable[str], count: int, what: str) -> None:
+def print_list(lines: Iterable[str], count: int, what: str) -> None:
     """Print the first of `count` lines, and the number of further `what`."""
-    for line in itertools.islice(lines, MOST):
+    for line in itertools.islice(lines, MAX_LINES):
         say(line)
-    if count > MOST:
-        say(f"  ... and {count - MOST} more {what}")
+    if count > MAX_LINES:
+        say(f"  ... and {count - MAX_LINES} more {what}")
 
 
 def indented(text: str, depth: int) -> str:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from .folders import first_of
+from .folders import first_file_of_kind
 
 #: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -67,9 +67,7 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
             "if they are joints of two skeletons",
         ),
     ),
-    "joint names": (
-        ("edit retarget MOTION TARGET -o motion.bvh --names {file}", "matches joints by it"),
-    ),
+    "joint names": (("edit retarget MOTION TARGET -o motion.bvh --names {file}", "matches joints by it"),),
     "journal": (("track BODY CLOUDS -o {folder} --resume", "continues the run"),),
     "unfinished": (
         ("track BODY CLOUDS -o {file} --resume", "continues the run"),
@@ -82,9 +80,9 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "folder of amc": (("prior learn {file}/*.amc -o prior.npz", "learns a pose prior"),),
 }
 #: prefix of the kinds of folders
-FOLDER = "folder of "
+FOLDER_PREFIX = "folder of "
 #: sentences about kinds that no verb reads
-OTHERS = {
+NO_COMMAND_SENTENCES = {
     "arrays": "no verb reads these arrays; clouds need an array points (F, N, 3), meshes need vertices (F, V, 3) and "
     "faces (T, 3)",
     "report": "no verb reads a report; it is for other programs",
@@ -93,20 +91,20 @@ OTHERS = {
 }
 
 
-def next_verbs(kind: str, file: str, unit: str | None = None) -> str:
+def suggest_commands(kind: str, file: str, unit: str | None = None) -> str:
     """Return a line with the suggested commands for a file of some kind, or a sentence about its use.
 
     **Arguments:** `unit` of lengths, if the commands need it.
     """
-    if kind not in COMMANDS and kind.startswith(FOLDER):
-        one = first_of(Path(file), kind.removeprefix(FOLDER))
+    if kind not in COMMANDS and kind.startswith(FOLDER_PREFIX):
+        one = first_file_of_kind(Path(file), kind.removeprefix(FOLDER_PREFIX))
         return (
-            next_verbs("other", file)
+            suggest_commands("other", file)
             if one is None
             else f"next: `jaxcap info {_quoted(str(one))}` describes one of them"
         )
     if kind not in COMMANDS:
-        return OTHERS.get(kind, "no verb reads this")
+        return NO_COMMAND_SENTENCES.get(kind, "no verb reads this")
     words = {
         "file": _quoted(file),
         "folder": _quoted(str(Path(file).parent)),

@@ -12,26 +12,26 @@ from ...io.registry import read_marker_file, read_skeleton
 from ...io.skeletons.asf import read_asf
 from ...io.skeletons.cst import read_cst
 from ...io.skeletons.joint_names import read_joint_names
-from ...io.system.door import reads
+from ...io.system.door import reader_of
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
-from ..console.console import counted, say
-from .bodies import tell_skeleton
+from ..console.console import pluralise, say
+from .bodies import describe_skeleton
 
 
-def tell_markers(path: Path, unit: str | None) -> str:
+def describe_markers(path: Path, unit: str | None) -> str:
     """Print the number of markers and the length of a marker file."""
     file = read_marker_file(path, unit)
     frames = file.frames
-    count, shown = len(frames), 100 * float(np.asarray(frames.seen).mean())
+    count, shown = len(frames), 100 * float(np.asarray(frames.visible).mean())
     say(
-        f"markers: {len(frames.labels)}, {counted(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, unit "
+        f"markers: {len(frames.labels)}, {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, unit "
         f"{file.unit}, {shown:.3g} % seen"
     )
     return "markers"
 
 
-@reads("a JSON file")
-def tell_json(path: Path) -> str:
+@reader_of("a JSON file")
+def describe_json(path: Path) -> str:
     """Print a description of a JSON file, and return its kind."""
     content = read_json(path)
     kind = kind_of_json(content)
@@ -45,7 +45,7 @@ def tell_json(path: Path) -> str:
         of = f" for a body of {content['vertices']} vertices" if "vertices" in content else ""
         say(f"constraints: {count}{of}")
     elif kind == "statistics":
-        tell_statistics(path)
+        describe_statistics(path)
     elif kind == "keys":
         say(f"keys: {len(content['joints'])} joints, {content.get('frames', 0)} frames")
     elif kind == "joint names":
@@ -63,7 +63,7 @@ def tell_json(path: Path) -> str:
     return kind
 
 
-def tell_statistics(path: Path) -> None:
+def describe_statistics(path: Path) -> None:
     """Print a summary of a tracking run from its statistics, `.json` or `.csv`. Raises `InputError`."""
     text = read_text(path)
     try:
@@ -74,10 +74,10 @@ def tell_statistics(path: Path) -> None:
             states = [row[head.index("state")] for row in rows]
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(f"{path}: these are not the statistics of a run; remove the file.") from None
-    say(f"statistics: {counted(len(states), 'frame')}, {states.count('lost')} lost")
+    say(f"statistics: {pluralise(len(states), 'frame')}, {states.count('lost')} lost")
 
 
-def tell_journal(path: Path) -> str:
+def describe_journal(path: Path) -> str:
     """Print the progress of a run that was stopped."""
     header, records = read_header(path), read_records(path)
     joints = header.get("joints")
@@ -86,11 +86,11 @@ def tell_journal(path: Path) -> str:
     return "journal"
 
 
-def tell_kineben(path: Path, unit: str | None) -> str:
+def describe_kineben(path: Path, unit: str | None) -> str:
     """Print a description of a Kineben file; limits are read with the skeleton in their folder."""
     kind = path.suffix.lower()[1:]
     if kind == "skl":
-        tell_skeleton(read_skeleton(path, unit))
+        describe_skeleton(read_skeleton(path, unit))
     elif kind == "vj":
         names = [line.strip() for line in read_text(path).splitlines() if line.strip()]
         say(f"parts: {len(names)} vertices on {len(set(names))} joints")
@@ -102,16 +102,16 @@ def tell_kineben(path: Path, unit: str | None) -> str:
     return kind
 
 
-def tell_asf(path: Path) -> str:
+def describe_asf(path: Path) -> str:
     """Print a description of an `.asf`."""
     asf = read_asf(path)
-    tell_skeleton(asf.skeleton)
+    describe_skeleton(asf.skeleton)
     say(f"limits: {len(asf.boxes.joints)} joints")
     return "asf"
 
 
-@reads("a list")
-def tell_text(path: Path) -> str:
+@reader_of("a list")
+def describe_text(path: Path) -> str:
     """Print a description of a list in a text file. Raises `InputError` if it is none."""
     rows = [line.split() for _, line in numbered_lines(read_text(path))]
     widths = {len(row) for row in rows}

@@ -18,7 +18,7 @@ def write_linear_body(
     **Raises:** `InputError` if the file cannot be written; `ValueError` if a number is not positive.
     """
     poses = sample_poses(body.skeleton) if motion is None else motion.poses
-    linearised = linearise(body, poses, tolerance, influences=influences)
+    linearised = linearise(body, poses, tolerance, max_influences=influences)
     linear, joints = linearised.body, body.skeleton.num_joints
     write_body(target, linear, None if motion is None else linear_motion(linearised, motion))
     virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ...errors import InputError
-from ...io.foreign import FOREIGN, INSTEAD
-from ...io.kinds import identify, wrong_kind
+from ...io.foreign import UNSUPPORTED_FORMATS, WRITABLE_ALTERNATIVES
+from ...io.kinds import identify, wrong_kind_error
 from ...io.meshes.mesh import SUFFIXES
-from ...io.meshes.mesh import WRITTEN as MESH_WRITTEN
+from ...io.meshes.mesh import WRITABLE_SUFFIXES as MESH_WRITTEN
 from ...io.registry import (
     BODY_WRITERS,
     MARKER_READERS,
@@ -23,9 +23,9 @@ from ...io.registry import (
 )
 from ...io.skinned.clip import suffix_of
 
-Way = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
+ConversionKind = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
 #: purpose of each option, and the conversions that take it
-PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
+PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
     "motion": ("bodies that are written as .glb or USD", ("body",)),
     "body": ("motions of a body", ("motion", "points")),
     "as amass": ("motions that are written as .npz", ("motion",)),
@@ -36,19 +36,21 @@ PURPOSES: dict[str, tuple[str, tuple[Way, ...]]] = {
     "influences": ("bodies that are written as .glb or USD", ("body",)),
 }
 #: suffixes of files in metres, or with a unit
-OWN_UNIT = (".npz", *SKINNED_READERS, ".asf", ".amc")
+KNOWN_UNIT_SUFFIXES = (".npz", *SKINNED_READERS, ".asf", ".amc")
 
 
 #: all suffixes of target files
 WRITTEN = {*BODY_WRITERS, *MOTION_WRITERS, *MARKER_WRITERS, *SKELETON_WRITERS, *MESH_WRITTEN}
 
 
-def find_way(source: Path, target: Path, human: bool = False) -> Way:
+def find_conversion(source: Path, target: Path, human: bool = False) -> ConversionKind:
     """Choose the conversion by the suffixes; `human`, whether the source is the embedded body. Raises
     `InputError` if there is none."""
     here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
-    if there not in WRITTEN and there in INSTEAD:
-        raise InputError(f"{target}: '{there}' files cannot be written; write {INSTEAD[there]}.")
+    if there not in WRITTEN and there in WRITABLE_ALTERNATIVES:
+        raise InputError(
+            f"{target}: '{there}' files cannot be written; write {WRITABLE_ALTERNATIVES[there]}."
+        )
     if human and there not in BODY_WRITERS:
         raise InputError(
             f"{source}: the embedded body cannot be converted to {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
@@ -65,8 +67,8 @@ def find_way(source: Path, target: Path, human: bool = False) -> Way:
         return "markers"
     if here in SKELETON_READERS and there in SKELETON_WRITERS:
         return "skeleton"
-    if source.is_dir() or not here or here in FOREIGN or identify(source) is None:
-        raise wrong_kind(
+    if source.is_dir() or not here or here in UNSUPPORTED_FORMATS or identify(source) is None:
+        raise wrong_kind_error(
             source, "something to convert", (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES)
         )
     raise InputError(
@@ -80,25 +82,25 @@ def _files(suffix: str) -> str:
     return f"'{suffix}' files" if suffix else "a file without a suffix"
 
 
-def check_options(way: Way, target: Path, given: Mapping[str, Any]) -> None:
+def check_options(kind: ConversionKind, target: Path, options: Mapping[str, Any]) -> None:
     """Check that the given options, by their names in `PURPOSES` (None, empty, or False if not given), apply
     to the conversion. Raises `InputError`."""
     for name, (purpose, ways) in PURPOSES.items():
-        if given[name] and way not in ways:
+        if options[name] and kind not in ways:
             raise InputError(f"{target}: --{name} is for {purpose}.")
-        if given[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
+        if options[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
             raise InputError(f"{target}: --{name} is written as .npz; give a name that ends in .npz.")
-    if given["vertices"] and given["body"] is None:
+    if options["vertices"] and options["body"] is None:
         raise InputError(f"{target}: --vertices needs a body; give it with --body.")
 
 
-def check_units(way: Way, source: Path, target: Path, unit: str | None, target_unit: str | None) -> None:
+def check_units(
+    kind: ConversionKind, source: Path, target: Path, unit: str | None, target_unit: str | None
+) -> None:
     """Check that units are given only for files without their own. Raises `InputError`."""
-    if unit and way != "mesh" and suffix_of(source) in OWN_UNIT:
-        raise InputError(
-            f"{source}: '{suffix_of(source)}' files have a known unit; omit --unit {unit}."
-        )
-    if target_unit and way != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
+    if unit and kind != "mesh" and suffix_of(source) in KNOWN_UNIT_SUFFIXES:
+        raise InputError(f"{source}: '{suffix_of(source)}' files have a known unit; omit --unit {unit}.")
+    if target_unit and kind != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
         raise InputError(
             f"{target}: '{target.suffix}' files are written in metres; omit --target-unit {target_unit}."
         )

@@ -13,7 +13,7 @@ from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.registry import (
-    MANNERS,
+    NPZ_CONVENTIONS,
     is_skinned,
     read_marker_file,
     read_skinned,
@@ -23,13 +23,13 @@ from ...io.registry import (
 )
 from ...io.skeletons.amass import is_amass, read_amass
 from ...io.skinned.clip import split_clip
-from ..console.console import counted, say, warn
+from ..console.console import pluralise, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
-from ..motions import load_motion, load_motion_of, load_skeleton, tell_clip
+from ..motions import load_body_motion, load_motion, load_skeleton, warn_of_clip
 from ..outputs import check_absent
-from ..sources import load_body, names_human
+from ..sources import is_human_spec, load_body
 from .body import write_linear_body
-from .conversion_kind import PURPOSES, Way, check_options, check_units, find_way
+from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
 from .points import read_labels, write_points
 
 #: metres, and bones per vertex
@@ -79,12 +79,12 @@ class Convert:
 
     def run(self) -> None:
         check_absent([self.target], self.overwrite)
-        human = names_human(str(self.source))
+        human = is_human_spec(str(self.source))
         if not human and not split_clip(self.source)[0].exists():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human counts as a body file
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
-        way: Way = "own" if own else find_way(self.source, self.target, human)
+        way: ConversionKind = "own" if own else find_conversion(self.source, self.target, human)
         self.check(way)
         {
             "own": self.write_own,
@@ -96,7 +96,7 @@ class Convert:
             "skeleton": self.write_skeleton,
         }[way]()
 
-    def check(self, way: Way) -> None:
+    def check(self, kind: ConversionKind) -> None:
         """Check that the given options apply to the conversion. Raises `InputError`."""
         given = {
             "motion": self.motion,
@@ -108,9 +108,9 @@ class Convert:
             "tolerance": self.tolerance != TOLERANCE,
             "influences": self.influences != INFLUENCES,
         }
-        check_options(way, self.target, given)
-        check_units(way, self.source, self.target, self.unit, self.target_unit)
-        read = self.motion if way == "body" else self.source
+        check_options(kind, self.target, given)
+        check_units(kind, self.source, self.target, self.unit, self.target_unit)
+        read = self.motion if kind == "body" else self.source
         if self.up and (read is None or not is_amass(read)):
             raise InputError(
                 f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."
@@ -129,7 +129,7 @@ class Convert:
         skeleton, motion = (
             load_motion(path, self.unit)
             if body is None
-            else (body.skeleton, load_motion_of(body, path, self.unit))
+            else (body.skeleton, load_body_motion(body, path, self.unit))
         )
         if not len(motion):
             raise InputError(f"{path}: this motion has no frames.")
@@ -143,7 +143,7 @@ class Convert:
     def write_body(self) -> None:
         if is_skinned(self.source):
             body, motion = read_skinned(self.source)
-            tell_clip(self.source)
+            warn_of_clip(self.source)
         else:
             body, motion = load_body(str(self.source), unit=self.unit or "m")[0], None
         if self.motion is not None:
@@ -153,10 +153,10 @@ class Convert:
     def write_motion(self) -> None:
         skeleton, motion, _ = self.read_motion()
         if self.as_:
-            MANNERS[self.as_](self.target, skeleton, motion)
+            NPZ_CONVENTIONS[self.as_](self.target, skeleton, motion)
         else:
             write_motion(self.target, skeleton, motion, self.target_unit)
-        say(f"{self.target}: {counted(motion.num_frames, 'frame')} at {motion.rate:g} frames per second")
+        say(f"{self.target}: {pluralise(motion.num_frames, 'frame')} at {motion.rate:g} frames per second")
 
     def write_points(self) -> None:
         # labels are checked before a long motion is read
@@ -168,10 +168,10 @@ class Convert:
         file = read_marker_file(self.source, self.unit)
         frames = file.frames
         write_markers(self.target, frames, self.target_unit)
-        for sentence in file.told:
+        for sentence in file.warnings:
             warn(f"{self.source.name}: {sentence}")
         say(
-            f"{self.target}: {counted(len(frames.labels), 'marker')}, {counted(len(frames), 'frame')} at {frames.rate:g} frames per second"
+            f"{self.target}: {pluralise(len(frames.labels), 'marker')}, {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second"
         )
 
     def write_mesh(self) -> None:

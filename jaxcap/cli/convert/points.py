@@ -14,7 +14,7 @@ from ...io.registry import write_markers
 from ...markers.body_shape.vertex_markers import vertex_frames
 from ...markers.motion.gap_filling import joint_frames
 from ...observe import make_markers
-from ..console.console import counted, say
+from ..console.console import pluralise, say
 
 
 def read_labels(words: Sequence[str]) -> dict[str, int]:
@@ -33,7 +33,9 @@ def read_labels(words: Sequence[str]) -> dict[str, int]:
             )
         twice = set(found) & set(new)
         if twice:
-            raise InputError(f"--vertices has two markers named '{min(twice)}'; give each marker a different name.")
+            raise InputError(
+                f"--vertices has two markers named '{min(twice)}'; give each marker a different name."
+            )
         found |= new
     return found
 
@@ -65,10 +67,10 @@ def write_points(
                 f"--vertices: a joint already has the name '{min(alike)}'; give the marker another name."
             )
         markers = vertex_frames(body, motion, list(labels.values()), list(labels))
-        places = np.concatenate([np.asarray(frames.places), np.asarray(markers.places)], 1)
+        places = np.concatenate([np.asarray(frames.positions), np.asarray(markers.positions)], 1)
         frames = make_markers(places, (*frames.labels, *markers.labels), motion.rate)
     write_markers(target, frames, unit)
     more = f" and {len(labels)} markers" if labels else ""
     say(
-        f"{target}: {skeleton.num_joints} joint centres{more}, {counted(len(frames), 'frame')} at {frames.rate:g} frames per second"
+        f"{target}: {skeleton.num_joints} joint centres{more}, {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second"
     )

@@ -9,7 +9,7 @@ from ...edit.clips import cut
 from ...errors import InputError
 from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
-from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
+from .files import Frames, MotionFile, OutMotion, frame_range, load_checked_motion, write_edited
 
 
 @dataclass
@@ -36,8 +36,8 @@ class Cut:
             raise InputError(
                 f"--seconds is {self.seconds[0]:g} {self.seconds[1]:g}; give two finite numbers."
             )
-        skeleton, motion = read_edited(self.motion, self.unit)
+        skeleton, motion = load_checked_motion(self.motion, self.unit)
         frames = self.frames
         if self.seconds is not None:
             frames = (round(self.seconds[0] * motion.rate), round(self.seconds[1] * motion.rate))
-        save(self.out, skeleton, cut(motion, *frames_of(motion, frames, self.motion)))
+        write_edited(self.out, skeleton, cut(motion, *frame_range(motion, frames, self.motion)))

@@ -8,18 +8,24 @@ import numpy as np
 from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...edit.gaze import look_at_target
-from ...edit.gaze_line import GazeLine, gaze_shares, human_line, line_of_joint, line_of_vertices
-from ...errors import InputError, sentence_of
+from ...edit.gaze_line import (
+    GazeLine,
+    gaze_line_of_joint,
+    gaze_line_of_vertices,
+    gaze_shares,
+    human_gaze_line,
+)
+from ...errors import InputError, user_message
 from ...io.archives.limits import read_limits
 from ..console.console import say, warn
 from ..console.options import Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion
 from ..sources import load_body
-from .files import Frames, MotionFile, OutMotion, frames_of, read_edited, save
+from .files import Frames, MotionFile, OutMotion, frame_range, load_checked_motion, write_edited
 
-Place = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")]
+OptionalVector = Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")]
 #: distance of a target above which it is likely in another unit, metres
-FAR = 50.0
+MAX_TARGET_DISTANCE = 50.0
 
 
 @dataclass
@@ -32,9 +38,9 @@ class Gaze:
     motion: MotionFile
     out: OutMotion
     """Output file for the motion, .bvh or .npz."""
-    target: Place = None
+    target: OptionalVector = None
     """Point to look at, metres, in the world of the motion, y up."""
-    direction: Place = None
+    direction: OptionalVector = None
     """Direction to look in, instead of a point."""
     frames: Frames = None
     """First and last frame of the gaze, with its fades. Default: all frames."""
@@ -58,33 +64,33 @@ class Gaze:
     def run(self) -> None:
         self.check()
         body = None if self.body is None else load_body(self.body)[0]
-        skeleton, motion = read_edited(self.motion, self.unit, body)
+        skeleton, motion = load_checked_motion(self.motion, self.unit, body)
         try:
             shares = self.shares(skeleton)
             if body is None:
-                line = line_of_joint(skeleton, list(shares)[-1])
+                line = gaze_line_of_joint(skeleton, list(shares)[-1])
             else:
                 line = self.line_of(body, list(shares)[-1])
-            first, last = frames_of(motion, self.frames, self.motion)
+            first, last = frame_range(motion, self.frames, self.motion)
             found = look_at_target(
                 skeleton,
                 motion,
                 line,
                 np.asarray(self.direction if self.target is None else self.target, float),
                 shares,
-                direction=self.target is None,
+                is_direction=self.target is None,
                 first=first,
                 last=last,
                 fade=self.fade,
-                most=self.most,
+                max_angle=self.most,
                 limits=None if self.limits is None else read_limits(self.limits, skeleton),
             )
         except InputError:
             raise
         except ValueError as error:
-            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
-        self.tell(found, first, last, shares)
-        save(self.out, skeleton, found.motion)
+            raise InputError(f"{self.motion}: {user_message(error)}") from None
+        self.print_summary(found, first, last, shares)
+        write_edited(self.out, skeleton, found.motion)
 
     def check(self) -> None:
         """Check that the options are compatible. Raises `InputError`."""
@@ -97,7 +103,7 @@ class Gaze:
             raise InputError(f"--most is {self.most:g}; it must be above 0 and at most 180 degrees.")
         if self.line is not None and self.body is None:
             raise InputError("--line gives vertices of a body; give the body with --body.")
-        if self.target is not None and np.linalg.norm(self.target) > FAR:
+        if self.target is not None and np.linalg.norm(self.target) > MAX_TARGET_DISTANCE:
             warn(f"--target is {np.linalg.norm(self.target):.0f} m from the origin; it is in metres")
 
     def shares(self, skeleton: Skeleton) -> dict[str, float]:
@@ -105,16 +111,16 @@ class Gaze:
         return gaze_shares(skeleton, names)
 
     def line_of(self, body: Body, head: str) -> GazeLine:
-        line = human_line(body) if self.line is None else line_of_vertices(body, *self.line, head)
+        line = human_gaze_line(body) if self.line is None else gaze_line_of_vertices(body, *self.line, head)
         if line is None:
             warn(
                 f"{self.body}: the face of this body is not known, so the gaze is the front of the head joint; "
                 "give --line to define it"
             )
-            line = line_of_joint(body.skeleton, head)
+            line = gaze_line_of_joint(body.skeleton, head)
         return line
 
-    def tell(self, found, first: int, last: int, shares: dict[str, float]) -> None:
+    def print_summary(self, found, first: int, last: int, shares: dict[str, float]) -> None:
         full = found.magnitude == 1.0
         parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares.items())
         say(f"frames {first} to {last}, {int(full.sum())} of them with the full rotation: {parts}")

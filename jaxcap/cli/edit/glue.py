@@ -12,20 +12,29 @@ from jaxtyping import Float, UInt8
 
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...io.meshes.colours import read_colours
 from ...io.meshes.mesh import Mesh, read_mesh, vertex_normals
 from ...io.meshes.obj import write_obj
 from ...io.meshes.ply import write_ply
 from ..console.console import progress, say, warn
-from ..console.options import BODY_WORDS, MOTION_WORDS, BodySpec, Flag, MotionSpec, OptionalFile, Unit, arg
+from ..console.options import (
+    BODY_FORMATS,
+    MOTION_FORMATS,
+    BodySpec,
+    Flag,
+    MotionSpec,
+    OptionalFile,
+    Unit,
+    arg,
+)
 from ..sources import load_body
 from ..track.results import make_writable
-from .files import Frames, frames_of, read_edited
+from .files import Frames, frame_range, load_checked_motion
 
 _pose_body = eqx.filter_jit(pose_body)
 #: distance of points from the body above which a warning is given, metres
-LOOSE = 0.05
+WARNING_DISTANCE = 0.05
 
 
 @dataclass
@@ -37,8 +46,8 @@ class Glue:
 
     scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
     """Mesh or cloud of the person, .ply, .obj, .off or .glb."""
-    body: Annotated[BodySpec, arg(help=f"Body that is fitted to the scan: {BODY_WORDS}.")]
-    motion: Annotated[MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_WORDS}.")]
+    body: Annotated[BodySpec, arg(help=f"Body that is fitted to the scan: {BODY_FORMATS}.")]
+    motion: Annotated[MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_FORMATS}.")]
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
     """Output folder for glued_0000.ply, glued_0001.ply, ..."""
     fitted: OptionalFile = None
@@ -62,24 +71,24 @@ class Glue:
         body, _ = load_body(self.body, unit=self.unit)
         scan = read_mesh(self.scan, self.unit)
         colours = read_colours(self.scan, len(scan.vertices))
-        _, motion = read_edited(self.motion, None, body)
+        _, motion = load_checked_motion(self.motion, None, body)
         where = self.motion if self.fitted is None else self.fitted
-        fitted = motion if self.fitted is None else read_edited(self.fitted, None, body)[1]
+        fitted = motion if self.fitted is None else load_checked_motion(self.fitted, None, body)[1]
         if not 0 <= self.frame < len(fitted):
             raise InputError(
                 f"{where}: there is no frame {self.frame} in this motion; its {len(fitted)} frames are 0 to {len(fitted) - 1}."
             )
-        first, last = frames_of(motion, self.frames, self.motion)
+        first, last = frame_range(motion, self.frames, self.motion)
         vertices = np.asarray(_pose_body(body, fitted[self.frame]).vertices, float)
         self.check_size(scan, vertices)
         try:
             glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.reach)
         except ValueError as error:
-            raise InputError(f"{self.scan}: {sentence_of(error)}") from None
-        off = np.abs(np.asarray(glue.heights))
-        if (off > LOOSE).any():
+            raise InputError(f"{self.scan}: {user_message(error)}") from None
+        off = np.abs(np.asarray(glue.normal_offsets))
+        if (off > WARNING_DISTANCE).any():
             warn(
-                f"{self.scan}: {100 * (off > LOOSE).mean():.1f} % of the points are more than {1000 * LOOSE:.0f} mm away from the "
+                f"{self.scan}: {100 * (off > WARNING_DISTANCE).mean():.1f} % of the points are more than {1000 * WARNING_DISTANCE:.0f} mm away from the "
                 "body; other objects in the scan move with it, too"
             )
         self.begin()
@@ -104,7 +113,9 @@ class Glue:
         make_writable(self.out)
         there = [path for path in self.out.iterdir() if re.fullmatch(r"glued_\d{4,}\.(ply|obj)", path.name)]
         if there and not self.overwrite:
-            raise InputError(f"{self.out}: this folder contains glued scans; give --overwrite to replace them.")
+            raise InputError(
+                f"{self.out}: this folder contains glued scans; give --overwrite to replace them."
+            )
         for path in there:
             path.unlink()
 

@@ -12,11 +12,11 @@ from ...errors import InputError
 from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalUnit, arg
 from ..outputs import check_motion
-from .files import OutMotion, read_edited, save
-from .skeletons import check_same
+from .files import OutMotion, load_checked_motion, write_edited
+from .skeletons import check_same_skeleton
 
 #: distance of the blended windows above which a jump is visible, metres
-UNLIKE = 0.15
+VISIBLE_JUMP = 0.15
 
 
 @dataclass
@@ -42,9 +42,9 @@ class Join:
         check_motion(self.out, self.overwrite)
         if not 0 <= self.blend < np.inf:
             raise InputError(f"--blend is {self.blend:g}; it must be at least 0 seconds.")
-        skeleton, a = read_edited(self.first, self.unit)
-        other, b = read_edited(self.second, self.unit)
-        check_same((self.first, skeleton), (self.second, other))
+        skeleton, a = load_checked_motion(self.first, self.unit)
+        other, b = load_checked_motion(self.second, self.unit)
+        check_same_skeleton((self.first, skeleton), (self.second, other))
         if abs(a.rate - b.rate) > 1e-6 * a.rate:
             warn(f"{self.second}: it has {b.rate:g} frames per second and is resampled to {a.rate:g}")
             b = resample(b, a.rate)
@@ -64,9 +64,9 @@ class Join:
             )
         else:
             found = find_transitions(skeleton, cut(a, len(a) - window), cut(b, 0, window - 1), window)[0]
-        if found.distance > UNLIKE:
+        if found.distance > VISIBLE_JUMP:
             warn(
                 f"joints are {1000 * found.distance:.0f} mm apart at the transition; give a longer --blend, or --find to "
                 "search for similar frames"
             )
-        save(self.out, skeleton, join(skeleton, a, b, frames))
+        write_edited(self.out, skeleton, join(skeleton, a, b, frames))

@@ -13,10 +13,10 @@ from ...edit.keys import find_keys
 from ...errors import InputError
 from ...io.archives.npz import save_arrays, skeleton_arrays
 from ...io.table import write_json
-from ..console.console import say, table
+from ..console.console import print_table, say
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion, check_new
-from .files import MotionFile, read_edited, save
+from .files import MotionFile, load_checked_motion, write_edited
 
 OptionalOut = Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")]
 
@@ -47,32 +47,36 @@ class Keys:
         if self.out is not None:
             check_motion(self.out, self.overwrite)
         if self.keys is not None and self.keys.suffix.lower() not in (".json", ".npz"):
-            raise InputError(f"{self.keys}: keys are written as .json or .npz; give a name that ends in one of these.")
+            raise InputError(
+                f"{self.keys}: keys are written as .json or .npz; give a name that ends in one of these."
+            )
         check_new(self.keys, self.overwrite)
         if self.out is not None and self.keys is not None and self.out.absolute() == self.keys.absolute():
-            raise InputError(f"{self.out}: motion and keys cannot be the same file; give them different names.")
+            raise InputError(
+                f"{self.out}: motion and keys cannot be the same file; give them different names."
+            )
         for name, value in (("--degrees", self.degrees), ("--millimetres", self.millimetres)):
             if not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0.")
-        skeleton, motion = read_edited(self.motion, self.unit)
+        skeleton, motion = load_checked_motion(self.motion, self.unit)
         found = find_keys(skeleton, motion, self.degrees, self.millimetres / 1000, self.per_joint)
-        tell(self.motion.name, skeleton, found, self.per_joint)
+        print_summary(self.motion.name, skeleton, found, self.per_joint)
         if self.keys is not None:
             write_keys(self.keys, skeleton, motion, found)
             say(f"written: {self.keys}")
         if self.out is not None:
-            save(self.out, skeleton, found.motion)
+            write_edited(self.out, skeleton, found.motion)
 
 
-def tell(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
-    frames, joints = found.keyed.shape
+def print_summary(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
+    frames, joints = found.is_key.shape
     if per_joint:
-        counts = found.keyed.sum(0)
+        counts = found.is_key.sum(0)
         most = np.argsort(-counts, kind="stable")[:8]
-        table(["joint", "keys"], [[skeleton.names[joint], str(counts[joint])] for joint in most])
+        print_table(["joint", "keys"], [[skeleton.names[joint], str(counts[joint])] for joint in most])
         what = f"{found.count} keys of {joints} joints"
     else:
-        what = f"{int(found.keyed[:, 0].sum())} poses"
+        what = f"{int(found.is_key[:, 0].sum())} poses"
     share = 100 * found.count / (frames * joints)
     say(
         f"{name}: {what} for {frames} frames ({share:.1f} % of the values); errors at most {found.degrees:.2f}° and "
@@ -91,7 +95,7 @@ def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Found) -> 
     if path.suffix.lower() == ".json":
         joints = {}
         for joint, name in enumerate(skeleton.names):
-            frames = np.flatnonzero(found.keyed[:, joint])
+            frames = np.flatnonzero(found.is_key[:, joint])
             own: dict = {
                 "frames": frames.tolist(),
                 "rotations": np.round(rotations[frames, joint], 7).tolist(),
@@ -99,15 +103,15 @@ def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Found) -> 
             if np.any(translations[:, joint]):
                 own["translations"] = np.round(translations[frames, joint], 7).tolist()
             joints[name] = own
-        write_json(path, {"frames": len(found.keyed), "rate": motion.rate, "joints": joints})
+        write_json(path, {"frames": len(found.is_key), "rate": motion.rate, "joints": joints})
         return
-    frames, joints = np.nonzero(found.keyed)
+    frames, joints = np.nonzero(found.is_key)
     arrays = {
         "frames": frames,
         "joints": joints,
         "rotations": rotations[frames, joints],
         "translations": translations[frames, joints],
-        "count": np.array(len(found.keyed)),
+        "count": np.array(len(found.is_key)),
         "rate": np.array(motion.rate, float),
     }
     save_arrays(path, "jaxcap keys", {**skeleton_arrays(skeleton), **arrays})

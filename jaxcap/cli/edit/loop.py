@@ -7,11 +7,11 @@ import numpy as np
 
 from ...edit.clips import make_loop
 from ...edit.transitions import find_loops
-from ...errors import InputError, sentence_of
-from ..console.console import say, table
+from ...errors import InputError, user_message
+from ..console.console import print_table, say
 from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
-from .files import Frames, MotionFile, OutMotion, read_edited, save
+from .files import Frames, MotionFile, OutMotion, load_checked_motion, write_edited
 
 Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
 
@@ -45,25 +45,25 @@ class Loop:
         for name, value in (("--blend", self.blend), ("--least", self.least), ("--most", self.most)):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0 seconds.")
-        skeleton, motion = read_edited(self.motion, self.unit)
+        skeleton, motion = load_checked_motion(self.motion, self.unit)
         frames = max(2, round(self.blend * motion.rate))
         try:
             first, last = self.frames or self.find(skeleton, motion, frames)
             loop = make_loop(skeleton, motion, first, last, frames, self.in_place)
         except ValueError as error:
-            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
+            raise InputError(f"{self.motion}: {user_message(error)}") from None
         goes = "stays in place"
         if not self.in_place:
             metres, degrees = float(np.linalg.norm(loop.travel.shift)), np.degrees(loop.travel.heading)
             goes = f"rotates by {degrees:.0f}° and moves by {metres:.2f} m"
         say(f"frames {first} to {last}: one cycle takes {(last - first) / motion.rate:.2f} s and {goes}")
-        save(self.out, skeleton, loop.motion)
+        write_edited(self.out, skeleton, loop.motion)
 
     def find(self, skeleton, motion, frames: int) -> tuple[int, int]:
         least = round((0.5 if self.least is None else self.least) * motion.rate)
         most = len(motion) if self.most is None else round(self.most * motion.rate)
         found = find_loops(skeleton, motion, frames, max(least, frames), most, count=3)
-        table(
+        print_table(
             ["first", "last", "distance"],
             [[str(f.first + frames), str(f.second + frames), f"{1000 * f.distance:.0f} mm"] for f in found],
         )

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 from ...edit.mirror_motion import mirror
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ..console.options import Flag, OptionalUnit
 from ..outputs import check_motion
-from .files import MotionFile, OutMotion, read_edited, save
+from .files import MotionFile, OutMotion, load_checked_motion, write_edited
 
 
 @dataclass
@@ -23,9 +23,9 @@ class Mirror:
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)
-        skeleton, motion = read_edited(self.motion, self.unit)
+        skeleton, motion = load_checked_motion(self.motion, self.unit)
         try:
             found = mirror(skeleton, motion)
         except ValueError as error:
-            raise InputError(f"{self.motion}: {sentence_of(error)}") from None
-        save(self.out, skeleton, found)
+            raise InputError(f"{self.motion}: {user_message(error)}") from None
+        write_edited(self.out, skeleton, found)

@@ -8,7 +8,7 @@ from ...io.skeletons.joint_names import read_joint_names
 from ...io.text import parse_floats, parse_int, read_text
 
 
-def table_of(path: Path) -> list[list[str]]:
+def read_pair_table(path: Path) -> list[list[str]]:
     """Split every non-empty line of a text file into words; `#` begins a comment.
 
     **Raises:** `InputError` if the file cannot be read or a line has other than two or three words.
@@ -29,13 +29,13 @@ def table_of(path: Path) -> list[list[str]]:
     return rows
 
 
-def names_of(path: Path) -> dict[str, str | None]:
+def read_name_pairs(path: Path) -> dict[str, str | None]:
     """Read the table of joints in a `.json` file, or in a text file with two names per line. Raises
     `InputError`."""
     if path.suffix.lower() == ".json":
         return read_joint_names(path)
     names: dict[str, str | None] = {}
-    for number, here, *there in table_of(path):
+    for number, here, *there in read_pair_table(path):
         if here in names:
             raise InputError(
                 f"{path}:{number}: the joint '{here}' occurs in two lines; give each joint of the source once."
@@ -44,8 +44,8 @@ def names_of(path: Path) -> dict[str, str | None]:
     return names
 
 
-def point_pair(path: Path, row: list[str]) -> PointPair:
-    """Parse a row of `table_of`, which begins with its line number. Raises `InputError`."""
+def parse_point_pair(path: Path, row: list[str]) -> PointPair:
+    """Parse a row of `read_pair_table`, which begins with its line number. Raises `InputError`."""
     number, here, there, *weight = row
     where = f"{path}:{number}"
     heavy = parse_floats(weight, where, "the weight")[0] if weight else 1.0

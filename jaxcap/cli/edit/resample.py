@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from ...edit.interpolation import resample
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ..console.options import Flag, OptionalUnit, arg
 from ..outputs import check_motion
-from .files import MotionFile, OutMotion, read_edited, save
+from .files import MotionFile, OutMotion, load_checked_motion, write_edited
 
 #: maximum number of frames, as a limit of memory
-MOST = 1_000_000
+MAX_FRAMES = 1_000_000
 
 
 @dataclass
@@ -29,14 +29,14 @@ class Resample:
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)
-        skeleton, motion = read_edited(self.motion, self.unit)
+        skeleton, motion = load_checked_motion(self.motion, self.unit)
         frames = len(motion) / motion.rate * self.rate
-        if frames > MOST:
+        if frames > MAX_FRAMES:
             raise InputError(
-                f"--rate is {self.rate:g}; this gives {frames:.3g} frames, and the maximum is {MOST}."
+                f"--rate is {self.rate:g}; this gives {frames:.3g} frames, and the maximum is {MAX_FRAMES}."
             )
         try:
             found = resample(motion, self.rate)
         except ValueError as error:
-            raise InputError(f"--rate: {sentence_of(error)}") from None
-        save(self.out, skeleton, found)
+            raise InputError(f"--rate: {user_message(error)}") from None
+        write_edited(self.out, skeleton, found)

@@ -5,24 +5,24 @@ from pathlib import Path
 import numpy as np
 
 from ...body.body import Body
-from ...body.skeleton import Skeleton, same_joints
+from ...body.skeleton import Skeleton, has_same_joints
 from ...errors import InputError
 from ...io.kinds import identify
 from ...io.registry import BODY_SUFFIXES, SKELETON_READERS
 from ...io.skinned.clip import suffix_of
-from ..convert.conversion_kind import OWN_UNIT
+from ..convert.conversion_kind import KNOWN_UNIT_SUFFIXES
 from ..motions import load_skeleton
-from ..sources import load_body, names_human
+from ..sources import is_human_spec, load_body
 
 #: maximum distance of the rest joints of equal skeletons, metres
-SAME = 1e-3
+MAX_JOINT_OFFSET = 1e-3
 #: ratio of sizes that no two people have, but that a wrong unit causes, except feet for metres
-OTHER_UNIT = 5.0
+MAX_SIZE_RATIO = 5.0
 
 
 def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
     """Load a body, or a skeleton from any file that has one and no body. Raises `InputError`."""
-    if unit and says_unit(spec):
+    if unit and has_known_unit(spec):
         raise InputError(f"{spec}: its unit is known; omit --target-unit {unit}.")
     alone = suffix_of(spec) in SKELETON_READERS and suffix_of(spec) not in BODY_SUFFIXES
     if alone or identify(spec) in ("motion", "amass", "subject"):
@@ -30,19 +30,19 @@ def load_target(spec: str, unit: str | None = None) -> Body | Skeleton:
     return load_body(spec, unit=unit or "m")[0]
 
 
-def says_unit(spec: str | Path) -> bool:
+def has_known_unit(spec: str | Path) -> bool:
     """Check if a body or a motion is in metres, or its file has a unit."""
-    return names_human(str(spec)) or suffix_of(spec) in OWN_UNIT
+    return is_human_spec(str(spec)) or suffix_of(spec) in KNOWN_UNIT_SUFFIXES
 
 
 def skeleton_of(owner: Body | Skeleton) -> Skeleton:
     return owner if isinstance(owner, Skeleton) else owner.skeleton
 
 
-def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
+def check_same_skeleton(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
     """Check that two motions have the same skeleton. Raises `InputError`."""
     (_, one), (path, other) = a, b
-    if not same_joints(one, other):
+    if not has_same_joints(one, other):
         strangers = sorted(set(one.names) ^ set(other.names))
         what = (
             f"'{strangers[0]}' is a joint of only one of them"
@@ -56,7 +56,7 @@ def check_same(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> None:
     # bones are compared, and not the rest position of the root
     offsets = [np.asarray(s.centres, float) - np.asarray(s.centres, float)[0] for s in (one, other)]
     apart = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
-    if apart > SAME:
+    if apart > MAX_JOINT_OFFSET:
         raise InputError(
             f"{path}: the bones of this motion differ from those of {a[0]} by up to {1000 * apart:.0f} mm; "
             "retarget the motion with `jaxcap edit retarget`."

@@ -9,10 +9,10 @@ import numpy as np
 from ...body.limits.limit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.check import comfort_frames
-from ..console.console import say, table
+from ..console.console import print_table, say
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new
-from .motion_limits import LimitsFile, MotionLimits, read_motion_limits, runs_of
+from .motion_limits import LimitsFile, MotionLimits, format_runs, read_motion_limits
 
 
 @dataclass
@@ -35,54 +35,54 @@ class Check:
         check_new(self.out, self.overwrite)
         held = read_motion_limits(self.motion, self.limits, self.unit, self.body)
         comforts = comfort_of(held)
-        say(summary(self.motion.name, held))
-        limited = sorted(set(np.asarray(held.limits.owners(held.skeleton)).tolist()))
+        say(format_summary(self.motion.name, held))
+        limited = sorted(set(np.asarray(held.limits.residual_joints(held.skeleton)).tolist()))
         names = held.skeleton.names
-        table(
+        print_table(
             ["joint", "beyond", "worst", "comfort", "frames"],
             [
                 [
                     names[joint],
-                    f"{100 * held.beyond[:, joint].mean():.2f} %",
+                    f"{100 * held.is_violated[:, joint].mean():.2f} %",
                     f"{held.degrees[:, joint].max():.1f}°",
                     f"{np.median(comforts[names[joint]]):.2f}" if names[joint] in comforts else "-",
-                    runs_of(held.beyond[:, joint]),
+                    format_runs(held.is_violated[:, joint]),
                 ]
                 for joint in limited
             ],
         )
         if self.out is not None:
-            write_json(self.out, report(held, comforts, limited))
+            write_json(self.out, build_report(held, comforts, limited))
             say(f"written: {self.out}")
 
 
-def summary(name: str, held: MotionLimits) -> str:
-    frames = np.any(held.beyond, axis=1)
+def format_summary(name: str, checked: MotionLimits) -> str:
+    frames = np.any(checked.is_violated, axis=1)
     return (
-        f"{name}: {len(held.beyond)} frames, {int(frames.sum())} with a joint beyond its limits "
+        f"{name}: {len(checked.is_violated)} frames, {int(frames.sum())} with a joint beyond its limits "
         f"({100 * frames.mean():.2f} %)"
     )
 
 
-def comfort_of(held: MotionLimits) -> dict[str, np.ndarray]:
+def comfort_of(checked: MotionLimits) -> dict[str, np.ndarray]:
     """Compute the comfort of every frame by joint, for learned limits."""
-    if not isinstance(held.limits, SurfaceLimits):
+    if not isinstance(checked.limits, SurfaceLimits):
         return {}
-    found = np.asarray(comfort_frames(held.limits, held.skeleton, held.motion), float)
-    return {s.joint: found[:, column] for column, s in enumerate(held.limits.surfaces)}
+    found = np.asarray(comfort_frames(checked.limits, checked.skeleton, checked.motion), float)
+    return {s.joint: found[:, column] for column, s in enumerate(checked.limits.surfaces)}
 
 
-def report(held: MotionLimits, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
+def build_report(checked: MotionLimits, comforts: dict[str, np.ndarray], limited: list[int]) -> dict:
     """Build the report for JSON: angles in degrees, comfort as a share of the samples."""
     joints = {}
     for joint in limited:
-        name = held.skeleton.names[joint]
+        name = checked.skeleton.names[joint]
         joints[name] = {
-            "beyond_share": float(held.beyond[:, joint].mean()),
-            "worst_degrees": float(held.degrees[:, joint].max()),
-            "frames_beyond": np.flatnonzero(held.beyond[:, joint]).tolist(),
-            "degrees": np.round(held.degrees[:, joint], 3).tolist(),
+            "beyond_share": float(checked.is_violated[:, joint].mean()),
+            "worst_degrees": float(checked.degrees[:, joint].max()),
+            "frames_beyond": np.flatnonzero(checked.is_violated[:, joint]).tolist(),
+            "degrees": np.round(checked.degrees[:, joint], 3).tolist(),
         }
         if name in comforts:
             joints[name]["comfort"] = np.round(comforts[name], 4).tolist()
-    return {"frames": len(held.beyond), "joints": joints}
+    return {"frames": len(checked.is_violated), "joints": joints}

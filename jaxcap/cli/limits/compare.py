@@ -5,10 +5,10 @@ from typing import Annotated
 
 import numpy as np
 
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...limits.compare import compare_samples
 from ...limits.samples import gather_samples, parse_joints
-from ..console.console import table
+from ..console.console import print_table
 from ..console.options import MotionSpec, arg
 from ..motions import load_motion
 
@@ -43,5 +43,5 @@ class Compare:
                     ]
                 )
         except ValueError as error:
-            raise InputError(sentence_of(error)) from None
-        table(["joint", "mean", "sd", "mean", "sd"], rows)
+            raise InputError(user_message(error)) from None
+        print_table(["joint", "mean", "sd", "mean", "sd"], rows)

@@ -7,20 +7,20 @@ from typing import Annotated
 import numpy as np
 
 from ...body.limits.limit_surface import LimitSurface, SurfaceLimits
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
-from ...limits.charts import chart_places
+from ...limits.charts import chart_coordinates
 from ...limits.learn import COVERAGE, learn_limits
 from ...limits.marker_frames import arm_samples
-from ...limits.samples import JointSamples, gather_samples, parse_joints, spans
-from ..console.console import say, table, warn
-from ..console.options import MOTION_WORDS, Flag, MotionsSpec, OptionalUnit, arg
+from ...limits.samples import JointSamples, angular_range, gather_samples, parse_joints
+from ..console.console import print_table, say, warn
+from ..console.options import MOTION_FORMATS, Flag, MotionsSpec, OptionalUnit, arg
 from ..motions import load_motion
 from ..outputs import check_npz, make_folder
 
 #: range in degrees below which a joint's motion shows little of its limits
-HARDLY = 5.0
+MIN_RANGE = 5.0
 
 
 @dataclass
@@ -32,7 +32,9 @@ class Learn:
 
     motions: Annotated[
         MotionsSpec,
-        arg(help=f"Motions of one skeleton: {MOTION_WORDS}; or one recording of markers: .c3d, .trc, .csv."),
+        arg(
+            help=f"Motions of one skeleton: {MOTION_FORMATS}; or one recording of markers: .c3d, .trc, .csv."
+        ),
     ]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, separated by commas. PARENT:CHILD makes the limits of the child depend on the parent:
@@ -69,13 +71,13 @@ class Learn:
                 samples,
                 voxel=None if self.voxel is None else float(np.radians(self.voxel)),
                 keyframe=None if self.keyframe is None else float(np.radians(self.keyframe)),
-                least=self.threshold,
+                min_samples=self.threshold,
                 coverage=self.coverage,
             )
         except ValueError as error:
-            raise InputError(sentence_of(error)) from None
+            raise InputError(user_message(error)) from None
         save_limits(self.out, limits)
-        tell(limits, samples)
+        print_summary(limits, samples)
         say(f"written: {self.out}")
         if self.report is not None:
             self.draw(limits, samples)
@@ -107,7 +109,7 @@ class Learn:
         try:
             return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
         except ValueError as error:
-            raise InputError(sentence_of(error)) from None
+            raise InputError(user_message(error)) from None
 
     def marker_samples(self, pairs) -> dict[str, JointSamples]:
         if self.markers is None or self.trunk is None:
@@ -132,24 +134,24 @@ class Learn:
         assert self.report is not None
         for surface in limits.surfaces:
             one = samples[surface.joint]
-            places = chart_places(surface.chart, one.rotations)
+            places = chart_coordinates(surface.chart, one.rotations)
             parents = None
             if surface.parent_chart is not None and one.parent is not None:
-                parents = chart_places(surface.parent_chart, one.parent.rotations)
+                parents = chart_coordinates(surface.parent_chart, one.parent.rotations)
             path = self.report / f"{surface.joint}.png"
             draw_limits(path, surface, places, parents)
             say(f"written: {path}")
 
 
-def tell(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
+def print_summary(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
     """Print a row for each joint: its angles and range, its voxels, its parent's keyframes."""
-    table(
+    print_table(
         ["joint", "depends on", "angles", "samples", "range", "primitives", "voxels from", "keyframes"],
         [_row(surface, samples[surface.joint]) for surface in limits.surfaces],
     )
     for one in samples.values():
-        turned = np.degrees(spans(one.rotations))
-        if turned < HARDLY:
+        turned = np.degrees(angular_range(one.rotations))
+        if turned < MIN_RANGE:
             warn(
                 f"'{one.joint}' rotates by only {turned:.1f} degrees; rotations that the motions do not show are forbidden"
             )
@@ -162,7 +164,7 @@ def _row(surface: LimitSurface, samples: JointSamples) -> list[str]:
         surface.parent or "-",
         str(surface.chart.dimension),
         str(len(samples.rotations)),
-        f"{np.degrees(spans(samples.rotations)):.0f}°",
+        f"{np.degrees(angular_range(samples.rotations)):.0f}°",
         str(primitives),
         f"{np.degrees(4 * float(surface.unit)):.2g}°",
         "-" if surface.parent is None else str(keyframes),

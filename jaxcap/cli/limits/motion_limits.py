@@ -11,9 +11,9 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.archives.limits import read_limits
 from ...limits.check import allowed_frames, residual_frames
-from ...markers.segments.gaps import runs
+from ...markers.segments.gaps import find_runs
 from ..console.options import arg
-from ..motions import load_motion, load_motion_of
+from ..motions import load_body_motion, load_motion
 from ..sources import load_body
 
 LimitsFile = Annotated[Path, arg(aliases=("-l",), metavar="FILE")]
@@ -26,7 +26,7 @@ class MotionLimits(NamedTuple):
     motion: Motion
     limits: AbstractLimits
     #: (F, J) whether joints violate their limits; (F, J) by how many degrees, approximately
-    beyond: np.ndarray
+    is_violated: np.ndarray
     degrees: np.ndarray
 
 
@@ -41,22 +41,22 @@ def read_motion_limits(motion: Path, limits: Path, unit: str | None, body: str |
         skeleton, moving = load_motion(motion, unit)
     else:
         of = load_body(body, unit=unit or "m")[0]
-        skeleton, moving = of.skeleton, load_motion_of(of, motion, unit)
-    return judge(skeleton, moving, read_limits(limits, skeleton))
+        skeleton, moving = of.skeleton, load_body_motion(of, motion, unit)
+    return find_violations(skeleton, moving, read_limits(limits, skeleton))
 
 
-def judge(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> MotionLimits:
+def find_violations(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> MotionLimits:
     """Check a motion against limits."""
     beyond = ~np.asarray(allowed_frames(limits, skeleton, motion))
     amounts = np.abs(np.asarray(residual_frames(limits, skeleton, motion)))
     degrees = np.zeros(beyond.shape)
-    for column, joint in enumerate(np.asarray(limits.owners(skeleton))):
+    for column, joint in enumerate(np.asarray(limits.residual_joints(skeleton))):
         degrees[:, joint] = np.maximum(degrees[:, joint], np.degrees(amounts[:, column]))
     return MotionLimits(skeleton, motion, limits, beyond, degrees)
 
 
-def runs_of(frames: np.ndarray, most: int = 4) -> str:
+def format_runs(frames: np.ndarray, most: int = 4) -> str:
     """Format marked frames as runs, the longest first: `12-40, 3`."""
-    found = sorted(runs(np.asarray(frames)), key=lambda run: run[0] - run[1])
+    found = sorted(find_runs(np.asarray(frames)), key=lambda run: run[0] - run[1])
     text = ", ".join(f"{first}-{end - 1}" if end - first > 1 else f"{first}" for first, end in found[:most])
     return (text or "-") + (", ..." if len(found) > most else "")

@@ -12,8 +12,8 @@ from ...limits.project import project_motion
 from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion, check_new
-from .check import summary
-from .motion_limits import LimitsFile, judge, read_motion_limits
+from .check import format_summary
+from .motion_limits import LimitsFile, find_violations, read_motion_limits
 
 
 @dataclass
@@ -46,16 +46,16 @@ class Project:
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
         check_new(self.picture, self.overwrite)
         held = read_motion_limits(self.motion, self.limits, self.unit, self.body)
-        say(summary(self.motion.name, held))
+        say(format_summary(self.motion.name, held))
         fixed = project_motion(held.limits, held.skeleton, held.motion, self.smoothness)
         write_motion(self.out, held.skeleton, fixed)
-        after = judge(held.skeleton, fixed, held.limits)
-        say(f"written: {self.out}; joints are rotated by {held.degrees[held.beyond].mean() if held.beyond.any() else 0:.1f}° on average, {held.degrees.max():.1f}° at most")  # fmt: skip
-        if after.beyond.any():
-            warn(summary(self.out.name, after))
+        after = find_violations(held.skeleton, fixed, held.limits)
+        say(f"written: {self.out}; joints are rotated by {held.degrees[held.is_violated].mean() if held.is_violated.any() else 0:.1f}° on average, {held.degrees.max():.1f}° at most")  # fmt: skip
+        if after.is_violated.any():
+            warn(format_summary(self.out.name, after))
         if self.picture is not None:
             from ...report.motion_strip import draw_strip
 
             title = f"{self.motion.name}: above the original, violations in red; below the projection"
-            draw_strip(self.picture, held.skeleton, held.motion, fixed, held.beyond, title)
+            draw_strip(self.picture, held.skeleton, held.motion, fixed, held.is_violated, title)
             say(f"written: {self.picture}")

@@ -15,17 +15,17 @@ from ...io.system.lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.local import LocalFit, fit_local
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
-from ...markers.rotation_centres.centres import Method
-from ...markers.segments.merge_takes import unite_takes
+from ...markers.rotation_centres.centres import CentreMethod
+from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import marker_body
-from ...report.markers.markers import held_residuals, report_markers, total_residuals
+from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
 from ..console.console import say
-from ..console.heartbeat import doing
-from ..console.options import SKELETON_WORDS, Flag, OptionalFile, OptionalUnit, Up, arg
+from ..console.heartbeat import set_activity
+from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, Up, arg
 from ..motions import load_skeleton
 from ..outputs import check_npz, make_folder
 from ..terms import FloorHeight, read_terms
-from .found import strays, tell_bones, tell_joints, tell_segments
+from .found import describe_strays, print_bones, print_joints, print_segments
 from .takes import (
     Files,
     OptionalFolder,
@@ -55,7 +55,7 @@ class Fit:
     """.c3d, .trc or .csv files of one performer. Equal labels are the same marker."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
     """Output file for the subject, .npz."""
-    method: Method = "score"
+    method: CentreMethod = "score"
     """Method for rotation centres: spheres about them (sphere), symmetric (score, for SCoRE and SARA), or Gamage and
     Lasenby's (gamage)."""
     threshold: OptionalThreshold = None
@@ -67,7 +67,7 @@ class Fit:
         OptionalFile,
         arg(
             help="Skeleton that defines which segments are connected; --segments names them like its joints: "
-            f"{SKELETON_WORDS}."
+            f"{SKELETON_FORMATS}."
         ),
     ] = None
     symmetry: SamePairs = ()
@@ -103,10 +103,10 @@ class Fit:
 
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
         """Read, fit and write, while the lock excludes other runs with the same output files."""
-        doing("reading the takes")
+        set_activity("reading the takes")
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
-        united = unite_takes(takes)
-        doing("finding segments and joints")
+        united = merge_takes(takes)
+        set_activity("finding segments and joints")
         corrections = None if self.segments is None else read_corrections(self.segments)
         found = fit_local(
             united,
@@ -114,12 +114,12 @@ class Fit:
             method=self.method,
             template=None
             if self.template is None
-            else self.named(load_skeleton(self.template), corrections or {}),
+            else self.match_segments(load_skeleton(self.template), corrections or {}),
             symmetry=pairs,
             corrections=corrections,
         )
-        tell_segments(found)
-        tell_joints(found)
+        print_segments(found)
+        print_joints(found)
         fitted: Calibration | MarkerSolution
         terms = read_terms(marker_body(found.subject), floor=self.floor)
         if self.local:
@@ -134,25 +134,27 @@ class Fit:
                 found.markers,
                 found.subject,
                 symmetry=known,
-                count=self.frames,
+                num_frames=self.frames,
                 skin=not self.rigid,
                 terms=terms,
             )
             subject = fitted.subject
         lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
-        if not np.isfinite(held_residuals(subject, fitted.residuals, lost)).any():
+        if not np.isfinite(assigned_residuals(subject, fitted.residuals, lost)).any():
             raise InputError(
                 f"{', '.join(self.files)}: no pose of the estimated skeleton explains any frame; check that the markers are of one body, and the unit."
             )
-        doing("measuring residuals")
-        tell_bones(found, fitted if isinstance(fitted, Calibration) else None)
-        kept = held_residuals(subject, fitted.residuals, lost)
-        totals = total_residuals(kept)
+        set_activity("measuring residuals")
+        print_bones(found, fitted if isinstance(fitted, Calibration) else None)
+        kept = assigned_residuals(subject, fitted.residuals, lost)
+        totals = summarise_residuals(kept)
         say(
             f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, "
             f"95 % within {1e3 * totals['p95']:.2f} mm"
         )
-        told = tuple(dict.fromkeys((*found.told, *fitted.told, *strays(subject.labels, kept))))
+        told = tuple(
+            dict.fromkeys((*found.messages, *fitted.messages, *describe_strays(subject.labels, kept)))
+        )
         if told:
             say("notes:")
         for sentence in told:
@@ -163,29 +165,31 @@ class Fit:
         )
         write_joints(self.joints, subject.skeleton, fitted.motion, lost)
         if self.report is not None:
-            doing("drawing the report")
+            set_activity("drawing the report")
             self.write_report(self.report, found, subject, fitted, told, lost)
 
-    def write_report(self, folder: Path, found: LocalFit, subject, fitted, told: Sequence[str], lost) -> None:
+    def write_report(
+        self, folder: Path, local_fit: LocalFit, subject, fitted, notes: Sequence[str], lost
+    ) -> None:
         make_folder(folder)
-        owner, names = found.segments.of_marker, found.segments.names
+        owner, names = local_fit.segments.marker_segments, local_fit.segments.names
         write_corrections(
             folder / "segments.txt",
             {
-                label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(found.segments.weights[m]))
-                for m, label in enumerate(found.markers.labels)
+                label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(local_fit.segments.weights[m]))
+                for m, label in enumerate(local_fit.markers.labels)
             },
         )
         report_markers(
             folder,
             subject,
             fitted.motion,
-            found.markers,
+            local_fit.markers,
             fitted.residuals,
             title=f"{self.out.stem}: " + ", ".join(Path(path).name for path in self.files),
-            told=told,
+            notes=notes,
             lost=lost,
-            more={"local_joints": joint_figures(found)},
+            extra={"local_joints": joint_figures(local_fit)},
         )
         say(f"report.json, segments.txt and pictures are in {folder}")
 
@@ -211,7 +215,7 @@ class Fit:
         check_folder(self.report)
         return read_symmetry(self.symmetry)
 
-    def named(
+    def match_segments(
         self, template: Skeleton, corrections: dict[str, tuple[str, float]]
     ) -> tuple[Skeleton, dict[str, str]]:
         """Match the segments to the template's bones by name; return both. Raises `InputError`."""
@@ -238,20 +242,20 @@ def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def joint_figures(found: LocalFit) -> list[dict[str, object]]:
+def joint_figures(local_fit: LocalFit) -> list[dict[str, object]]:
     """Collect the estimates of the separately fitted joints for `report.json`; metres and radians."""
-    names = found.segments.names
+    names = local_fit.segments.names
     return [
         {
             "joint": names[joint.child],
             "parent": names[joint.parent],
             "hinge": joint.axis_in_parent is not None,
             "residual": joint.residual,
-            "precision": joint.precision.tolist(),
-            "bound": joint.bound,
-            "swept": joint.swept,
+            "precision": joint.deviations.tolist(),
+            "bound": joint.arc_bound,
+            "swept": joint.swept_angle,
             "method": joint.method,
         }
-        for joint in found.joints
+        for joint in local_fit.joints
         if joint is not None
     ]

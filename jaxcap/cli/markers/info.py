@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...errors import InputError, sentence_of
-from ...io.markers.marker_file import check_extent, frame_size, pick_subject, subjects_of
+from ...errors import InputError, user_message
+from ...io.markers.marker_file import check_extent, group_by_subject, median_extent, select_subject
 from ...io.registry import read_marker_file
-from ...markers.segments.gaps import describe_gaps, gap_statistics
+from ...markers.segments.gaps import describe_problems, gap_statistics
 from ...observe import MarkerFrames
-from ..console.console import counted, say, table, warn
+from ..console.console import pluralise, print_table, say, warn
 from ..console.options import OptionalFile, OptionalUnit, arg
 from .takes import UNIT_ASKED
 
@@ -43,25 +43,27 @@ class Info:
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
         file = read_marker_file(path, self.unit)
-        subjects = subjects_of(file.frames.labels)
+        subjects = group_by_subject(file.frames.labels)
         several = self.subject is None and len(subjects) > 1
-        frames = file.frames if several else pick_subject(file.frames, path, self.subject)
+        frames = file.frames if several else select_subject(file.frames, path, self.subject)
         count = len(frames)
-        say(f"{path.name}: {counted(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
+        say(f"{path.name}: {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")
-        for kind, labels in file.others.items():
+        for kind, labels in file.other_points.items():
             say(f"{kind}: {len(labels)} ({_some(labels)})")
-        _gaps(frames, self.rows)
-        for sentence in (*file.told, *describe_gaps(frames)):
+        _print_gaps(frames, self.rows)
+        for sentence in (*file.warnings, *describe_problems(frames)):
             warn(sentence)
         if several:
-            warn(f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject.")
+            warn(
+                f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject."
+            )
         try:
-            check_extent(frames, path, file.scale, asked=UNIT_ASKED)
+            check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
         except InputError as error:
-            warn(sentence_of(error))
+            warn(user_message(error))
         if self.picture is not None:
             from ...report.markers.marker_gaps import draw_gaps
 
@@ -69,10 +71,10 @@ class Info:
             say(f"written: {self.picture}")
 
 
-def _gaps(frames: MarkerFrames, most: int) -> None:
+def _print_gaps(frames: MarkerFrames, most: int) -> None:
     """Print the table of gaps, sorted by visibility, the least visible marker first."""
-    seen, gaps = np.asarray(frames.seen), gap_statistics(frames)
-    gappy = np.flatnonzero(gaps.count)
+    seen, gaps = np.asarray(frames.visible), gap_statistics(frames)
+    gappy = np.flatnonzero(gaps.num_gaps)
     whole = 100 * seen.mean()
     if not len(gappy):
         say("gaps: none, every marker is seen in every frame")
@@ -80,17 +82,17 @@ def _gaps(frames: MarkerFrames, most: int) -> None:
     say(
         f"gaps: {len(gappy)} of {len(frames.labels)} markers have gaps; {whole:.{1 if whole < 99.9 else 3}f} % is seen"
     )
-    order = gappy[np.argsort(gaps.seen[gappy], kind="stable")]
+    order = gappy[np.argsort(gaps.visible_fraction[gappy], kind="stable")]
     shown = order[: most or None]
-    table(
+    print_table(
         ["marker", "seen", "gaps", "longest", "time".ljust(WIDTH)],
         [
             [
                 frames.labels[i],
-                f"{100 * gaps.seen[i]:.2f} %",
-                str(gaps.count[i]),
-                f"{gaps.longest[i] / frames.rate:.3g} s",
-                bar(seen[:, i]),
+                f"{100 * gaps.visible_fraction[i]:.2f} %",
+                str(gaps.num_gaps[i]),
+                f"{gaps.longest_gap[i] / frames.rate:.3g} s",
+                time_bar(seen[:, i]),
             ]
             for i in shown
         ],
@@ -99,7 +101,7 @@ def _gaps(frames: MarkerFrames, most: int) -> None:
         say(f"... and {len(order) - len(shown)} more; --rows 0 shows all")
 
 
-def bar(seen: np.ndarray, width: int = WIDTH) -> str:
+def time_bar(seen: np.ndarray, width: int = WIDTH) -> str:
     """Format a time bar from left to right: full if a marker is always visible, empty if never."""
     marks = " ░▒▓█"
     try:
@@ -126,10 +128,10 @@ def _starred(frames: MarkerFrames) -> str:
 
 
 def _extent(frames: MarkerFrames) -> str:
-    seen = np.asarray(frames.seen)
-    places = np.asarray(frames.places, float)[seen]
+    seen = np.asarray(frames.visible)
+    places = np.asarray(frames.positions, float)[seen]
     sides = " x ".join(f"{side:.3g}" for side in np.ptp(places, axis=0))
-    size = frame_size(frames)
+    size = median_extent(frames)
     return f"all frames {sides} m" + ("" if np.isnan(size) else f", one frame {size:.3g} m")
 
 

@@ -16,14 +16,14 @@ from ...markers.motion.gap_filling import fill_gaps
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.subject import Subject, marker_body
 from ...observe import MarkerFrames
-from ...report.markers.markers import held_residuals, report_markers, score_markers, total_residuals
-from ..console.console import say, table, warn
-from ..console.heartbeat import doing
+from ...report.markers.markers import assigned_residuals, report_markers, score_markers, summarise_residuals
+from ..console.console import print_table, say, warn
+from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalUnit, Up, arg
-from ..outputs import check_parent, make_folder, nothing_left
-from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
-from .found import strays
-from .solved import digest, read_solved, write_solved
+from ..outputs import check_parent, is_run_complete, make_folder
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .found import describe_strays
+from .solved import hash_file, read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,
@@ -40,7 +40,7 @@ from .takes import (
 TrialsSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="TRIALS...", help_behavior_hint="")]]
 OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
 #: number of markers in the table, the worst first
-LISTED = 10
+MAX_LISTED = 10
 
 
 @dataclass
@@ -62,7 +62,7 @@ class Solve:
     filled: Files = ()
     """Output files for markers without gaps, .trc, .c3d or .csv. Named like --joints."""
     limits: LimitsFile = None
-    prior: LikelyFile = None
+    prior: PriorFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     stream: Flag = False
@@ -85,9 +85,9 @@ class Solve:
 
     def run(self) -> None:
         self.check()
-        if self.resume and nothing_left(self.results, self.kept):
+        if self.resume and is_run_complete(self.results, self.checkpoint_path):
             return
-        check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
+        check_new(self.results, self.overwrite or (self.resume and self.checkpoint_path.is_file()))
         subject = load_subject(self.subject)
         terms = read_terms(
             marker_body(subject),
@@ -96,41 +96,41 @@ class Solve:
             floor=self.floor,
             prior=self.prior,
         )
-        header = {**self.settings(), "subject": digest(self.subject)}
-        doing("reading the trials")
+        header = {**self.settings(), "subject": hash_file(self.subject)}
+        set_activity("reading the trials")
         # an invalid trial is reported before any has results; later changes of a file are not read
-        digests = {path: digest(path) for path in self.trials}
+        digests = {path: hash_file(path) for path in self.trials}
         trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
             # another run may have ended since
-            check_new(self.results, self.overwrite or (self.resume and self.kept.is_file()))
-            solved = read_solved(self.kept, header) if self.resume else {}
+            check_new(self.results, self.overwrite or (self.resume and self.checkpoint_path.is_file()))
+            solved = read_solved(self.checkpoint_path, header) if self.resume else {}
             for path, frames in zip(self.trials, trials, strict=True):
                 if solved.get(path) == digests[path] and all(
                     file.is_file() for file in self.results_of(path)
                 ):
                     say(f"{path}: already solved")
                     continue
-                doing(f"solving {path}")
+                set_activity(f"solving {path}")
                 # from now on existing results belong to this run
-                write_solved(self.kept, header, solved)
+                write_solved(self.checkpoint_path, header, solved)
                 try:
                     self.solve(subject, path, frames, terms)
                 except (ValueError, KeyboardInterrupt) as stop:
                     if not solved:
-                        self.kept.unlink(missing_ok=True)
+                        self.checkpoint_path.unlink(missing_ok=True)
                     elif isinstance(stop, KeyboardInterrupt):
                         told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume continues"
                         raise KeyboardInterrupt(f"stopped; {told}") from None
                     raise
                 solved[path] = digests[path]
-                write_solved(self.kept, header, solved)
-            self.kept.unlink(missing_ok=True)
+                write_solved(self.checkpoint_path, header, solved)
+            self.checkpoint_path.unlink(missing_ok=True)
 
     @property
-    def kept(self) -> Path:
+    def checkpoint_path(self) -> Path:
         """The file of the solved trials."""
         return self.out.with_name(f"{self.out.name}.partial")
 
@@ -142,7 +142,7 @@ class Solve:
         return {
             **{name: getattr(self, name) for name in names},
             **{name: [str(path) for path in paths] for name, paths in files.items()},
-            **{name: None if path is None else digest(path) for name, path in terms.items()},
+            **{name: None if path is None else hash_file(path) for name, path in terms.items()},
             "report": None if self.report is None else str(self.report),
         }
 
@@ -156,7 +156,9 @@ class Solve:
         if not self.trials:
             raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
         if len(self.trials) > 1 and self.out.suffix:
-            raise InputError(f"{self.out}: {len(self.trials)} trials cannot be written to one file; give a folder.")
+            raise InputError(
+                f"{self.out}: {len(self.trials)} trials cannot be written to one file; give a folder."
+            )
         if self.into_folder and self.out.suffix and not self.out.is_dir():
             raise InputError(
                 f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, or "
@@ -182,9 +184,9 @@ class Solve:
         check_points(self.filled, "markers")
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
-        if self.kept.exists() and not (self.resume or self.overwrite):
+        if self.checkpoint_path.exists() and not (self.resume or self.overwrite):
             raise InputError(
-                f"{self.kept}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
+                f"{self.checkpoint_path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
             )
 
     @property
@@ -194,14 +196,18 @@ class Solve:
 
     def results_of(self, trial: str) -> list[Path]:
         """List the output files of one trial."""
-        return [*self.motions(trial), *self.named(self.joints, trial), *self.named(self.filled, trial)]
+        return [
+            *self.motions(trial),
+            *self.point_paths(self.joints, trial),
+            *self.point_paths(self.filled, trial),
+        ]
 
     def motions(self, trial: str) -> tuple[Path, ...]:
         """List the files of a trial's motion."""
         stem = Path(trial).stem
         return (self.out / f"{stem}.bvh", self.out / f"{stem}.npz") if self.into_folder else (self.out,)
 
-    def named(self, files: tuple[Path, ...], trial: str) -> tuple[Path, ...]:
+    def point_paths(self, files: tuple[Path, ...], trial: str) -> tuple[Path, ...]:
         """List the paths of files for one trial, in the output folder if there is one."""
         if not self.into_folder:
             return files
@@ -220,20 +226,20 @@ class Solve:
                 f"{path}: the subject explains enough markers in none of {len(frames)} frames; check that the performer and "
                 "the positions of the markers on the body are the same."
             )
-        kept = held_residuals(subject, solution.residuals, solution.lost)
-        solution = solution._replace(told=(*solution.told, *strays(subject.labels, kept)))
+        kept = assigned_residuals(subject, solution.residuals, solution.lost)
+        solution = solution._replace(told=(*solution.messages, *describe_strays(subject.labels, kept)))
         for file in self.motions(path):
             write_motion(file, subject.skeleton, solution.motion)
             say(f"motion: {file}")
-        write_joints(self.named(self.joints, path), subject.skeleton, solution.motion, solution.lost)
-        for file in self.named(self.filled, path):
+        write_joints(self.point_paths(self.joints, path), subject.skeleton, solution.motion, solution.lost)
+        for file in self.point_paths(self.filled, path):
             whole = fill_gaps(subject, solution.motion, frames, weights=solution.weights, lost=solution.lost)
             write_markers(file, whole)
             say(f"markers without gaps: {file}")
-        _tell(subject, solution)
+        _print_residuals(subject, solution)
         if latency is not None:
             say(latency.sentence())
-        for sentence in solution.told:
+        for sentence in solution.messages:
             warn(f"{Path(path).name}: {sentence}")
         if self.report is not None:
             self.write_report(subject, frames, solution, path, latency)
@@ -257,19 +263,21 @@ class Solve:
             frames,
             solution.residuals,
             title=Path(path).name,
-            told=solution.told,
+            notes=solution.messages,
             lost=solution.lost,
-            more=more,
+            extra=more,
         )
         say(f"report.json and pictures are in {folder}")
 
 
-def _tell(subject: Subject, solution: MarkerSolution) -> None:
+def _print_residuals(subject: Subject, solution: MarkerSolution) -> None:
     """Print the residuals over all markers, and the markers with the largest ones."""
-    kept = held_residuals(subject, solution.residuals, solution.lost)
-    totals = total_residuals(kept)
+    kept = assigned_residuals(subject, solution.residuals, solution.lost)
+    totals = summarise_residuals(kept)
     out = np.isfinite(kept) & (solution.weights < 0.5)
-    wrong = f"; {int(out.sum())} marker positions have a low weight, as if swapped or moved" if out.any() else ""
+    wrong = (
+        f"; {int(out.sum())} marker positions have a low weight, as if swapped or moved" if out.any() else ""
+    )
     say(
         f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, 95 % within "
         f"{1e3 * totals['p95']:.2f} mm{wrong}"
@@ -278,7 +286,7 @@ def _tell(subject: Subject, solution: MarkerSolution) -> None:
         score for score in score_markers(subject, solution.residuals, solution.lost) if np.isfinite(score.rms)
     ]
     scores.sort(key=lambda score: -score.rms)
-    table(
+    print_table(
         ["marker", "bone", "seen", "rms", "median", "worst"],
         [
             [
@@ -287,8 +295,8 @@ def _tell(subject: Subject, solution: MarkerSolution) -> None:
                 f"{100 * score.seen:.1f} %",
                 *(f"{1e3 * value:.1f} mm" for value in (score.rms, score.median, score.worst)),
             ]
-            for score in scores[:LISTED]
+            for score in scores[:MAX_LISTED]
         ],
     )
-    if len(scores) > LISTED:
-        say(f"... and {len(scores) - LISTED} more with smaller residuals; --report lists all")
+    if len(scores) > MAX_LISTED:
+        say(f"... and {len(scores) - MAX_LISTED} more with smaller residuals; --report lists all")

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ...errors import InputError
-from ...io.archives.journal import check_same_run
+from ...io.archives.journal import check_same_header
 from ...io.table import write_json
 
 
-def digest(path: str | Path) -> str:
+def hash_file(path: str | Path) -> str:
     """Compute the SHA-256 of a file. Raises `InputError` if it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -35,7 +35,7 @@ def read_solved(path: Path, header: Mapping[str, object]) -> dict[str, str]:
         raise InputError(
             f"{path}: this file does not list the solved trials; give --overwrite to begin anew."
         ) from None
-    check_same_run(path, there, header)
+    check_same_header(path, there, header)
     return {str(trial): str(sum_) for trial, sum_ in solved.items()}
 
 

@@ -54,7 +54,7 @@ def solve_streamed(
     **Raises:** `ValueError` if frames and subject share no label.
     """
     matched = match_markers(subject, frames)
-    places, seen = np.asarray(matched.places), np.asarray(matched.seen)
+    places, seen = np.asarray(matched.positions), np.asarray(matched.seen)
     streamer, state = make_streamer(subject, terms=terms)
     poses: list[Pose] = []
     seconds, lost = np.zeros(len(places)), np.zeros(len(places), bool)
@@ -63,10 +63,10 @@ def solve_streamed(
         state, pose = stream_frame(streamer, state, places[frame], seen[frame])
         jax.block_until_ready(pose)
         seconds[frame] = time.perf_counter() - start
-        lost[frame] = int(state.lost) > 0
+        lost[frame] = int(state.num_lost) > 0
         poses.append(pose)
     motion = stack_poses(poses, frames.rate)
-    lengths = np.asarray(_lengths(subject, motion.poses, matched.places))
+    lengths = np.asarray(_lengths(subject, motion.poses, matched.positions))
     residuals = np.where(seen, lengths, np.nan)
     told = (
         ()

@@ -11,12 +11,12 @@ import tyro
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_file import check_extent, pick_subject
+from ...io.markers.marker_file import check_extent, select_subject
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
 from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
 from ...observe import MarkerFrames
-from ..console.console import counted, say, warn
+from ..console.console import pluralise, say, warn
 from ..console.options import arg
 from ..outputs import check_absent, check_parent
 from ..sources import Up, up_rotation
@@ -40,18 +40,20 @@ def read_take(
     **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
     """
     file = read_marker_file(path, unit)
-    frames = pick_subject(file.frames, path, subject, f"{chosen} {{}}")
-    check_extent(frames, path, file.scale, asked=UNIT_ASKED)
+    frames = select_subject(file.frames, path, subject, f"{chosen} {{}}")
+    check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
     if up is not None:
-        turn = up_rotation(up).astype(np.asarray(frames.places).dtype)
-        frames = MarkerFrames(np.asarray(frames.places) @ turn.T, frames.seen, frames.labels, frames.rate)
-    for sentence in file.told:
+        turn = up_rotation(up).astype(np.asarray(frames.positions).dtype)
+        frames = MarkerFrames(
+            np.asarray(frames.positions) @ turn.T, frames.visible, frames.labels, frames.rate
+        )
+    for sentence in file.warnings:
         warn(f"{Path(path).name}: {sentence}")
-    shown = 100 * np.asarray(frames.seen).mean()
+    shown = 100 * np.asarray(frames.visible).mean()
     say(
-        f"{Path(path).name}: {counted(len(frames), 'frame')} at {frames.rate:g} frames per second, {counted(len(frames.labels), 'marker')}, "
+        f"{Path(path).name}: {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second, {pluralise(len(frames.labels), 'marker')}, "
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen"
     )
     return frames

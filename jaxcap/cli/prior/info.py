@@ -9,9 +9,9 @@ import tyro
 
 from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pair_prior import PairPrior
-from ...io.archives.prior import load_boxes, load_prior, shape_counts
-from ...prior.covariance_selection import num_zeroed
-from ..console.console import say, table
+from ...io.archives.prior import load_boxes, load_prior, shape_prior_size
+from ...prior.covariance_selection import count_zero_couplings
+from ..console.console import print_table, say
 from ..console.options import arg
 
 
@@ -26,17 +26,17 @@ class Info:
     def run(self) -> None:
         prior, boxes = load_prior(self.file), load_boxes(self.file)
         say(f"pose prior: {len(prior.pairs)} pairs of joints, up to {prior.weights.shape[1]} Gaussians each")
-        tell_pairs(prior)
+        print_pairs(prior)
         if boxes is not None:
             say("")
-            tell_boxes(boxes)
-        shape = shape_counts(self.file)
+            print_ranges(boxes)
+        shape = shape_prior_size(self.file)
         if shape is not None:
             say("")
             say(f"shape: Laplacian vectors of {shape[1]} vertices in {shape[0]} meshes")
 
 
-def tell_pairs(prior: PairPrior) -> None:
+def print_pairs(prior: PairPrior) -> None:
     """Print a row for each pair: its Gaussians, the widest and the narrowest, and the rotation angles of its
     mode."""
     rows = []
@@ -47,7 +47,7 @@ def tell_pairs(prior: PairPrior) -> None:
     ):
         precisions = precisions[weights > 0]
         deviations = np.degrees(1 / np.sqrt(np.linalg.eigvalsh(precisions)))
-        zeroed, couplings = num_zeroed(precisions)
+        zeroed, couplings = count_zero_couplings(precisions)
         rows.append(
             [
                 ", ".join(pair),
@@ -57,14 +57,14 @@ def tell_pairs(prior: PairPrior) -> None:
                 ", ".join(f"{np.degrees(np.linalg.norm(turn)):.0f}°" for turn in mode.reshape(2, 3)),
             ]
         )
-    table(["pair", "Gaussians", "deviations", "zeroed", "angles of the mode"], rows)
+    print_table(["pair", "Gaussians", "deviations", "zeroed", "angles of the mode"], rows)
 
 
-def tell_boxes(boxes: PoseBoxes) -> None:
+def print_ranges(boxes: PoseBoxes) -> None:
     """Print a row for each joint: its range of rotation, degrees about its own axes."""
     lower, upper = (np.degrees(np.asarray(bound, float)).tolist() for bound in (boxes.lower, boxes.upper))
     rows = [
         [name, *(f"{round(low)}° to {round(high)}°" for low, high in zip(*bounds, strict=True))]
         for name, *bounds in zip(boxes.joints, lower, upper, strict=True)
     ]
-    table(["joint", "twist", "flexion", "sideways"], rows)
+    print_table(["joint", "twist", "flexion", "sideways"], rows)

@@ -9,16 +9,16 @@ import numpy as np
 from ...adapt.shape.shape_prior import ShapePrior
 from ...body.body import Body
 from ...body.pose import Motion
-from ...body.skeleton import Skeleton, same_joints
+from ...body.skeleton import Skeleton, has_same_joints
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...io.archives.npz import load_limits
 from ...io.archives.prior import save_prior
-from ...prior.covariance_selection import num_zeroed
-from ...prior.pose_prior import LearnedPair, learn_pairs, learn_ranges, pair_prior_of
-from ..console.console import counted, progress, say, table, warn
-from ..console.options import BODY_WORDS, MOTION_WORDS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
+from ...prior.covariance_selection import count_zero_couplings
+from ...prior.pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
+from ..console.console import pluralise, print_table, progress, say, warn
+from ..console.options import BODY_FORMATS, MOTION_FORMATS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..motions import load_motion
 from ..outputs import check_npz
 from ..sources import load_body
@@ -27,7 +27,7 @@ from .shape import learn_shape
 OptionalMeshes = Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]
 
 #: maximum sine of the angle between equal bones at rest: 3 degrees
-ALIKE = 0.05
+MAX_SINE = 0.05
 
 
 @dataclass
@@ -40,14 +40,14 @@ class Learn:
 
     motions: Annotated[
         MotionsSpec,
-        arg(help=f"Motions, of one skeleton unless --body is given: {MOTION_WORDS}."),
+        arg(help=f"Motions, of one skeleton unless --body is given: {MOTION_FORMATS}."),
     ]
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the prior, .npz."""
     body: Annotated[
         OptionalBody,
         arg(
-            help=f"Body of the prior: {BODY_WORDS}. The output file contains it too, and motions of other "
+            help=f"Body of the prior: {BODY_FORMATS}. The output file contains it too, and motions of other "
             "skeletons are retargeted to it."
         ),
     ] = None
@@ -75,27 +75,27 @@ class Learn:
         body = None if self.body is None else load_body(self.body, unit=self.unit or "m")[0]
         skeleton, motions = self.read(body)
         frames = sum(len(motion) for motion in motions)
-        say(f"learning from {counted(len(motions), 'motion')}, {counted(frames, 'pose')}")
+        say(f"learning from {pluralise(len(motions), 'motion')}, {pluralise(frames, 'pose')}")
         shape = self.read_shape(body)
         try:
             learned = learn_pairs(
                 skeleton,
                 motions,
-                most=self.most,
-                floor=float(np.radians(self.floor)),
+                max_components=self.most,
+                min_deviation=float(np.radians(self.floor)),
                 seed=self.seed,
-                progress=lambda pairs, total: progress(pairs, total, label="learning", what="pairs"),
+                progress=lambda pairs, total: progress(pairs, total, label="learning", noun="pairs"),
             )
             prior, boxes = (
-                pair_prior_of(skeleton, learned),
+                build_pair_prior(skeleton, learned),
                 learn_ranges(skeleton, motions, float(np.radians(self.margin))),
             )
         except ValueError as error:
-            raise InputError(f"{', '.join(self.motions)}: {sentence_of(error)}") from None
+            raise InputError(f"{', '.join(self.motions)}: {user_message(error)}") from None
         own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
         limits = load_limits(str(self.body)) if own else None
         save_prior(self.out, prior, boxes, body, limits, shape)
-        tell(learned)
+        print_summary(learned)
         say(f"written: {self.out}")
 
     def check(self) -> None:
@@ -136,7 +136,7 @@ class Learn:
                 try:
                     plan = plan_retarget(other, skeleton, None, motion)
                 except ValueError as error:
-                    raise InputError(f"{path}: {sentence_of(error)}") from None
+                    raise InputError(f"{path}: {user_message(error)}") from None
                 for line in plan.matches.warnings:
                     warn(f"{path}: {line}")
                 motion, carried = retarget(motion, other, skeleton, plan=plan), carried + 1
@@ -153,29 +153,29 @@ class Learn:
 def same_bones(one: Skeleton, other: Skeleton) -> bool:
     """Check if rotations of one skeleton apply to the other: the same joints, with parallel bones at rest, of
     any length."""
-    if not same_joints(one, other):
+    if not has_same_joints(one, other):
         return False
     below = [joint for joint, parent in enumerate(one.parents) if parent >= 0]
     above = [one.parents[joint] for joint in below]
     ways = [np.asarray(s.centres, float)[below] - np.asarray(s.centres, float)[above] for s in (one, other)]
     lengths = [np.linalg.norm(way, axis=1) for way in ways]
-    apart = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1) > ALIKE * lengths[0] * lengths[1]
+    apart = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1) > MAX_SINE * lengths[0] * lengths[1]
     turned = np.sum(ways[0] * ways[1], axis=1) < 0
     return not np.any(apart | turned)
 
 
-def tell(learned: tuple[LearnedPair, ...]) -> None:
+def print_summary(learned: tuple[LearnedPair, ...]) -> None:
     """Print a row for each pair: its Gaussians, and the likelihood of held-out poses."""
     rows = []
     for (above, below), chosen in learned:
-        zeroed, all_of_them = num_zeroed(chosen.mixture.precisions)
+        zeroed, all_of_them = count_zero_couplings(chosen.mixture.precisions)
         rows.append(
             [
                 f"{above}, {below}",
                 str(len(chosen.mixture.weights)),
-                f"{chosen.single:.2f}",
-                f"{chosen.best:.2f}",
+                f"{chosen.single_log_likelihood:.2f}",
+                f"{chosen.best_log_likelihood:.2f}",
                 f"{zeroed} of {all_of_them}",
             ]
         )
-    table(["pair", "Gaussians", "held out: one", "chosen", "zeroed"], rows)
+    print_table(["pair", "Gaussians", "held out: one", "chosen", "zeroed"], rows)

@@ -7,8 +7,8 @@ import numpy as np
 
 from ...adapt.shape.shape_prior import ShapePrior, make_shape_prior, shape_energy
 from ...body.body import Body
-from ...body.people.sample import unlike_poses
-from ...errors import InputError, sentence_of
+from ...body.people.sample import select_diverse_poses
+from ...errors import InputError, user_message
 from ...fit.fit_meshes import fit_meshes
 from ...io.meshes.meshes import read_named_meshes
 from ..console.console import say, warn
@@ -29,7 +29,7 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     try:
         fit = fit_meshes(body, sequence)
     except ValueError as error:
-        raise InputError(f"{meshes[0]}: {sentence_of(error)}") from None
+        raise InputError(f"{meshes[0]}: {user_message(error)}") from None
     if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
         warn(f"{meshes[0]}: the triangles differ from those of the body; vertices are matched by their order")
     posed = np.asarray(fit.converged)
@@ -41,7 +41,7 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
         )
     there = np.flatnonzero(posed)
     found = jax.tree.map(lambda a: a[there], fit.motion.poses)
-    kept = there[unlike_poses(body.skeleton, found, MOST_MESHES)]
+    kept = there[select_diverse_poses(body.skeleton, found, MOST_MESHES)]
     poses = jax.tree.map(lambda a: a[kept], fit.motion.poses)
     prior = make_shape_prior(body, poses, np.asarray(sequence.vertices, float)[kept])
     off, apart = float(np.sqrt(np.mean(np.asarray(fit.rmse)[kept] ** 2))), shape_energy(prior, body) ** 0.5

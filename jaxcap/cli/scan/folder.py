@@ -10,8 +10,7 @@ import jax
 import numpy as np
 
 from ...errors import InputError
-from ...io.meshes.mesh import read_mesh
-from ...io.system.atomic import replacing
+from ...io.meshes.clouds import read_clouds, save_clouds
 from ...io.table import write_json
 from ...io.text import read_json
 
@@ -27,7 +26,7 @@ def frame_path(folder: Path, frame: int) -> Path:
     return folder / f"scan_{frame:04d}.ply"
 
 
-def begin_folder(
+def prepare_folder(
     folder: Path, settings: Mapping[str, object], inputs: tuple, resume: bool, overwrite: bool
 ) -> None:
     """Prepare a folder for scans with `settings` of `inputs`, of which the arrays are compared.
@@ -61,17 +60,8 @@ def fingerprint(inputs: tuple) -> dict[str, str]:
 
 
 def gather_clouds(folder: Path, count: int) -> None:
-    """Write all scans of a folder as one `.npz`, with concatenated points and normals and their offsets."""
-    clouds = [read_mesh(frame_path(folder, frame)) for frame in range(count)]
-    normals = [np.zeros_like(c.vertices) if c.normals is None else c.normals for c in clouds]
-    offsets = np.cumsum([0, *(len(cloud.vertices) for cloud in clouds)])
-    with replacing(folder / CLOUDS) as beside, open(beside, "wb") as file:
-        np.savez_compressed(
-            file,
-            points=np.concatenate([cloud.vertices for cloud in clouds]).astype(np.float32),
-            normals=np.concatenate(normals).astype(np.float32),
-            offsets=offsets,
-        )
+    """Write all scans of a folder as one `.npz`."""
+    save_clouds(folder / CLOUDS, list(read_clouds([frame_path(folder, frame) for frame in range(count)])))
 
 
 def check_same_scans(path: Path, header: Mapping[str, object]) -> None:

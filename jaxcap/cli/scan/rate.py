@@ -12,13 +12,13 @@ from ..console.options import arg
 from .folder import HEADER
 
 #: default rate, frames per second
-USUAL = 30.0
+DEFAULT_RATE = 30.0
 ScanRate = Annotated[
     float | None,
     arg(
         metavar="RATE",
         help_behavior_hint="",
-        help=f"Frames per second. Default: the rate in {HEADER} next to the clouds, else {USUAL:g}.",
+        help=f"Frames per second. Default: the rate in {HEADER} next to the clouds, else {DEFAULT_RATE:g}.",
     ),
 ]
 
@@ -30,31 +30,31 @@ class Rate(NamedTuple):
     file: Path | None = None
 
 
-def rate_of(given: float | None, clouds: Sequence[str]) -> Rate:
+def find_rate(requested: float | None, clouds: Sequence[str]) -> Rate:
     """Return the given rate, or else that of the scans, or else the default.
 
     **Raises:** `InputError` if the rate next to the clouds is invalid, or there are several.
     """
-    if given is not None:
-        return Rate(given)
+    if requested is not None:
+        return Rate(requested)
     folders = dict.fromkeys(Path(one) if Path(one).is_dir() else Path(one).parent for one in clouds)
-    found = [rate for folder in folders if (rate := _beside(folder / HEADER)) is not None]
+    found = [rate for folder in folders if (rate := _read_rate(folder / HEADER)) is not None]
     other = next((rate for rate in found if rate.frames != found[0].frames), None)
     if other is not None:
         raise InputError(
             f"{other.file}: the rate of these scans is {other.frames:g}, and that of {found[0].file} is {found[0].frames:g} "
             "frames per second; give one rate with --rate."
         )
-    return found[0] if found else Rate(USUAL)
+    return found[0] if found else Rate(DEFAULT_RATE)
 
 
-def tell_rate(rate: Rate) -> None:
+def print_rate(rate: Rate) -> None:
     """Print a rate that was read from a file."""
     if rate.file is not None:
         say(f"{rate.frames:g} frames per second, from {rate.file}")
 
 
-def _beside(path: Path) -> Rate | None:
+def _read_rate(path: Path) -> Rate | None:
     """Read the rate in a scanner's file; None if there is no such file, or it has none."""
     if identify(path) != "scan":
         return None

@@ -10,27 +10,27 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...body.body import Body, deform_all, pose_body
+from ...body.body import Body, pose_body, posed_vertices
 from ...body.pose import Motion, take_poses
-from ...errors import InputError, sentence_of
-from ...geometry.camera import Camera, check_sees, ring_of_cameras
+from ...errors import InputError, user_message
+from ...geometry.camera import Camera, check_views, ring_of_cameras
 from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
 from ...io.system.lock import run_lock
 from ...scanner.fuse import Scan as Fused
-from ...scanner.scan import dropped_views, scan_frame
+from ...scanner.scan import sample_dropped_views, scan_frame
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn
 from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
-from ..motions import load_motion_of
+from ..motions import load_body_motion
 from ..sources import load_body
 from ..track.results import make_writable
-from .folder import begin_folder, frame_path, gather_clouds
+from .folder import frame_path, gather_clouds, prepare_folder
 
 _pose_body = eqx.filter_jit(pose_body)
 #: number of frames in which a camera has to see part of the body at least once
-LOOKED_AT = 24
+CHECKED_FRAMES = 24
 
 
 @dataclass
@@ -95,10 +95,10 @@ class Scan:
         scanner = self.scanner()
         self.check()
         body, _ = load_body(self.body)
-        motion = thin_motion(load_motion_of(body, self.motion), self.rate)
-        shown = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).round().astype(int))
-        places = np.asarray(deform_all(body, take_poses(motion.poses, shown)), float)
-        cameras = self.place(places)
+        motion = thin_motion(load_body_motion(body, self.motion), self.rate)
+        shown = np.unique(np.linspace(0, len(motion) - 1, CHECKED_FRAMES).round().astype(int))
+        places = np.asarray(posed_vertices(body, take_poses(motion.poses, shown)), float)
+        cameras = self.make_cameras(places)
         make_writable(self.out)
         with run_lock(self.out):
             self.scan_all(scanner, cameras, body, motion)
@@ -106,7 +106,7 @@ class Scan:
     def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
         """Scan all remaining frames, while the lock excludes other runs in the folder."""
         settings = {**self.settings(), "rate": motion.rate}
-        begin_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
+        prepare_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
         save_motion(self.out / "truth.npz", motion, body.skeleton)
         missing = [frame for frame in range(len(motion)) if not frame_path(self.out, frame).is_file()]
@@ -118,7 +118,7 @@ class Scan:
         try:
             for frame, fused in progress(scans, len(motion), there, "scanning"):
                 sizes.append(len(fused.points))
-                looked = np.flatnonzero(~dropped_views(self.drop, len(cameras), self.seed, frame))
+                looked = np.flatnonzero(~sample_dropped_views(self.drop, len(cameras), self.seed, frame))
                 for view in np.setdiff1d(looked, fused.views):
                     blind[int(view)].append(frame)
         except KeyboardInterrupt:
@@ -127,7 +127,9 @@ class Scan:
                 f"stopped after {kept} of {len(motion)} scans, which are written; --resume continues"
             ) from None
         for view, frames in sorted(blind.items()):
-            warn(f"view {view} is empty in {len(frames)} of {len(missing)} frames, the first is frame {frames[0]}")
+            warn(
+                f"view {view} is empty in {len(frames)} of {len(missing)} frames, the first is frame {frames[0]}"
+            )
         if self.npz:
             gather_clouds(self.out, len(motion))
         what = f", {np.mean(sizes):.0f} points each on average," if sizes else ""
@@ -163,7 +165,7 @@ class Scan:
         try:
             check_scanner(scanner)
         except InputError as error:
-            said = sentence_of(error)
+            said = user_message(error)
             raise InputError(f"--{said}" if " of the scanner is " in said else said) from None
         return scanner
 
@@ -173,7 +175,7 @@ class Scan:
         names = [name for name in self.__dataclass_fields__ if name not in apart]
         return {"as": self.kind, **{name: getattr(self, name) for name in names}}
 
-    def place(self, places: Float[np.ndarray, "F V 3"]) -> list[Camera]:
+    def make_cameras(self, places: Float[np.ndarray, "F V 3"]) -> list[Camera]:
         """Make the cameras, and check that each sees part of the body in some frame. Raises `InputError`."""
         corners = places.reshape(-1, 3)
         low, high = corners.min(0), corners.max(0)
@@ -184,7 +186,7 @@ class Scan:
             )  # fmt: skip
         else:
             where, cameras = str(self.cameras), read_cameras(self.cameras)
-        check_sees(cameras, corners, where)
+        check_views(cameras, corners, where)
         return cameras
 
     def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:

@@ -12,23 +12,23 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.surface import judged_surface
-from ...fit.judgement.usual import nothing_usual
+from ...fit.judgement.surface import sampled_surface
+from ...fit.judgement.usual import initial_values
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em import FrameStatistics
-from ...fit.tracking.recover import Patience, TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...fit.tracking.recover import SearchPause, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...fit.tracking.track_frame import Tracker, start_state
 
 #: column of a row with the hash of its cloud's name, and number of values before the pose
 CLOUD_AT, POSE_AT = 1, 2
 
 
-def whose_poses(skeleton: Skeleton) -> dict[str, object]:
+def pose_layout(skeleton: Skeleton) -> dict[str, object]:
     """Return the joint names and the offset of poses in a row, for readers that follow a run."""
     return {"joints": list(skeleton.names), "pose at": POSE_AT}
 
 
-def cloud_sum(name: str) -> float:
+def hash_cloud_name(name: str) -> float:
     """Hash the name of a cloud's file, without its folder, to a number."""
     return float(zlib.crc32(Path(name).name.encode("utf-8", "surrogateescape")))
 
@@ -36,7 +36,10 @@ def cloud_sum(name: str) -> float:
 def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
     """Encode a frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
     return np.concatenate(
-        [[seconds, cloud_sum(cloud)], *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame))]
+        [
+            [seconds, hash_cloud_name(cloud)],
+            *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(frame)),
+        ]
     )
 
 
@@ -66,7 +69,7 @@ class Results(NamedTuple):
     unseen: list[tuple[str, ...]]
 
 
-def results_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
+def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
     """Decode the results in rows by `pack`, or in their first `results_width` columns."""
     leaves, tree = jax.tree.flatten(_results_in(template))
     arrays, at = [], POSE_AT
@@ -113,9 +116,11 @@ def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
     statistics = FrameStatistics(number, number, number, number)
-    surface = judged_surface(tracker.body)
-    usual = nothing_usual(surface)
+    surface = sampled_surface(tracker.body)
+    usual = initial_values(surface)
     support = jnp.zeros(len(surface.joints), number.dtype)
-    judgement = Judgement(usual.level, number, number, support, surface.names, surface.joints, surface.above)
+    judgement = Judgement(
+        usual.level, number, number, support, surface.names, surface.joints, surface.part_parents
+    )
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, Patience(), 0.0)
+    return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, SearchPause(), 0.0)

@@ -17,7 +17,7 @@ from ...io.archives.npz import save_motion
 from ...io.meshes.clouds import Scans
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
-from .frame_records import CLOUD_AT, Results, cloud_sum
+from .frame_records import CLOUD_AT, Results, hash_cloud_name
 
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
@@ -79,7 +79,7 @@ def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
     """
     solved = journal.read(slice(CLOUD_AT, CLOUD_AT + 1))[:, 0]
     for number, (name, was) in enumerate(zip(names, solved, strict=False)):
-        if cloud_sum(name) != was:
+        if hash_cloud_name(name) != was:
             raise InputError(
                 f"{journal.path}: frame {number} of this run was not {Path(name).name}, which is now the cloud of that "
                 f"number; resume with the {len(solved)} solved clouds first, or give --overwrite to begin anew."

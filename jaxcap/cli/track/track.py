@@ -9,22 +9,22 @@ import numpy as np
 
 from ...body.body import Body
 from ...energy.energy import AbstractEnergy
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...fit.tracking.em import make_mixture
 from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
-from ...io.archives.journal import Journal, begin_journal, resume_journal
+from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.system.lock import run_lock
-from ..console.console import counted, progress, say, warn
-from ..console.heartbeat import doing
+from ..console.console import pluralise, progress, say, warn
+from ..console.heartbeat import set_activity
 from ..console.options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
 from ..console.timed import timed
-from ..scan.rate import Rate, ScanRate, rate_of, tell_rate
+from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body, load_cloud
-from ..terms import FloorHeight, LikelyFile, LimitsFile, LimitWeight, read_terms
-from .frame_records import pack, results_of, results_width, row_template, row_width, unpack, whose_poses
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
 JOURNAL = "journal"
@@ -46,7 +46,7 @@ class Track:
     vj: Vj = None
     cst: Cst = None
     limits: LimitsFile = None
-    prior: LikelyFile = None
+    prior: PriorFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     first: OptionalCount = None
@@ -93,14 +93,14 @@ class Track:
             floor=self.floor,
             prior=self.prior,
         )
-        rate = rate_of(self.rate, self.clouds)
+        rate = find_rate(self.rate, self.clouds)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         # the first cloud shows most input errors, before any file is written
         load_cloud(scans, 0, body, self.up)
         tracker = self.tracker(body, terms)
-        header = {**self.settings(), **fingerprint(tracker, scans), **whose_poses(body.skeleton)}
+        header = {**self.settings(), **fingerprint(tracker, scans), **pose_layout(body.skeleton)}
         make_writable(self.out)
-        tell_rate(rate)
+        print_rate(rate)
         with run_lock(self.out):
             self.track(tracker, scans, rate, header)
 
@@ -113,18 +113,18 @@ class Track:
         journal = (
             resume_journal(path, header, row_width(template))
             if going_on
-            else begin_journal(path, header, row_width(template))
+            else create_journal(path, header, row_width(template))
         )
         with journal:
             check_same_clouds(journal, scans.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.follow(tracker, scans, journal, last)
-        doing("writing the results")
+            self.track_remaining(tracker, scans, journal, last)
+        set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(scans)]
-        results = results_of(template, rows)
+        results = unpack_results(template, rows)
         write_results(self.out, body.skeleton, results, rate.frames, scans.names)
         say(
-            f"{counted(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
+            f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
@@ -174,7 +174,9 @@ class Track:
         )
         return make_tracker(body, mixture, terms, iterations=self.iterations)
 
-    def follow(self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None) -> None:
+    def track_remaining(
+        self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None
+    ) -> None:
         """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
         steps = self.steps(tracker, scans, journal.count, last)
         try:
@@ -186,7 +188,7 @@ class Track:
                 raise
         except InputError as error:
             kept = f" The {journal.count} previous frames are kept; correct the input and give --resume to continue."
-            raise InputError(f"{sentence_of(error)}{kept}") from None
+            raise InputError(f"{user_message(error)}{kept}") from None
 
     def steps(
         self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None
@@ -200,20 +202,20 @@ class Track:
                 search=SEARCHES[self.initialise],
                 sigma=self.sigma0,
                 first=begin,
-                announce=announcing(),
+                on_search=make_announcer(),
             )
         )
 
 
-def announcing() -> Callable[[Search], None]:
+def make_announcer() -> Callable[[Search], None]:
     """Return a function that prints the frame of a pose search and its reason, before the search begins."""
     compiled = False
 
     def announce(search: Search) -> None:
         nonlocal compiled
         why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
-        many = "1 search" if search.before == 1 else f"{search.before} searches"
-        before = f"; {many} before it" if search.before else ""
+        many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
+        before = f"; {many} before it" if search.num_earlier else ""
         once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
         warn(f"searching for the pose of frame {search.frame}{why}{before}{once}")
         compiled = True

@@ -15,18 +15,18 @@ from ...body.body import Body, take_vertices
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
 from ...observe import padded_size
-from .held_points import HeldSkin
+from .held_points import ConstrainedSkin
 
 #: metres from a joint's centre to the points that constrain its orientation; a rotation by a twentieth of a
 #: radian counts as much as a translation by a centimetre
-ARM = 1.5**0.5 * 0.01 / 0.05
+ORIENTATION_OFFSET = 1.5**0.5 * 0.01 / 0.05
 #: least size of padded arrays, and the factor to the next size; one more constraint rarely causes a
 #: recompilation
-FEWEST, GROWTH = 16, 4
+MIN_POINTS, GROWTH_FACTOR = 16, 4
 
 
-Place = tuple[float, float, float]
-Turn = tuple[float, float, float, float]
+Position = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 class Constraint(NamedTuple):
@@ -35,13 +35,13 @@ class Constraint(NamedTuple):
     #: index of a vertex, or name of a joint for its centre
     point: int | str
     #: target position, metres
-    target: Place
+    target: Position
     #: relative weight
     weight: float = 1.0
     #: pinned constraints take precedence over all others
     pinned: bool = False
     #: world rotation of a joint's bone from rest: a unit quaternion `wxyz`
-    orientation: Turn | None = None
+    orientation: Quaternion | None = None
 
 
 class Constraints(eqx.Module):
@@ -83,9 +83,9 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
     for c in constraints:
         if isinstance(c.point, str):
             joint = skeleton.index(c.point)
-            for at, to, share in _around(c.orientation):
+            for at, to, share in _orientation_points(c.orientation):
                 rows.append((0, True, joint, centres[joint] + at, np.add(c.target, to), share * c.weight, c.pinned))  # fmt: skip
-    spare = padded_size(len(rows), (FEWEST,), GROWTH) - len(rows)
+    spare = padded_size(len(rows), (MIN_POINTS,), GROWTH_FACTOR) - len(rows)
     rows += [(0, False, 0, np.zeros(3), np.zeros(3), 0.0, False)] * spare
     vertices, rigid, bones, rest, targets, weights, pinned = (
         np.array(column) for column in zip(*rows, strict=True)
@@ -104,7 +104,7 @@ def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constrain
 def constrained_body(body: Body, constraints: Constraints) -> Body:
     """Reduce a body to the constrained points as its only vertices, in their order, without faces."""
     few = take_vertices(body, constraints.vertices)
-    skin = HeldSkin(few.skin, RigidSkin(constraints.bones), constraints.rigid)
+    skin = ConstrainedSkin(few.skin, RigidSkin(constraints.bones), constraints.rigid)
     points = jnp.where(constraints.rigid[:, None], constraints.rest, few.vertices)
     return Body(few.skeleton, skin, points, few.faces)
 
@@ -114,7 +114,7 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
     `make_constraints`."""
     seen = set()
     for c in constraints:
-        name = describe(c.point)
+        name = describe_point(c.point)
         if isinstance(c.point, str):
             if c.point not in skeleton.names:
                 raise ValueError(
@@ -137,18 +137,18 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
             raise ValueError(f"The orientation of {name} is {list(turn)}; give a quaternion w, x, y, z.")
 
 
-def describe(point: int | str) -> str:
+def describe_point(point: int | str) -> str:
     """Describe a point in words: `vertex 12`, `joint 'LeftHand'`."""
     return f"joint '{point}'" if isinstance(point, str) else f"vertex {point}"
 
 
-def _around(orientation: Turn | None) -> list[tuple[np.ndarray, np.ndarray, float]]:
+def _orientation_points(orientation: Quaternion | None) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """List the offsets of points from a joint's centre at rest and from its target, and their shares."""
     if orientation is None:
         return [(np.zeros(3), np.zeros(3), 1.0)]
     turned = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
     return [
-        (sign * ARM * axis, sign * ARM * image, 1 / 6)
+        (sign * ORIENTATION_OFFSET * axis, sign * ORIENTATION_OFFSET * image, 1 / 6)
         for axis, image in zip(np.eye(3), turned.T, strict=True)
         for sign in (1.0, -1.0)
     ]

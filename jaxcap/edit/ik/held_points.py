@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool
 from ...body.skin import AbstractSkin, RigidSkin
 
 
-class HeldSkin(AbstractSkin):
+class ConstrainedSkin(AbstractSkin):
     """A skin that combines surface points with points that move rigidly with a bone, such as joint centres.
 
     Both skins have all rows, and `rigid (C,)` selects between them. The overhead is negligible for few
@@ -23,16 +23,18 @@ class HeldSkin(AbstractSkin):
             self.rigid[:, None], on_bones, self.skin.deform(vertices, skeleton, pose, transforms)
         )
 
-    def parts(self):
-        return jnp.where(self.rigid, self.bones.parts(), self.skin.parts())
+    def dominant_bones(self):
+        return jnp.where(self.rigid, self.bones.dominant_bones(), self.skin.dominant_bones())
 
-    def influence(self, num_bones):
-        return jnp.where(self.rigid[:, None], self.bones.influence(num_bones), self.skin.influence(num_bones))
+    def bone_weights(self, num_bones):
+        return jnp.where(
+            self.rigid[:, None], self.bones.bone_weights(num_bones), self.skin.bone_weights(num_bones)
+        )
 
     def take(self, vertices):
-        return HeldSkin(self.skin.take(vertices), self.bones.take(vertices), self.rigid[vertices])
+        return ConstrainedSkin(self.skin.take(vertices), self.bones.take(vertices), self.rigid[vertices])
 
-    def carry(self, corners, shares, skeleton):
+    def transfer(self, corners, barycentric, skeleton):
         """Raise `NotImplementedError`: there are no triangles between constrained points."""
         raise NotImplementedError("Constrained points have no surface; carry the skin of their body.")
 

@@ -1,7 +1,7 @@
 """An interactive session of inverse kinematics as a sequence of immutable values, without a window.
 
 Every verb takes a session and returns the next one; changes of the state can be undone. A drag is one undo
-step: `grab`, then `drag` for each movement of the hand, then `release`.
+step: `begin_drag`, then `drag` for each movement of the hand, then `end_drag`.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,12 +16,12 @@ from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project, rest_pose
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.prior import RestPrior
-from .constraints import Constraint, Place, Turn, check_constraints, describe, make_constraints
-from .places import places_of
+from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
+from .places import point_positions
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: number of undo steps that a session keeps
-HISTORY = 200
+MAX_UNDO_STEPS = 200
 
 
 class IkSettings(NamedTuple):
@@ -46,20 +46,20 @@ class IkSession(NamedTuple):
 
     body: Body
     #: pose that a reset restores
-    home: Pose
+    initial_pose: Pose
     limits: AbstractLimits | None
     prior: AbstractEnergy
     state: IkState
-    past: tuple[IkState, ...] = ()
-    future: tuple[IkState, ...] = ()
+    undo_states: tuple[IkState, ...] = ()
+    redo_states: tuple[IkState, ...] = ()
     #: state before the drag, during a drag
-    grabbed: IkState | None = None
+    drag_start: IkState | None = None
     #: result of the last solve
     solution: IkSolution | None = None
 
 
 #: maps a session to the next one
-Verb = Callable[[IkSession], IkSession]
+Edit = Callable[[IkSession], IkSession]
 
 
 def begin_session(
@@ -83,7 +83,7 @@ def begin_session(
     return IkSession(body, pose, limits, prior, IkState(pose, (), settings))
 
 
-def options_of(session: IkSession) -> IkOptions:
+def solver_options(session: IkSession) -> IkOptions:
     """Collect the options of `solve_ik` from a session."""
     settings = session.state.settings
     return IkOptions(
@@ -96,19 +96,19 @@ def options_of(session: IkSession) -> IkOptions:
     )
 
 
-def constraint_at(session: IkSession, point: int | str) -> Constraint:
+def find_constraint(session: IkSession, point: int | str) -> Constraint:
     """Find the constraint on a point. Raises `ValueError` if there is none."""
     for constraint in session.state.constraints:
         if constraint.point == point:
             return constraint
-    raise ValueError(f"There is no constraint on {describe(point)}; add one first.")
+    raise ValueError(f"There is no constraint on {describe_point(point)}; add one first.")
 
 
-def place_of(session: IkSession, point: int | str) -> Place:
+def point_position(session: IkSession, point: int | str) -> Position:
     """Compute the current position of a vertex or a joint, metres. Raises `ValueError` if the body does not
     have it."""
     probe = (Constraint(point, (0.0, 0.0, 0.0)),)
-    return places_of(session.body, session.state.pose, probe)[0]
+    return point_positions(session.body, session.state.pose, probe)[0]
 
 
 def add_constraint(
@@ -120,80 +120,89 @@ def add_constraint(
     """
     if any(constraint.point == point for constraint in session.state.constraints):
         return session
-    added = Constraint(point, place_of(session, point), weight, pinned)
+    added = Constraint(point, point_position(session, point), weight, pinned)
     return _set_constraints(session, (*session.state.constraints, added))
 
 
 def remove_constraint(session: IkSession, point: int | str) -> IkSession:
     """Remove the constraint on a point; the pose stays. Raises `ValueError` if there is none."""
-    gone = constraint_at(session, point)
+    gone = find_constraint(session, point)
     kept = tuple(constraint for constraint in session.state.constraints if constraint != gone)
     return _set_constraints(session, kept)
 
 
-def remove_all(session: IkSession) -> IkSession:
+def remove_constraints(session: IkSession) -> IkSession:
     """Remove all constraints; the pose stays."""
     return _set_constraints(session, ()) if session.state.constraints else session
 
 
-def grab(session: IkSession) -> IkSession:
-    """Begin a drag: until `release`, all changes are one undo step, and the current pose is the reference
+def begin_drag(session: IkSession) -> IkSession:
+    """Begin a drag: until `end_drag`, all changes are one undo step, and the current pose is the reference
     pose."""
-    return session if session.grabbed is not None else session._replace(grabbed=session.state)
+    return session if session.drag_start is not None else session._replace(drag_start=session.state)
 
 
 def drag(
-    session: IkSession, point: int | str, target: Place | None = None, orientation: Turn | None = None
+    session: IkSession,
+    point: int | str,
+    target: Position | None = None,
+    orientation: Quaternion | None = None,
 ) -> IkSession:
     """Move the target of a constraint, set its orientation, or both, and solve.
 
-    Without `grab`, it does nothing. The same holds after `undo` or another step has ended the drag.
+    Without `begin_drag`, it does nothing. The same holds after `undo` or another step has ended the drag.
 
     **Raises:** `ValueError` if there is no such constraint.
     """
-    if session.grabbed is None:
+    if session.drag_start is None:
         return session
-    constraint = constraint_at(session, point)
+    constraint = find_constraint(session, point)
     if target is not None:
         constraint = constraint._replace(target=target)
     if orientation is not None:
         constraint = constraint._replace(orientation=orientation)
-    return solved(session._replace(state=_with(session.state, constraint)))
+    return solve_session(session._replace(state=_replace_constraint(session.state, constraint)))
 
 
-def release(session: IkSession) -> IkSession:
+def end_drag(session: IkSession) -> IkSession:
     """End a drag."""
-    begun = session.grabbed
-    session = session._replace(grabbed=None)
+    begun = session.drag_start
+    session = session._replace(drag_start=None)
     if begun is None or begun is session.state:
         return session
-    return session._replace(past=(*session.past, begun)[-HISTORY:], future=())
+    return session._replace(undo_states=(*session.undo_states, begun)[-MAX_UNDO_STEPS:], redo_states=())
 
 
 def move_constraint(
-    session: IkSession, point: int | str, target: Place | None = None, orientation: Turn | None = None
+    session: IkSession,
+    point: int | str,
+    target: Position | None = None,
+    orientation: Quaternion | None = None,
 ) -> IkSession:
-    """Move a target in one step: `grab`, `drag`, `release`."""
-    return release(drag(grab(session), point, target, orientation))
+    """Move a target in one step: `begin_drag`, `drag`, `end_drag`."""
+    return end_drag(drag(begin_drag(session), point, target, orientation))
 
 
-def free_orientation(session: IkSession, point: str) -> IkSession:
+def remove_orientation(session: IkSession, point: str) -> IkSession:
     """Remove the orientation from the constraint on a joint."""
-    return _edited(session, _with(session.state, constraint_at(session, point)._replace(orientation=None)))
+    return _add_undo_step(
+        session,
+        _replace_constraint(session.state, find_constraint(session, point)._replace(orientation=None)),
+    )
 
 
-def pin(session: IkSession, point: int | str, pinned: bool = True) -> IkSession:
+def set_pinned(session: IkSession, point: int | str, pinned: bool = True) -> IkSession:
     """Pin a point at its current position, or unpin it; pinned points have precedence over the others."""
-    target = place_of(session, point) if pinned else constraint_at(session, point).target
-    changed = constraint_at(session, point)._replace(pinned=pinned, target=target)
-    return _edited(session, _with(session.state, changed))
+    target = point_position(session, point) if pinned else find_constraint(session, point).target
+    changed = find_constraint(session, point)._replace(pinned=pinned, target=target)
+    return _add_undo_step(session, _replace_constraint(session.state, changed))
 
 
-def weigh(session: IkSession, point: int | str, weight: float) -> IkSession:
+def set_weight(session: IkSession, point: int | str, weight: float) -> IkSession:
     """Set the weight of a constraint, and solve. Raises `ValueError` if it is negative."""
-    changed = _with(session.state, constraint_at(session, point)._replace(weight=weight))
+    changed = _replace_constraint(session.state, find_constraint(session, point)._replace(weight=weight))
     check_constraints(changed.constraints, session.body.skeleton, len(session.body.vertices))
-    return solved(_edited(session, changed))
+    return solve_session(_add_undo_step(session, changed))
 
 
 def change_settings(session: IkSession, settings: IkSettings) -> IkSession:
@@ -202,20 +211,20 @@ def change_settings(session: IkSession, settings: IkSettings) -> IkSession:
         raise ValueError(f"The solver '{settings.solver}' is unknown; give one of {', '.join(SOLVERS)}.")
     if settings == session.state.settings:
         return session
-    return solved(_edited(session, session.state._replace(settings=settings)))
+    return solve_session(_add_undo_step(session, session.state._replace(settings=settings)))
 
 
 def reset_pose(session: IkSession) -> IkSession:
     """Restore the initial pose; constraints keep their points, with targets at the positions in that pose."""
-    return set_pose(session, session.home)
+    return set_pose(session, session.initial_pose)
 
 
 def set_pose(session: IkSession, pose: Pose) -> IkSession:
     """Set another pose; constraints keep their points, with targets at the positions in that pose."""
     pose, held = project(session.body.skeleton, pose), session.state.constraints
-    places = places_of(session.body, pose, held)
+    places = point_positions(session.body, pose, held)
     moved = tuple(one._replace(target=place) for one, place in zip(held, places, strict=True))
-    return _edited(session, session.state._replace(pose=pose, constraints=moved))
+    return _add_undo_step(session, session.state._replace(pose=pose, constraints=moved))
 
 
 def set_constraints(session: IkSession, constraints: Sequence[Constraint]) -> IkSession:
@@ -224,66 +233,66 @@ def set_constraints(session: IkSession, constraints: Sequence[Constraint]) -> Ik
     **Raises:** `ValueError` as `make_constraints` does.
     """
     check_constraints(constraints, session.body.skeleton, len(session.body.vertices))
-    return solved(_set_constraints(session, tuple(constraints)))
+    return solve_session(_set_constraints(session, tuple(constraints)))
 
 
 def undo(session: IkSession) -> IkSession:
     """Restore the state before the last step, and cancel a drag. The session is unchanged if there is no such
     state."""
-    if session.grabbed is not None:
-        return session._replace(state=session.grabbed, grabbed=None, solution=None)
-    if not session.past:
+    if session.drag_start is not None:
+        return session._replace(state=session.drag_start, drag_start=None, solution=None)
+    if not session.undo_states:
         return session
-    *past, before = session.past
-    future = (session.state, *session.future)
-    return session._replace(state=before, past=tuple(past), future=future, solution=None)
+    *past, before = session.undo_states
+    future = (session.state, *session.redo_states)
+    return session._replace(state=before, undo_states=tuple(past), redo_states=future, solution=None)
 
 
 def redo(session: IkSession) -> IkSession:
     """Restore the state that `undo` left. The session is unchanged if there is none."""
-    if not session.future or session.grabbed is not None:
+    if not session.redo_states or session.drag_start is not None:
         return session
-    after, *future = session.future
-    past = (*session.past, session.state)
-    return session._replace(state=after, past=past, future=tuple(future), solution=None)
+    after, *future = session.redo_states
+    past = (*session.undo_states, session.state)
+    return session._replace(state=after, undo_states=past, redo_states=tuple(future), solution=None)
 
 
-def solved(session: IkSession) -> IkSession:
+def solve_session(session: IkSession) -> IkSession:
     """Solve for the current constraints from the current pose.
 
     During a drag, the reference is the pose in which it began. A solve adds no undo step; the change before
     it does. If the result is not finite, the pose stays unchanged.
     """
-    state, begun = session.state, session.grabbed
+    state, begun = session.state, session.drag_start
     arrays = make_constraints(session.body, state.constraints)
     reference = state.pose if begun is None else begun.pose
-    solution = solve_ik(session.body, state.pose, arrays, options_of(session), reference)
+    solution = solve_ik(session.body, state.pose, arrays, solver_options(session), reference)
     if not bool(jnp.isfinite(solution.pose.rotations).all() & jnp.isfinite(solution.pose.translations).all()):
         return session._replace(solution=solution)
     return session._replace(state=state._replace(pose=solution.pose), solution=solution)
 
 
-def distances(session: IkSession) -> tuple[float, ...]:
+def target_distances(session: IkSession) -> tuple[float, ...]:
     """Compute the distance of every constrained point from its target in the current pose, metres."""
     held = session.state.constraints
-    places = places_of(session.body, session.state.pose, held)
+    places = point_positions(session.body, session.state.pose, held)
     return tuple(
         float(np.linalg.norm(np.subtract(place, one.target))) for place, one in zip(places, held, strict=True)
     )
 
 
 def _set_constraints(session: IkSession, constraints: tuple[Constraint, ...]) -> IkSession:
-    return _edited(session, session.state._replace(constraints=constraints))
+    return _add_undo_step(session, session.state._replace(constraints=constraints))
 
 
-def _with(state: IkState, changed: Constraint) -> IkState:
+def _replace_constraint(state: IkState, changed: Constraint) -> IkState:
     """Replace the constraint on a point in a state."""
     held = tuple(changed if one.point == changed.point else one for one in state.constraints)
     return state._replace(constraints=held)
 
 
-def _edited(session: IkSession, state: IkState) -> IkSession:
+def _add_undo_step(session: IkSession, state: IkState) -> IkSession:
     """Add a state as a new undo step; a current drag ends before it, as a step of its own."""
-    session = release(session)
-    past = (*session.past, session.state)[-HISTORY:]
-    return session._replace(state=state, past=past, future=(), solution=None)
+    session = end_drag(session)
+    past = (*session.undo_states, session.state)[-MAX_UNDO_STEPS:]
+    return session._replace(state=state, undo_states=past, redo_states=(), solution=None)

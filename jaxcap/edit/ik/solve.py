@@ -24,22 +24,22 @@ from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.task_priority import solve_in_order
 from ...values import check_at_least
-from .constraints import ARM, Constraints, constrained_body
+from .constraints import ORIENTATION_OFFSET, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]
 SOLVERS: tuple[str, ...] = get_args(Solver)
 
 #: standard deviation of a constraint of weight one, metres
-METRES = 0.01
+POSITION_DEVIATION = 0.01
 #: factor on the weight of a pinned constraint, for weighted solvers
-PINNED = 1e3
+PINNED_FACTOR = 1e3
 #: weight of limits per squared radian, for weighted solvers
-LIMITS = 1e6
+LIMIT_WEIGHT = 1e6
 #: standard deviations of free roots, metres and radians, and of fixed roots, both units; the latter weigh 250
 #: times as much as a pinned constraint
-ROOT, HELD = (0.05, 0.1), 2e-5
+FREE_ROOT_DEVIATIONS, FIXED_ROOT_DEVIATION = (0.05, 0.1), 2e-5
 #: standard deviation of a joint without anatomical data, radians
-UNKNOWN = 0.5
+DEFAULT_DEVIATION = 0.5
 
 
 #: metres `(J,)` and radians `(J, 3)`
@@ -64,13 +64,13 @@ class IkOptions(eqx.Module):
     #: weights of the pull to the reference and of the prior, relative to a constraint of weight one that is
     #: `METRES` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
-    naturalness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
+    prior_weight: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     #: largest number of steps of one solve
     max_steps: int = eqx.field(static=True, default=32)
 
     def __check_init__(self):
         check_fields(self)
-        check_at_least("IkOptions", 0, stiffness=self.stiffness, naturalness=self.naturalness)
+        check_at_least("IkOptions", 0, stiffness=self.stiffness, naturalness=self.prior_weight)
         check_at_least("IkOptions", 1, max_steps=self.max_steps)
 
 
@@ -99,7 +99,7 @@ def solve_ik(
     Only the constrained vertices are posed, so the size of the body does not matter. Degrees of freedom that
     constraints leave free stay near the `reference` pose, the start if not given. While one target moves,
     keep the reference and start from the last solution; the pose then depends on the positions of the targets
-    and not on their paths. Pinned constraints weigh `PINNED` times as much, or have priority if the solver is
+    and not on their paths. Pinned constraints weigh `PINNED_FACTOR` times as much, or have priority if the solver is
     `priorities`.
 
     If `options.limits` are kept, the pose is within them (`AbstractLimits.nearest`). Targets out of reach
@@ -109,9 +109,9 @@ def solve_ik(
     reference = start if reference is None else reference
     if options.solver != "priorities":
         return _solve_weighted(body, start, constraints, options, reference)
-    few, groups = _in_order(body, constraints, options, reference)
+    few, groups = _priority_groups(body, constraints, options, reference)
     found = solve_in_order(groups, few, start, max_steps=options.max_steps)
-    return _finished(few, constraints, options, found.pose, found.num_steps, found.result)
+    return _make_solution(few, constraints, options, found.pose, found.num_steps, found.result)
 
 
 @eqx.filter_jit
@@ -119,25 +119,27 @@ def _solve_weighted(body, start, constraints, options, reference) -> IkSolution:
     few = constrained_body(body, constraints)
     # with such weights, plain normal equations would leave no digits for the other points
     solver = GaussNewton() if options.solver == "gauss-newton" else LevenbergMarquardt()
-    energy = _reach(constraints, jnp.where(constraints.pinned, PINNED, 1.0))
-    energy = energy + _natural(few.skeleton, options, reference, _held(few.skeleton, constraints, options))
+    energy = _target_energy(constraints, jnp.where(constraints.pinned, PINNED_FACTOR, 1.0))
+    energy = energy + _regularisation(
+        few.skeleton, options, reference, _root_deviations(few.skeleton, constraints, options)
+    )
     if options.limits is not None:
-        energy = energy + LIMITS * options.keep_limits * JointLimits(options.limits)
+        energy = energy + LIMIT_WEIGHT * options.keep_limits * JointLimits(options.limits)
     found = solve(energy, few, start, solver, options.max_steps)
-    return _finished(few, constraints, options, found.pose, found.num_steps, found.result)
+    return _make_solution(few, constraints, options, found.pose, found.num_steps, found.result)
 
 
 @eqx.filter_jit
-def _in_order(body, constraints, options, reference) -> tuple[Body, tuple[AbstractEnergy, ...]]:
+def _priority_groups(body, constraints, options, reference) -> tuple[Body, tuple[AbstractEnergy, ...]]:
     """Build the reduced body, and groups of energies in order of priority."""
     few = constrained_body(body, constraints)
-    held = _held(few.skeleton, constraints, options)
+    held = _root_deviations(few.skeleton, constraints, options)
     # within their group, pinned constraints have the weight of others
-    stay = (1 / PINNED) * ReferencePrior(reference, *held)
+    stay = (1 / PINNED_FACTOR) * ReferencePrior(reference, *held)
     groups = (
-        _reach(constraints, jnp.where(constraints.pinned, 1.0, 0.0)) + stay,
-        _reach(constraints, jnp.where(constraints.pinned, 0.0, 1.0)),
-        _natural(
+        _target_energy(constraints, jnp.where(constraints.pinned, 1.0, 0.0)) + stay,
+        _target_energy(constraints, jnp.where(constraints.pinned, 0.0, 1.0)),
+        _regularisation(
             few.skeleton, options, reference, jax.tree.map(lambda free: jnp.full_like(free, jnp.inf), held)
         ),
     )
@@ -147,21 +149,21 @@ def _in_order(body, constraints, options, reference) -> tuple[Body, tuple[Abstra
 
 
 @eqx.filter_jit
-def _finished(few, constraints, options, pose, num_steps, result) -> IkSolution:
+def _make_solution(reduced, constraints, options, pose, num_steps, result) -> IkSolution:
     if options.limits is not None:
-        within = project(few.skeleton, options.limits.nearest(few.skeleton, pose))
+        within = project(reduced.skeleton, options.limits.nearest(reduced.skeleton, pose))
         pose = jax.tree.map(lambda a, b: jnp.where(options.keep_limits, a, b), within, pose)
-    apart = jnp.linalg.norm(pose_body(few, pose).vertices - constraints.targets, axis=-1)
+    apart = jnp.linalg.norm(pose_body(reduced, pose).vertices - constraints.targets, axis=-1)
     return IkSolution(pose, jnp.where(constraints.weights > 0, apart, 0.0), num_steps, result)
 
 
-def _reach(constraints: Constraints, more: Float[Array, "C"]) -> AbstractEnergy:
+def _target_energy(constraints: Constraints, factors: Float[Array, "C"]) -> AbstractEnergy:
     """Build the energy of all points towards their targets, with additional weights."""
     order = jnp.arange(len(constraints.vertices))
-    return VertexLandmarks(order, constraints.targets, constraints.weights * more / METRES**2)
+    return VertexLandmarks(order, constraints.targets, constraints.weights * factors / POSITION_DEVIATION**2)
 
 
-def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> Deviations:
+def _root_deviations(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> Deviations:
     """Build the deviations of roots from the reference: small for fixed roots, infinite for other joints."""
     roots, dtype = np.array(skeleton.parents) < 0, skeleton.centres.dtype
     asked = constraints.rigid & constraints.pinned & (constraints.weights > 0)
@@ -169,16 +171,23 @@ def _held(skeleton: Skeleton, constraints: Constraints, options: IkOptions) -> D
 
     def deviations(free: Bool[Array, "C"]) -> Float[Array, "J"]:
         loose = jnp.zeros(len(roots), bool).at[constraints.bones].max(free)
-        return jnp.where(options.hold_root & roots & ~loose, HELD, jnp.inf).astype(dtype)
+        return jnp.where(options.hold_root & roots & ~loose, FIXED_ROOT_DEVIATION, jnp.inf).astype(dtype)
 
-    return deviations(asked), jnp.tile(deviations(asked & (arms > ARM / 2))[:, None], (1, 3))
+    return deviations(asked), jnp.tile(deviations(asked & (arms > ORIENTATION_OFFSET / 2))[:, None], (1, 3))
 
 
-def _natural(skeleton: Skeleton, options: IkOptions, reference: Pose, held: Deviations) -> AbstractEnergy:
-    """Build the energy of the free degrees of freedom: the reference, with the deviations `held`, and the
+def _regularisation(
+    skeleton: Skeleton, options: IkOptions, reference: Pose, root_deviations: Deviations
+) -> AbstractEnergy:
+    """Build the energy of the free degrees of freedom: the reference, with the deviations `root_deviations`, and the
     prior."""
-    own, roots = rest_deviations(skeleton, UNKNOWN), np.array(skeleton.parents) < 0
-    free = np.full(len(roots), ROOT[0]), np.where(roots[:, None], ROOT[1], own)
-    both = (1 / jnp.sqrt(options.stiffness / a**2 + 1 / b**2) for a, b in zip(free, held, strict=True))
+    own, roots = rest_deviations(skeleton, DEFAULT_DEVIATION), np.array(skeleton.parents) < 0
+    free = (
+        np.full(len(roots), FREE_ROOT_DEVIATIONS[0]),
+        np.where(roots[:, None], FREE_ROOT_DEVIATIONS[1], own),
+    )
+    both = (
+        1 / jnp.sqrt(options.stiffness / a**2 + 1 / b**2) for a, b in zip(free, root_deviations, strict=True)
+    )
     near = ReferencePrior(reference, *(deviations.astype(skeleton.centres.dtype) for deviations in both))
-    return near if options.prior is None else near + options.use_prior * options.naturalness * options.prior
+    return near if options.prior is None else near + options.use_prior * options.prior_weight * options.prior

@@ -20,30 +20,30 @@ from ...body.influences import strongest_bones
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from .examples import own_frames, pose_blocks, virtual_frames
+from .examples import pose_blocks, skeleton_frames, virtual_frames
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
-    Needs,
-    Rows,
+    BlendTerms,
+    WeightRows,
+    blend_terms,
     choose_candidates,
+    empty_rows,
     join_rows,
     missing_rows,
-    no_rows,
-    skin_of,
+    skin_of_rows,
     take_rows,
-    vertex_needs,
 )
 from .weights import blend_errors, fit_linear_weights
 
 #: poses of the first fit, and number of poses that are added if their error is too large
-_POSES, _MORE = 32, 8
+_NUM_POSES, _NUM_ADDED_POSES = 32, 8
 #: vertices that get their own bones between two fits, and the least difference of their blends
-_AT_ONCE, _APART = 16, 0.4
+_MAX_NEW_VERTICES, _MIN_BLEND_DISTANCE = 16, 0.4
 #: candidate virtual bones of a vertex
-_CHOICE = 10
+_NUM_CANDIDATES = 10
 
 
-class Linearised(eqx.Module):
+class LinearisedBody(eqx.Module):
     """A body with linear blend skinning that approximates one with another skin.
 
     The skeleton of `body` is the source's with the virtual bones appended; `linear_pose` and `linear_motion`
@@ -61,47 +61,49 @@ class Linearised(eqx.Module):
 
 @checked
 def linearise(
-    body: Body, poses: Pose, tolerance: float = 1e-3, *, influences: int = 4, most: int = 256
-) -> Linearised:
+    body: Body, poses: Pose, tolerance: float = 1e-3, *, max_influences: int = 4, max_virtual_bones: int = 256
+) -> LinearisedBody:
     """Approximate `body` within `tolerance` by a body with a `LinearSkin` on an extended skeleton.
 
     Virtual bones are added at the vertices of largest error until no vertex is further than `tolerance` from
-    its position in `body` in any of the `poses`, or until there are `most` of them; `error` is the error that
+    its position in `body` in any of the `poses`, or until there are `max_virtual_bones` of them; `error` is the error that
     was reached. Bodies that blend linearly already need none. If one of their vertices follows more than
-    `influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
+    `max_influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
     that fit it best are chosen with new weights; `error` is the resulting error.
 
     **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is in
-    metres; `influences` is the largest number of bones per vertex.
+    metres; `max_influences` is the largest number of bones per vertex.
 
     **Raises:** `ValueError` if there are no poses, they are of another skeleton, or a number is not positive.
     """
-    _check(body, poses, tolerance, influences, most)
+    _check(body, poses, tolerance, max_influences, max_virtual_bones)
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
         raise ValueError(
             f"A body with a {type(body.skin).__name__} cannot be linearised; expected a linear, rigid, swing-twist or "
             "dual quaternion skin."
         )
     count = poses.rotations.shape[0]
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _POSES)).round().astype(int))
-    blend = _start(body, influences)
+    chosen = np.unique(np.linspace(0, count - 1, min(count, _NUM_POSES)).round().astype(int))
+    blend = _initial_blend(body, max_influences)
     if isinstance(body.skin, (LinearSkin, RigidSkin)):
-        blend = _fewer(body, blend, take_poses(poses, chosen), tolerance, influences)
+        blend = _limit_blend(body, blend, take_poses(poses, chosen), tolerance, max_influences)
         largest, mean = _errors(body, blend, poses)
-        return Linearised(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
+        return LinearisedBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
     while True:
-        blend = _follow(body, blend, take_poses(poses, chosen), tolerance, influences, most)
+        blend = _add_virtual_bones(
+            body, blend, take_poses(poses, chosen), tolerance, max_influences, max_virtual_bones
+        )
         largest, mean = _errors(body, blend, poses)
         # add the poses of largest error if it exceeds the tolerance
-        worst = np.argsort(-largest)[:_MORE]
+        worst = np.argsort(-largest)[:_NUM_ADDED_POSES]
         worst = worst[(largest[worst] > tolerance) & ~np.isin(worst, chosen)]
         if not len(worst):
-            return Linearised(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
+            return LinearisedBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
         chosen = np.union1d(chosen, worst)
 
 
 @checked
-def linear_pose(linearised: Linearised, pose: Pose) -> Pose:
+def linear_pose(linearised: LinearisedBody, pose: Pose) -> Pose:
     """Convert a pose of the source to a pose of the linearised body."""
     if linearised.bones is None:
         return pose
@@ -109,12 +111,12 @@ def linear_pose(linearised: Linearised, pose: Pose) -> Pose:
 
 
 @eqx.filter_jit
-def _all_poses(linearised: Linearised, poses: Pose) -> Pose:
+def _linear_poses(linearised: LinearisedBody, poses: Pose) -> Pose:
     return jax.lax.map(lambda pose: linear_pose(linearised, pose), poses)
 
 
 @checked
-def linear_motion(linearised: Linearised, motion: Motion) -> Motion:
+def linear_motion(linearised: LinearisedBody, motion: Motion) -> Motion:
     """Convert a motion of the source to a motion of the linearised body.
 
     **Raises:** `ValueError` if the motion has other joints.
@@ -125,10 +127,10 @@ def linear_motion(linearised: Linearised, motion: Motion) -> Motion:
             f"The motion has {joints} joints, but the source body has {linearised.source.num_joints}; give a motion "
             "of the source body."
         )
-    return Motion(_all_poses(linearised, motion.poses), motion.rate)
+    return Motion(_linear_poses(linearised, motion.poses), motion.rate)
 
 
-def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int) -> None:
+def _check(body: Body, poses: Pose, tolerance: float, max_influences: int, max_virtual_bones: int) -> None:
     if poses.rotations.ndim != 3 or poses.rotations.shape[0] == 0:
         raise ValueError("The poses are not stacked over frames, or there are none; give at least one frame.")
     joints = poses.rotations.shape[1]
@@ -138,8 +140,8 @@ def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int
         )
     for name, value in (
         ("tolerance", tolerance),
-        ("number of influences", influences),
-        ("largest number of virtual bones", most),
+        ("number of influences", max_influences),
+        ("largest number of virtual bones", max_virtual_bones),
     ):
         if not value > 0:
             raise ValueError(f"The {name} of a linearised body is {value}; give a positive number.")
@@ -148,25 +150,25 @@ def _check(body: Body, poses: Pose, tolerance: float, influences: int, most: int
 class _Blend(NamedTuple):
     """The virtual bones so far, and the candidate bones of each vertex with their weights."""
 
-    rows: Rows
+    rows: WeightRows
     #: (V, K), -1 for none; the indices of virtual bones follow the skeleton's own
     candidates: np.ndarray
     weights: np.ndarray
 
 
-def _start(body: Body, influences: int) -> _Blend:
+def _initial_blend(body: Body, influences: int) -> _Blend:
     """Start with the skin's own influences and no virtual bones."""
-    weights = np.array(body.skin.influence(body.skeleton.num_joints), float)
-    return _Blend(no_rows(body.skeleton.num_joints), *strongest_bones(weights, influences))
+    weights = np.array(body.skin.bone_weights(body.skeleton.num_joints), float)
+    return _Blend(empty_rows(body.skeleton.num_joints), *strongest_bones(weights, influences))
 
 
-def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:
+def _limit_blend(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int) -> _Blend:
     """Replace bones and weights if the strongest exceed half of the tolerance and others are nearer."""
-    frames, targets = own_frames(body, poses)
-    vertices, own = np.array(body.vertices, float), np.array(body.skin.influence(body.skeleton.num_joints))
+    frames, targets = skeleton_frames(body, poses)
+    vertices, own = np.array(body.vertices, float), np.array(body.skin.bone_weights(body.skeleton.num_joints))
     errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights).max(0)
     again = np.flatnonzero(errors > tolerance / 2)
-    choice = np.argsort(-own[again], axis=1, kind="stable")[:, : max(_CHOICE, influences)]
+    choice = np.argsort(-own[again], axis=1, kind="stable")[:, : max(_NUM_CANDIDATES, influences)]
     choice = np.where(np.take_along_axis(own[again], choice, 1) > 0, choice, -1)
     weights, nearer = fit_linear_weights(vertices[again], targets[:, again], frames, choice, influences)
     better = nearer < errors[again]
@@ -176,21 +178,23 @@ def _fewer(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences:
     return _Blend(blend.rows, candidates, kept)
 
 
-def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int, most: int) -> _Blend:
-    """Add rows until the poses are within the tolerance or there are `most` rows."""
-    needs, rows = vertex_needs(body.skin), blend.rows
-    own, targets = own_frames(body, poses)
+def _add_virtual_bones(
+    body: Body, blend: _Blend, poses: Pose, tolerance: float, influences: int, max_rows: int
+) -> _Blend:
+    """Add rows until the poses are within the tolerance or there are `max_rows` rows."""
+    needs, rows = blend_terms(body.skin), blend.rows
+    own, targets = skeleton_frames(body, poses)
     frames = np.concatenate([own, virtual_frames(body, rows, poses)], 1)
     vertices = np.array(body.vertices, float)
-    candidates = choose_candidates(needs, rows, _CHOICE)
+    candidates = choose_candidates(needs, rows, _NUM_CANDIDATES)
     weights, errors = fit_linear_weights(vertices, targets, frames, candidates, influences)
-    while len(rows.bases) < most:
-        new = _worst_rows(needs, rows, errors, tolerance, most)
+    while len(rows.bases) < max_rows:
+        new = _worst_rows(needs, rows, errors, tolerance, max_rows)
         if not len(new.bases):
             break
         rows = join_rows(rows, new)
         frames = np.concatenate([frames, virtual_frames(body, new, poses)], 1)
-        before, candidates = candidates, choose_candidates(needs, rows, _CHOICE)
+        before, candidates = candidates, choose_candidates(needs, rows, _NUM_CANDIDATES)
         gap = candidates.shape[1] - before.shape[1]
         before = np.pad(before, ((0, 0), (0, gap)), constant_values=-1)
         weights = np.pad(weights, ((0, 0), (0, gap)))
@@ -203,19 +207,21 @@ def _follow(body: Body, blend: _Blend, poses: Pose, tolerance: float, influences
     return _Blend(rows, candidates, weights)
 
 
-def _worst_rows(needs: Needs, rows: Rows, errors: np.ndarray, tolerance: float, most: int) -> Rows:
+def _worst_rows(
+    needs: BlendTerms, rows: WeightRows, errors: np.ndarray, tolerance: float, max_rows: int
+) -> WeightRows:
     """Choose rows for the vertices of largest error, with blends that differ from each other."""
-    new = no_rows(needs.blends.shape[1])
+    new = empty_rows(needs.blends.shape[1])
     done: list[int] = []
     for vertex in np.argsort(-errors):
-        if errors[vertex] <= tolerance or len(done) == _AT_ONCE:
+        if errors[vertex] <= tolerance or len(done) == _MAX_NEW_VERTICES:
             break
         near = needs.bases[done] == needs.bases[vertex]
-        near &= np.abs(needs.blends[done] - needs.blends[vertex]).sum(1) < _APART
+        near &= np.abs(needs.blends[done] - needs.blends[vertex]).sum(1) < _MIN_BLEND_DISTANCE
         if near.any():
             continue
         found = missing_rows(needs, int(vertex), join_rows(rows, new))
-        if len(found.bases) and len(rows.bases) + len(new.bases) + len(found.bases) <= most:
+        if len(found.bases) and len(rows.bases) + len(new.bases) + len(found.bases) <= max_rows:
             new = join_rows(new, found)
             done.append(int(vertex))
     return new
@@ -225,7 +231,7 @@ def _errors(body: Body, blend: _Blend, poses: Pose) -> tuple[np.ndarray, float]:
     """Compute the largest vertex distance in each pose, and the mean over all, metres."""
     vertices, largest, means = np.array(body.vertices, float), [], []
     for block in pose_blocks(poses):
-        own, targets = own_frames(body, block)
+        own, targets = skeleton_frames(body, block)
         frames = np.concatenate([own, virtual_frames(body, blend.rows, block)], 1)
         errors = blend_errors(vertices, targets, frames, blend.candidates, blend.weights)
         largest.append(errors.max(1))
@@ -244,6 +250,6 @@ def _assemble(body: Body, blend: _Blend) -> tuple[Body, Skeleton, VirtualBones |
     skin = LinearSkin(jnp.asarray(kept, body.vertices.dtype))
     if not len(used):
         return Body(body.skeleton, skin, body.vertices, body.faces), body.skeleton, None
-    bones = make_virtual_bones(skin_of(body.skin, take_rows(rows, used)), body.skeleton)
+    bones = make_virtual_bones(skin_of_rows(body.skin, take_rows(rows, used)), body.skeleton)
     linear = Body(extended_skeleton(body.skeleton, bones), skin, body.vertices, body.faces)
     return linear, body.skeleton, bones

@@ -12,7 +12,7 @@ from ...body.skin import AbstractSkin, DualQuaternionSkin, SwingTwistSkin
 from ...geometry import rotation
 
 #: kinds of joints without a translation
-_TURNING = ("ball", "revolute", "universal", "fixed")
+_ROTATION_KINDS = ("ball", "revolute", "universal", "fixed")
 
 
 class VirtualBones(eqx.Module):
@@ -41,7 +41,7 @@ def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
     **Raises:** `TypeError` if the skin is not a nonlinear one.
     """
     above = np.array(skeleton.parents)
-    slides = ~np.isin(skeleton.kinds, _TURNING)
+    slides = ~np.isin(skeleton.kinds, _ROTATION_KINDS)
     if isinstance(skin, SwingTwistSkin):
         strength = np.asarray(skin.swing) + np.asarray(skin.twist)
         parents, joints = np.asarray(skin.bases), strength.argmax(1)
@@ -55,14 +55,16 @@ def make_virtual_bones(skin: AbstractSkin, skeleton: Skeleton) -> VirtualBones:
         parents, joints = np.where(below, second, first), np.where(below, first, second)
         alone = ((weights > 0).sum(1) == 2) & (above[joints] == parents)
     else:
-        raise TypeError(f"The skin is a {type(skin).__name__}; expected a swing-twist or a dual quaternion skin.")
+        raise TypeError(
+            f"The skin is a {type(skin).__name__}; expected a swing-twist or a dual quaternion skin."
+        )
     return VirtualBones(skin, parents, joints, (alone & ~slides[joints]).astype(float))
 
 
 def bone_frames(skeleton: Skeleton, skin: AbstractSkin, pose: Pose) -> Float[Array, "S 3 4"]:
     """Compute `[R | t]` of a small frame at each row of a skin, from rest to pose, in the world, with the
     pose's scale."""
-    count = skin.parts().shape[0]
+    count = skin.dominant_bones().shape[0]
     # images of the world's origin and of a metre along each axis
     corners = jnp.concatenate([jnp.zeros((1, 3)), jnp.eye(3)]).astype(skeleton.centres.dtype)
     skin = skin.take(jnp.repeat(jnp.arange(count), 4))

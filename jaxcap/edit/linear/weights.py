@@ -43,7 +43,9 @@ def fit_linear_weights(
         goal[:, -1] = 1.0
         triangle = np.linalg.qr(np.concatenate([system, goal], 2), mode="r")
         for row, (square, there) in enumerate(zip(triangle, chosen >= 0, strict=True)):
-            weights[start + row, there] = _simplex(square[:, :-1][:, there], square[:, -1], influences)
+            weights[start + row, there] = _fit_simplex_weights(
+                square[:, :-1][:, there], square[:, -1], influences
+            )
         missed = np.einsum("vfk,vk->vf", offsets, weights[part]).reshape(len(chosen), -1, 3)
         errors[part] = np.linalg.norm(missed, axis=2).max(1)
     return weights, errors
@@ -67,7 +69,7 @@ def blend_errors(
     return errors
 
 
-def _simplex(system: np.ndarray, goal: np.ndarray, influences: int) -> np.ndarray:
+def _fit_simplex_weights(system: np.ndarray, goal: np.ndarray, influences: int) -> np.ndarray:
     weights = np.zeros(system.shape[1])
     used = np.arange(system.shape[1])
     while True:

@@ -6,27 +6,27 @@ from itertools import pairwise
 from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...errors import sentence_of
-from .matches import JointMatches, UnmatchedJoints, names_to_start
+from ...errors import user_message
+from .matches import JointMatches, UnmatchedJoints, initial_name_table
 from .names import Side
-from .pairing import SIDES, follow_ends, pair_alike, pair_joints
+from .pairing import SIDES, follow_twist_joints, pair_equal_names, pair_joints
 from .person import Person, find_person
-from .reference import find_reference
-from .sides import UnknownSides, backward, swap_sides
+from .reference import find_upright_pose
+from .sides import UnknownSides, swap_sides, toes_point_backward
 from .table import (
     Table,
+    initial_pairs,
+    known_limb_sides,
+    known_source_names,
+    known_target_names,
     make_table,
-    overruled,
-    table_to_start,
-    told_kinds,
-    told_of_source,
-    told_of_target,
+    override_roles,
 )
 
 #: least number of matched joints
-LEAST = 3
+MIN_MATCHES = 3
 #: number of unmatched joints that an error lists
-SAID = 12
+MAX_LISTED = 12
 
 
 @checked
@@ -54,61 +54,63 @@ def match_joints(
     neither at rest nor in the motion.
     """
     table = make_table(source, target, names or {})
-    there = find_person(target, told_of_target(source, target, table))
-    here = _person(source, target, there, table)
+    there = find_person(target, known_target_names(source, target, table))
+    here = _find_source_person(source, target, there, table)
     try:
-        stood = find_reference(target, there, None, "target", told_kinds(there, table))
+        stood = find_upright_pose(target, there, None, "target", known_limb_sides(there, table))
         there = stood.person
-        here = _person(source, target, there, table)
-        stands = find_reference(source, here, motion, "source", told_kinds(there, table)), stood
+        here = _find_source_person(source, target, there, table)
+        stands = find_upright_pose(source, here, motion, "source", known_limb_sides(there, table)), stood
     except UnknownSides as error:
-        persons = _sides_of(here, error), there
-        raise _refused(
-            sentence_of(error), (source, target), persons, table, alike=not error.swapped
+        persons = _resolve_contradiction(here, error), there
+        raise _make_error(
+            user_message(error), (source, target), persons, table, use_equal_names=not error.swapped
         ) from None
     here = stands[0].person
     pairs, followed = pair_joints(here, there, table)
-    pair_alike(source, target, pairs, followed, table)
-    follow_ends(source, there, pairs, followed)
+    pair_equal_names(source, target, pairs, followed, table)
+    follow_twist_joints(source, there, pairs, followed)
     found = JointMatches(source, target, pairs, followed, stands, ())
-    if len(pairs) < LEAST:
+    if len(pairs) < MIN_MATCHES:
         sentence = (
             f"{len(pairs)} joints of the source ({', '.join(source.names)}) match a joint of the target "
-            f"({', '.join(target.names)}), expected at least {LEAST}; give a table of names from source to target."
+            f"({', '.join(target.names)}), expected at least {MIN_MATCHES}; give a table of names from source to target."
         )
-        raise _refused(sentence, (source, target), (here, there), table, pairs)
+        raise _make_error(sentence, (source, target), (here, there), table, pairs)
     _check_chains(found, table)
-    return found._replace(warnings=(*_facing(found, table), *_check_limbs(found, table)))
+    return found._replace(warnings=(*_check_facing(found, table), *_check_limbs(found, table)))
 
 
-def _person(source: Skeleton, target: Skeleton, there: Person, table: Table) -> Person:
+def _find_source_person(source: Skeleton, target: Skeleton, target_person: Person, table: Table) -> Person:
     """Find the person of the source by names, tree and table."""
-    return overruled(find_person(source, told_of_source(target, there, table)), there, table)
+    return override_roles(
+        find_person(source, known_source_names(target, target_person, table)), target_person, table
+    )
 
 
-def _sides_of(person: Person, error: UnknownSides) -> Person:
+def _resolve_contradiction(person: Person, error: UnknownSides) -> Person:
     """Exchange the sides of a person if they are swapped; remove the limbs if the sides are unknown."""
     return swap_sides(person) if error.swapped else person._replace(parts={}, fingers={})
 
 
-def _refused(
+def _make_error(
     sentence: str,
     skeletons: tuple[Skeleton, Skeleton],
     persons: tuple[Person, Person],
     table: Table,
     pairs: Mapping[int, int] | None = None,
     *,
-    alike: bool = True,
+    use_equal_names: bool = True,
 ) -> UnmatchedJoints:
     """Make an error that includes an initial table."""
     found = pair_joints(*persons, table)[0] if pairs is None else pairs
-    chosen = table_to_start(*skeletons, persons[1] if alike else None, found, table)
-    return UnmatchedJoints(sentence, *names_to_start(*skeletons, chosen, table.none))
+    chosen = initial_pairs(*skeletons, persons[1] if use_equal_names else None, found, table)
+    return UnmatchedJoints(sentence, *initial_name_table(*skeletons, chosen, table.none))
 
 
 def _check_chains(matches: JointMatches, table: Table) -> None:
     """Check that the joints of limbs in a table are chains. Raises `ValueError`."""
-    person, names = matches.stands[1].person, matches.source.names
+    person, names = matches.references[1].person, matches.source.names
     for side in SIDES:
         for kind in ("leg", "arm"):
             limb = person.limb(side, kind)
@@ -116,16 +118,16 @@ def _check_chains(matches: JointMatches, table: Table) -> None:
             if not set(limb) & set(table.pairs):
                 continue
             for above, below in pairwise(own):
-                if not matches.source.descent[above, below]:
+                if not matches.source.descendants[above, below]:
                     raise ValueError(
                         f"By the table of names, {', '.join(names[joint] for joint in own)} are the {side} {kind}, but "
                         f"{names[below]} is not a descendant of {names[above]}; correct the table."
                     )
 
 
-def _facing(matches: JointMatches, table: Table) -> list[str]:
+def _check_facing(matches: JointMatches, table: Table) -> list[str]:
     """Warn if the sides of a table contradict the direction of the toes."""
-    looks = [backward(stand.person, stand.places, stand.axes) for stand in matches.stands]
+    looks = [toes_point_backward(stand.person, stand.places, stand.axes) for stand in matches.references]
     if not table.pairs or looks[0] == looks[1]:
         return []
     return [
@@ -140,7 +142,7 @@ def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
     **Raises:** `UnmatchedJoints` if no arm or no leg has one, unless a table is given and no source joint
     that could belong to one remains.
     """
-    here, there = (stand.person for stand in matches.stands)
+    here, there = (stand.person for stand in matches.references)
     said = []
     for kind in ("arm", "leg"):
         own: list[Side] = [side for side in SIDES if here.limb(side, kind)]
@@ -157,14 +159,14 @@ def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
                 for side in own
                 if side not in sides
             ]
-        elif sides or (own and len(matches.unmatched_target) >= LEAST):
+        elif sides or (own and len(matches.unmatched_target) >= MIN_MATCHES):
             whose, other = ("target", "source") if sides else ("source", "target")
             sentence = f"no {kind} of the {whose} has a match in the {other}"
             left = list(matches.unmatched_source)
-            if left or not table.given:
-                raise _refused(
-                    f"N{sentence[1:]}, neither by names nor by the tree{' nor by the table' if table.given else ''}; "
-                    f"joints of the source without a match: {', '.join(left[:SAID]) or 'none'}; give the matching joints "
+            if left or not table.source_joints:
+                raise _make_error(
+                    f"N{sentence[1:]}, neither by names nor by the tree{' nor by the table' if table.source_joints else ''}; "
+                    f"joints of the source without a match: {', '.join(left[:MAX_LISTED]) or 'none'}; give the matching joints "
                     "in a table of names.",
                     (matches.source, matches.target),
                     (here, there),

@@ -5,20 +5,20 @@ from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from .reference import Reference
+from .reference import UprightPose
 
 
 class UnmatchedJoints(InputError):
     """An error: limbs have no match.
 
     `names` is an initial table; None if the given table states that a joint of the source has no match.
-    `open` are the joints of the source without any information.
+    `unassigned` are the joints of the source without any information.
     """
 
-    def __init__(self, message: str, names: dict[str, str | None], open: tuple[str, ...] = ()):
+    def __init__(self, message: str, names: dict[str, str | None], unassigned: tuple[str, ...] = ()):
         super().__init__(message)
         self.names = names
-        self.open = open
+        self.unassigned = unassigned
 
 
 class JointMatches(NamedTuple):
@@ -31,7 +31,7 @@ class JointMatches(NamedTuple):
     #: target -> (a, b, share): it rotates as `a` of the source does, or by `share` from `a` to `b`
     followed: dict[int, tuple[int, int, float]]
     #: the upright poses of both, with their persons
-    stands: tuple[Reference, Reference]
+    references: tuple[UprightPose, UprightPose]
     #: sentences for the user
     warnings: tuple[str, ...]
 
@@ -64,7 +64,7 @@ class JointMatches(NamedTuple):
             if joint in carried:
                 found[name] = f"composed onto {carried[joint]}"
                 continue
-            below = _next_below(children, joint, set(carried))
+            below = _nearest_descendants(children, joint, set(carried))
             onto = sorted({carried[child] for child in below}, key=self.target.names.index)
             found[name] = (
                 f"composed onto {', '.join(onto)}" if onto else "left out, as no descendant has a match"
@@ -104,7 +104,7 @@ class JointMatches(NamedTuple):
             for name, fate in found.items():
                 fates.setdefault(fate, []).append(name)
             said += [f"no match in the {which}: {', '.join(names)}: {fate}" for fate, names in fates.items()]
-        frame = self.stands[0].frame
+        frame = self.references[0].frame
         if frame is not None:
             said.append(
                 f"the rest pose of the source is not upright; frame {frame}, the most upright one, replaces it"
@@ -112,13 +112,15 @@ class JointMatches(NamedTuple):
         return said
 
 
-def names_to_start(
-    source: Skeleton, target: Skeleton, pairs: Mapping[int, int], none: Collection[int]
+def initial_name_table(
+    source: Skeleton, target: Skeleton, pairs: Mapping[int, int], unmatched: Collection[int]
 ) -> tuple[dict[str, str | None], tuple[str, ...]]:
     """Write pairs as a name table for `UnmatchedJoints`, with the source joints without information."""
     found = {here: target.names[there] for there, here in pairs.items()}
     names = {
-        name: found.get(joint) for joint, name in enumerate(source.names) if joint in found or joint in none
+        name: found.get(joint)
+        for joint, name in enumerate(source.names)
+        if joint in found or joint in unmatched
     }
     left = (
         name for joint, name in enumerate(source.names) if name not in names and not _is_end(source, joint)
@@ -131,10 +133,10 @@ def _is_end(skeleton: Skeleton, joint: int) -> bool:
     return skeleton.kinds[joint] == "fixed" and joint not in skeleton.parents
 
 
-def _next_below(children: dict[int, list[int]], joint: int, some: set[int]) -> list[int]:
+def _nearest_descendants(children: dict[int, list[int]], joint: int, candidates: set[int]) -> list[int]:
     """Find the nearest of some joints on every path down from a joint."""
     found, waiting = [], [joint]
     while waiting:
         for child in children.get(waiting.pop(), []):
-            (found if child in some else waiting).append(child)
+            (found if child in candidates else waiting).append(child)
     return found

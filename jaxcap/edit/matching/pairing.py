@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...body.skeleton import Skeleton
-from .names import Side, plain_name
+from .names import Side, normalise_name
 from .person import Person
 from .table import Table
 
 SIDES: tuple[Side, Side] = ("left", "right")
 #: a joint nearer than this share of the length to the end of an upper arm or thigh belongs to the next joint
-ON_BONE = 0.05
+MIN_END_DISTANCE = 0.05
 
 #: joint of the target -> (a, b, share) of the source
 Followed = dict[int, tuple[int, int, float]]
@@ -35,12 +35,12 @@ def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int,
         ]
         if here:
             pairs[there] = here[0]
-    given = table.given
+    given = table.source_joints
     pairs = {there: here for there, here in pairs.items() if here not in given and there not in table.pairs}
     pairs |= table.pairs
     followed = {there: (here, here, 0.0) for there, here in pairs.items()}
     taken = {*pairs.values(), *table.none}
-    for there, (a, b, share) in _trunk(source, target, table).items():
+    for there, (a, b, share) in _follow_trunk(source, target, table).items():
         if there in table.pairs:
             continue
         followed[there] = (a, b, share)
@@ -50,19 +50,19 @@ def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int,
     return pairs, followed
 
 
-def _trunk(source: Person, target: Person, table: Table) -> Followed:
+def _follow_trunk(source: Person, target: Person, table: Table) -> Followed:
     """Choose the joints that the spine and the neck of the target follow."""
     if source.pelvis < 0 or target.pelvis < 0:
         return {}
-    spine = _shared([source.pelvis, *source.spine], target.spine, table)
+    spine = _align_chains([source.pelvis, *source.spine], target.spine, table)
     chest = source.spine[-1] if source.spine else source.pelvis
     if source.neck or source.head < 0 or target.head < 0:
-        return spine | _shared([chest, *source.neck], target.neck, table)
+        return spine | _align_chains([chest, *source.neck], target.neck, table)
     steps = len(target.neck) + 1
     return spine | {there: (chest, source.head, (k + 1) / steps) for k, there in enumerate(target.neck)}
 
 
-def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Followed:
+def _align_chains(source: Sequence[int], target: Sequence[int], table: Table) -> Followed:
     """Map joints of a target chain to positions along a source chain.
 
     The first source joint is above the target's chain. The last joints correspond, and so do those of the
@@ -78,7 +78,7 @@ def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Follo
     }
     places = sorted(known)
     # joints that the table pairs otherwise or excludes cannot be followed here
-    closed = [joint in table.given for joint in source]
+    closed = [joint in table.source_joints for joint in source]
     for place, joint in enumerate(target, 1):
         along = float(np.interp(place, places, [known[each] for each in places]))
         low = int(np.floor(along + 1e-9))
@@ -95,16 +95,16 @@ def _shared(source: Sequence[int], target: Sequence[int], table: Table) -> Follo
     return found
 
 
-def pair_alike(
+def pair_equal_names(
     source: Skeleton, target: Skeleton, pairs: dict[int, int], followed: Followed, table: Table
 ) -> None:
     """Pair remaining joints of equal names, if their matched ancestors and descendants agree in both
     skeletons."""
     plain = {}
     for joint, name in enumerate(source.names):
-        plain.setdefault(plain_name(name), []).append(joint)
+        plain.setdefault(normalise_name(name), []).append(joint)
     taken = {*pairs.values(), *table.none}
-    called = [plain_name(name) for name in target.names]
+    called = [normalise_name(name) for name in target.names]
     for joint, name in enumerate(called):
         here = plain.get(name, [])
         if joint in followed or len(here) != 1 or here[0] in taken or called.count(name) > 1:
@@ -112,21 +112,23 @@ def pair_alike(
         above = target.parents[joint]
         while above >= 0 and above not in pairs:
             above = target.parents[above]
-        if above >= 0 and not source.descent[pairs[above], here[0]]:
+        if above >= 0 and not source.descendants[pairs[above], here[0]]:
             continue
-        if any(not source.descent[here[0], own] for own in _matched_below(target, joint, pairs)):
+        if any(not source.descendants[here[0], own] for own in _matched_descendants(target, joint, pairs)):
             continue
         pairs[joint] = here[0]
         followed[joint] = (here[0], here[0], 0.0)
         taken.add(here[0])
 
 
-def _matched_below(target: Skeleton, joint: int, pairs: Mapping[int, int]) -> list[int]:
+def _matched_descendants(target: Skeleton, joint: int, pairs: Mapping[int, int]) -> list[int]:
     """List the source joints that match a descendant of a target joint."""
-    return [here for there, here in pairs.items() if there != joint and target.descent[joint, there]]
+    return [here for there, here in pairs.items() if there != joint and target.descendants[joint, there]]
 
 
-def follow_ends(source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed) -> None:
+def follow_twist_joints(
+    source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed
+) -> None:
     """Make upper arms and thighs follow the far ends of the source's bones if these have twist joints.
 
     Elbows and knees then bend as much as the source's.
@@ -140,8 +142,10 @@ def follow_ends(source: Skeleton, target: Person, pairs: Mapping[int, int], foll
             first, joint = pairs[limb[0]], source.parents[pairs[limb[1]]]
             end = centres[pairs[limb[1]]]
             while joint >= 0 and joint != first:
-                if np.linalg.norm(end - centres[joint]) > ON_BONE * np.linalg.norm(end - centres[first]):
-                    if source.descent[first, joint]:
+                if np.linalg.norm(end - centres[joint]) > MIN_END_DISTANCE * np.linalg.norm(
+                    end - centres[first]
+                ):
+                    if source.descendants[first, joint]:
                         followed[limb[0]] = (joint, joint, 0.0)
                     break
                 joint = source.parents[joint]

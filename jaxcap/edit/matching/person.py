@@ -10,10 +10,10 @@ from jaxtyping import Float
 from ...body.skeleton import Skeleton
 from ...geometry.axes import nearest_axis
 from .limbs import Limb, Limbs, find_limbs, lowest_common
-from .names import ARM, FINGERS, LEG, JointName, Side, read_name
+from .names import ARM, FINGERS, LEG, JointName, Side, parse_joint_name
 
 #: parts of one limb, from the trunk on
-LIMBS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
+LIMB_PARTS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
 
 
 class Person(NamedTuple):
@@ -43,26 +43,26 @@ class Person(NamedTuple):
         )
 
 
-def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None) -> Person:
+def find_person(skeleton: Skeleton, known_names: Mapping[int, JointName] | None = None) -> Person:
     """Find a person in a skeleton, by joint names and the kinematic tree, independently of the pose.
 
-    **Arguments:** `told` replaces the information in the names of some joints.
+    **Arguments:** `known_names` replaces the information in the names of some joints.
     """
-    told = told or {}
-    names = [told.get(joint) or read_name(name) for joint, name in enumerate(skeleton.names)]
+    known_names = known_names or {}
+    names = [known_names.get(joint) or parse_joint_name(name) for joint, name in enumerate(skeleton.names)]
     limbs = find_limbs(skeleton, names)
     parts: dict[tuple[Side, str], int] = {}
     for kind, found in (("leg", limbs.legs), ("arm", limbs.arms)):
-        for side, limb in zip(_sides(found), found, strict=True):
+        for side, limb in zip(_limb_sides(found), found, strict=True):
             for part, joint in zip(LEG if kind == "leg" else ARM, limb.joints, strict=True):
                 parts[side, part] = joint
-    pelvis, spine, neck, head = _trunk(skeleton, names, limbs)
+    pelvis, spine, neck, head = _find_trunk(skeleton, names, limbs)
     trunk = {pelvis, head, *spine, *neck}
     fingers: dict[tuple[Side, str, int], int] = {}
     for side in ("left", "right"):
-        _feet(skeleton, names, parts, side)
-        _shoulder(skeleton, names, parts, side, trunk)
-        _hand(skeleton, names, parts, fingers, side)
+        _find_toes(skeleton, names, parts, side)
+        _find_clavicle(skeleton, names, parts, side, trunk)
+        _find_fingers(skeleton, names, parts, fingers, side)
     sideless = tuple(
         kind
         for kind, found in (("leg", limbs.legs), ("arm", limbs.arms))
@@ -72,7 +72,7 @@ def find_person(skeleton: Skeleton, told: Mapping[int, JointName] | None = None)
 
 
 def trunk_direction(
-    person: Person, places: Float[np.ndarray, "... J 3"]
+    person: Person, positions: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, "... 3"] | None:
     """Compute the direction from the hips to the shoulders or the head; None if the person has neither."""
     thighs = [joint for (_, part), joint in person.parts.items() if part == "thigh"]
@@ -81,7 +81,7 @@ def trunk_direction(
     high = upper or ([person.head] if person.head >= 0 else [])
     if not low or not high:
         return None
-    along = places[..., high, :].mean(-2) - places[..., low, :].mean(-2)
+    along = positions[..., high, :].mean(-2) - positions[..., low, :].mean(-2)
     return along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
 
 
@@ -107,14 +107,14 @@ def far_end(skeleton: Skeleton, person: Person, side: Side, kind: str, last: int
     return below[0] if len(below) == 1 else None
 
 
-def _sides(limbs: tuple[Limb, ...]) -> tuple[Side, ...]:
+def _limb_sides(limbs: tuple[Limb, ...]) -> tuple[Side, ...]:
     """List the sides of one or two limbs, left first if no name gives them."""
     if len(limbs) == 1:
         return (limbs[0].side or "left",)
     return ("left", "right") if limbs else ()
 
 
-def _trunk(
+def _find_trunk(
     skeleton: Skeleton, names: list[JointName], limbs: Limbs
 ) -> tuple[int, tuple[int, ...], tuple[int, ...], int]:
     """Find pelvis, spine, neck and head."""
@@ -122,7 +122,7 @@ def _trunk(
     arms = [limb.joints[0] for limb in limbs.arms]
     if not thighs and not arms:
         return -1, (), (), -1
-    parents, descent = skeleton.parents, skeleton.descent
+    parents, descent = skeleton.parents, skeleton.descendants
     top = (
         lowest_common(skeleton, [parents[arm] for arm in arms])
         if arms and min(parents[a] for a in arms) >= 0
@@ -134,11 +134,11 @@ def _trunk(
         while pelvis >= 0 and names[pelvis].parts[:1] == ("hip_side",) and parents[pelvis] >= 0:
             pelvis = parents[pelvis]
     else:
-        path = _path(skeleton, -1, top)
+        path = _joint_path(skeleton, -1, top)
         called = [joint for joint in path if "pelvis" in names[joint].parts]
         pelvis = called[-1] if called else (path[0] if path else -1)
     taken = np.asarray(descent[[limb.joints[0] for limb in (*limbs.legs, *limbs.arms)]].any(axis=0))
-    head = _head(skeleton, names, top, taken)
+    head = _find_head(skeleton, names, top, taken)
     end = head if head >= 0 else top
     if head >= 0 and "neck" in names[head].parts:
         # the trunk ends at the neck
@@ -146,8 +146,8 @@ def _trunk(
     if end < 0:
         return pelvis, (), (), head
     start = lowest_common(skeleton, [pelvis, end])
-    chain = [joint for joint in _path(skeleton, start, end) if joint not in (pelvis, head)]
-    under = set(_path(skeleton, -1, top)) if top >= 0 else set()
+    chain = [joint for joint in _joint_path(skeleton, start, end) if joint not in (pelvis, head)]
+    under = set(_joint_path(skeleton, -1, top)) if top >= 0 else set()
     called = head >= 0 and "head" in names[head].parts
     is_neck = [
         "neck" in names[joint].parts
@@ -159,7 +159,7 @@ def _trunk(
     return pelvis, tuple(chain[:first]), tuple(chain[first:]), head
 
 
-def _path(skeleton: Skeleton, start: int, end: int) -> list[int]:
+def _joint_path(skeleton: Skeleton, start: int, end: int) -> list[int]:
     """List the joints below `start`, without it, down to `end`."""
     found = []
     while end >= 0 and end != start:
@@ -168,7 +168,7 @@ def _path(skeleton: Skeleton, start: int, end: int) -> list[int]:
     return found[::-1]
 
 
-def _head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarray) -> int:
+def _find_head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarray) -> int:
     depths = skeleton.depths
     named = [
         j
@@ -187,7 +187,7 @@ def _head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarra
             for child, parent in enumerate(skeleton.parents)
             if parent == joint
             and not taken[child]
-            and not skeleton.descent[child, taken].any()
+            and not skeleton.descendants[child, taken].any()
             and set(names[child].parts) <= {"spine", "neck"}
             and not names[child].helper
         ]
@@ -196,18 +196,18 @@ def _head(skeleton: Skeleton, names: list[JointName], top: int, taken: np.ndarra
         joint = last = below[0]
 
 
-def _feet(skeleton: Skeleton, names: list[JointName], parts, side: Side) -> None:
+def _find_toes(skeleton: Skeleton, names: list[JointName], parts, side: Side) -> None:
     foot = parts.get((side, "foot"))
     if foot is None:
         return
-    below = _below(skeleton, foot)
+    below = _descendants(skeleton, foot)
     named = [joint for joint in below if "toes" in names[joint].parts and not names[joint].helper]
     nameless = [joint for joint in below if not names[joint].parts and not names[joint].helper]
     if named or (len(nameless) == 1 == len(below)):
         parts[side, "toes"] = min(named or nameless, key=lambda joint: skeleton.depths[joint])
 
 
-def _shoulder(skeleton: Skeleton, names: list[JointName], parts, side: Side, trunk: set[int]) -> None:
+def _find_clavicle(skeleton: Skeleton, names: list[JointName], parts, side: Side, trunk: set[int]) -> None:
     upper = parts.get((side, "upper_arm"))
     if upper is None:
         return
@@ -223,12 +223,12 @@ def _shoulder(skeleton: Skeleton, names: list[JointName], parts, side: Side, tru
         parts[side, "clavicle"] = (called or unknown)[-1] if called else unknown[0]
 
 
-def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side) -> None:
+def _find_fingers(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side) -> None:
     hand = parts.get((side, "hand"))
     if hand is None:
         return
     seen: dict[str, list[int]] = {}
-    for joint in _below(skeleton, hand):
+    for joint in _descendants(skeleton, hand):
         name = names[joint]
         if name.helper or not name.parts:
             continue
@@ -238,7 +238,7 @@ def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side
             seen.setdefault(name.parts[0], []).append(joint)
     for finger, joints in seen.items():
         joints = sorted(joints, key=lambda joint: skeleton.depths[joint])
-        if not all(skeleton.descent[above, below] for above, below in pairwise(joints)):
+        if not all(skeleton.descendants[above, below] for above, below in pairwise(joints)):
             # several fingers share one name, so they cannot be distinguished
             continue
         for place, joint in enumerate(joints):
@@ -246,11 +246,11 @@ def _hand(skeleton: Skeleton, names: list[JointName], parts, fingers, side: Side
             fingers.setdefault((side, finger, place + 1 if number is None else number), joint)
 
 
-def _below(skeleton: Skeleton, joint: int) -> list[int]:
-    return [below for below in np.flatnonzero(skeleton.descent[joint]).tolist() if below != joint]
+def _descendants(skeleton: Skeleton, joint: int) -> list[int]:
+    return [below for below in np.flatnonzero(skeleton.descendants[joint]).tolist() if below != joint]
 
 
-def nearest_up(direction: Float[np.ndarray, "3"], within: float) -> Float[np.ndarray, "3"]:
+def snap_to_axis(direction: Float[np.ndarray, "3"], max_angle: float) -> Float[np.ndarray, "3"]:
     """Find the coordinate axis within some radians of a direction; the direction itself if there is none."""
     axis = nearest_axis(direction)
-    return axis if axis @ direction > np.cos(within) else direction
+    return axis if axis @ direction > np.cos(max_angle) else direction

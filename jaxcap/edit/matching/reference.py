@@ -14,19 +14,19 @@ from scipy.spatial.transform import Rotation
 
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
-from ...errors import sentence_of
+from ...errors import user_message
 from ...geometry.axes import nearest_axis
-from .person import Person, nearest_up, trunk_direction
-from .sides import UnknownSides, settle_sides
+from .person import Person, snap_to_axis, trunk_direction
+from .sides import UnknownSides, resolve_sides
 
 #: largest cosine between trunk and legs of a standing person, and least length of a leg relative to its bones
-STANDS, STRETCHED = -0.5, 0.7
+MAX_TRUNK_LEG_COSINE, MIN_LEG_EXTENSION = -0.5, 0.7
 #: largest number of frames that are examined, and largest angle from a coordinate axis at which a person is
 #: taken to stand along it
-LOOKED_AT, NEAR = 300, np.radians(25.0)
+MAX_FRAMES, MAX_AXIS_ANGLE = 300, np.radians(25.0)
 
 
-class Reference(NamedTuple):
+class UprightPose(NamedTuple):
     """A pose in which a person stands upright; J joints."""
 
     person: Person
@@ -42,14 +42,14 @@ class Reference(NamedTuple):
     up: Float[np.ndarray, "3"] | None
 
 
-def find_reference(
-    skeleton: Skeleton, person: Person, motion: Motion | None, which: str, told: Collection[str] = ()
-) -> Reference:
+def find_upright_pose(
+    skeleton: Skeleton, person: Person, motion: Motion | None, which: str, known_sides: Collection[str] = ()
+) -> UprightPose:
     """Find an upright pose of a person: rest, or else the straightest frame of a motion.
 
     The sides of limbs without sides in their names are determined too.
 
-    **Arguments:** `which` is "source" or "target", for messages. `told` are types of limbs whose sides a name
+    **Arguments:** `which` is "source" or "target", for messages. `known_sides` are types of limbs whose sides a name
     table gives.
 
     **Raises:** `ValueError` if the person stands neither at rest nor in any frame; its subclass
@@ -57,8 +57,8 @@ def find_reference(
     """
     rest = np.asarray(skeleton.centres, float)
     still = np.tile([1.0, 0, 0, 0], (len(rest), 1))
-    if standing(person, rest) > 0:
-        return _reference(person, rest, still, None, which, told)
+    if upright_score(person, rest) > 0:
+        return _make_upright_pose(person, rest, still, None, which, known_sides)
     if motion is None or len(motion) == 0:
         raise ValueError(
             f"The rest pose of the {which} is not upright, so it cannot be compared with another one; "
@@ -68,19 +68,21 @@ def find_reference(
                 else "give a skeleton with an upright rest pose."
             )
         )
-    frames = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).astype(int))
-    places, turns = posed(skeleton, take_poses(motion.poses, frames))
-    scores = np.array([standing(person, frame) for frame in places])
+    frames = np.unique(np.linspace(0, len(motion) - 1, MAX_FRAMES).astype(int))
+    places, turns = joint_transforms(skeleton, take_poses(motion.poses, frames))
+    scores = np.array([upright_score(person, frame) for frame in places])
     best = int(np.argmax(scores))
     if scores[best] <= 0:
         raise ValueError(
             f"The {which} is upright, legs below the trunk, neither at rest nor in any frame, so its rest pose cannot "
             "be compared with another one; give a motion with an upright frame."
         )
-    return _reference(person, places[best], turns[best], int(frames[best]), which, told)
+    return _make_upright_pose(person, places[best], turns[best], int(frames[best]), which, known_sides)
 
 
-def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 4"]]:
+def joint_transforms(
+    skeleton: Skeleton, poses: Pose
+) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F J 4"]]:
     """Compute world positions and rotations of all joints in each pose of a stack, metres and quaternions.
 
     It uses NumPy, because a skeleton is used once and compiling for it would take longer.
@@ -103,56 +105,62 @@ def posed(skeleton: Skeleton, poses: Pose) -> tuple[Float[np.ndarray, "F J 3"], 
     return places, turns
 
 
-def standing(person: Person, places: Float[np.ndarray, "J 3"]) -> float:
+def upright_score(person: Person, positions: Float[np.ndarray, "J 3"]) -> float:
     """Rate how straight a person stands.
 
     The score is above zero if the legs point away from the trunk, and two for a straight line. It is one if
     the skeleton has no legs or no trunk, as any pose is then possible.
     """
-    trunk = trunk_direction(person, places)
+    trunk = trunk_direction(person, positions)
     legs = [leg for side in ("left", "right") if (leg := person.limb(side, "leg"))]
     if trunk is None or not legs:
         return 1.0
     score = []
     for thigh, shin, foot in legs:
-        leg = places[foot] - places[thigh]
-        bones = np.linalg.norm(places[shin] - places[thigh]) + np.linalg.norm(places[foot] - places[shin])
+        leg = positions[foot] - positions[thigh]
+        bones = np.linalg.norm(positions[shin] - positions[thigh]) + np.linalg.norm(
+            positions[foot] - positions[shin]
+        )
         length = max(float(np.linalg.norm(leg)), 1e-12)
         cosine = float(leg @ trunk) / length
         score.append(
-            -1.0 if cosine > STANDS or length < STRETCHED * bones else length / max(bones, 1e-12) - cosine
+            -1.0
+            if cosine > MAX_TRUNK_LEG_COSINE or length < MIN_LEG_EXTENSION * bones
+            else length / max(bones, 1e-12) - cosine
         )
     return float(min(score)) if min(score) < 0 else float(np.mean(score))
 
 
-def _reference(
+def _make_upright_pose(
     person: Person,
-    places: np.ndarray,
-    turns: np.ndarray,
+    positions: np.ndarray,
+    rotations: np.ndarray,
     frame: int | None,
     which: str,
-    told: Collection[str],
-) -> Reference:
-    trunk = trunk_direction(person, places)
+    known_sides: Collection[str],
+) -> UprightPose:
+    trunk = trunk_direction(person, positions)
     up = None
     legs = [leg for side in ("left", "right") if (leg := person.limb(side, "leg"))]
     if legs:
-        up = nearest_axis(np.mean([places[leg[0]] - places[leg[2]] for leg in legs], axis=0))
+        up = nearest_axis(np.mean([positions[leg[0]] - positions[leg[2]] for leg in legs], axis=0))
     if trunk is None:
-        return Reference(person, places, turns, frame, None, up)
-    along = nearest_up(trunk, NEAR)
+        return UprightPose(person, positions, rotations, frame, None, up)
+    along = snap_to_axis(trunk, MAX_AXIS_ANGLE)
     try:
-        person = settle_sides(person, places, along, told)
+        person = resolve_sides(person, positions, along, known_sides)
     except UnknownSides as error:
-        raise UnknownSides(f"In the {which}: {sentence_of(error)}", error.swapped) from None
+        raise UnknownSides(f"In the {which}: {user_message(error)}", error.swapped) from None
     left = np.zeros(3)
     for part in ("thigh", "upper_arm"):
         if ("left", part) in person.parts and ("right", part) in person.parts:
-            left += places[person.parts["left", part]] - places[person.parts["right", part]]
+            left += positions[person.parts["left", part]] - positions[person.parts["right", part]]
     left -= (left @ along) * along
     if np.linalg.norm(left) < 1e-6:
-        return Reference(person, places, turns, frame, None, up)
-    left = nearest_up(left / np.linalg.norm(left), NEAR) if frame is None else left
+        return UprightPose(person, positions, rotations, frame, None, up)
+    left = snap_to_axis(left / np.linalg.norm(left), MAX_AXIS_ANGLE) if frame is None else left
     left = left - (left @ along) * along
     left = left / np.linalg.norm(left)
-    return Reference(person, places, turns, frame, np.stack([left, along, np.cross(left, along)], 1), up)
+    return UprightPose(
+        person, positions, rotations, frame, np.stack([left, along, np.cross(left, along)], 1), up
+    )

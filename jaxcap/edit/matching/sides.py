@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .names import Side
-from .person import LIMBS, Person
+from .person import LIMB_PARTS, Person
 
 #: least forward component of the toes, relative to their lengths, that determines the sides
-POINTED = 0.3
+MIN_TOE_DIRECTION = 0.3
 
 
 class UnknownSides(ValueError):
@@ -21,31 +21,31 @@ class UnknownSides(ValueError):
         self.swapped = swapped
 
 
-def settle_sides(
+def resolve_sides(
     person: Person,
-    places: Float[np.ndarray, "J 3"],
+    positions: Float[np.ndarray, "J 3"],
     up: Float[np.ndarray, "3"],
-    told: Collection[str] = (),
+    known_sides: Collection[str] = (),
 ) -> Person:
     """Determine left and right of limbs without sides in their names.
 
     The joint positions are those of a pose that stands along `up`. Limbs with sides determine the others;
     without any, the toes do, which point forward.
 
-    **Arguments:** `told` are types of limbs whose sides are given by the user: toes do not count against
+    **Arguments:** `known_sides` are types of limbs whose sides are given by the user: toes do not count against
     these.
 
     **Raises:** `UnknownSides` if neither determines the sides, the toes contradict the names, or legs and
     arms contradict each other.
     """
-    across = _across(person, places, up)
+    across = _lateral_steps(person, positions, up)
     if len(across) == 2 and across["leg"] @ across["arm"] < 0:
         raise UnknownSides(
             "By the joint names or the table of names, the left leg is on the side of the right arm; left and right "
             "of the legs or of the arms are swapped; correct the table, or give one."
         )
-    forward = _forward(person, places, up)
-    named = sum((step for kind, step in across.items() if kind not in told), np.zeros(3))
+    forward = _toe_direction(person, positions, up)
+    named = sum((step for kind, step in across.items() if kind not in known_sides), np.zeros(3))
     if forward is not None and named.any() and np.cross(up, forward) @ named < 0:
         raise UnknownSides(
             "The joint names and the toes disagree on left and right; the names are swapped, or the file is mirrored; "
@@ -64,49 +64,57 @@ def settle_sides(
         left = np.cross(up, forward)
     for kind in person.sideless:
         first = "thigh" if kind == "leg" else "upper_arm"
-        step = places[person.parts["left", first]] - places[person.parts["right", first]]
+        step = positions[person.parts["left", first]] - positions[person.parts["right", first]]
         if step @ left < 0:
-            person = _swapped(person, kind)
+            person = _swap_limb_sides(person, kind)
     return person
 
 
-def backward(person: Person, places: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None) -> bool:
+def toes_point_backward(
+    person: Person, positions: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None
+) -> bool:
     """Check whether the toes point backward for a person with `axes` left, up and front."""
-    forward = None if axes is None else _forward(person, places, axes[:, 1])
+    forward = None if axes is None else _toe_direction(person, positions, axes[:, 1])
     return forward is not None and axes is not None and bool(forward @ axes[:, 2] < 0)
 
 
 def swap_sides(person: Person) -> Person:
     """Exchange left and right of a person."""
-    return _swapped(_swapped(person, "leg"), "arm")
+    return _swap_limb_sides(_swap_limb_sides(person, "leg"), "arm")
 
 
-def _across(person: Person, places: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
+def _lateral_steps(person: Person, positions: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
     """Compute horizontal steps from right to left, for the types of limbs whose sides are known."""
     found = {}
     for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
         if kind not in person.sideless and ("left", part) in person.parts and ("right", part) in person.parts:
-            step = places[person.parts["left", part]] - places[person.parts["right", part]]
+            step = positions[person.parts["left", part]] - positions[person.parts["right", part]]
             found[kind] = step - (step @ up) * up
     return found
 
 
-def _forward(person: Person, places: np.ndarray, up: np.ndarray) -> np.ndarray | None:
+def _toe_direction(person: Person, positions: np.ndarray, up: np.ndarray) -> np.ndarray | None:
     """Compute the horizontal direction of the toes; None without toes or a clear direction."""
     feet = [
         (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
     ]
-    steps = [places[toes] - places[foot] for foot, toes in feet if foot is not None and toes is not None]
+    steps = [
+        positions[toes] - positions[foot] for foot, toes in feet if foot is not None and toes is not None
+    ]
     if not steps:
         return None
     level = sum(step - (step @ up) * up for step in steps)
     assert isinstance(level, np.ndarray)
-    return level if np.linalg.norm(level) > POINTED * sum(np.linalg.norm(step) for step in steps) else None
+    return (
+        level
+        if np.linalg.norm(level) > MIN_TOE_DIRECTION * sum(np.linalg.norm(step) for step in steps)
+        else None
+    )
 
 
-def _swapped(person: Person, kind: str) -> Person:
+def _swap_limb_sides(person: Person, kind: str) -> Person:
     """Exchange left and right of one type of limb."""
-    own = {*LIMBS[kind], *(("palm",) if kind == "arm" else ())}
+    own = {*LIMB_PARTS[kind], *(("palm",) if kind == "arm" else ())}
     other: dict[Side, Side] = {"left": "right", "right": "left"}
     parts = {
         (other[side] if part in own else side, part): joint for (side, part), joint in person.parts.items()

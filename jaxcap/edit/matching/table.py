@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
-from .names import JointName, Side, plain_name, read_name
-from .person import LIMBS, Person
+from .names import JointName, Side, normalise_name, parse_joint_name
+from .person import LIMB_PARTS, Person
 
 #: a joint without a match by the table is skipped, and belongs to no body part
-NOBODY = JointName(None, ("none",), None, True)
+NO_PART = JointName(None, ("none",), None, True)
 
 
 class Table(NamedTuple):
@@ -24,7 +24,7 @@ class Table(NamedTuple):
     none: frozenset[int]
 
     @property
-    def given(self) -> set[int]:
+    def source_joints(self) -> set[int]:
         """Joints of the source that the table contains."""
         return {*self.pairs.values(), *self.none}
 
@@ -50,16 +50,16 @@ def make_table(source: Skeleton, target: Skeleton, names: Mapping[str, str | Non
     return Table(pairs, frozenset(source.names.index(here) for here in names if here not in given))
 
 
-def told_of_target(source: Skeleton, target: Skeleton, table: Table) -> dict[int, JointName]:
+def known_target_names(source: Skeleton, target: Skeleton, table: Table) -> dict[int, JointName]:
     """Read target joints with unknown names by the source's names in the table."""
     return {
-        there: read_name(source.names[here])
+        there: parse_joint_name(source.names[here])
         for there, here in table.pairs.items()
-        if not read_name(target.names[there]).parts
+        if not parse_joint_name(target.names[there]).parts
     }
 
 
-def told_of_source(target: Skeleton, person: Person, table: Table) -> dict[int, JointName]:
+def known_source_names(target: Skeleton, person: Person, table: Table) -> dict[int, JointName]:
     """Read the source's joints in the table by their roles in the `person` of the target."""
     roles: dict[int, JointName] = {}
     for part, joints in (("pelvis", (person.pelvis,)), ("spine", person.spine), ("neck", person.neck)):
@@ -70,26 +70,28 @@ def told_of_source(target: Skeleton, person: Person, table: Table) -> dict[int, 
         joint: JointName(side, (finger,), number, False)
         for (side, finger, number), joint in person.fingers.items()
     }
-    said = {here: roles.get(there) or read_name(target.names[there]) for there, here in table.pairs.items()}
-    return said | dict.fromkeys(table.none, NOBODY)
+    said = {
+        here: roles.get(there) or parse_joint_name(target.names[there]) for there, here in table.pairs.items()
+    }
+    return said | dict.fromkeys(table.none, NO_PART)
 
 
-def told_kinds(person: Person, table: Table) -> set[str]:
+def known_limb_sides(person: Person, table: Table) -> set[str]:
     """Find the types of limbs whose sides the table gives, by the `person` of the target."""
     return {
         kind
-        for kind, names in LIMBS.items()
+        for kind, names in LIMB_PARTS.items()
         for (_, part), joint in person.parts.items()
         if part in names and joint in table.pairs
     }
 
 
-def overruled(own: Person, target: Person, table: Table) -> Person:
+def override_roles(source: Person, target: Person, table: Table) -> Person:
     """Replace roles in the source's person by the joints of the table, at the `target`'s roles."""
-    given = table.given
-    parts = {key: joint for key, joint in own.parts.items() if joint not in given}
+    given = table.source_joints
+    parts = {key: joint for key, joint in source.parts.items() if joint not in given}
     parts |= {key: table.pairs[there] for key, there in target.parts.items() if there in table.pairs}
-    fingers = {key: joint for key, joint in own.fingers.items() if joint not in given}
+    fingers = {key: joint for key, joint in source.fingers.items() if joint not in given}
     fingers |= {key: table.pairs[there] for key, there in target.fingers.items() if there in table.pairs}
 
     def single(here: int, there: int) -> int:
@@ -98,19 +100,19 @@ def overruled(own: Person, target: Person, table: Table) -> Person:
     def chain(here: Sequence[int], there: Sequence[int]) -> tuple[int, ...]:
         return tuple(here) or tuple(table.pairs[joint] for joint in there if joint in table.pairs)
 
-    kinds = told_kinds(target, table)
+    kinds = known_limb_sides(target, table)
     return Person(
-        single(own.pelvis, target.pelvis),
-        chain(own.spine, target.spine),
-        chain(own.neck, target.neck),
-        single(own.head, target.head),
+        single(source.pelvis, target.pelvis),
+        chain(source.spine, target.spine),
+        chain(source.neck, target.neck),
+        single(source.head, target.head),
         parts,
         fingers,
-        tuple(kind for kind in own.sideless if kind not in kinds),
+        tuple(kind for kind in source.sideless if kind not in kinds),
     )
 
 
-def table_to_start(
+def initial_pairs(
     source: Skeleton, target: Skeleton, person: Person | None, pairs: Mapping[int, int], table: Table
 ) -> dict[int, int]:
     """Choose pairs for an initial table: those of the table, then limbs by equal names, then other pairs
@@ -119,14 +121,14 @@ def table_to_start(
     Two joints of a limb with the names of the `person` of the target have priority over an incomplete result
     of the tree. If `person` is None, equal names are not used.
     """
-    found = {plain_name(name): joint for joint, name in enumerate(source.names)}
+    found = {normalise_name(name): joint for joint, name in enumerate(source.names)}
     chosen = dict(table.pairs)
-    for limb, whole in [] if person is None else _limbs(person):
+    for limb, whole in [] if person is None else _limb_joints(person):
         called = {
             joint: here
             for joint in limb
-            if (here := found.get(plain_name(target.names[joint]), -1)) >= 0
-            and here not in table.given
+            if (here := found.get(normalise_name(target.names[joint]), -1)) >= 0
+            and here not in table.source_joints
             and joint not in table.pairs
         }
         if len(called.keys() & set(whole)) >= 2:
@@ -138,7 +140,7 @@ def table_to_start(
     return chosen | rest
 
 
-def _limbs(person: Person) -> list[tuple[list[int], tuple[int, ...]]]:
+def _limb_joints(person: Person) -> list[tuple[list[int], tuple[int, ...]]]:
     """List the joints of each limb, with and without clavicle and toes."""
     sides: tuple[Side, Side] = ("left", "right")
     return [
@@ -147,5 +149,5 @@ def _limbs(person: Person) -> list[tuple[list[int], tuple[int, ...]]]:
             person.limb(side, kind),
         )
         for side in sides
-        for kind, names in LIMBS.items()
+        for kind, names in LIMB_PARTS.items()
     ]

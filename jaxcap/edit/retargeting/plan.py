@@ -18,22 +18,22 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
-from ...body.symmetry import twin_joints
+from ...body.symmetry import left_right_candidates
 from ...geometry import rotation
-from ...geometry.axes import nearest_turn
+from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
 from ..matching.match import SIDES, match_joints
 from ..matching.matches import JointMatches
 from ..matching.person import far_end
-from ..matching.reference import posed
-from .hinges import hinge_normal, rest_normal, twist_between
+from ..matching.reference import joint_transforms
+from .hinges import hinge_axis, rest_hinge_axis, twist_between
 
 #: default vertical, if no legs determine it
 UP = np.array([0.0, 1.0, 0.0])
 #: number of frames for the estimation of hinges
-LOOKED_AT = 300
+MAX_FRAMES = 300
 #: limbs whose rest poses agree within this are not rotated about their bones, radians
-ALIKE = 1e-3
+REST_TOLERANCE = 1e-3
 
 
 class RetargetPlan(NamedTuple):
@@ -71,15 +71,15 @@ def plan_retarget(
     **Raises:** as `match_joints` does.
     """
     matches = match_joints(source, target, names, motion=motion)
-    here, there = matches.stands
+    here, there = matches.references
     centres = np.asarray(target.centres, float)
     followed = matches.followed
     sources, shares = np.full((target.num_joints, 2), -1), np.zeros(target.num_joints)
     for joint, (a, b, share) in followed.items():
         sources[joint], shares[joint] = (a, b), share
-    upright = _upright(matches, centres)
-    alignment = _align(matches, centres, upright, _hinges(matches, motion))
-    follows = _follows(target, source, matches.pairs)
+    upright = _trunk_alignment(matches, centres)
+    alignment = _align_bones(matches, centres, upright, _hinge_axes(matches, motion))
+    follows = _next_matched_joints(target, source, matches.pairs)
     legs = [
         leg for side in SIDES if (leg := there.person.limb(side, "leg")) and set(leg) <= set(matches.pairs)
     ]
@@ -103,16 +103,18 @@ def plan_retarget(
     )
 
 
-def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hinges) -> np.ndarray:
+def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hinges) -> np.ndarray:
     """Compute the rotation of each target bone from its rest to the source's upright pose, (J, 4)."""
     source, target = matches.source, matches.target
-    person, pairs = matches.stands[1].person, matches.pairs
-    places = matches.stands[0].places
+    person, pairs = matches.references[1].person, matches.pairs
+    places = matches.references[0].places
     limbs = _limb_bones(matches)
-    follows, descent = _follows(target, source, pairs), source.descent
+    follows, descent = _next_matched_joints(target, source, pairs), source.descendants
     girdles = {joint for (_, part), joint in person.parts.items() if part == "clavicle"}
     ends = {joint for (_, part), joint in person.parts.items() if part in ("hand", "foot")}
-    sided = {joint for pair in twin_joints(target.names) for joint in pair} | set(person.parts.values())
+    sided = {joint for pair in left_right_candidates(target.names) for joint in pair} | set(
+        person.parts.values()
+    )
     alignment = np.tile(np.asarray(rotation.from_matrix(jnp.asarray(upright))), (target.num_joints, 1))
     for joint in sorted(sided):
         parent = target.parents[joint]
@@ -149,7 +151,7 @@ def _align(matches: JointMatches, centres: np.ndarray, upright: np.ndarray, hing
 
 def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
     """Find the far ends of the bones of matched limb joints, in target and source."""
-    here, there = (stand.person for stand in matches.stands)
+    here, there = (stand.person for stand in matches.references)
     found: dict[int, tuple[int, int]] = {}
     for side in SIDES:
         for kind in ("leg", "arm"):
@@ -165,27 +167,27 @@ def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
     return found
 
 
-def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Find the hinge axes of limbs by their first joints: the target's at rest, and the source's in the
     upright pose."""
-    stand, source = matches.stands[0], matches.source
+    stand, source = matches.references[0], matches.source
     centres, found = np.asarray(matches.target.centres, float), {}
     if motion is None or len(motion) == 0:
         places, turns = stand.places[None], stand.rotations[None]
     else:
-        frames = np.unique(np.linspace(0, len(motion) - 1, LOOKED_AT).astype(int))
-        places, turns = posed(source, take_poses(motion.poses, frames))
+        frames = np.unique(np.linspace(0, len(motion) - 1, MAX_FRAMES).astype(int))
+        places, turns = joint_transforms(source, take_poses(motion.poses, frames))
     for side in SIDES:
         for kind in ("leg", "arm"):
-            limb = matches.stands[1].person.limb(side, kind)
+            limb = matches.references[1].person.limb(side, kind)
             if not limb or not set(limb) <= set(matches.pairs):
                 continue
-            own = rest_normal(*centres[list(limb)])
+            own = rest_hinge_axis(*centres[list(limb)])
             here = [matches.pairs[joint] for joint in limb]
-            if own is None or _rest_alike(centres[list(limb)], stand.places[here], matches):
+            if own is None or _has_equal_rest(centres[list(limb)], stand.places[here], matches):
                 continue
             bone = matches.followed[limb[0]][0]
-            normal = hinge_normal(
+            normal = hinge_axis(
                 source,
                 (here[0], here[1], here[2]),
                 places,
@@ -205,29 +207,29 @@ def _hinges(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.
     return found
 
 
-def _bend_sign(places, turns, limb, normal: np.ndarray, reference: np.ndarray) -> float:
+def _bend_sign(positions, rotations, limb, normal: np.ndarray, reference: np.ndarray) -> float:
     """Determine the sign of a limb's bend about an axis; zero if it does not bend."""
-    upper, lower = (places[:, limb[i + 1]] - places[:, limb[i]] for i in (0, 1))
-    own = np.einsum("fba,fb->fa", _matrices(turns), np.cross(upper, lower)).sum(axis=0)
+    upper, lower = (positions[:, limb[i + 1]] - positions[:, limb[i]] for i in (0, 1))
+    own = np.einsum("fba,fb->fa", _matrices(rotations), np.cross(upper, lower)).sum(axis=0)
     return float(np.sign(_matrices(reference) @ own @ normal))
 
 
-def _rest_alike(here: np.ndarray, there: np.ndarray, matches: JointMatches) -> bool:
+def _has_equal_rest(here: np.ndarray, there: np.ndarray, matches: JointMatches) -> bool:
     """Check whether the bones of a limb have the same directions in both rest poses."""
-    if matches.stands[0].frame is not None:
+    if matches.references[0].frame is not None:
         return False
     a, b = (
         np.diff(limb, axis=0) / np.linalg.norm(np.diff(limb, axis=0), axis=1)[:, None]
         for limb in (here, there)
     )
-    return bool(np.linalg.norm(a - b, axis=1).max() < ALIKE)
+    return bool(np.linalg.norm(a - b, axis=1).max() < REST_TOLERANCE)
 
 
 def _matrices(quaternions: np.ndarray) -> np.ndarray:
     return Rotation.from_quat(quaternions[..., [1, 2, 3, 0]]).as_matrix()
 
 
-def _follows(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> dict[int, int]:
+def _next_matched_joints(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> dict[int, int]:
     """Find the next matched joint along the longest chain of matched joints below each one."""
     chain = dict.fromkeys(pairs, 0)
     follows: dict[int, int] = {}
@@ -240,7 +242,7 @@ def _follows(target: Skeleton, source: Skeleton, pairs: Mapping[int, int]) -> di
     return follows
 
 
-def _upright(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
+def _trunk_alignment(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
     """Compute the rotation from the target's rest to the source's upright pose, independently of the arms,
     (3, 3).
 
@@ -248,12 +250,12 @@ def _upright(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
     (Kabsch), snapped to the nearest rotation of the coordinate axes, because a person at rest stands along
     them. If none is near, it is the fit itself.
     """
-    here, there = matches.stands
+    here, there = matches.references
     if here.axes is not None and there.axes is not None:
         return here.axes @ there.axes.T
     joints = sorted(matches.pairs)
     target, source = centres[joints], here.places[[matches.pairs[joint] for joint in joints]]
     fit = nearest_rotation((source - source.mean(0)).T @ (target - target.mean(0)))
-    snapped = nearest_turn(fit)
+    snapped = nearest_signed_permutation(fit)
     near = np.trace(snapped.T @ fit) > 1 + 2 * np.cos(np.radians(30.0)) and np.linalg.det(snapped) > 0
     return snapped if near else fit

@@ -23,7 +23,7 @@ from .retarget import UP
 
 #: standard deviations of a pair of weight one, metres, and of the pose from its initial value, metres and
 #: radians
-MET, SLIDES, TURNS = 0.001, 0.05, 0.2
+PAIR_DEVIATION, TRANSLATION_DEVIATION, ROTATION_DEVIATION = 0.001, 0.05, 0.2
 
 
 class PointPair(NamedTuple):
@@ -44,20 +44,20 @@ class PointPairResult(NamedTuple):
 
 
 @checked
-def meet_points(
+def match_points(
     motion: Motion,
     source: Body | Skeleton,
     target: Body | Skeleton,
-    moved: Motion,
+    retargeted: Motion,
     pairs: Sequence[PointPair],
     *,
     ratio: float = 1.0,
     floor: float = 0.0,
     up: Float[np.ndarray, "3"] = UP,
 ) -> PointPairResult:
-    """Adjust the retargeted motion `moved` so that points of the target reach those of the source's `motion`.
+    """Adjust the retargeted motion `retargeted` so that points of the target reach those of the source's `motion`.
 
-    The motion `moved` of the target, from `retarget`, is changed as little as possible. Every frame is solved
+    The motion `retargeted` of the target, from `retarget`, is changed as little as possible. Every frame is solved
     separately from its own pose, to which a `PosePrior` pulls it; unconstrained degrees of freedom stay
     unchanged.
 
@@ -71,9 +71,9 @@ def meet_points(
     """
     if not pairs:
         raise ValueError("There are no point pairs; give at least one.")
-    if len(moved) != len(motion):
+    if len(retargeted) != len(motion):
         raise ValueError(
-            f"The retargeted motion has {len(moved)} frames, and its source {len(motion)}; give two motions of the "
+            f"The retargeted motion has {len(retargeted)} frames, and its source {len(motion)}; give two motions of the "
             "same length."
         )
     if not 0 < ratio < np.inf:
@@ -83,42 +83,46 @@ def meet_points(
             raise ValueError(
                 f"The weight of the pair {pair.source} and {pair.target} is {pair.weight:g}; expected above 0."
             )
-    here = _Points(target, [pair.target for pair in pairs], "target")
-    there = _Points(source, [pair.source for pair in pairs], "source")
-    places = ratio * there.places(motion.poses)[:, there.rows] + (1.0 - ratio) * floor * up
-    targets, weights = here.means(places, [pair.weight for pair in pairs])
-    dtype = moved.poses.translations.dtype
+    here = _PointSet(target, [pair.target for pair in pairs], "target")
+    there = _PointSet(source, [pair.source for pair in pairs], "source")
+    places = ratio * there.positions(motion.poses)[:, there.rows] + (1.0 - ratio) * floor * up
+    targets, weights = here.mean_targets(places, [pair.weight for pair in pairs])
+    dtype = retargeted.poses.translations.dtype
     poses = _solve_frames(
-        here.body, here.held, moved.poses, jnp.asarray(targets, dtype), jnp.asarray(weights / MET**2, dtype)
+        here.body,
+        here.held,
+        retargeted.poses,
+        jnp.asarray(targets, dtype),
+        jnp.asarray(weights / PAIR_DEVIATION**2, dtype),
     )
-    reached = here.places(poses)[:, here.rows]
-    return PointPairResult(Motion(poses, moved.rate), np.linalg.norm(reached - places, axis=-1))
+    reached = here.positions(poses)[:, here.rows]
+    return PointPairResult(Motion(poses, retargeted.rate), np.linalg.norm(reached - places, axis=-1))
 
 
-class _Points:
+class _PointSet:
     """Some points of a body or a skeleton, without duplicates, as `Constraints`."""
 
     def __init__(self, owner: Body | Skeleton, points: Sequence[int | str], which: str):
         _check_points(owner, points, which)
-        self.body = owner if isinstance(owner, Body) else _bones_only(owner)
+        self.body = owner if isinstance(owner, Body) else _skeleton_body(owner)
         # vertices come first in `Constraints`
         order = sorted(dict.fromkeys(points), key=lambda point: isinstance(point, str))
         #: row of each of `points`
         self.rows = np.array([order.index(point) for point in points])
         self.held = make_constraints(self.body, [Constraint(point, (0.0, 0.0, 0.0)) for point in order])
 
-    def places(self, poses: Pose) -> Float[np.ndarray, "F C 3"]:
-        return np.asarray(_places(self.body, self.held, poses), float)
+    def positions(self, poses: Pose) -> Float[np.ndarray, "F C 3"]:
+        return np.asarray(_point_positions(self.body, self.held, poses), float)
 
-    def means(
-        self, places: Float[np.ndarray, "F K 3"], weights: Sequence[float]
+    def mean_targets(
+        self, positions: Float[np.ndarray, "F K 3"], weights: Sequence[float]
     ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "C"]]:
         """Average the targets of pairs that share a point; return position and weight of every row."""
         shares = np.zeros((len(self.held.weights), len(self.rows)))
         shares[self.rows, np.arange(len(self.rows))] = weights
         total = shares.sum(1)
         shares /= np.where(total > 0, total, 1.0)[:, None]
-        return np.einsum("ck,fka->fca", shares, places), total
+        return np.einsum("ck,fka->fca", shares, positions), total
 
 
 def _check_points(owner: Body | Skeleton, points: Sequence[int | str], which: str) -> None:
@@ -140,28 +144,28 @@ def _check_points(owner: Body | Skeleton, points: Sequence[int | str], which: st
             )
 
 
-def _bones_only(skeleton: Skeleton) -> Body:
+def _skeleton_body(skeleton: Skeleton) -> Body:
     """Make a body with a vertex at each joint, as point arrays refer to a body's vertices."""
     centres = skeleton.centres
     return Body(skeleton, RigidSkin(jnp.arange(len(centres))), centres, jnp.zeros((0, 3), int))
 
 
 @eqx.filter_jit
-def _places(body: Body, held: Constraints, poses: Pose) -> Float[Array, "F C 3"]:
-    small = constrained_body(body, held)
+def _point_positions(body: Body, constraints: Constraints, poses: Pose) -> Float[Array, "F C 3"]:
+    small = constrained_body(body, constraints)
     return jax.lax.map(lambda pose: pose_body(small, pose).vertices, poses)
 
 
 @eqx.filter_jit
 def _solve_frames(
     body: Body,
-    held: Constraints,
+    constraints: Constraints,
     poses: Pose,
     targets: Float[Array, "F C 3"],
     weights: Float[Array, "C"],
 ) -> Pose:
-    small, points = constrained_body(body, held), jnp.arange(len(weights))
-    deviations = tangent_deviations(body.skeleton, SLIDES, TURNS)
+    small, points = constrained_body(body, constraints), jnp.arange(len(weights))
+    deviations = tangent_deviations(body.skeleton, TRANSLATION_DEVIATION, ROTATION_DEVIATION)
 
     def one(frame):
         pose, places = frame

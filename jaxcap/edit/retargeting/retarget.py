@@ -14,11 +14,11 @@ from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose, rest_pose, universal_angles
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
-from ..matching.reference import posed
+from ..matching.reference import joint_transforms
 from .plan import UP, RetargetPlan, plan_retarget
 
 #: share of frames in which a motion may be below its floor
-LOWEST = 0.02
+FLOOR_QUANTILE = 0.02
 
 
 @checked
@@ -40,11 +40,11 @@ def retarget(
     without one keeps its rest pose, except for spine and neck, which share rotations if one skeleton has more
     joints there. The middle of the hips follows that of the source, scaled by the ratio of the leg lengths
     about the floor, so that feet stay on it. Without matched legs the root does, scaled by the ratio of all
-    matched bones. Heights are along `vertical`.
+    matched bones. Heights are along `up_axis`.
 
     **Arguments:** `names` maps joints of the source to those of the target, or to None for a joint that has
     no match, and overrides names and trees. `floor` is the height of the source's floor, metres. If it is not
-    given, it is estimated from the lowest joints (`floor_of`), which is some centimetres too high for a body
+    given, it is estimated from the lowest joints (`floor_height`), which is some centimetres too high for a body
     whose soles are below its toe joints. The feet then miss the floor by that times one minus the ratio.
     `plan` is the result of `plan_retarget` for this motion, if it is known already; `names` is then ignored,
     and the caller has to report the warnings of its matches.
@@ -66,11 +66,11 @@ def retarget(
         for sentence in plan.matches.warnings:
             warnings.warn(f"{sentence[0].upper()}{sentence[1:]}.", stacklevel=2)
     # source data stay in NumPy, so that one target compiles once for all sources
-    places, turns = posed(source, motion.poses)
+    places, turns = joint_transforms(source, motion.poses)
     if floor is None:
-        floor = floor_of(places, plan.up)
+        floor = floor_height(places, plan.up)
     dtype = target.centres.dtype
-    since = _multiply(turns, plan.reference * np.array([1.0, -1.0, -1.0, -1.0]))
+    since = _multiply_quaternions(turns, plan.reference * np.array([1.0, -1.0, -1.0, -1.0]))
     first, second = (since[:, np.maximum(plan.sources[:, end], 0)] for end in (0, 1))
     lift = (1.0 - plan.ratio) * floor * plan.up
     poses = _retarget_frames(
@@ -101,7 +101,7 @@ def size_ratio(
 
 
 @checked
-def vertical(
+def up_axis(
     source: Skeleton,
     target: Skeleton,
     names: Mapping[str, str | None] | None = None,
@@ -116,71 +116,75 @@ def vertical(
 
 
 @checked
-def floor_of(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
+def floor_height(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP) -> float:
     """Estimate the height of a motion's floor along `up` from its lowest points, metres.
 
     It is the 2 % quantile of the lowest heights of all frames, so that a single frame below the floor does
     not count.
     """
     heights = np.asarray(points, float) @ up
-    return float(np.quantile(heights.min(axis=1), LOWEST)) if heights.size else 0.0
+    return float(np.quantile(heights.min(axis=1), FLOOR_QUANTILE)) if heights.size else 0.0
 
 
-def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
     w = aw * bw - np.sum(av * bv, -1, keepdims=True)
     return np.concatenate([w, aw * bv + bw * av + np.cross(av, bv)], -1)
 
 
 @eqx.filter_jit
-def _retarget_frames(target, first, second, shares, alignment, matched, anchors, anchored) -> Pose:
+def _retarget_frames(target, first, second, shares, alignment, matched, anchors, anchor_joints) -> Pose:
     def frame(first, second, anchor):
-        return _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchored)
+        return _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchor_joints)
 
     return jax.vmap(frame)(first, second, anchors)
 
 
-def _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchored) -> Pose:
+def _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchor_joints) -> Pose:
     wanted = rotation.multiply(rotation.slerp(first, second, shares), alignment)
     rotations = _local_rotations(target, wanted, matched)
     still = Pose(jnp.zeros_like(target.centres), rotations, jnp.ones((), rotations.dtype))
     reached = joint_positions(target, forward_kinematics(target, still))
-    shift = anchor - jnp.mean(reached[anchored], 0)
+    shift = anchor - jnp.mean(reached[anchor_joints], 0)
     return Pose(still.translations.at[0].set(shift), rotations, still.scale)
 
 
-def _local_rotations(target: Skeleton, wanted: Float[Array, "J 4"], matched: Array) -> Float[Array, "J 4"]:
-    """Compute local rotations that give each matched bone its `wanted` world rotation.
+def _local_rotations(
+    target: Skeleton, world_rotations: Float[Array, "J 4"], matched: Array
+) -> Float[Array, "J 4"]:
+    """Compute local rotations that give each matched bone its `world_rotations` world rotation.
 
     They are computed from the root down, so that each joint compensates for the restrictions of those above
     it.
     """
-    identity = rotation.identity(wanted.dtype)
+    identity = rotation.identity(world_rotations.dtype)
     local = jnp.tile(identity, (target.num_joints, 1))
     whole = local
     parents = np.array(target.parents)
     for level in target.levels:
         joints = np.array(level)
         above = jnp.where(parents[joints, None] < 0, identity, whole[np.maximum(parents[joints], 0)])
-        turn = rotation.normalise(rotation.multiply(rotation.conjugate(above), wanted[joints]))
-        turn = _allowed(target, joints, jnp.where(matched[joints, None], turn, identity))
+        turn = rotation.normalise(rotation.multiply(rotation.conjugate(above), world_rotations[joints]))
+        turn = _project_to_kinds(target, joints, jnp.where(matched[joints, None], turn, identity))
         local = local.at[joints].set(turn)
         whole = whole.at[joints].set(rotation.multiply(above, turn))
     return local
 
 
-def _allowed(skeleton: Skeleton, joints: np.ndarray, turn: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
+def _project_to_kinds(
+    skeleton: Skeleton, joints: np.ndarray, rotations: Float[Array, "N 4"]
+) -> Float[Array, "N 4"]:
     """Project the rotations of some `joints` onto those that their kinds allow."""
     kinds = np.array(skeleton.kinds)[joints, None]
     first, second = skeleton.axes[joints, 0], skeleton.axes[joints, 1]
     if "revolute" in kinds:
-        turn = jnp.where(kinds == "revolute", rotation.swing_twist(turn, first)[1], turn)
+        rotations = jnp.where(kinds == "revolute", rotation.swing_twist(rotations, first)[1], rotations)
     if "universal" in kinds:
         none = rest_pose(skeleton)
         angles = universal_angles(
-            skeleton, Pose(none.translations, none.rotations.at[joints].set(turn), none.scale)
+            skeleton, Pose(none.translations, none.rotations.at[joints].set(rotations), none.scale)
         )
         turns = [rotation.about_axis(axis, angles[joints, i]) for i, axis in enumerate((first, second))]
-        turn = jnp.where(kinds == "universal", rotation.multiply(*turns), turn)
+        rotations = jnp.where(kinds == "universal", rotation.multiply(*turns), rotations)
     turns_at_all = np.isin(kinds, ["ball", "free", "revolute", "universal"])
-    return jnp.where(turns_at_all, turn, rotation.identity(turn.dtype))
+    return jnp.where(turns_at_all, rotations, rotation.identity(rotations.dtype))

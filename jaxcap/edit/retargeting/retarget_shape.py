@@ -14,22 +14,22 @@ import numpy as np
 from jaxtyping import Float
 
 from ...arguments import checked
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.pose import Motion, concatenate_poses, shift_roots, take_poses
 from ...fit.fit_meshes import fit_meshes
 from ...geometry.procrustes import nearest_rotation
 from ...observe import MeshSequence
-from .soles import floor_under
+from .soles import motion_floor_height
 from .transfer import make_transfer, transfer_pose
 
 #: frames per fit, and number of vertices for the fit
-BLOCK, FITTED = 32, 1500
+BLOCK, NUM_FIT_VERTICES = 32, 1500
 #: vertices within this distance of the lowest one bear the body, metres
-SUPPORT = 0.01
+SUPPORT_HEIGHT = 0.01
 #: share of a limb's moment that regularises its rotation to the identity if its shape does not determine one
-FLAT = 0.02
+REGULARISATION = 0.02
 #: rest poses differ if the surfaces of a limb are rotated by more than this, radians
-OTHER_REST = np.radians(30.0)
+MAX_REST_ANGLE = np.radians(30.0)
 
 
 class ShapeRetarget(NamedTuple):
@@ -64,7 +64,7 @@ def retarget_shape(
     Results are of scale 1. Rest poses must be alike, as those of bodies adapted from one template are.
 
     **Arguments:** `floor` is the height of the floor along y, metres, by default estimated from the source
-    (`floor_of`). `progress` wraps the iterable of blocks of frames that are fitted in one call.
+    (`floor_height`). `progress` wraps the iterable of blocks of frames that are fitted in one call.
 
     **Raises:** `ValueError` if vertices or triangles do not correspond, the motion has other joints than the
     source, has no frames, or the rest poses of the bodies differ.
@@ -73,7 +73,7 @@ def retarget_shape(
     rests = [np.asarray(body.vertices, float) for body in (source, target)]
     transfer = make_transfer(rests[0], rests[1], np.asarray(source.faces))
     ratio = float(np.ptp(rests[1][:, 1]) / np.ptp(rests[0][:, 1]))
-    chosen = _spread(rests[1], FITTED)
+    chosen = _sample_vertices(rests[1], NUM_FIT_VERTICES)
     # all blocks have one length, so that they are compiled once; the last one repeats the last frame
     length = min(BLOCK, len(motion))
     blocks = [
@@ -82,11 +82,11 @@ def retarget_shape(
     ]
 
     def surface(frames):
-        return np.asarray(deform_all(source, take_poses(motion.poses, frames)), float)
+        return np.asarray(posed_vertices(source, take_poses(motion.poses, frames)), float)
 
     if floor is None:
-        floor = floor_under(source, motion.poses)
-    parts, errors, path = [], [], _Path(ratio, float(floor))
+        floor = motion_floor_height(source, motion.poses)
+    parts, errors, path = [], [], _RootPath(ratio, float(floor))
     scale = np.asarray(motion.poses.scale, float)
     for start, frames in progress(blocks):
         there, count = surface(frames), min(length, len(motion) - start)
@@ -94,7 +94,7 @@ def retarget_shape(
             [transfer_pose(transfer, x, float(scale[frame])) for x, frame in zip(there, frames, strict=True)]
         )
         fit = fit_meshes(target, MeshSequence(wanted, target.faces), vertices=chosen)
-        here = np.asarray(deform_all(target, fit.motion.poses), float)
+        here = np.asarray(posed_vertices(target, fit.motion.poses), float)
         offsets = np.stack([path.step(there[i], here[i]) for i in range(count)])
         parts.append(shift_roots(target.skeleton, take_poses(fit.motion.poses, slice(0, count)), offsets))
         errors.append(np.asarray(fit.rmse, float)[:count])
@@ -103,32 +103,32 @@ def retarget_shape(
     )
 
 
-class _Path:
+class _RootPath:
     """The path of a body, computed frame by frame from the motion of its surface and the source's."""
 
     def __init__(self, ratio: float, floor: float):
         self.ratio, self.floor = ratio, floor
         self.before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
-    def step(self, there: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Compute the translation, (3,), of the target's surface `here` for the source's surface `there`."""
-        bears = np.exp(-(there[:, 1] - there[:, 1].min()) / SUPPORT)
+    def step(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Compute the translation, (3,), of the target's surface `target` for the source's surface `source`."""
+        bears = np.exp(-(source[:, 1] - source[:, 1].min()) / SUPPORT_HEIGHT)
         offset = np.zeros(3)
         if self.before is None:
-            offset = self.ratio * there.mean(0) - here.mean(0)
+            offset = self.ratio * source.mean(0) - target.mean(0)
         else:
             last_there, last_here, share = self.before
             # weights of vertices that bear the body in both frames
             share = np.sqrt(share * bears) + 1e-12
-            slide = (share @ (self.ratio * (there - last_there) - (here - last_here))) / share.sum()
+            slide = (share @ (self.ratio * (source - last_there) - (target - last_here))) / share.sum()
             offset = self.offset + slide
-        low = self.floor + self.ratio * (there[:, 1].min() - self.floor)
-        offset[1] = low - here[:, 1].min()
-        self.before, self.offset = (there, here, bears), offset
+        low = self.floor + self.ratio * (source[:, 1].min() - self.floor)
+        offset[1] = low - target[:, 1].min()
+        self.before, self.offset = (source, target, bears), offset
         return offset
 
 
-def _spread(vertices: np.ndarray, count: int) -> np.ndarray:
+def _sample_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
     """Choose about `count` vertices, evenly over the surface: one in each cube of a grid."""
     if len(vertices) <= count:
         return np.arange(len(vertices))
@@ -176,7 +176,7 @@ def _check_rest(source: Body, target: Body) -> None:
     The best rotation of each bone's vertices from one rest pose to the other must be small.
     """
     here, there = (np.asarray(body.vertices, float) for body in (source, target))
-    parts = np.asarray(source.skin.parts())
+    parts = np.asarray(source.skin.dominant_bones())
     if len(parts) != len(here):
         return
     for bone in np.unique(parts):
@@ -186,9 +186,9 @@ def _check_rest(source: Body, target: Body) -> None:
         a, b = (x[own] - x[own].mean(0) for x in (here, there))
         cross = b.T @ a
         # directions that collinear or planar vertices leave undetermined count as no rotation
-        turn = nearest_rotation(cross + FLAT * np.trace(a.T @ a) * np.eye(3))
+        turn = nearest_rotation(cross + REGULARISATION * np.trace(a.T @ a) * np.eye(3))
         angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
-        if angle > OTHER_REST:
+        if angle > MAX_REST_ANGLE:
             raise ValueError(
                 f"At rest, the surfaces around '{source.skeleton.names[bone]}' differ by a rotation of "
                 f"{np.degrees(angle):.0f} degrees; give bodies with the same rest pose."

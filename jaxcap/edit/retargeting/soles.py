@@ -4,15 +4,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...arguments import checked
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion, Pose, shift_roots, take_poses
 from ...body.skeleton import Skeleton
 from .plan import UP
-from .retarget import LOWEST, floor_of
+from .retarget import FLOOR_QUANTILE, floor_height
 
 #: joints that come this near to the floor at some time bear the body, metres
-BEARS = 0.15
+BEARING_HEIGHT = 0.15
 #: frames whose surfaces are in memory at once
 BLOCK = 64
 
@@ -35,12 +35,12 @@ def ground(
         raise ValueError(
             f"There are {len(heights)} heights, but the motion has {len(motion)} frames; give one height for each frame."
         )
-    lifts = np.asarray(heights, float) - lowest(body, motion.poses, up)
+    lifts = np.asarray(heights, float) - lowest_heights(body, motion.poses, up)
     return Motion(shift_roots(body.skeleton, motion.poses, lifts[:, None] * up), motion.rate)
 
 
 @checked
-def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np.ndarray, "F"]:
+def lowest_heights(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np.ndarray, "F"]:
     """Compute the height of the lowest vertex of a body in each pose of a stack, metres along `up`."""
     count = len(poses.scale)
     length, found = min(BLOCK, count), []
@@ -48,17 +48,17 @@ def lowest(body: Body, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> Float[np
         # blocks have the same length, so that they are compiled once
         frames = np.minimum(np.arange(start, start + length), count - 1)
         block = take_poses(poses, frames)
-        found.append((np.asarray(deform_all(body, block), float) @ up).min(1))
+        found.append((np.asarray(posed_vertices(body, block), float) @ up).min(1))
     return np.concatenate([np.zeros(0), *found])[:count]
 
 
 @checked
-def floor_under(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> float:
-    """Estimate the height of a motion's floor along `up` (`floor_of`), metres, from the vertices of a body or
+def motion_floor_height(owner: Body | Skeleton, poses: Pose, up: Float[np.ndarray, "3"] = UP) -> float:
+    """Estimate the height of a motion's floor along `up` (`floor_height`), metres, from the vertices of a body or
     the joints of a skeleton."""
     if isinstance(owner, Skeleton):
-        return floor_of(joint_paths(owner, poses), up)
-    return floor_of(lowest(owner, poses, up)[:, None, None] * up, up)
+        return floor_height(joint_paths(owner, poses), up)
+    return floor_height(lowest_heights(owner, poses, up)[:, None, None] * up, up)
 
 
 @checked
@@ -67,10 +67,10 @@ def sole_heights(
 ) -> Float[np.ndarray, "F"]:
     """Estimate the heights of the soles above the floor from joints alone, metres.
 
-    The height of each bearing joint above its sole is its lowest height above the floor (`floor_of`). Ankles
+    The height of each bearing joint above its sole is its lowest height above the floor (`floor_height`). Ankles
     therefore represent heels, and toe joints the toes. Joints that never come near the floor are ignored.
     """
     heights = np.asarray(paths, float) @ up
-    standing = np.quantile(heights, LOWEST, axis=0)
-    bears = standing < floor_of(paths, up) + BEARS
+    standing = np.quantile(heights, FLOOR_QUANTILE, axis=0)
+    bears = standing < floor_height(paths, up) + BEARING_HEIGHT
     return np.min(heights[:, bears] - standing[bears], axis=1)

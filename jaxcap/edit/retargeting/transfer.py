@@ -21,10 +21,10 @@ from ...geometry.mesh import mesh_edges
 from ...geometry.procrustes import nearest_rotation
 
 #: weight of a side that joins two pieces of a surface, relative to sides within them
-BRIDGE = 1.0
+BRIDGE_WEIGHT = 1.0
 
 
-class Transfer(NamedTuple):
+class PoseTransfer(NamedTuple):
     """The constant part of a transfer; E sides of triangles and bridges."""
 
     faces: Int[np.ndarray, "T 3"]
@@ -46,7 +46,7 @@ class Transfer(NamedTuple):
 
 def make_transfer(
     source: Float[np.ndarray, "V 3"], target: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]
-) -> Transfer:
+) -> PoseTransfer:
     """Prepare the transfer from one surface at rest to another, metres; the system is factorised once.
 
     Disconnected pieces of a surface are joined at their nearest vertices.
@@ -70,12 +70,12 @@ def make_transfer(
     # limit the weights of degenerate triangles
     weights = np.clip(weights, 1e-3, 10.0).reshape(-1)
     owners = np.repeat(np.arange(len(faces)), 3)
-    bridges = _bridges(target, faces)
+    bridges = _connect_components(target, faces)
     if len(bridges):
         some = np.zeros(count, int)
         some[faces] = np.arange(len(faces))[:, None]
         sides = np.concatenate([sides, bridges])
-        weights = np.concatenate([weights, np.full(len(bridges), BRIDGE)])
+        weights = np.concatenate([weights, np.full(len(bridges), BRIDGE_WEIGHT)])
         owners = np.concatenate([np.stack([owners, owners], 1), some[bridges]])
     else:
         owners = np.stack([owners, owners], 1)
@@ -87,27 +87,27 @@ def make_transfer(
     matrix = incidence.T @ scipy.sparse.diags_array(weights) @ incidence
     # fix one vertex, as the translation is arbitrary
     matrix = matrix + scipy.sparse.csr_array(([1.0], ([0], [0])), shape=matrix.shape)
-    return Transfer(
+    return PoseTransfer(
         faces,
-        inverse(_frames(source, faces)),
+        inverse(_triangle_frames(source, faces)),
         sides,
         owners,
         target[sides[:, 0]] - target[sides[:, 1]],
         weights,
         factor_sparse(matrix),
         count,
-        _similarities(source, target, bridges),
+        _bridge_similarities(source, target, bridges),
     )
 
 
 def transfer_pose(
-    transfer: Transfer, posed: Float[np.ndarray, "V 3"], scale: float = 1.0
+    transfer: PoseTransfer, posed: Float[np.ndarray, "V 3"], scale: float = 1.0
 ) -> Float[np.ndarray, "V 3"]:
     """Transfer the pose of the source's vertices `posed` to the target; the result is centred at its mean.
 
     `scale` is the scale of the source relative to rest, which the target does not take over.
     """
-    deformations = _frames(np.asarray(posed, float), transfer.faces) @ transfer.frames / scale
+    deformations = _triangle_frames(np.asarray(posed, float), transfer.faces) @ transfer.frames / scale
     each = 0.5 * (deformations[transfer.owners[:, 0]] + deformations[transfer.owners[:, 1]])
     wanted = np.einsum("eab,eb->ea", each, transfer.sides)
     count = len(transfer.bridges)
@@ -126,7 +126,7 @@ def transfer_pose(
     return vertices - vertices.mean(0)
 
 
-def _frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _triangle_frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Compute the frame of each triangle, with two sides and the normal as columns, (T, 3, 3).
 
     The length of the normal is the square root of the cross product of the sides, so it scales with them
@@ -140,7 +140,7 @@ def _frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.stack([first, second, normal], 2)
 
 
-def _similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -> np.ndarray:
+def _bridge_similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -> np.ndarray:
     """Compute the shortest rotation from source to target bridges at rest, times the ratio of their lengths,
     (B, 3, 3)."""
     found = np.tile(np.eye(3), (len(bridges), 1, 1))
@@ -153,7 +153,7 @@ def _similarities(source: np.ndarray, target: np.ndarray, bridges: np.ndarray) -
     return found
 
 
-def _bridges(vertices: np.ndarray, faces: np.ndarray) -> Int[np.ndarray, "B 2"]:
+def _connect_components(vertices: np.ndarray, faces: np.ndarray) -> Int[np.ndarray, "B 2"]:
     """Find pairs of vertices that join all pieces to one, from the largest piece on, each at its nearest
     vertices."""
     edges = mesh_edges(faces)

@@ -10,7 +10,7 @@ from ...values import check_deviations, check_direction, check_values
 from .vertices import AbstractVertexEnergy
 
 #: numbers of tested vertices: the lowest at rest, and others spread over the surface
-LOWEST, SPREAD = 100, 200
+NUM_LOWEST, NUM_SPREAD = 100, 200
 
 
 class Floor(AbstractVertexEnergy):
@@ -32,13 +32,13 @@ class Floor(AbstractVertexEnergy):
         check_deviations("Floor", deviation=self.deviation)
 
     def residual(self, posed: Posed) -> Float[Array, "C"]:
-        return jnp.minimum(self._above(posed), 0.0) / self.deviation
+        return jnp.minimum(self._heights(posed), 0.0) / self.deviation
 
-    def slopes(self, posed: Posed):
-        below = self._above(posed) < 0
+    def vertex_jacobian(self, posed: Posed):
+        below = self._heights(posed) < 0
         return self.vertices, jnp.where(below[:, None, None], self.up, 0.0) / self.deviation
 
-    def _above(self, posed: Posed) -> Float[Array, "C"]:
+    def _heights(self, posed: Posed) -> Float[Array, "C"]:
         return posed.vertices[self.vertices] @ self.up - self.height
 
 
@@ -62,8 +62,8 @@ def make_floor(
     check_deviations("make_floor", deviation=deviation)
     vertical = np.asarray(up, float) / np.linalg.norm(up)
     places, dtype = np.asarray(body.vertices, float) @ vertical, body.vertices.dtype
-    lowest = np.argsort(places, kind="stable")[:LOWEST]
-    others = np.linspace(0, len(places) - 1, min(SPREAD, len(places))).astype(int)
+    lowest = np.argsort(places, kind="stable")[:NUM_LOWEST]
+    others = np.linspace(0, len(places) - 1, min(NUM_SPREAD, len(places))).astype(int)
     rows = np.union1d(lowest, others)
     numbers = (jnp.asarray(number, dtype) for number in (vertical, height, deviation))
     return Floor(jnp.asarray(rows, jnp.int32), *numbers)

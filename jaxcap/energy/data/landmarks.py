@@ -5,8 +5,8 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ..energy import AbstractEnergy, root, where_weighed
-from .vertices import AbstractVertexEnergy, along_axes
+from ..energy import AbstractEnergy, mask_unweighted, safe_sqrt
+from .vertices import AbstractVertexEnergy, axis_directions
 
 
 class VertexLandmarks(AbstractVertexEnergy):
@@ -20,11 +20,11 @@ class VertexLandmarks(AbstractVertexEnergy):
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        return _apart(self.weights, posed.vertices[self.vertices], self.targets)
+        return _weighted_residual(self.weights, posed.vertices[self.vertices], self.targets)
 
-    def slopes(self, posed: Posed):
+    def vertex_jacobian(self, posed: Posed):
         del posed
-        return self.vertices, along_axes(self.weights)
+        return self.vertices, axis_directions(self.weights)
 
 
 class BoneLandmarks(AbstractEnergy):
@@ -41,7 +41,7 @@ class BoneLandmarks(AbstractEnergy):
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations[self.bones], posed.transforms.translations[self.bones]
         places = jnp.einsum("cab,cb->ca", r, self.rest) + t
-        return _apart(self.weights, places, self.targets)
+        return _weighted_residual(self.weights, places, self.targets)
 
 
 class JointLandmarks(AbstractEnergy):
@@ -53,7 +53,7 @@ class JointLandmarks(AbstractEnergy):
     weights: Float[Array, "J"]
 
     def residual(self, posed: Posed):
-        return _apart(self.weights, posed.joints, self.targets)
+        return _weighted_residual(self.weights, posed.joints, self.targets)
 
 
 @checked
@@ -62,6 +62,6 @@ def joint_landmarks(targets: Float[Array, "J 3"], weights=None) -> JointLandmark
     return JointLandmarks(targets, jnp.ones(len(targets), targets.dtype) if weights is None else weights)
 
 
-def _apart(weights, places, targets) -> Float[Array, "R"]:
+def _weighted_residual(weights, positions, targets) -> Float[Array, "R"]:
     """Compute weighted differences of positions from their targets."""
-    return (root(weights)[:, None] * (places - where_weighed(weights, targets))).reshape(-1)
+    return (safe_sqrt(weights)[:, None] * (positions - mask_unweighted(weights, targets))).reshape(-1)

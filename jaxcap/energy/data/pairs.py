@@ -6,11 +6,11 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ..energy import root
+from ..energy import safe_sqrt
 from .vertices import AbstractVertexEnergy
 
 
-class Pairs(eqx.Module):
+class PointPairs(eqx.Module):
     """Matches of points on a body with their targets; equally many in every frame, padded with weight zero.
 
     A point on the body is `sum_k shares_k x[vertices_k]`: K = 1 is a vertex, K = 3 a point in a triangle.
@@ -19,14 +19,14 @@ class Pairs(eqx.Module):
     #: any two vertices of a pair are equal or share an edge
     vertices: Int[Array, "*frames C K"]
     #: barycentric, one in sum
-    shares: Float[Array, "*frames C K"]
+    barycentric: Float[Array, "*frames C K"]
     #: points of the scan, metres
     points: Float[Array, "*frames C 3"]
     #: unit directions of the distances: the mean of the scan's normal and the body's
     normals: Float[Array, "*frames C 3"]
     weights: Float[Array, "*frames C"]
     #: weight of squared distances along the surface, relative to those across it
-    along: Float[Array, "*frames C"]
+    tangential_weights: Float[Array, "*frames C"]
 
 
 class PairDistances(AbstractVertexEnergy):
@@ -36,24 +36,24 @@ class PairDistances(AbstractVertexEnergy):
     Adds to any other energy, for `solve`.
     """
 
-    pairs: Pairs
+    pairs: PointPairs
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        apart = places_on(self.pairs, posed.vertices) - self.pairs.points
+        apart = pair_positions(self.pairs, posed.vertices) - self.pairs.points
         return jnp.einsum("cra,ca->cr", pair_directions(self.pairs), apart).reshape(-1)
 
-    def slopes(self, posed: Posed):
+    def vertex_jacobian(self, posed: Posed):
         del posed
         return self.pairs.vertices, corner_directions(self.pairs)
 
 
 @checked
-def places_on(pairs: Pairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
+def pair_positions(pairs: PointPairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
     """Compute the points on a surface of the pairs of one frame, metres."""
-    return jnp.einsum("ck,cka->ca", pairs.shares, vertices[pairs.vertices])
+    return jnp.einsum("ck,cka->ca", pairs.barycentric, vertices[pairs.vertices])
 
 
-def pair_directions(pairs: Pairs) -> Float[Array, "C 3 3"]:
+def pair_directions(pairs: PointPairs) -> Float[Array, "C 3 3"]:
     """Compute three weighted directions per pair: one across the surface, and two along it, weighted by
     `Pairs.along`.
     """
@@ -62,15 +62,15 @@ def pair_directions(pairs: Pairs) -> Float[Array, "C 3 3"]:
     first = jnp.cross(n, jnp.where(jnp.abs(n[:, :1]) < 0.6, axes[0], axes[1]))
     first = first / jnp.maximum(jnp.linalg.norm(first, axis=1, keepdims=True), 1e-9)
     second = jnp.cross(n, first)
-    by = root(pairs.along)[:, None]
-    return root(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
+    by = safe_sqrt(pairs.tangential_weights)[:, None]
+    return safe_sqrt(pairs.weights)[:, None, None] * jnp.stack([n, by * first, by * second], 1)
 
 
-def corner_directions(pairs: Pairs) -> Float[Array, "C K 3 3"]:
+def corner_directions(pairs: PointPairs) -> Float[Array, "C K 3 3"]:
     """Compute the directions of a pair at each of its vertices, weighted by its share."""
-    return pairs.shares[:, :, None, None] * pair_directions(pairs)[:, None]
+    return pairs.barycentric[:, :, None, None] * pair_directions(pairs)[:, None]
 
 
-def num_pairs(pairs: Pairs) -> Float[Array, ""]:
+def num_pairs(pairs: PointPairs) -> Float[Array, ""]:
     """Count the pairs of one frame with positive weight; at least one."""
     return jnp.maximum(jnp.sum(pairs.weights > 0), 1).astype(pairs.weights.dtype)

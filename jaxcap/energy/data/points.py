@@ -4,8 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Posed
-from ..energy import root
-from .vertices import AbstractVertexEnergy, along_axes
+from ..energy import safe_sqrt
+from .vertices import AbstractVertexEnergy, axis_directions
 
 
 class PointToPoint(AbstractVertexEnergy):
@@ -21,11 +21,11 @@ class PointToPoint(AbstractVertexEnergy):
 
     def residual(self, posed):
         apart = posed.vertices[self.vertices] - self.points
-        return (root(self.weights)[:, None] * apart).reshape(-1)
+        return (safe_sqrt(self.weights)[:, None] * apart).reshape(-1)
 
-    def slopes(self, posed: Posed):
+    def vertex_jacobian(self, posed: Posed):
         del posed
-        return self.vertices, along_axes(self.weights)
+        return self.vertices, axis_directions(self.weights)
 
 
 class PointToPlane(AbstractVertexEnergy):
@@ -40,8 +40,8 @@ class PointToPlane(AbstractVertexEnergy):
 
     def residual(self, posed):
         apart = posed.vertices[self.vertices] - self.points
-        return root(self.weights) * jnp.sum(self.normals * apart, -1)
+        return safe_sqrt(self.weights) * jnp.sum(self.normals * apart, -1)
 
-    def slopes(self, posed: Posed):
+    def vertex_jacobian(self, posed: Posed):
         del posed
-        return self.vertices, (root(self.weights)[:, None] * self.normals)[:, None]
+        return self.vertices, (safe_sqrt(self.weights)[:, None] * self.normals)[:, None]

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
 from ...geometry.linear import inverse_symmetric
-from ..energy import AbstractEnergy, root
+from ..energy import AbstractEnergy, safe_sqrt
 
 #: share of an ellipsoid's size around its centre in which the cone of distances is rounded off
 ROUNDING = 0.1
@@ -59,7 +59,7 @@ class SoftPoints(AbstractEnergy):
         # depth images have NaN where nothing was observed
         points = jnp.where((self.weights > 0)[:, None], self.points, 0.0)
         distances = soft_distance(self.soft, posed, points)
-        return root(self.weights) * distances / jnp.sqrt(1.0 + (distances / self.robust) ** 2)
+        return safe_sqrt(self.weights) * distances / jnp.sqrt(1.0 + (distances / self.robust) ** 2)
 
 
 @checked
@@ -128,7 +128,7 @@ _measure = jax.jit(_blend)
 
 
 #: fewest vertices of a slice; fewer define no shape
-FEWEST = 4
+MIN_VERTICES = 4
 #: rounds in which primitives are scaled until the vertices of each lie on the skin
 ROUNDS = 20
 
@@ -153,7 +153,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
     if blend is not None and not blend > 0:
         raise ValueError(f"The blend length of the primitives is {blend} m; expected a positive length.")
     vertices, areas = np.asarray(body.vertices, float), _areas(body)
-    parts = np.asarray(body.skin.parts())
+    parts = np.asarray(body.skin.dominant_bones())
     bones, slices, shapes = [], [], []
     for bone in np.unique(parts):
         for chosen, along in _slices(vertices, areas, np.flatnonzero(parts == bone), primitives):
@@ -162,7 +162,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
             shapes.append(_shape(vertices[chosen], areas[chosen], along))
     if not bones:
         raise ValueError(
-            f"No bone of this body has {FEWEST} or more vertices, so there is no shape to fit; "
+            f"No bone of this body has {MIN_VERTICES} or more vertices, so there is no shape to fit; "
             "give a body with a surface."
         )
     centres = np.array([centre for centre, _ in shapes])
@@ -171,7 +171,7 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
     stiffness = 1.0 / (0.6 * np.median(shortest) if blend is None else blend)
     # the covariance of an ellipsoid's surface is a third of its squared semi-axes
     precisions = inverse_symmetric(3 * covariances)
-    precisions = _settled(vertices, areas, slices, centres, precisions, stiffness)
+    precisions = _fit_sizes(vertices, areas, slices, centres, precisions, stiffness)
     dtype = body.vertices.dtype
     return SoftObject(
         jnp.asarray(bones),
@@ -189,21 +189,21 @@ def _areas(body: Body) -> Float[np.ndarray, "V"]:
     return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices)) + 1e-12
 
 
-def _slices(vertices, areas, chosen, most: int):
+def _slices(vertices, areas, rows, max_slices: int):
     """Cut a part into slices: `(vertices, axis)` of each, with the axis as long as the slice is thick."""
-    if len(chosen) < FEWEST:
+    if len(rows) < MIN_VERTICES:
         return []
-    x = vertices[chosen]
-    centre, covariance = _moments(x, areas[chosen])
+    x = vertices[rows]
+    centre, covariance = _moments(x, areas[rows])
     values, vectors = np.linalg.eigh(covariance)
     along = (x - centre) @ vectors[:, 2]
     # a tube of length l and radius r has variances l^2 / 12 and r^2 / 2
     length, width = np.sqrt(12 * values[2]), np.sqrt(8 * values[1])
-    count = int(np.clip(np.round(length / width), 1, most)) if width > 0 else most
+    count = int(np.clip(np.round(length / width), 1, max_slices)) if width > 0 else max_slices
     edges = np.linspace(along.min(), along.max(), count + 1)
     slots = np.searchsorted(edges[1:-1], along)
     axis = (edges[1] - edges[0]) * vectors[:, 2] * (count > 1)
-    return [(chosen[slots == k], axis) for k in range(count) if np.sum(slots == k) >= FEWEST]
+    return [(rows[slots == k], axis) for k in range(count) if np.sum(slots == k) >= MIN_VERTICES]
 
 
 def _moments(x, weights):
@@ -212,16 +212,16 @@ def _moments(x, weights):
     return centre, (x - centre).T @ ((x - centre) * weights[:, None])
 
 
-def _shape(x, weights, along):
+def _shape(x, weights, axis):
     """Compute centre and covariance of a slice, lengthened so that it overlaps its neighbours."""
     centre, covariance = _moments(x, weights)
-    values, vectors = np.linalg.eigh(covariance + 0.1 * np.outer(along, along))
+    values, vectors = np.linalg.eigh(covariance + 0.1 * np.outer(axis, axis))
     # a flat slice gets a thickness, because the distance from a disc hardly grows along it
     values = np.maximum(values, 0.04 * values[2] + 1e-12)
     return centre, (vectors * values) @ vectors.T
 
 
-def _settled(vertices, areas, slices, centres, precisions, stiffness):
+def _fit_sizes(vertices, areas, slices, centres, precisions, stiffness):
     """Scale precisions until the vertices of each primitive lie on the skin on average.
 
     Sizes stay between half and double: a primitive buried in others would shrink to nothing.

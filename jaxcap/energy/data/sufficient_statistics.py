@@ -13,17 +13,17 @@ class RigidMoments(AbstractEnergy):
 
     The sum depends on the pairs of a bone only through the 7 x 7 moment matrix `M` of `[x; 1; y]`: with `A =
     [R, t, -I]` it is `trace(A M A^T)`, and with a factor `M = F F^T` it is `|A F|^2`, 21 numbers per bone.
-    Points are centred on `origins` (rest side) and `places` (observed side), so that float32 keeps its
+    Points are centred on `origins` (rest side) and `target_origins` (observed side), so that float32 keeps its
     digits.
     """
 
     factors: Float[Array, "J 7 7"]
     origins: Float[Array, "J 3"]
-    places: Float[Array, "J 3"]
+    target_origins: Float[Array, "J 3"]
 
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations, posed.transforms.translations
-        shift = jnp.einsum("jab,jb->ja", r, self.origins) + t - self.places
+        shift = jnp.einsum("jab,jb->ja", r, self.origins) + t - self.target_origins
         f = self.factors
         moved = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + shift[:, :, None] * f[:, 3:4] - f[:, 4:]
         return moved.reshape(-1)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Posed
-from ..energy import AbstractEnergy, root
+from ..energy import AbstractEnergy, safe_sqrt
 
 
 class AbstractVertexEnergy(AbstractEnergy):
@@ -18,7 +18,7 @@ class AbstractVertexEnergy(AbstractEnergy):
     """
 
     @abc.abstractmethod
-    def slopes(self, posed: Posed) -> tuple[Int[Array, "C *K"], Float[Array, "C *K R 3"]]:
+    def vertex_jacobian(self, posed: Posed) -> tuple[Int[Array, "C *K"], Float[Array, "C *K R 3"]]:
         """Get the vertices, and the derivative of the residual by their positions, at a posed body.
 
         The residual has the same order, vertex by vertex or point by point, and depends on nothing else of
@@ -26,6 +26,6 @@ class AbstractVertexEnergy(AbstractEnergy):
         """
 
 
-def along_axes(weights: Float[Array, "C"]) -> Float[Array, "C 3 3"]:
+def axis_directions(weights: Float[Array, "C"]) -> Float[Array, "C 3 3"]:
     """Compute the directions of differences `sqrt(w) (x - y)`."""
-    return root(weights)[:, None, None] * jnp.eye(3, dtype=weights.dtype)
+    return safe_sqrt(weights)[:, None, None] * jnp.eye(3, dtype=weights.dtype)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ...body.body import Posed
-from ...body.pair_prior import PairPrior, component_offsets, log_components, log_density, pair_vectors
+from ...body.pair_prior import PairPrior, log_components, log_density, pair_vectors, whitened_offsets
 from ..energy import AbstractEnergy
 
 #: keeps the slope of a root finite where a likelihood is one up to rounding
@@ -35,7 +35,7 @@ class LikelihoodPrior(AbstractEnergy):
         """
         prior = self.prior
         x = pair_vectors(prior, posed.body.skeleton, posed.pose)
-        along = jnp.einsum("pji,pj->pi", prior.bends, x - prior.modes)
+        along = jnp.einsum("pji,pj->pi", prior.curvature_factors, x - prior.modes)
         square = jnp.sum(along**2, -1)
         # near the mode the quotient is a half to more digits than a difference of logarithms has
         near = square < jnp.sqrt(jnp.finfo(square.dtype).eps)
@@ -60,5 +60,5 @@ class MahalanobisPrior(AbstractEnergy):
         prior = self.prior
         x = pair_vectors(prior, posed.body.skeleton, posed.pose)
         chosen = jnp.argmax(jax.lax.stop_gradient(log_components(prior, x)), -1)
-        offsets = jnp.take_along_axis(component_offsets(prior, x), chosen[:, None, None], 1)
+        offsets = jnp.take_along_axis(whitened_offsets(prior, x), chosen[:, None, None], 1)
         return offsets.reshape(-1) / jnp.sqrt(len(prior.pairs))

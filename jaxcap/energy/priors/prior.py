@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
 from ...body.body import Posed
-from ...body.pose import Pose, difference, own_vectors
+from ...body.pose import Pose, difference, local_rotation_vectors
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...values import check_deviations
@@ -44,7 +44,7 @@ class RestPrior(AbstractEnergy):
         check_deviations("RestPrior", deviations=self.deviations)
 
     def residual(self, posed: Posed):
-        return (own_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
+        return (local_rotation_vectors(posed.body.skeleton, posed.pose) / self.deviations).reshape(-1)
 
 
 class ReferencePrior(AbstractEnergy):
@@ -67,7 +67,7 @@ class ReferencePrior(AbstractEnergy):
         here, there = self.reference, posed.pose
         shifts = there.translations - here.translations
         turns = rotation.multiply(rotation.conjugate(here.rotations), there.rotations)
-        vectors = own_vectors(posed.body.skeleton, Pose(shifts, turns, there.scale))
+        vectors = local_rotation_vectors(posed.body.skeleton, Pose(shifts, turns, there.scale))
         return jnp.concatenate(
             [(shifts / self.metres[:, None]).reshape(-1), (vectors / self.radians).reshape(-1)]
         )

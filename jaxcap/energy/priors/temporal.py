@@ -27,20 +27,22 @@ class SecondDifference(AbstractEnergy):
 
 def second_difference(
     before: Float[Array, "*frames J 4"],
-    here: Float[Array, "*frames J 4"],
+    current: Float[Array, "*frames J 4"],
     after: Float[Array, "*frames J 4"],
-    since: Float[Array, "*frames"] | float = 1.0,
-    until: Float[Array, "*frames"] | float = 1.0,
+    gap_before: Float[Array, "*frames"] | float = 1.0,
+    gap_after: Float[Array, "*frames"] | float = 1.0,
 ) -> Float[Array, "*frames J 3"]:
     """Compute half the sum of the rotation vectors to the previous and to the next frame.
 
     These are those of eq. 4.10 relative to the middle pose, so that none is near half a turn, however large
     the total rotation of a motion.
 
-    `since` and `until` are the numbers of frames from the previous and to the next one where some are
+    `gap_before` and `gap_after` are the numbers of frames from the previous and to the next one where some are
     missing: it is half the second derivative of the parabola through the three, zero for uniform motion.
     """
-    back = rotation.conjugate(here)
-    since, until = (jnp.asarray(gap, here.dtype)[..., None, None] for gap in (since, until))
+    back = rotation.conjugate(current)
+    gap_before, gap_after = (
+        jnp.asarray(gap, current.dtype)[..., None, None] for gap in (gap_before, gap_after)
+    )
     left, right = (rotation.log(rotation.multiply(back, there)) for there in (before, after))
-    return (until * left + since * right) / (since * until * (since + until))
+    return (gap_after * left + gap_before * right) / (gap_before * gap_after * (gap_before + gap_after))

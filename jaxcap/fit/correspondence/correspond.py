@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
-from ...energy.data.pairs import Pairs as Pairs
-from ...energy.data.pairs import places_on as places_on
-from ...geometry.camera import Camera, in_picture
-from .nearest_assignment import AbstractAssignment, Assigned, NearestVertex, Surface
+from ...energy.data.pairs import PointPairs as PointPairs
+from ...energy.data.pairs import pair_positions as pair_positions
+from ...geometry.camera import Camera, is_in_image
+from .nearest_assignment import AbstractAssignment, Assignment, NearestVertex, PosedSurface
+from .nearest_assignment import IndexedScan as IndexedScan
 from .nearest_assignment import NearestOnSurface as NearestOnSurface
-from .nearest_assignment import Scan as Scan
 from .nearest_assignment import as_scan as as_scan
 from .nearest_assignment import make_mesh_scan as make_mesh_scan
 from .nearest_assignment import make_scan as make_scan
@@ -50,10 +50,10 @@ def find_pairs(
     vertices: Float[np.ndarray, "V 3"],
     normals: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
-    scan: Scan,
+    scan: IndexedScan,
     matching: Matching = Matching(),
     visible: Bool[np.ndarray, "V"] | None = None,
-) -> Pairs:
+) -> PointPairs:
     """Match every point of a scan with a point on a body, then every vertex with a point of the scan.
 
     **Arguments:** `vertices` and `normals` of the posed body; `visible`, mask of its vertices that some
@@ -66,7 +66,7 @@ def find_pairs(
     seen = np.ones(len(vertices), bool) if visible is None else visible
     if matching.aperture:
         seen = seen & within_aperture(matching.aperture, vertices)
-    surface = Surface(vertices, normals, faces, seen)
+    surface = PosedSurface(vertices, normals, faces, seen)
     cosine = float(np.cos(np.radians(matching.angle)) - 1e-9)
     ways = matching.assignment.from_scan, matching.assignment.from_body
     found = [
@@ -75,12 +75,12 @@ def find_pairs(
         if wanted
     ]
     width = max(part.vertices.shape[1] for part in found)
-    parts = [_judged(part, surface, scan, width, cosine, matching) for part in found]
+    parts = [_weighted_pairs(part, surface, scan, width, cosine, matching) for part in found]
     rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return Pairs(
+    return PointPairs(
         jnp.asarray(rows, jnp.int32),
         *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
-        along=jnp.full(len(weights), matching.along, float),
+        tangential_weights=jnp.full(len(weights), matching.along, float),
     )
 
 
@@ -92,12 +92,12 @@ def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"
     """
     inside = np.zeros(len(vertices), bool)
     for camera in cameras:
-        inside |= np.asarray(in_picture(camera, jnp.asarray(vertices, float)))
+        inside |= np.asarray(is_in_image(camera, jnp.asarray(vertices, float)))
     return inside
 
 
-def _judged(
-    found: Assigned, surface: Surface, scan: Scan, width: int, cosine: float, matching: Matching
+def _weighted_pairs(
+    found: Assignment, surface: PosedSurface, scan: IndexedScan, width: int, cosine: float, matching: Matching
 ) -> tuple[np.ndarray, ...]:
     """Compute vertices, shares, points, directions and weights of the pairs of one direction, with weight
     zero for rejected pairs.
@@ -107,14 +107,14 @@ def _judged(
     places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
     apart = np.linalg.norm(places - found.points, axis=1)
     good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= cosine)
-    if matching.uniform and found.each == "point" and len(scan.faces):
+    if matching.uniform and found.row_type == "point" and len(scan.faces):
         good &= ~_furthest_in(scan.faces, np.where(good, apart, 0.0))
-    elif matching.uniform and found.each == "point":
+    elif matching.uniform and found.row_type == "point":
         corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
         good &= ~_furthest_at(corner, np.where(good, apart, 0.0), count)
-    elif matching.uniform and found.each == "vertex":
+    elif matching.uniform and found.row_type == "vertex":
         good &= ~_furthest_in(surface.faces, np.where(good, apart, 0.0))
-    weights = np.where(good, found.mass * _robust(apart, matching), 0.0)
+    weights = np.where(good, found.mass * _charbonnier_weights(apart, matching), 0.0)
     wide = ((0, 0), (0, width - found.vertices.shape[1]))
     columns = (
         # padded with a repeated vertex with share zero
@@ -124,10 +124,10 @@ def _judged(
         _unit(own + _unit(found.normals)),
         weights,
     )
-    if found.each != "point":
+    if found.row_type != "point":
         return columns
     *places, weights = columns
-    extra = (0, scan.padded - len(weights))
+    extra = (0, scan.padded_size - len(weights))
     return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in places), np.pad(weights, extra)
 
 
@@ -135,21 +135,21 @@ def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:
     return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
 
 
-def _robust(apart: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
+def _charbonnier_weights(distances: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
     """Compute the weights that turn squared distances into Charbonnier's norm (eq. 4.6), one at zero."""
-    return matching.charbonnier / np.sqrt(apart**2 + matching.charbonnier**2)
+    return matching.charbonnier / np.sqrt(distances**2 + matching.charbonnier**2)
 
 
-def _furthest_in(faces: Int[np.ndarray, "F 3"], apart: Float[np.ndarray, "V"]) -> Bool[np.ndarray, "V"]:
+def _furthest_in(faces: Int[np.ndarray, "F 3"], distances: Float[np.ndarray, "V"]) -> Bool[np.ndarray, "V"]:
     """Find the vertex of each triangle with the largest distance of its pair."""
-    worst = np.zeros(len(apart), bool)
-    worst[faces[np.arange(len(faces)), np.argmax(apart[faces], 1)]] = True
+    worst = np.zeros(len(distances), bool)
+    worst[faces[np.arange(len(faces)), np.argmax(distances[faces], 1)]] = True
     return worst
 
 
-def _furthest_at(rows: Int[np.ndarray, "N"], apart: Float[np.ndarray, "N"], count: int):
+def _furthest_at(rows: Int[np.ndarray, "N"], distances: Float[np.ndarray, "N"], count: int):
     """Find the most distant of three or more points matched with one vertex."""
     largest = np.zeros(count)
-    np.maximum.at(largest, rows, apart)
+    np.maximum.at(largest, rows, distances)
     many = np.bincount(rows, minlength=count) >= 3
-    return many[rows] & (apart >= largest[rows])
+    return many[rows] & (distances >= largest[rows])

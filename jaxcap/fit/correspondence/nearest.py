@@ -22,7 +22,7 @@ CHUNK = 256
 #: Vertices of a block in one elementwise pass; all of them compile far longer and run little faster.
 UNROLLED = 8
 #: Share of pairs in reach above which a search of all pairs in one pass is faster.
-FEW = 0.3
+MAX_CULLED_SHARE = 0.3
 
 
 def nearest_vertices(
@@ -47,11 +47,11 @@ def nearest_vertices(
     tiles, blocks = _tiles_and_blocks(parts, vertices, normals, cloud, normal_threshold)
     near = _in_reach(tiles, blocks, reach)
     squared, slot = lax.cond(
-        jnp.sum(near) < FEW * near.size,
-        lambda: _sweep_near(tiles, blocks, near),
-        lambda: _sweep(tiles[None], blocks[:, None]),
+        jnp.sum(near) < MAX_CULLED_SHARE * near.size,
+        lambda: _nearest_in_reach(tiles, blocks, near),
+        lambda: _nearest_in_blocks(tiles[None], blocks[:, None]),
     )
-    squared, vertex = _apart(lambda a, b: _by_part(parts, a, b, reach), squared, slot)
+    squared, vertex = _without_fusion(lambda a, b: _nearest_by_part(parts, a, b, reach), squared, slot)
     return squared[:, :count], vertex[:, :count]
 
 
@@ -80,7 +80,7 @@ def _in_reach(tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], rea
     return squared <= 1.001 * jnp.asarray(reach, tiles.dtype) ** 2
 
 
-def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 32"]):
+def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 32"]):
     """Find the nearest compatible slot of a block, and its squared distance, for each point of a tile."""
     x, y, z, nx, ny, nz, limit, _ = (tiles[..., i, :] for i in range(8))
     shape = jnp.broadcast_shapes(tiles.shape[:-2], blocks.shape[:-2])
@@ -101,8 +101,8 @@ def _sweep(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 
     return lax.fori_loop(0, BLOCK // UNROLLED, step, (best, slot))
 
 
-def _sweep_near(tiles, blocks, near):
-    """Run `_sweep` on the pairs in reach only, which are listed first, in as many steps as needed."""
+def _nearest_in_reach(tiles, blocks, near):
+    """Run `_nearest_in_blocks` on the pairs in reach only, which are listed first, in as many steps as needed."""
     num_tiles, total = len(tiles), near.size
     chosen = near.reshape(-1)
     place = jnp.where(chosen, jnp.cumsum(chosen.astype(jnp.int32)) - 1, total + CHUNK)
@@ -115,7 +115,7 @@ def _sweep_near(tiles, blocks, near):
     def step(i, found):
         pair = lax.dynamic_slice(pairs, (i * CHUNK,), (CHUNK,))
         block = jnp.take(blocks, pair // num_tiles, axis=0, mode="clip")
-        new = _apart(_sweep, tiles[pair % num_tiles], block)
+        new = _without_fusion(_nearest_in_blocks, tiles[pair % num_tiles], block)
         return tuple(old.at[pair].set(rows, mode="drop") for old, rows in zip(found, new, strict=True))
 
     start = (jnp.full((total, TILE), jnp.inf, tiles.dtype), jnp.zeros((total, TILE), jnp.int32))
@@ -123,7 +123,7 @@ def _sweep_near(tiles, blocks, near):
     return tuple(rows.reshape(*near.shape, TILE) for rows in found)
 
 
-def _by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
+def _nearest_by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
     """Find the best of each part's blocks, `(K, N)`, by a running minimum that restarts with every part."""
     counts = np.array(parts.blocks_of_part)
     last = np.cumsum(counts) - 1
@@ -146,7 +146,7 @@ def _by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B 
     return jnp.where(here, best, jnp.inf), jnp.where(here, parts.slots.reshape(-1)[place], 0)
 
 
-def _apart(function, *arguments):
+def _without_fusion(function, *arguments):
     """Compute `function(*arguments)`, compiled separately from the code before and after.
 
     On a CPU, XLA drops optimisation barriers, and fuses long elementwise stages into one loop that computes

@@ -16,7 +16,7 @@ from ...observe import Cloud, as_cloud, padded_size, unit_normals
 from ...observe import Scan as FileScan
 
 
-class Scan(NamedTuple):
+class IndexedScan(NamedTuple):
     """The points of a cloud without padding, or the vertices of a mesh, with a search tree, made once per
     frame.
     """
@@ -25,13 +25,13 @@ class Scan(NamedTuple):
     normals: Float[np.ndarray, "N 3"]
     tree: KDTree
     #: number of points of the cloud with its padding
-    padded: int
+    padded_size: int
     #: the triangles of the points; none for a cloud
     faces: Int[np.ndarray, "F 3"]
 
 
 @checked
-def make_scan(cloud: Cloud) -> Scan:
+def make_scan(cloud: Cloud) -> IndexedScan:
     """Make a scan from a cloud's points of positive weight, with their tree.
 
     **Raises:** `ValueError` where there is none.
@@ -40,20 +40,20 @@ def make_scan(cloud: Cloud) -> Scan:
     if not there.any():
         raise ValueError("The cloud has no points with a weight above zero.")
     points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
-    return Scan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+    return IndexedScan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
 
 
-def as_scan(frame: Scan | Cloud | FileScan) -> Scan:
+def as_scan(frame: IndexedScan | Cloud | FileScan) -> IndexedScan:
     """Convert a frame to a scan: the points of a cloud, or of a frame read from a file; a scan is returned
     unchanged.
     """
-    return frame if isinstance(frame, Scan) else make_scan(as_cloud(frame))
+    return frame if isinstance(frame, IndexedScan) else make_scan(as_cloud(frame))
 
 
 @checked
 def make_mesh_scan(
     vertices: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
-) -> Scan:
+) -> IndexedScan:
     """Make the scan of a triangle mesh; vertices in metres, normals of any length.
 
     **Raises:** `ValueError` for a mesh without vertices or with one that is not finite, or for a triangle
@@ -68,20 +68,20 @@ def make_mesh_scan(
         raise ValueError(
             f"`faces` has vertices {faces.min()} to {faces.max()}, but the mesh has {len(vertices)} vertices."
         )
-    return Scan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
+    return IndexedScan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
 
 
-class Surface(NamedTuple):
+class PosedSurface(NamedTuple):
     """A posed body, with a mask of the vertices that may be matched."""
 
     vertices: Float[np.ndarray, "V 3"]
     #: unit, or zero where unknown
     normals: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
-    seen: Bool[np.ndarray, "V"]
+    visible: Bool[np.ndarray, "V"]
 
 
-class Assigned(NamedTuple):
+class Assignment(NamedTuple):
     """Points on a body, `sum_k shares_k vertices_k`, each with its matched point of a scan."""
 
     vertices: Int[np.ndarray, "C K"]
@@ -94,7 +94,7 @@ class Assigned(NamedTuple):
     mass: Float[np.ndarray, "C"]
     #: one for every point of the scan, in their order; for every vertex of the body with its nearest point;
     #: or for every vertex with a mean of all points that it explains
-    each: Literal["point", "vertex", "mean"]
+    row_type: Literal["point", "vertex", "mean"]
 
 
 class AbstractAssignment(eqx.Module):
@@ -105,11 +105,11 @@ class AbstractAssignment(eqx.Module):
     """
 
     @abc.abstractmethod
-    def from_scan(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+    def from_scan(self, surface: PosedSurface, scan: IndexedScan, reach: float, cosine: float) -> Assignment:
         """Match the scan's points with points on the body."""
 
     @abc.abstractmethod
-    def from_body(self, surface: Surface, scan: Scan, reach: float, cosine: float) -> Assigned:
+    def from_body(self, surface: PosedSurface, scan: IndexedScan, reach: float, cosine: float) -> Assignment:
         """Match the body's visible vertices with points of the scan."""
 
 
@@ -118,16 +118,16 @@ class NearestVertex(AbstractAssignment):
 
     def from_scan(self, surface, scan, reach, cosine):
         del cosine
-        chosen = np.flatnonzero(surface.seen)
+        chosen = np.flatnonzero(surface.visible)
         if not len(chosen):
-            return _nothing(scan, 1)
+            return _empty_assignment(scan, 1)
         distances, nearest = KDTree(surface.vertices[chosen]).query(
             scan.points, distance_upper_bound=reach, workers=-1
         )
         found = np.isfinite(distances)
         row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
         shares = np.ones((len(row), 1))
-        return Assigned(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
+        return Assignment(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
 
     def from_body(self, surface, scan, reach, cosine):
         del cosine
@@ -146,12 +146,12 @@ class NearestOnSurface(AbstractAssignment):
 
     def from_scan(self, surface, scan, reach, cosine):
         del cosine
-        faces = surface.faces[surface.seen[surface.faces].all(1)]
+        faces = surface.faces[surface.visible[surface.faces].all(1)]
         if not len(faces):
-            return _nothing(scan, 3)
+            return _empty_assignment(scan, 3)
         triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, reach)
         found = np.isfinite(apart).astype(float)
-        return Assigned(faces[triangles], shares, scan.points, scan.normals, found, "point")
+        return Assignment(faces[triangles], shares, scan.points, scan.normals, found, "point")
 
     def from_body(self, surface, scan, reach, cosine):
         del cosine
@@ -162,24 +162,24 @@ class NearestOnSurface(AbstractAssignment):
         points, normals = (
             np.einsum("ck,cka->ca", shares, part[corners]) for part in (scan.points, scan.normals)
         )
-        found = (np.isfinite(apart) & surface.seen).astype(float)
-        return Assigned(every, np.ones(every.shape), points, normals, found, "vertex")
+        found = (np.isfinite(apart) & surface.visible).astype(float)
+        return Assignment(every, np.ones(every.shape), points, normals, found, "vertex")
 
 
-def nearest_points(surface: Surface, scan: Scan, reach: float) -> Assigned:
+def nearest_points(surface: PosedSurface, scan: IndexedScan, reach: float) -> Assignment:
     """Match every vertex with its nearest point of a scan."""
     distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
-    found = np.isfinite(distances) & surface.seen
+    found = np.isfinite(distances) & surface.visible
     place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
     every = np.arange(len(surface.vertices))[:, None]
-    return Assigned(
+    return Assignment(
         every, np.ones(every.shape), scan.points[place], scan.normals[place], found.astype(float), "vertex"
     )
 
 
-def _nothing(scan: Scan, corners: int) -> Assigned:
+def _empty_assignment(scan: IndexedScan, corners: int) -> Assignment:
     """Make an empty assignment with one row per point."""
     count = len(scan.points)
     shares = np.eye(1, corners).repeat(count, 0)
     vertices = np.zeros((count, corners), int)
-    return Assigned(vertices, shares, scan.points, scan.normals, np.zeros(count), "point")
+    return Assignment(vertices, shares, scan.points, scan.normals, np.zeros(count), "point")

@@ -13,7 +13,7 @@ from .part_blocks import Parts
 
 #: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without which a point
 #: with no compatible vertex would have no posterior.
-EPSILON = 1e-9
+MIN_OUTLIER = 1e-9
 
 
 class Posterior(eqx.Module):
@@ -53,7 +53,7 @@ def posterior(
     """Compute the posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
 
     The mixture is `p(y) = (1 - w) sum_k prior_k p_k(y) + w / V` with `w` the share `outlier` (at least
-    `EPSILON`) and `V` the `box_volume`. `p_k` is the isotropic normal density with standard deviation `sigma`
+    `MIN_OUTLIER`) and `V` the `box_volume`. `p_k` is the isotropic normal density with standard deviation `sigma`
     about the part's nearest vertex with a compatible normal, and zero where there is none. The uniform
     density of eq. 20 for that case belongs to the outlier class, as it attracts no vertex. A part with a
     density below the outlier class's by more than the precision of a number counts as zero, so that distant
@@ -74,7 +74,7 @@ def posterior(
     if priors is None:
         present = jnp.array([count > 0 for count in parts.blocks_of_part])
         priors = present / jnp.sum(present)
-    share = jnp.maximum(jnp.asarray(outlier, dtype), EPSILON)
+    share = jnp.maximum(jnp.asarray(outlier, dtype), MIN_OUTLIER)
     log_shares = jnp.log(priors.astype(dtype)) + jnp.log1p(-share)
     log_normaliser = -1.5 * jnp.log(2 * jnp.pi * sigma**2).astype(dtype)
     log_outlier = jnp.log(share) - jnp.log(jnp.asarray(box_volume, dtype))
@@ -93,7 +93,7 @@ def posterior(
     which = jnp.broadcast_to(jnp.arange(parts.num_parts, dtype=jnp.int32)[:, None], squared.shape)
     columns = (weights, which, nearest, squared)
     if candidates is not None and candidates < parts.num_parts:
-        columns = _likeliest(columns, candidates)
+        columns = _top_candidates(columns, candidates)
     weights, which, nearest, squared = (column.T for column in columns)
     return Posterior(
         vertices=nearest,
@@ -105,7 +105,7 @@ def posterior(
     )
 
 
-def _likeliest(columns, count: int):
+def _top_candidates(columns, count: int):
     """Select the `count` rows of largest first entry at each point, `(C, N)` each, largest first.
 
     Removing the largest `count` times is faster on a CPU than `top_k`.

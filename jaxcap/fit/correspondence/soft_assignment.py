@@ -7,7 +7,7 @@ import scipy.sparse
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from .nearest_assignment import AbstractAssignment, Assigned, Scan, Surface
+from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, PosedSurface
 
 #: log of the density relative to the outlier class's below which it counts as zero
 NEGLIGIBLE = np.log(1e-7)
@@ -55,13 +55,13 @@ class SoftAssignment(AbstractAssignment):
             raise ValueError(f"`outlier` is {self.outlier}; expected a share of at least 0 and below 1.")
 
     def from_scan(self, surface, scan, reach, cosine):
-        chosen = np.flatnonzero(surface.seen)
+        chosen = np.flatnonzero(surface.visible)
         body = surface.vertices[chosen], surface.normals[chosen]
         shares = self._posterior((scan.points, scan.normals), body, reach, cosine)
         return _means(surface, scan, chosen, scipy.sparse.csr_array(shares.T), "mean")
 
     def from_body(self, surface, scan, reach, cosine):
-        chosen = np.flatnonzero(surface.seen)
+        chosen = np.flatnonzero(surface.visible)
         body = surface.vertices[chosen], surface.normals[chosen]
         shares = self._posterior(body, (scan.points, scan.normals), reach, cosine)
         return _means(surface, scan, chosen, shares, "vertex")
@@ -83,32 +83,34 @@ class SoftAssignment(AbstractAssignment):
             row, column = near["i"], near["j"]
             good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= cosine
             row, column, apart = row[good], column[good], near["v"][good]
-            shares = _shares(row, highest - 0.5 * (apart / self.sigma) ** 2, beside, len(points[own]))
+            shares = _posterior_shares(
+                row, highest - 0.5 * (apart / self.sigma) ** 2, beside, len(points[own])
+            )
             shape = (len(points[own]), len(centres))
             rows.append(scipy.sparse.csr_array((shares, (row, column)), shape=shape))
         return scipy.sparse.csr_array(scipy.sparse.vstack(rows, format="csr"))
 
 
-def _shares(
-    row: Int[np.ndarray, "P"], log: Float[np.ndarray, "P"], beside: float, count: int
+def _posterior_shares(
+    row: Int[np.ndarray, "P"], log: Float[np.ndarray, "P"], log_outlier: float, count: int
 ) -> Float[np.ndarray, "P"]:
     """Compute posteriors from log densities; those of one row and the outlier class add up to one."""
-    top = np.full(count, beside)
+    top = np.full(count, log_outlier)
     np.maximum.at(top, row, log)
     unscaled = np.exp(log - top[row])
     # a row without densities, and without an outlier class, has no posterior
-    outlier = np.exp(beside - np.where(np.isfinite(top), top, 0.0))
+    outlier = np.exp(log_outlier - np.where(np.isfinite(top), top, 0.0))
     total = np.bincount(row, unscaled, count) + outlier
     return unscaled / total[row]
 
 
 def _means(
-    surface: Surface,
-    scan: Scan,
+    surface: PosedSurface,
+    scan: IndexedScan,
     chosen: Int[np.ndarray, "M"],
     shares: scipy.sparse.csr_array,
-    each: Literal["vertex", "mean"],
-) -> Assigned:
+    row_type: Literal["vertex", "mean"],
+) -> Assignment:
     """Match every vertex with the mean of its shares `(M, N)` of a scan's points; the mass is their sum."""
     every = np.arange(len(surface.vertices))[:, None]
     mass, normals = np.zeros(len(every)), np.zeros((len(every), 3))
@@ -117,4 +119,4 @@ def _means(
     safe = np.where(mass > 0, mass, 1.0)[chosen, None]
     points[chosen] = np.where(mass[chosen, None] > 0, shares @ scan.points / safe, points[chosen])
     normals[chosen] = shares @ scan.normals / safe
-    return Assigned(every, np.ones(every.shape), points, normals, mass, each)
+    return Assignment(every, np.ones(every.shape), points, normals, mass, row_type)

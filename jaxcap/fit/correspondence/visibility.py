@@ -8,13 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
-from ...geometry.camera import Camera, in_picture, project
+from ...geometry.camera import Camera, is_in_image, project
 from ...geometry.mesh import vertex_normals
 
 #: depth below which triangles occlude nothing, metres
-NEAR = 0.01
+MIN_DEPTH = 0.01
 #: largest change of a surface's depth from pixel to pixel of the buffer, metres
-STEEP = 0.03
+MAX_DEPTH_CHANGE = 0.03
 
 
 @checked
@@ -46,14 +46,14 @@ def visible_vertices(
 def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: int) -> Bool[Array, "V"]:
     turned = jnp.sum(normals * (camera.eye - vertices), -1) > 0
     places, depth = project(camera, vertices)
-    front = depth > NEAR
+    front = depth > MIN_DEPTH
     # the buffer covers the box around the vertices in the image
-    inside = in_picture(camera, vertices)
+    inside = is_in_image(camera, vertices)
     first = jnp.min(jnp.where(inside[:, None], places, jnp.inf), 0)
     last = jnp.max(jnp.where(inside[:, None], places, -jnp.inf), 0)
     scale = (pixels - 1) / jnp.maximum(last - first, 1e-3)
     places = jnp.where(inside.any(), (places - first) * scale, 0.0)
-    nearest = _nearest(places, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels)
+    nearest = _depth_buffer(places, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels)
     # slopes of the inverse depth of the plane at each vertex, by column and row
     normal = normals @ camera.rotation.T
     away = jnp.sum(normals * (vertices - camera.eye), -1)
@@ -65,14 +65,14 @@ def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: i
         apart = at - places
         there = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
         # for a plane seen edge-on the prediction is useless
-        change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -STEEP, STEEP)
+        change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -MAX_DEPTH_CHANGE, MAX_DEPTH_CHANGE)
         share = jnp.prod(1 - jnp.abs(apart), -1)
         clear = clear + share * (there * (depth - change - tolerance) < 1.0)
     return inside & front & turned & (clear > 0.5)
 
 
-def _nearest(
-    places: Float[Array, "V 2"], inverse: Float[Array, "V"], faces: Int[Array, "F 3"], pixels: int
+def _depth_buffer(
+    positions: Float[Array, "V 2"], inverse: Float[Array, "V"], faces: Int[Array, "F 3"], pixels: int
 ) -> Float[Array, "P P"]:
     """Compute the greatest inverse depth of all triangles at each pixel; zero where there is none.
 
@@ -80,24 +80,24 @@ def _nearest(
     for all triangles, and doubled ones for ever fewer, the largest of which cover the image. In a mesh with
     many triangles much larger than its mean the last ones are clipped to their windows.
     """
-    corners, depths = places[faces], inverse[faces]
+    corners, depths = positions[faces], inverse[faces]
     low = jnp.clip(jnp.ceil(corners.min(1)), 0, pixels)
     high = jnp.clip(jnp.floor(corners.max(1)), -1, pixels - 1)
     whole = jnp.all(depths > 0, 1) & jnp.all(high >= low, 1)
     extent = jnp.where(whole, jnp.max(high - low, 1) + 1, 0)
     order = jnp.argsort(-extent)
-    buffer = jnp.zeros(pixels * pixels, places.dtype)
+    buffer = jnp.zeros(pixels * pixels, positions.dtype)
     # the size of triangles that cover the buffer evenly, and twice, from both sides
     side, count = int(min(pixels, 2 + (4 * pixels * pixels / len(faces)) ** 0.5)), len(faces)
     while True:
         chosen = order[:count]
-        buffer = _splat(buffer, corners[chosen], depths[chosen], low[chosen], whole[chosen], side, pixels)
+        buffer = _rasterise(buffer, corners[chosen], depths[chosen], low[chosen], whole[chosen], side, pixels)
         if side == pixels:
             return buffer.reshape(pixels, pixels)
         side, count = min(2 * side, pixels), max(count // 6, 1)
 
 
-def _splat(buffer, corners, depths, low, whole, side: int, pixels: int) -> Float[Array, "Q"]:
+def _rasterise(buffer, corners, depths, low, whole, side: int, pixels: int) -> Float[Array, "Q"]:
     """Add triangles to the buffer at the `side x side` pixels from `low` on."""
     steps = jnp.arange(side)
     column, row = (low[:, axis, None].astype(int) + steps for axis in (0, 1))

@@ -10,17 +10,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import pose_body
 from ...body.pose import Pose
-from ...geometry.camera import Camera, in_picture, project
+from ...geometry.camera import Camera, is_in_image, project
 from ...observe import Cloud
-from .inside import within_others
-from .surface import FEW, NEAREST, JudgedSurface
+from .inside import inside_degrees
+from .surface import MIN_DISTANCE, STRIDE, SampledSurface
 
 #: points sampled from a cloud
-POINTS = 1536
+NUM_POINTS = 1536
 #: directions from which unknown sensors may look
-DIRECTIONS = 32
+NUM_DIRECTIONS = 32
 #: least cosine between a point's normal and that of the surface that explains it
-COMPATIBLE = 0.5
+MIN_NORMAL_COSINE = 0.5
 #: distances, as shares of the body's size, at which a point begins to count as unexplained and at which it
 #: counts fully (4 and 8 cm of a person), and distance from all points beyond which a sample is empty
 NEAR, FAR, EMPTY = 0.023, 0.046, 0.045
@@ -28,17 +28,17 @@ NEAR, FAR, EMPTY = 0.023, 0.046, 0.045
 SPARSE = 1.1
 #: side of the cells in which points are counted, as a share of the body's size, and cells along a side of the
 #: grid, which wraps around; unexplained points a quarter as dense as those of the surface count fully
-CLUMP, CLUMPS, DENSE = 0.04, 32, 0.25
-#: least cosine between the surface and the line of sight; samples more than `DEEP` behind another in the same
-#: cell of `CELL` are occluded, as shares of the body's size
-GRAZING, CELL, DEEP = 0.6, 0.035, 0.05
+CELL_SIZE, NUM_CELLS, FULL_DENSITY = 0.04, 32, 0.25
+#: least cosine between the surface and the line of sight; samples more than `OCCLUSION_DEPTH` behind another in the same
+#: cell of `DEPTH_CELL_SIZE` are occluded, as shares of the body's size
+MIN_SIGHT_COSINE, DEPTH_CELL_SIZE, OCCLUSION_DEPTH = 0.6, 0.035, 0.05
 #: least cosine for the coverage of a direction; directions of unknown sensors are those with a coverage
-#: within `AS_GOOD` of the best one's
-FLAT, AS_GOOD = 0.1, 0.03
+#: within `COVERAGE_TOLERANCE` of the best one's
+MIN_COVERAGE_COSINE, COVERAGE_TOLERANCE = 0.1, 0.03
 #: replaces a count of zero points
 TINY = 1e-9
 #: cells along a side of a depth buffer, which wraps around
-GRID = 64
+NUM_DEPTH_CELLS = 64
 
 
 class Evidence(eqx.Module):
@@ -61,14 +61,14 @@ class Evidence(eqx.Module):
 
 @eqx.filter_jit
 def gather_evidence(
-    surface: JudgedSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
+    surface: SampledSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
 ) -> Evidence:
     """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
     All measurements use a thinned cloud and the samples of the surface.
 
-    **Arguments:** `sensors` are the cameras where they are known. Otherwise `DIRECTIONS` spread over the
-    sphere represent possible sensors: the array is one for each direction of a sensor (`sensors_of`) and zero
+    **Arguments:** `sensors` are the cameras where they are known. Otherwise `NUM_DIRECTIONS` spread over the
+    sphere represent possible sensors: the array is one for each direction of a sensor (`sensor_directions`) and zero
     for the others. Where it is empty or zero, the directions of this frame that show the least empty surface
     are used.
     """
@@ -76,57 +76,59 @@ def gather_evidence(
     turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
     normals = turned / jnp.linalg.norm(turned, axis=1, keepdims=True)
     size = surface.size * pose.scale
-    rows, weights = _some_points(cloud)
+    rows, weights = _sample_points(cloud)
     points, point_normals = cloud.points[rows], cloud.normals[rows]
     # relative to the body's centre, as differences of squares lose digits far from the origin
     middle = jnp.mean(posed.vertices, 0)
     vertices, points = posed.vertices - middle, points - middle
     squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ vertices.T + jnp.sum(vertices**2, 1)
     known = jnp.any(point_normals != 0, 1)
-    fits = (point_normals @ normals.T > COMPATIBLE) | ~known[:, None]
+    fits = (point_normals @ normals.T > MIN_NORMAL_COSINE) | ~known[:, None]
     near = jnp.where(fits, squared, jnp.inf)
     distances = jnp.sqrt(jnp.maximum(jnp.min(near, 1), 0.0)) / size
     region = surface.regions[jnp.argmin(squared, 1)]
     beyond = jnp.clip((distances - NEAR) / (FAR - NEAR), 0.0, 1.0)
-    amount = weights * beyond * _clumped(points / (CLUMP * size), rows, beyond)
+    amount = weights * beyond * _neighbour_density(points / (CELL_SIZE * size), rows, beyond)
     count = len(surface.names)
     # gaps are wide between few points
     gap = jnp.maximum(EMPTY, SPARSE / jnp.sqrt(jnp.maximum(jnp.sum(cloud.weights > 0), 1))) * size
     covered = jnp.min(jnp.where(weights[:, None] > 0, near, jnp.inf), 0) <= gap**2
     if isinstance(sensors, Sequence) and len(sensors):
-        expected = jnp.stack([_seen_by(camera, posed.vertices, normals, size) for camera in sensors])
+        expected = jnp.stack(
+            [_visible_in_camera(camera, posed.vertices, normals, size) for camera in sensors]
+        )
         share = _coverage(expected, covered)
         expected = jnp.any(expected, 0)
     else:
-        directions = jnp.asarray(_spread(DIRECTIONS), vertices.dtype)
+        directions = jnp.asarray(_fibonacci_directions(NUM_DIRECTIONS), vertices.dtype)
         cosine = (normals @ directions.T).T
-        clear = _unhidden_from(directions, vertices, size)
+        clear = _visible_from(directions, vertices, size)
         # at grazing angles the coverage falls steeply with the angle to the next sensor
-        share = _coverage(clear & (cosine > FLAT), covered)
-        there = share >= jnp.max(share) - AS_GOOD
+        share = _coverage(clear & (cosine > MIN_COVERAGE_COSINE), covered)
+        there = share >= jnp.max(share) - COVERAGE_TOLERANCE
         if len(sensors):
             there = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, there)
-        facing = (cosine > GRAZING) & there[:, None]
+        facing = (cosine > MIN_SIGHT_COSINE) & there[:, None]
         # the direction of a sensor is approximate: a sample occluded from any direction nearby may be
         # occluded
         expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)
-    few = slice(None, None, FEW)
-    square = FEW * surface.area * pose.scale**2
-    inside = surface.outside * within_others(
+    few = slice(None, None, STRIDE)
+    square = STRIDE * surface.area * pose.scale**2
+    inside = surface.outside_at_rest * inside_degrees(
         vertices[few],
         normals[few],
         square * surface.areas[few],
         surface.regions[few],
-        surface.apart,
-        NEAREST * size,
+        surface.non_adjacent,
+        MIN_DISTANCE * size,
     )
-    parts = jnp.asarray(surface.movers)[surface.regions]
+    parts = jnp.asarray(surface.region_parts)[surface.regions]
     of_parts = jnp.zeros(len(surface.joints), amount.dtype).at[parts].add(surface.areas)
     explained = jnp.zeros_like(of_parts).at[parts[jnp.argmin(near, 1)]].add(weights * (distances < NEAR))
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
-        inside=FEW * inside @ areas[few],
+        inside=STRIDE * inside @ areas[few],
         empty=(expected & ~covered).astype(areas.dtype) @ areas,
         support=explained / jnp.maximum(jnp.sum(explained) * of_parts, TINY),
         coverage=share,
@@ -138,17 +140,17 @@ def _coverage(shown: Bool[Array, "D S"], covered: Bool[Array, "S"]) -> Float[Arr
     return jnp.sum(shown & covered, 1) / jnp.maximum(jnp.sum(shown, 1), 1)
 
 
-def _some_points(cloud: Cloud) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+def _sample_points(cloud: Cloud) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
     """Select rows of points at equal steps of weight, and equal weights; zero for an empty cloud."""
     passed = jnp.cumsum(cloud.weights)
     total = passed[-1]
-    steps = (jnp.arange(POINTS, dtype=passed.dtype) + 0.5) / POINTS * total
+    steps = (jnp.arange(NUM_POINTS, dtype=passed.dtype) + 0.5) / NUM_POINTS * total
     rows = jnp.minimum(jnp.searchsorted(passed, steps), len(passed) - 1)
-    weights = jnp.where(total > 0, jnp.full(POINTS, 1.0 / POINTS, passed.dtype), 0.0)
+    weights = jnp.where(total > 0, jnp.full(NUM_POINTS, 1.0 / NUM_POINTS, passed.dtype), 0.0)
     return rows, weights
 
 
-def _clumped(
+def _neighbour_density(
     cells: Float[Array, "N 3"], rows: Int[Array, "N"], beyond: Float[Array, "N"]
 ) -> Float[Array, "N"]:
     """Compute the density of each point's unexplained neighbours, relative to that of a surface; isolated
@@ -157,24 +159,24 @@ def _clumped(
     `cells` are the points in units of a cell; a point may be repeated, as the rising `rows` show.
     """
     times = jnp.searchsorted(rows, rows, side="right") - jnp.searchsorted(rows, rows)
-    column = jnp.mod(jnp.floor(cells), CLUMPS).astype(jnp.int32)
-    cell = (column[:, 0] * CLUMPS + column[:, 1]) * CLUMPS + column[:, 2]
-    empty = jnp.zeros(CLUMPS**3, beyond.dtype)
+    column = jnp.mod(jnp.floor(cells), NUM_CELLS).astype(jnp.int32)
+    cell = (column[:, 0] * NUM_CELLS + column[:, 1]) * NUM_CELLS + column[:, 2]
+    empty = jnp.zeros(NUM_CELLS**3, beyond.dtype)
     surface = empty.at[cell].add(1.0)[cell] - times
     usual = jnp.nanmedian(jnp.where(beyond == 0, surface, jnp.nan))
     others = empty.at[cell].add(beyond)[cell] - times * beyond
-    enough = jnp.maximum(DENSE * jnp.where(jnp.isfinite(usual), usual, 0.0), times)
+    enough = jnp.maximum(FULL_DENSITY * jnp.where(jnp.isfinite(usual), usual, 0.0), times)
     return jnp.clip(others / enough, 0.0, 1.0)
 
 
-def _spread(count: int) -> Float[np.ndarray, "D 3"]:
+def _fibonacci_directions(count: int) -> Float[np.ndarray, "D 3"]:
     """Make unit directions spread evenly over the sphere (a Fibonacci lattice)."""
     steps = np.arange(count) + 0.5
     polar, around = np.arccos(1 - 2 * steps / count), np.pi * (1 + 5**0.5) * steps
     return np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], 1)
 
 
-def _unhidden_from(
+def _visible_from(
     directions: Float[Array, "D 3"], vertices: Float[Array, "S 3"], size: Float[Array, ""]
 ) -> Bool[Array, "D S"]:
     """Find the samples that are not occluded from a distant camera in each direction."""
@@ -182,28 +184,30 @@ def _unhidden_from(
     across = jnp.cross(helper, directions)
     across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
     up = jnp.cross(directions, across)
-    places = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (CELL * size)
-    return jax.vmap(_unhidden, (1, 1, None))(places, vertices @ directions.T, DEEP * size)
+    places = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
+    return jax.vmap(_unoccluded, (1, 1, None))(places, vertices @ directions.T, OCCLUSION_DEPTH * size)
 
 
-def _seen_by(
+def _visible_in_camera(
     camera: Camera, vertices: Float[Array, "S 3"], normals: Float[Array, "S 3"], size
 ) -> Bool[Array, "S"]:
     """Find the samples that a camera sees."""
     sight = camera.eye - vertices
     sight = sight / jnp.linalg.norm(sight, axis=1, keepdims=True)
     pixels, depth = project(camera, vertices)
-    # a cell is as wide as `CELL` in the depth of the body's centre
-    wide = CELL * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
-    clear = _unhidden(pixels / wide, -depth, DEEP * size)
-    return clear & in_picture(camera, vertices) & (jnp.sum(sight * normals, 1) > GRAZING)
+    # a cell is as wide as `DEPTH_CELL_SIZE` in the depth of the body's centre
+    wide = DEPTH_CELL_SIZE * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
+    clear = _unoccluded(pixels / wide, -depth, OCCLUSION_DEPTH * size)
+    return clear & is_in_image(camera, vertices) & (jnp.sum(sight * normals, 1) > MIN_SIGHT_COSINE)
 
 
-def _unhidden(
-    places: Float[Array, "S 2"], nearness: Float[Array, "S"], deep: Float[Array, ""]
+def _unoccluded(
+    positions: Float[Array, "S 2"], nearness: Float[Array, "S"], tolerance: Float[Array, ""]
 ) -> Bool[Array, "S"]:
-    """Find the samples without another in their cell that is nearer by more than `deep`."""
-    column, row = (jnp.mod(jnp.floor(places[:, axis]), GRID).astype(jnp.int32) for axis in (0, 1))
-    cell = row * GRID + column
-    nearest = jnp.full(GRID * GRID, -jnp.inf, nearness.dtype).at[cell].max(nearness)
-    return nearness >= nearest[cell] - deep
+    """Find the samples without another in their cell that is nearer by more than `tolerance`."""
+    column, row = (
+        jnp.mod(jnp.floor(positions[:, axis]), NUM_DEPTH_CELLS).astype(jnp.int32) for axis in (0, 1)
+    )
+    cell = row * NUM_DEPTH_CELLS + column
+    nearest = jnp.full(NUM_DEPTH_CELLS * NUM_DEPTH_CELLS, -jnp.inf, nearness.dtype).at[cell].max(nearness)
+    return nearness >= nearest[cell] - tolerance

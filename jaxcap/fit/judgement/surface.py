@@ -10,15 +10,15 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...geometry.morton_order import spatial_order
-from .inside import within_others
+from .inside import inside_degrees
 
 #: samples of a surface, about 4 cm from each other on a person
-SAMPLES = 1536
+NUM_SAMPLES = 1536
 #: stride of the samples that are tested for self-intersection, and half their distance, as a share of the
 #: body's size
-FEW, NEAREST = 2, 0.016
+STRIDE, MIN_DISTANCE = 2, 0.016
 #: parts with a smaller share of the area are judged together with their parent
-LEAST_AREA = 0.012
+MIN_AREA = 0.012
 #: names of the regions of human joints in sentences, without their side
 LIMBS: dict[str, tuple[str, ...]] = {
     "trunk": ("Hips", "LowerBack", "Spine", "Spine1"),
@@ -29,7 +29,7 @@ LIMBS: dict[str, tuple[str, ...]] = {
 _SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
 
 
-class JudgedSurface(eqx.Module):
+class SampledSurface(eqx.Module):
     """Samples of a body's surface with their regions; all data of a body for judgement."""
 
     #: the samples as vertices, without faces
@@ -43,9 +43,9 @@ class JudgedSurface(eqx.Module):
     #: region of each sample
     regions: Int[Array, "S"]
     #: one for regions that are not adjacent, which must not lie within each other, and zero for the others
-    apart: Float[Array, "R R"]
+    non_adjacent: Float[Array, "R R"]
     #: degree, zero to one, to which every `FEW`th sample is outside the regions apart from its own at rest
-    outside: Float[Array, "W"]
+    outside_at_rest: Float[Array, "W"]
     #: of the surface at rest, square metres
     area: Float[Array, ""]
     #: longest side of the box around the body at rest, metres
@@ -55,12 +55,12 @@ class JudgedSurface(eqx.Module):
     #: the P joints that move regions; for a region of a fixed joint its nearest ancestor that is not fixed
     joints: tuple[str, ...] = eqx.field(static=True)
     #: index among these of each region's joint
-    movers: tuple[int, ...] = eqx.field(static=True)
+    region_parts: tuple[int, ...] = eqx.field(static=True)
     #: index among these of each joint's nearest ancestor, minus one for a root
-    above: tuple[int, ...] = eqx.field(static=True)
+    part_parents: tuple[int, ...] = eqx.field(static=True)
 
 
-def judged_surface(body: Body) -> JudgedSurface:
+def sampled_surface(body: Body) -> SampledSurface:
     """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to
     their parents.
 
@@ -68,12 +68,12 @@ def judged_surface(body: Body) -> JudgedSurface:
     """
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     corners, shares = _even_samples(vertices, faces)
-    parts = np.asarray(body.skin.parts())
+    parts = np.asarray(body.skin.dominant_bones())
     nearest = np.take_along_axis(corners, shares.argmax(1)[:, None], 1)[:, 0]
     bones = parts[nearest]
     regions, joints = _regions(body, bones)
     names = tuple(region_name(body.skeleton.names[joint]) for joint in joints)
-    movers = [_mover(body.skeleton, joint) for joint in joints]
+    movers = [_moving_joint(body.skeleton, joint) for joint in joints]
     moving = sorted(set(movers))
     dtype = body.vertices.dtype
     triangles = vertices[corners]
@@ -82,7 +82,7 @@ def judged_surface(body: Body) -> JudgedSurface:
     points = np.einsum("sk,ska->sa", shares, triangles)
     samples = Body(
         body.skeleton,
-        body.skin.carry(corners, shares, body.skeleton),
+        body.skin.transfer(corners, shares, body.skeleton),
         jnp.asarray(points, dtype),
         jnp.zeros((0, 3), body.faces.dtype),
     )
@@ -90,36 +90,36 @@ def judged_surface(body: Body) -> JudgedSurface:
         np.ptp(vertices, axis=0).max(),
         0.5 * np.linalg.norm(_area_normals(vertices[faces]), axis=1).sum(),
     )
-    apart = jnp.asarray(~_hang_together(body.skeleton.parents, joints, names), dtype)
-    few = slice(None, None, FEW)
+    apart = jnp.asarray(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
+    few = slice(None, None, STRIDE)
     at_rest = (jnp.asarray(points[few] - points.mean(0), dtype), jnp.asarray(normals[few], dtype))
     areas = jnp.full(len(bones[few]), area / len(bones[few]), dtype)
-    within = within_others(*at_rest, areas, jnp.asarray(regions[few]), apart, NEAREST * float(size))
-    return JudgedSurface(
+    within = inside_degrees(*at_rest, areas, jnp.asarray(regions[few]), apart, MIN_DISTANCE * float(size))
+    return SampledSurface(
         body=samples,
         normals=jnp.asarray(normals, dtype),
         bones=jnp.asarray(bones),
         areas=jnp.full(len(bones), 1.0 / len(bones), dtype),
         regions=jnp.asarray(regions),
-        apart=apart,
-        outside=1.0 - within,
+        non_adjacent=apart,
+        outside_at_rest=1.0 - within,
         area=jnp.asarray(area, dtype),
         size=jnp.asarray(size, dtype),
         names=names,
         joints=tuple(body.skeleton.names[joint] for joint in moving),
-        movers=tuple(moving.index(joint) for joint in movers),
-        above=tuple(_next_above(body.skeleton.parents, joint, moving) for joint in moving),
+        region_parts=tuple(moving.index(joint) for joint in movers),
+        part_parents=tuple(_nearest_ancestor(body.skeleton.parents, joint, moving) for joint in moving),
     )
 
 
-def _mover(skeleton: Skeleton, joint: int) -> int:
+def _moving_joint(skeleton: Skeleton, joint: int) -> int:
     """Find the joint itself, or its nearest ancestor that is not fixed."""
     while skeleton.kinds[joint] == "fixed" and skeleton.parents[joint] >= 0:
         joint = skeleton.parents[joint]
     return joint
 
 
-def _next_above(parents: Sequence[int], joint: int, among: Sequence[int]) -> int:
+def _nearest_ancestor(parents: Sequence[int], joint: int, among: Sequence[int]) -> int:
     """Find the index in `among` of the nearest ancestor that it contains, minus one where there is none."""
     joint = parents[joint]
     while joint >= 0 and joint not in among:
@@ -144,9 +144,9 @@ def _even_samples(
     triangles = vertices[faces]
     order = np.asarray(spatial_order(triangles.mean(1)))
     passed = np.cumsum(np.linalg.norm(_area_normals(triangles), axis=1)[order])
-    steps = np.searchsorted(passed, (np.arange(SAMPLES) + 0.5) / SAMPLES * passed[-1])
+    steps = np.searchsorted(passed, (np.arange(NUM_SAMPLES) + 0.5) / NUM_SAMPLES * passed[-1])
     # positions within the triangles by Roberts's sequence, which leaves no gaps
-    first, second = ((np.arange(SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
+    first, second = ((np.arange(NUM_SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
     outside = first + second > 1
     first, second = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
     return faces[order[steps]], np.stack([1 - first - second, first, second], 1)
@@ -157,7 +157,7 @@ def _area_normals(triangles: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
-def _hang_together(
+def _adjacent_regions(
     parents: Sequence[int], joints: Sequence[int], names: Sequence[str]
 ) -> Bool[np.ndarray, "R R"]:
     """Find the pairs of adjacent regions, named by `joints`: each with itself and with its parent limb.
@@ -166,7 +166,7 @@ def _hang_together(
     """
     together = np.eye(len(joints), dtype=bool)
     for region, joint in enumerate(joints):
-        above = _next_above(parents, joint, joints)
+        above = _nearest_ancestor(parents, joint, joints)
         if above >= 0:
             limb = np.array([name == names[above] for name in names])
             together[region] |= limb
@@ -181,7 +181,7 @@ def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "
     into = np.arange(skeleton.num_joints)
     for joint in np.argsort(-skeleton.depths, kind="stable"):
         parent = skeleton.parents[joint]
-        if share[joint] < LEAST_AREA and parent >= 0:
+        if share[joint] < MIN_AREA and parent >= 0:
             into[into == joint] = parent
             share[parent] += share[joint]
     joints, regions = np.unique(into[bones], return_inverse=True)

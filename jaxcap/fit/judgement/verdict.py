@@ -5,15 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .evidence import POINTS, Evidence
-from .surface import JudgedSurface
-from .usual import INSIDE, Usual, observed
+from .evidence import NUM_POINTS, Evidence
+from .surface import SampledSurface
+from .usual import INSIDE, NormalValues, stack_evidence
 
 #: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
 #: of `observed`
 LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
 #: the rows in words, for a limb
-WORDS = (
+REASON_FORMATS = (
     "unexplained points near the {}",
     "missing points on the {}",
     "{} inside another part of the body",
@@ -26,15 +26,15 @@ SAMPLING = 3.0
 DEVIATIONS = 5.0
 #: largest factor on the limits in a sequence that varies much, and factor on the limits of an excess over the
 #: sequence's beginning (`Usual.base`)
-WIDEST = 2.0
+MAX_FACTOR = 2.0
 #: share of the expected points below which a part is unseen; a part adjacent to an unseen one needs more, as
 #: points of an occluder may be assigned to it
 UNSEEN, UNSEEN_ADJACENT = 0.3, 0.5
 #: share of the limits at which a frame is doubtful; and the same after a frame that was not good, so that
 #: noise does not hide a persistent fault for a frame
-DOUBT, STILL = 0.7, 0.6
+DOUBTFUL_SHARE, DOUBTFUL_SHARE_AFTER = 0.7, 0.6
 #: factor on the limits at which a first frame, without normal values, is lost
-FIRST = 10.0
+FIRST_FRAME_FACTOR = 10.0
 
 
 class Judgement(eqx.Module):
@@ -53,14 +53,14 @@ class Judgement(eqx.Module):
     #: of the parts, by the joints that move them
     parts: tuple[str, ...] = eqx.field(static=True)
     #: index of each part's parent, minus one for the root
-    above: tuple[int, ...] = eqx.field(static=True)
+    part_parents: tuple[int, ...] = eqx.field(static=True)
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """The unobserved parts of the body, by their joints: their pose is a guess, whatever the verdict."""
         support = np.asarray(self.support)
         hidden, sparse = ~(support >= UNSEEN), ~(support >= UNSEEN_ADJACENT)
-        links = [[part, above] for part, above in enumerate(self.above) if above >= 0]
+        links = [[part, above] for part, above in enumerate(self.part_parents) if above >= 0]
         # parents come first: up the tree, then down it, reaches every part along a chain
         for link in (*reversed(links), *links):
             hidden[link] |= sparse[link] & hidden[link].any()
@@ -84,7 +84,7 @@ class Judgement(eqx.Module):
         """The faults and their parts, without a full stop, worst first; empty where the verdict is good."""
         found: dict[str, float] = {}
         doubt = float(self.doubt)
-        for row, what in zip(np.asarray(self.shares, float), WORDS, strict=True):
+        for row, what in zip(np.asarray(self.shares, float), REASON_FORMATS, strict=True):
             regions = row[:-1]
             # a whole body over its limit is named by the regions with the largest shares
             named = (regions >= doubt) | ((row[-1] >= doubt) & (regions >= 0.5 * regions.max()))
@@ -95,29 +95,31 @@ class Judgement(eqx.Module):
 
 
 @eqx.filter_jit
-def judge_evidence(surface: JudgedSurface, usual: Usual, evidence: Evidence) -> Judgement:
+def judge_evidence(surface: SampledSurface, usual: NormalValues, evidence: Evidence) -> Judgement:
     """Compare the evidence of a frame with the normal values.
 
-    Before the first frame there are none (`nothing_usual`). Absolute limits then make a frame doubtful, and
-    `FIRST` times wider ones lost, because clothes leave as much unexplained as a slightly wrong limb. A fault
+    Before the first frame there are none (`initial_values`). Absolute limits then make a frame doubtful, and
+    `FIRST_FRAME_FACTOR` times wider ones lost, because clothes leave as much unexplained as a slightly wrong limb. A fault
     that grows slowly enough to become normal is detected by comparison with the level of the first frames.
     """
     plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
     # self-intersection is never normal, however frequent
     level, base = usual.level.at[INSIDE].set(0.0), usual.base.at[INSIDE].set(0.0)
     limits = _limits(plain, usual.level)
-    limits = jnp.clip(DEVIATIONS * usual.deviation, limits, WIDEST * limits)
-    value = observed(evidence)
+    limits = jnp.clip(DEVIATIONS * usual.deviation, limits, MAX_FACTOR * limits)
+    value = stack_evidence(evidence)
     shares = jnp.maximum(
         (value - level) / limits,
-        jnp.where(usual.frames > 0, (value - base) / (WIDEST * _limits(plain, usual.base)), 0.0),
+        jnp.where(usual.frames > 0, (value - base) / (MAX_FACTOR * _limits(plain, usual.base)), 0.0),
     )
-    tolerance = jnp.where(usual.frames > 0, 1.0, FIRST).astype(limits.dtype)
-    doubt = jnp.where(usual.warned > 0, STILL, DOUBT).astype(limits.dtype)
-    return Judgement(shares, tolerance, doubt, evidence.support, surface.names, surface.joints, surface.above)
+    tolerance = jnp.where(usual.frames > 0, 1.0, FIRST_FRAME_FACTOR).astype(limits.dtype)
+    doubt = jnp.where(usual.flagged > 0, DOUBTFUL_SHARE_AFTER, DOUBTFUL_SHARE).astype(limits.dtype)
+    return Judgement(
+        shares, tolerance, doubt, evidence.support, surface.names, surface.joints, surface.part_parents
+    )
 
 
 def _limits(plain: Float[Array, "3 Q"], level: Float[Array, "3 Q"]) -> Float[Array, "3 Q"]:
     """Compute limits of excesses over a level, including its sampling error."""
-    chance = SAMPLING * jnp.sqrt(jnp.maximum(level, 0.0) / POINTS)
+    chance = SAMPLING * jnp.sqrt(jnp.maximum(level, 0.0) / NUM_POINTS)
     return plain + jnp.maximum(RELATIVE * level, chance)

@@ -17,16 +17,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..solvers.equalities import Equalities, keep_equalities
-from .block_banded import BandedFactor, BlockBanded, frames_before
+from ..solvers.equalities import Equalities, enforce_equalities
+from .block_banded import BandedFactor, BlockBanded, stack_previous
 from .cholesky import CholeskyFactor, factorise
-from .structured import AbstractFactor, AbstractStructured
+from .structured import AbstractFactor, AbstractStructuredMatrix
 
 #: the unknowns of each frame, and those shared by all frames
 Unknowns = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
 
-class BlockArrow(AbstractStructured):
+class BlockArrow(AbstractStructuredMatrix):
     """A symmetric block-arrow matrix over `(x (F, D), s (S,))`; S may be zero."""
 
     frames: BlockBanded
@@ -39,16 +39,16 @@ class BlockArrow(AbstractStructured):
             across = jnp.einsum("fds,fd->s", self.coupling, x)
             return self.frames.mv(x) + self.coupling @ s, self.shared @ s + across
 
-    def magnitudes(self, x: Unknowns) -> Unknowns:
+    def abs_mv(self, x: Unknowns) -> Unknowns:
         return BlockArrow(
             BlockBanded(jnp.abs(self.frames.blocks)), jnp.abs(self.coupling), jnp.abs(self.shared)
         ).mv(x)
 
-    def among(self, free: tuple[Bool[Array, "F D"], Bool[Array, "S"]]) -> "BlockArrow":
+    def restricted(self, free: tuple[Bool[Array, "F D"], Bool[Array, "S"]]) -> "BlockArrow":
         x, s = free
         coupling = jnp.where(x[:, :, None] & s, self.coupling, 0.0)
         shared = jnp.where(s[:, None] & s, self.shared, 0.0) + jnp.diag(jnp.where(s, 0.0, 1.0))
-        return BlockArrow(self.frames.among(x), coupling, shared)
+        return BlockArrow(self.frames.restricted(x), coupling, shared)
 
     def in_structure(self):
         return self.frames.in_structure(), jax.ShapeDtypeStruct(self.shared.shape[:1], self.shared.dtype)
@@ -60,16 +60,16 @@ class BlockArrow(AbstractStructured):
         x, s = amounts
         return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
 
-    def turned(self, turn: Float[Array, "F D D"]) -> "BlockArrow":
+    def change_variables(self, matrix: Float[Array, "F D D"]) -> "BlockArrow":
         """Change the variables of the frames to `y` with `x = turn @ y`."""
-        before = frames_before(turn, self.frames.blocks.shape[1])
+        before = stack_previous(matrix, self.frames.blocks.shape[1])
         product = partial(jnp.einsum, precision="highest")
-        blocks = product("fai,fwab,fwbj->fwij", turn, self.frames.blocks, before)
-        return BlockArrow(BlockBanded(blocks), product("fai,fas->fis", turn, self.coupling), self.shared)
+        blocks = product("fai,fwab,fwbj->fwij", matrix, self.frames.blocks, before)
+        return BlockArrow(BlockBanded(blocks), product("fai,fas->fis", matrix, self.coupling), self.shared)
 
     def rescaled(self, x: Float[Array, "F D"], s: Float[Array, "S"]) -> "BlockArrow":
         """Rescale the variables of the frames by `x` and the shared ones by `s`."""
-        before = frames_before(x, self.frames.blocks.shape[1])
+        before = stack_previous(x, self.frames.blocks.shape[1])
         blocks = self.frames.blocks * x[:, None, :, None] * before[:, :, None, :]
         coupling = self.coupling * x[:, :, None] * s
         return BlockArrow(BlockBanded(blocks), coupling, self.shared * s[:, None] * s)
@@ -89,10 +89,10 @@ class ArrowFactor(AbstractFactor):
     columns: Float[Array, "F D S"]
     shared: CholeskyFactor
 
-    def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
+    def solve(self, rhs: Unknowns, equalities: Equalities | None = None) -> Unknowns:
         """Solve for all unknowns; with equalities, minimise `y^T A y / 2 - side^T y` subject to them."""
         with jax.default_matmul_precision("highest"):
-            known = self.frames.forward(side[0][:, :, None])[:, :, 0]
-            s = self.shared.solve(side[1] - jnp.einsum("fds,fd->s", self.columns, known))
-            s = keep_equalities(self.shared.solve, s, equalities)
+            known = self.frames.forward(rhs[0][:, :, None])[:, :, 0]
+            s = self.shared.solve(rhs[1] - jnp.einsum("fds,fd->s", self.columns, known))
+            s = enforce_equalities(self.shared.solve, s, equalities)
             return self.frames.backward((known - self.columns @ s)[:, :, None])[:, :, 0], s

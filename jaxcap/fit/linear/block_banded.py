@@ -22,13 +22,13 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Shaped
 
 from ..solvers.equalities import Equalities
-from .cholesky import rounding, unit_scale
-from .structured import AbstractFactor, AbstractStructured
+from .cholesky import rounding_bound, unit_scale
+from .structured import AbstractFactor, AbstractStructuredMatrix
 
 _einsum = partial(jnp.einsum, precision="highest")
 
 
-class BlockBanded(AbstractStructured):
+class BlockBanded(AbstractStructuredMatrix):
     """A symmetric block-banded matrix over `x (F, D)`.
 
     `blocks[f, w]`, with `B = W + 1` blocks per frame, couples frame `f` (rows) to frame `f - w` (columns).
@@ -44,11 +44,11 @@ class BlockBanded(AbstractStructured):
             total = total.at[:-w].add(_einsum("fij,fi->fj", self.blocks[w:, w], vector[w:]))
         return total
 
-    def magnitudes(self, x: Float[Array, "F D"]) -> Float[Array, "F D"]:
+    def abs_mv(self, x: Float[Array, "F D"]) -> Float[Array, "F D"]:
         return BlockBanded(jnp.abs(self.blocks)).mv(x)
 
-    def among(self, free: Bool[Array, "F D"]) -> "BlockBanded":
-        both = free[:, None, :, None] & frames_before(free, self.blocks.shape[1])[:, :, None, :]
+    def restricted(self, free: Bool[Array, "F D"]) -> "BlockBanded":
+        both = free[:, None, :, None] & stack_previous(free, self.blocks.shape[1])[:, :, None, :]
         return BlockBanded(jnp.where(both, self.blocks, 0.0)).add_diagonal(jnp.where(free, 0.0, 1.0))
 
     def in_structure(self):
@@ -70,11 +70,11 @@ class BlockBanded(AbstractStructured):
         """
         frames, width, dofs, _ = self.blocks.shape
         scale = unit_scale(self.diagonal())
-        even = self.blocks * scale[:, None, :, None] * frames_before(scale, width)[:, :, None, :]
+        even = self.blocks * scale[:, None, :, None] * stack_previous(scale, width)[:, :, None, :]
         there = jnp.arange(frames)[:, None] >= jnp.arange(width)
         even = jnp.where(there[:, :, None, None], even, 0.0)
         one = jnp.eye(dofs, dtype=even.dtype)
-        even = even.at[:, 0].add(rounding(dofs, even.dtype) * one)
+        even = even.at[:, 0].add(rounding_bound(dofs, even.dtype) * one)
 
         def row(above, blocks):
             """Compute a row of the factor from the rows of the `W` previous frames, the nearest first."""
@@ -101,16 +101,16 @@ class BandedFactor(AbstractFactor):
     blocks: Float[Array, "F B D D"]
     scale: Float[Array, "F D"]
 
-    def solve(self, side: Float[Array, "F D"], equalities: Equalities | None = None) -> Float[Array, "F D"]:
+    def solve(self, rhs: Float[Array, "F D"], equalities: Equalities | None = None) -> Float[Array, "F D"]:
         if equalities is not None:
             raise NotImplementedError("Equalities are not supported without shared unknowns.")
-        return self.backward(self.forward(side[:, :, None]))[:, :, 0]
+        return self.backward(self.forward(rhs[:, :, None]))[:, :, 0]
 
-    def forward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
+    def forward(self, rhs: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
         """Compute `L^-1 S b`, from the first frame to the last."""
-        sides = self.scale[:, :, None] * sides
+        rhs = self.scale[:, :, None] * rhs
         if self.blocks.shape[1] == 1:
-            return _einsum("fij,fjk->fik", self.blocks[:, 0], sides)
+            return _einsum("fij,fjk->fik", self.blocks[:, 0], rhs)
 
         def one(before, row):
             blocks, side = row
@@ -118,17 +118,17 @@ class BandedFactor(AbstractFactor):
             found = _einsum("ij,jk->ik", blocks[0], side - known)
             return jnp.concatenate([found[None], before])[: len(before)], found
 
-        none = jnp.zeros((self.blocks.shape[1] - 1, *sides.shape[1:]), sides.dtype)
-        return jax.lax.scan(one, none, (self.blocks, sides))[1]
+        none = jnp.zeros((self.blocks.shape[1] - 1, *rhs.shape[1:]), rhs.dtype)
+        return jax.lax.scan(one, none, (self.blocks, rhs))[1]
 
-    def backward(self, sides: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
+    def backward(self, rhs: Float[Array, "F D K"]) -> Float[Array, "F D K"]:
         """Compute `S L^-T b`, from the last frame to the first.
 
         The updates of a solved frame to the right sides of earlier frames are carried along, the nearest
         first.
         """
         if self.blocks.shape[1] == 1:
-            return self.scale[:, :, None] * _einsum("fij,fik->fjk", self.blocks[:, 0], sides)
+            return self.scale[:, :, None] * _einsum("fij,fik->fjk", self.blocks[:, 0], rhs)
 
         def one(known, row):
             blocks, side = row
@@ -137,10 +137,10 @@ class BandedFactor(AbstractFactor):
             taken = _einsum("wij,ik->wjk", blocks[1:], found)
             return passed.at[: len(taken)].add(taken), found
 
-        none = jnp.zeros((self.blocks.shape[1], *sides.shape[1:]), sides.dtype)
-        return self.scale[:, :, None] * jax.lax.scan(one, none, (self.blocks, sides), reverse=True)[1]
+        none = jnp.zeros((self.blocks.shape[1], *rhs.shape[1:]), rhs.dtype)
+        return self.scale[:, :, None] * jax.lax.scan(one, none, (self.blocks, rhs), reverse=True)[1]
 
-    def diagonal_inverse(self) -> Float[Array, "F D D"]:
+    def inverse_diagonal_blocks(self) -> Float[Array, "F D D"]:
         """Compute the diagonal blocks of the inverse, in time linear in the number of frames.
 
         The recursion runs from the last frame to the first, each from the later frames in its band
@@ -169,6 +169,6 @@ class BandedFactor(AbstractFactor):
         return own * self.scale[:, :, None] * self.scale[:, None, :]
 
 
-def frames_before(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:
+def stack_previous(each: Shaped[Array, "F *D"], width: int) -> Shaped[Array, "F B *D"]:
     """Stack the values of each frame with those of the frames before it, cyclically at the start."""
     return jnp.stack([jnp.roll(each, w, 0) for w in range(width)], 1)

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 
 
 def chebyshev(
-    product: Callable[[Array], Array],
-    side: Array,
+    matvec: Callable[[Array], Array],
+    rhs: Array,
     low: float | Float[Array, ""],
     high: float | Float[Array, ""],
     steps: int,
@@ -25,10 +25,10 @@ def chebyshev(
 
     def step(carry, _):
         x, left, move, share = carry
-        x, left = x + move, left - product(move)
+        x, left = x + move, left - matvec(move)
         after = 1.0 / (2.0 * middle / radius - share)
         return (x, left, after * share * move + 2.0 * after / radius * left, after), None
 
-    start = jnp.zeros_like(side), side, side / middle, radius / middle
+    start = jnp.zeros_like(rhs), rhs, rhs / middle, radius / middle
     (x, _, move, _), _ = jax.lax.scan(step, start, length=steps)
     return x + move

@@ -12,12 +12,12 @@ class CholeskyFactor(eqx.Module):
     lower: Float[Array, "N N"]
     scale: Float[Array, "N"]
 
-    def solve(self, side: Float[Array, "N *K"]) -> Float[Array, "N *K"]:
+    def solve(self, rhs: Float[Array, "N *K"]) -> Float[Array, "N *K"]:
         """Solve `A x = side`; NaN where `A` is not positive definite."""
-        if side.shape[0] == 0:
-            return side
-        scale = self.scale.reshape(-1, *[1] * (side.ndim - 1))
-        half = solve_triangular(self.lower, scale * side, lower=True)
+        if rhs.shape[0] == 0:
+            return rhs
+        scale = self.scale.reshape(-1, *[1] * (rhs.ndim - 1))
+        half = solve_triangular(self.lower, scale * rhs, lower=True)
         return scale * solve_triangular(self.lower, half, lower=True, trans=1)
 
 
@@ -31,7 +31,7 @@ def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> Choles
     if size == 0:
         return CholeskyFactor(matrix, scale)
     even = matrix * scale[:, None] * scale
-    ridge = rounding(size, dtype) if ridge is None else ridge
+    ridge = rounding_bound(size, dtype) if ridge is None else ridge
     return CholeskyFactor(jnp.linalg.cholesky(even + ridge * jnp.eye(size, dtype=dtype)), scale)
 
 
@@ -41,6 +41,6 @@ def unit_scale(diagonal: Float[Array, "*N"]) -> Float[Array, "*N"]:
     return jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, diagonal, 1.0)), 1.0)
 
 
-def rounding(size: int, dtype) -> float:
+def rounding_bound(size: int, dtype) -> float:
     """Bound the rounding error of a unit diagonal of `size` equations."""
     return max(size, 10) * float(jnp.finfo(dtype).eps)

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float, Int, PyTree
 
 
 def conjugate_gradients(
-    product: Callable[[PyTree], PyTree],
-    side: PyTree,
+    matvec: Callable[[PyTree], PyTree],
+    rhs: PyTree,
     precondition: Callable[[PyTree], PyTree],
     *,
     tolerance: float | Float[Array, ""],
@@ -27,7 +27,7 @@ def conjugate_gradients(
     result is NaN where the residual exceeds the share `unsolved`, if given, in the norm of the
     preconditioner.
 
-    Differentiable in both modes by the dependencies of `product` and `side`: a derivative is one more solve.
+    Differentiable in both modes by the dependencies of `matvec` and `rhs`: a derivative is one more solve.
     JAX's own `cg` cannot be transposed where only the right side is unknown, as in the derivative of a
     minimum.
     """
@@ -39,7 +39,7 @@ def conjugate_gradients(
         project=project,
         unsolved=unsolved,
     )
-    return jax.lax.custom_linear_solve(product, side, solve, symmetric=True)
+    return jax.lax.custom_linear_solve(matvec, rhs, solve, symmetric=True)
 
 
 def _iterate(product, side, *, precondition, tolerance, max_steps, project, unsolved):

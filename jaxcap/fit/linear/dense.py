@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..solvers.equalities import Equalities, keep_equalities
+from ..solvers.equalities import Equalities, enforce_equalities
 from .cholesky import CholeskyFactor, factorise
-from .structured import AbstractFactor, AbstractStructured
+from .structured import AbstractFactor, AbstractStructuredMatrix
 
 
-class Dense(AbstractStructured):
+class DenseMatrix(AbstractStructuredMatrix):
     """A dense symmetric positive semidefinite matrix over `x (D,)`."""
 
     matrix: Float[Array, "D D"]
@@ -17,11 +17,13 @@ class Dense(AbstractStructured):
     def mv(self, vector: Float[Array, "D"]) -> Float[Array, "D"]:
         return jnp.matmul(self.matrix, vector, precision="highest")
 
-    def magnitudes(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
+    def abs_mv(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
         return jnp.abs(self.matrix) @ x
 
-    def among(self, free: Bool[Array, "D"]) -> "Dense":
-        return Dense(jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0)))
+    def restricted(self, free: Bool[Array, "D"]) -> "DenseMatrix":
+        return DenseMatrix(
+            jnp.where(free[:, None] & free, self.matrix, 0.0) + jnp.diag(jnp.where(free, 0.0, 1.0))
+        )
 
     def in_structure(self):
         return jax.ShapeDtypeStruct(self.matrix.shape[:1], self.matrix.dtype)
@@ -29,8 +31,8 @@ class Dense(AbstractStructured):
     def diagonal(self) -> Float[Array, "D"]:
         return jnp.diagonal(self.matrix)
 
-    def add_diagonal(self, amounts: Float[Array, "D"]) -> "Dense":
-        return Dense(self.matrix + jnp.diag(amounts))
+    def add_diagonal(self, amounts: Float[Array, "D"]) -> "DenseMatrix":
+        return DenseMatrix(self.matrix + jnp.diag(amounts))
 
     def factorise(self) -> "DenseFactor":
         # a small ridge, as equations without structure are damped already, and a ridge moves weakly
@@ -46,5 +48,5 @@ class DenseFactor(AbstractFactor):
 
     factor: CholeskyFactor
 
-    def solve(self, side: Float[Array, "D"], equalities: Equalities | None = None) -> Float[Array, "D"]:
-        return keep_equalities(self.factor.solve, self.factor.solve(side), equalities)
+    def solve(self, rhs: Float[Array, "D"], equalities: Equalities | None = None) -> Float[Array, "D"]:
+        return enforce_equalities(self.factor.solve, self.factor.solve(rhs), equalities)

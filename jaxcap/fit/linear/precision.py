@@ -10,7 +10,7 @@ import jax.numpy as jnp
 Result = TypeVar("Result")
 
 
-def in_double(function: Callable[..., Result], *arguments: Any) -> Result:
+def in_float64(function: Callable[..., Result], *arguments: Any) -> Result:
     """Call a function in float64 and cast its result back to the precision of its arguments.
 
     Information of many frames on shared unknowns is a difference of large numbers, which needs float64. Works

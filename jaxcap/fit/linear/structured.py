@@ -16,21 +16,21 @@ from jaxtyping import Array, Float, PyTree
 
 from ..solvers.equalities import Equalities
 
-Structured = TypeVar("Structured", bound="AbstractStructured")
+Structured = TypeVar("Structured", bound="AbstractStructuredMatrix")
 
 
 class AbstractFactor(eqx.Module):
     """A factorised matrix."""
 
     @abc.abstractmethod
-    def solve(self, side: Any, equalities: Equalities | None = None) -> Any:
+    def solve(self, rhs: Any, equalities: Equalities | None = None) -> Any:
         """Solve `A x = side`; with equalities, minimise `x^T A x / 2 - side^T x` subject to them.
 
         The result is NaN where `A` is not positive definite.
         """
 
 
-class AbstractStructured(lx.AbstractLinearOperator):
+class AbstractStructuredMatrix(lx.AbstractLinearOperator):
     """A symmetric positive semidefinite matrix over unknowns that are a pytree of arrays."""
 
     @abc.abstractmethod
@@ -42,11 +42,11 @@ class AbstractStructured(lx.AbstractLinearOperator):
         """Add amounts, in the shape of the unknowns, to the diagonal."""
 
     @abc.abstractmethod
-    def magnitudes(self, x: PyTree[Array]) -> PyTree[Array]:
+    def abs_mv(self, x: PyTree[Array]) -> PyTree[Array]:
         """Compute `|A| x`, the scale of the rounding errors of a product."""
 
     @abc.abstractmethod
-    def among(self: Structured, free: PyTree[Array]) -> Structured:
+    def restricted(self: Structured, free: PyTree[Array]) -> Structured:
         """Keep the rows and columns of free unknowns, and replace the others by those of the identity.
 
         They are masked, not removed, so that shapes stay constant.
@@ -56,12 +56,12 @@ class AbstractStructured(lx.AbstractLinearOperator):
     def factorise(self) -> AbstractFactor:
         """Factorise the matrix in time linear in the number of frames."""
 
-    def solve(self, side: PyTree[Array]) -> PyTree[Array]:
+    def solve(self, rhs: PyTree[Array]) -> PyTree[Array]:
         """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the
         same factor.
         """
         factor = jax.lax.stop_gradient(self).factorise()
-        return jax.lax.custom_linear_solve(self.mv, side, lambda _, b: factor.solve(b), symmetric=True)
+        return jax.lax.custom_linear_solve(self.mv, rhs, lambda _, b: factor.solve(b), symmetric=True)
 
     def as_matrix(self) -> Float[Array, "N N"]:
         """Write out the whole matrix, for tests and small problems."""
@@ -79,7 +79,7 @@ class AbstractStructured(lx.AbstractLinearOperator):
         return self.in_structure()
 
 
-def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
+def damped(matrix: Structured, relative: Float[Array, ""]) -> Structured:
     """Damp a matrix after Marquardt: add a share of each diagonal entry to it.
 
     A floor relative to the largest entry of the same block keeps unknowns without data still.
@@ -89,22 +89,22 @@ def damped(matrix: Structured, share: Float[Array, ""]) -> Structured:
         if diagonal.shape[-1] == 0:
             return diagonal
         floor = jnp.finfo(diagonal.dtype)
-        return share * diagonal + jnp.maximum(jnp.max(diagonal, -1, keepdims=True) * floor.eps, floor.tiny)
+        return relative * diagonal + jnp.maximum(jnp.max(diagonal, -1, keepdims=True) * floor.eps, floor.tiny)
 
     return matrix.add_diagonal(jax.tree.map(raised, matrix.diagonal()))
 
 
 for _question in (lx.is_symmetric, lx.is_positive_semidefinite):
-    _question.register(AbstractStructured)(lambda operator: True)
+    _question.register(AbstractStructuredMatrix)(lambda operator: True)
 for _question in (
     lx.is_diagonal, lx.is_tridiagonal, lx.has_unit_diagonal, lx.is_lower_triangular, lx.is_upper_triangular,
     lx.is_negative_semidefinite,
 ):  # fmt: skip
-    _question.register(AbstractStructured)(lambda operator: False)
+    _question.register(AbstractStructuredMatrix)(lambda operator: False)
 for _same in (lx.linearise, lx.materialise, lx.conj):
-    _same.register(AbstractStructured)(lambda operator: operator)
+    _same.register(AbstractStructuredMatrix)(lambda operator: operator)
 
 
-@lx.diagonal.register(AbstractStructured)
+@lx.diagonal.register(AbstractStructuredMatrix)
 def _(operator):
     return ravel_pytree(operator.diagonal())[0]

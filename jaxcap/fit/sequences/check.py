@@ -8,14 +8,14 @@ from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ...body.pose import Pose
-from ...energy.check import check_indices, check_numbers, explained
-from ...energy.stacked import NormalPrior, join_frame, num_frames_of, split_frames
+from ...energy.check import check_energy_arrays, check_indices, explain_errors
+from ...energy.stacked import NormalPrior, frame_counts, join_frame, split_frames
 from ...errors import InputError
 from .problem import SequenceEstimate, SequenceProblem
 from .unknowns import AbstractUnknown
 
 #: fields of unknowns that are indices of joints or of vertices
-_NUMBERS = {"joints": "joints", "bones": "joints", "vertices": "vertices"}
+_INDEX_FIELDS = {"joints": "joints", "bones": "joints", "vertices": "vertices"}
 
 
 def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
@@ -28,11 +28,11 @@ def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
     _check_frames(problem, poses)
     _check_constraints(problem)
     own, same = split_frames(problem.frames)
-    check_numbers(join_frame(own, same), problem.body)
+    check_energy_arrays(join_frame(own, same), problem.body)
     first = join_frame(jax.tree.map(lambda leaf: leaf[0], own), same)
     start = problem.start(poses)
-    with explained(first, problem.body):
-        _check_seen(problem, start)
+    with explain_errors(first, problem.body):
+        _check_dependence(problem, start)
     _check_bounds(problem, start)
 
 
@@ -45,7 +45,7 @@ def _check_unknowns(problem: SequenceProblem) -> None:
         )
     counts: dict[str, int] = {"joints": body.skeleton.num_joints, "vertices": len(body.vertices)}
     for name, unknown in given.items():
-        for field, what in _NUMBERS.items():
+        for field, what in _INDEX_FIELDS.items():
             numbers = getattr(unknown, field, ())
             owner = f"{type(unknown).__name__} '{name}'"
             check_indices(owner, field, numbers, what, counts[what])
@@ -62,9 +62,9 @@ def _check_unknowns(problem: SequenceProblem) -> None:
 
 def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
     given = {"poses": poses.scale.shape[0] if poses.scale.ndim else 1, "times": problem.num_frames}
-    if problem.held is not None:
-        given["held"] = len(problem.held)
-    counts = num_frames_of(problem.frames)
+    if problem.fixed is not None:
+        given["held"] = len(problem.fixed)
+    counts = frame_counts(problem.frames)
     if len({*given.values(), *counts}) > 1:
         words = ", ".join(f"{count} in `{name}`" for name, count in given.items())
         stacked = " and ".join(map(str, sorted(counts))) or "none"
@@ -108,7 +108,7 @@ def _check_constraints(problem: SequenceProblem) -> None:
         )
 
 
-def _check_seen(problem: SequenceProblem, start: SequenceEstimate) -> None:
+def _check_dependence(problem: SequenceProblem, start: SequenceEstimate) -> None:
     """Check that the energy depends on every shared unknown."""
     shapes = jax.eval_shape(lambda: start)
     traced = jax.make_jaxpr(lambda values: problem.value(SequenceEstimate(start.poses, values)))(

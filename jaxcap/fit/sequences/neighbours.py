@@ -19,7 +19,7 @@ class WindowEquations(eqx.Module):
     total: tuple[Float[Array, ""], Float[Array, "S"], Float[Array, "S S"]]
     blocks: Float[Array, "K n n D D"]
     coupling: Float[Array, "K n D S"]
-    sides: Float[Array, "K n D"]
+    gradients: Float[Array, "K n D"]
 
 
 def window_residuals(

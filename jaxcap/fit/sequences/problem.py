@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import check_fields
 from ...body.body import Body, pose_body
-from ...body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, box_chart, move_within
+from ...body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, make_box_chart, retract_within
 from ...body.pose import Pose, project, rest_pose, retract
 from ...body.symmetry import length_differences
 from ...energy.energy import AbstractEnergy
@@ -27,7 +27,7 @@ from .neighbours import window_equations, window_residuals
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
 #: iterations that make mirrored bones equally long
-EQUALISING = 8
+EQUALISING_ITERATIONS = 8
 
 
 class SequenceEstimate(eqx.Module):
@@ -46,13 +46,13 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     energies.
 
     - `frames` is summed over all frames. Terms within `Stacked` have separate data for each frame, terms
-      within `WeighedFrames` a weight; any other term is the same in every frame.
+      within `FrameWeighted` a weight; any other term is the same in every frame.
     - `between` are energies of successive frames, `times (F,)` apart.
     - `shared` are energies of the body itself, evaluated at its rest pose, and of the shared values.
     - `unknowns` by name: parameters that change `body` in all frames at once. Without any, only poses are
       unknown.
     - `boxes` are hard: poses stay within. Their tangents are then coordinates of the boxes' charts.
-    - `held` frames keep their poses.
+    - `fixed` frames keep their poses.
     - `mirrored`: pairs of joints with bones of equal length, kept exactly to first order.
 
     Normal equations are block-arrow, and block-banded among coupled frames: time and memory are linear in the
@@ -66,7 +66,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     between: tuple[AbstractNeighbourEnergy, ...] = ()
     shared: tuple[AbstractEnergy | AbstractSharedEnergy, ...] = ()
     boxes: PoseBoxes | None = None
-    held: Bool[Array, "F"] | None = None
+    fixed: Bool[Array, "F"] | None = None
     mirrored: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
@@ -84,7 +84,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     def body_at(self, values: dict[str, Any], d: Float[Array, "S"] | None = None) -> Body:
         """Make the body of shared values, moved along a tangent if given."""
         if d is not None:
-            values = self._moved(values, d)
+            values = self._retract_values(values, d)
         return make_body(self.body, self.unknowns, values)
 
     def start(self, poses: Pose) -> SequenceEstimate:
@@ -92,7 +92,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
 
         def allowed(pose: Pose) -> Pose:
             pose = project(self.body.skeleton, pose)
-            return pose if self.boxes is None else self.boxes.nearest(self.body.skeleton, pose)
+            return pose if self.boxes is None else self.boxes.project(self.body.skeleton, pose)
 
         values = {name: unknown.start(self.body) for name, unknown in self.unknowns.items()}
         return SequenceEstimate(jax.vmap(allowed)(poses), values)
@@ -103,15 +103,15 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         if self.boxes is None:
             poses = jax.vmap(retract, (None, 0, 0))(skeleton, y.poses, d[0])
         else:
-            move = jax.vmap(move_within, (None, None, 0, 0, 0))
+            move = jax.vmap(retract_within, (None, None, 0, 0, 0))
             poses = move(self.boxes, skeleton, y.poses, self.charts(y.poses), d[0])
-        held = self.held
+        held = self.fixed
         if held is not None:
             # exactly, to the last bit
             poses = jax.tree.map(
                 lambda new, old: jnp.where(held.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
             )
-        return SequenceEstimate(poses, self._moved(y.values, d[1]))
+        return SequenceEstimate(poses, self._retract_values(y.values, d[1]))
 
     def scales(self) -> SequenceTangent:
         own = pose_scales(self.body.skeleton)
@@ -198,21 +198,24 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
                 windows = self.num_frames - number + 1
                 for later in range(number):
                     here = slice(later, later + windows)
-                    sides = sides.at[here].add(banded.sides[:, later])
+                    sides = sides.at[here].add(banded.gradients[:, later])
                     coupling = coupling.at[here].add(banded.coupling[:, later])
                     for before in range(later + 1):
                         blocks = blocks.at[here, before].add(banded.blocks[:, later, later - before])
                 total = jax.tree.map(jnp.add, total, banded.total)
-            rows, residual = self._shared_rows(y.values)
+            rows, residual = self._shared_jacobian(y.values)
             own = 0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows
             value, side, shared = jax.tree.map(jnp.add, total, own)
         arrow = BlockArrow(BlockBanded(blocks), coupling, shared)
         if self.boxes is not None:
-            turn = self.charts(y.poses).turn
-            arrow, sides = arrow.turned(turn), jnp.einsum("fai,fa->fi", turn, sides, precision="highest")
+            turn = self.charts(y.poses).basis
+            arrow, sides = (
+                arrow.change_variables(turn),
+                jnp.einsum("fai,fa->fi", turn, sides, precision="highest"),
+            )
         return value, (sides, side), arrow
 
-    def _moved(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
+    def _retract_values(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
         parts = split_tangent(self.body, self.unknowns, d)
         return {name: unknown.retract(values[name], parts[name]) for name, unknown in self.unknowns.items()}
 
@@ -225,9 +228,9 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     def charts(self, poses: Pose) -> BoxChart:
         """Make the charts of the boxes about poses; `boxes` are given."""
         assert self.boxes is not None
-        return jax.vmap(box_chart, (None, None, 0))(self.boxes, self.body.skeleton, poses)
+        return jax.vmap(make_box_chart, (None, None, 0))(self.boxes, self.body.skeleton, poses)
 
-    def within(self, y: SequenceEstimate) -> SequenceEstimate:
+    def project_feasible(self, y: SequenceEstimate) -> SequenceEstimate:
         """Clip shared values to the bounds of their unknowns, and make mirrored bones equally long by the
         least change.
         """
@@ -245,21 +248,21 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             s = self.scales()[1]
 
             def equalise(_, values):
-                return self._moved(values, s * Equalities(*self._equalities(values)).least_change())
+                return self._retract_values(
+                    values, s * Equalities(*self._equalities(values)).minimum_norm_solution()
+                )
 
-            values = jax.lax.fori_loop(0, EQUALISING, equalise, values)
+            values = jax.lax.fori_loop(0, EQUALISING_ITERATIONS, equalise, values)
         return SequenceEstimate(y.poses, values)
 
-    def constraint(self):
+    def describe_constraints(self):
         bounded = [
             name
             for name in sorted(self.unknowns)
             if self.unknowns[name].bounds(self.unknowns[name].start(self.body))
         ]
         names = [f"bounds of the unknown '{name}'" for name in bounded]
-        names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(
-            self.mirrored
-        )
+        names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(self.mirrored)
         return " and ".join(names) or None
 
     def _constraints(self, y: SequenceEstimate) -> Constraints | None:
@@ -279,14 +282,14 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         x, s = self.scales()
         names = sorted(self.unknowns)
         bounds = [self.unknowns[name].bounds(y.values[name]) for name in names]
-        if self.boxes is None and self.held is None and not any(bounds):
+        if self.boxes is None and self.fixed is None and not any(bounds):
             return None, None
         low, high = jnp.full_like(x, -jnp.inf), jnp.full_like(x, jnp.inf)
         if self.boxes is not None:
             charts = self.charts(y.poses)
-            low, high = charts.low / x, charts.high / x
-        if self.held is not None:
-            low, high = (jnp.where(self.held[:, None], 0.0, end) for end in (low, high))
+            low, high = charts.lower / x, charts.upper / x
+        if self.fixed is not None:
+            low, high = (jnp.where(self.fixed[:, None], 0.0, end) for end in (low, high))
         free = [
             ends or (jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf))
             for ends, size in zip(
@@ -305,9 +308,11 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             for term in self.shared
         ]
 
-    def _shared_rows(self, values) -> tuple[Float[Array, "R S"], Float[Array, "R"]]:
+    def _shared_jacobian(self, values) -> tuple[Float[Array, "R S"], Float[Array, "R"]]:
         def moved(d):
-            r = jnp.concatenate([jnp.zeros(0, d.dtype), *self._shared_residuals(self._moved(values, d))])
+            r = jnp.concatenate(
+                [jnp.zeros(0, d.dtype), *self._shared_residuals(self._retract_values(values, d))]
+            )
             return r, r
 
         return jax.jacfwd(moved, has_aux=True)(jnp.zeros(self.num_shared, self.body.vertices.dtype))

@@ -64,7 +64,7 @@ def solve_sequence(
     check_sequence(problem, poses)
     solver = LevenbergMarquardt() if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
-    found = implicit_minimum(problem, problem.within(start), solver, max_steps, _onto)
+    found = implicit_minimum(problem, problem.project_feasible(start), solver, max_steps, _project_poses)
     trustworthy = is_trustworthy(problem, found)
     estimate, energy = found.y, 2.0 * problem.value(found.y)
     return SequenceSolution(
@@ -79,6 +79,6 @@ def solve_sequence(
     )
 
 
-def _onto(problem: SequenceProblem, y: SequenceEstimate) -> SequenceEstimate:
+def _project_poses(problem: SequenceProblem, y: SequenceEstimate) -> SequenceEstimate:
     """Project onto the manifold of the joints' own axes, which may be parameters."""
     return SequenceEstimate(problem.start(y.poses).poses, y.values)

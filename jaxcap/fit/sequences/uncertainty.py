@@ -15,13 +15,13 @@ from ...arguments import checked
 from ...body.skeleton import dof_layout
 from ...errors import InputError
 from ..linear.cholesky import unit_scale
-from ..solvers.implicit import free_numbers
+from ..solvers.implicit import free_unknowns
 from .problem import SequenceEstimate, SequenceProblem
 from .solve import SequenceSolution
 
 #: a coordinate is unobservable if its variance, on a unit diagonal, is above this share of the largest
 #: resolvable one
-SHOWN = 0.02
+MAX_VARIANCE_SHARE = 0.02
 
 
 class SequenceUncertainty(eqx.Module):
@@ -41,7 +41,7 @@ class SequenceUncertainty(eqx.Module):
     #: mask of those that the energies do not determine
     unobservable: Bool[Array, "S"]
     #: mask of the coordinates of each frame's pose that no energy determines
-    still: Bool[Array, "F D"]
+    unobservable_poses: Bool[Array, "F D"]
     #: true if the solution had converged; otherwise the results hold only nearby
     trustworthy: Bool[Array, ""]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -78,7 +78,7 @@ def sequence_uncertainty(
     dtype = problem.body.vertices.dtype
     if tolerance is None:
         tolerance = max(dofs, 10) * float(jnp.finfo(dtype).eps)
-    found = _blocks(problem, estimate, jnp.asarray(variance, dtype), jnp.asarray(tolerance, dtype))
+    found = _covariance_blocks(problem, estimate, jnp.asarray(variance, dtype), jnp.asarray(tolerance, dtype))
     names = tuple(
         f"{name}[{number}]"
         for name in sorted(problem.unknowns)
@@ -89,12 +89,12 @@ def sequence_uncertainty(
 
 @eqx.filter_jit
 @jax.default_matmul_precision("highest")
-def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
+def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
     info = problem.information(y)
     arrow: Any = info.hessian
     units = problem.scales()
-    free = free_numbers(info)
-    arrow = arrow.among(free)
+    free = free_unknowns(info)
+    arrow = arrow.restricted(free)
     # on a unit diagonal, undetermined coordinates get the smallest resolvable curvature
     x, s = (_unit_scale(part, tolerance) for part in arrow.diagonal())
     arrow = arrow.rescaled(x, s)
@@ -104,19 +104,19 @@ def _blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
     schur = arrow.shared - jnp.tensordot(columns, columns, ((0, 1), (0, 1)), precision="highest")
     kept = None if info.constraints is None else info.constraints.equalities
     rows = jnp.zeros((0, len(s)), s.dtype) if kept is None else kept.rows * s
-    values, directions, fixed = _within(schur, rows)
+    values, directions, fixed = _constrained_eigh(schur, rows)
     unobservable = (values <= tolerance) & ~fixed
     inverse = jnp.where(fixed, 0.0, 1.0 / jnp.maximum(values, tolerance))
     shared = jnp.einsum("ik,k,jk->ij", directions, inverse, directions, precision="highest")
     follow = factor.backward(columns)
-    poses = factor.diagonal_inverse() + jnp.einsum(
+    poses = factor.inverse_diagonal_blocks() + jnp.einsum(
         "fis,st,fjt->fij", follow, shared, follow, precision="highest"
     )
-    poses, still = _told(poses, free[0], tolerance)
-    shared, _ = _told(shared, free[1], tolerance)
+    poses, still = _mask_unobservable(poses, free[0], tolerance)
+    shared, _ = _mask_unobservable(shared, free[1], tolerance)
     poses = variance * poses * _outer(x * units[0])
     if problem.boxes is not None:
-        turn = problem.charts(y.poses).turn
+        turn = problem.charts(y.poses).basis
         poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
     return poses, variance * shared * _outer(s * units[1]), directions, unobservable, still
 
@@ -127,7 +127,7 @@ def _unit_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
     return unit_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
 
 
-def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
+def _constrained_eigh(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
     """Find curvatures and directions of a matrix in the null space of equalities; the directions fixed by
     them are marked.
     """
@@ -144,10 +144,10 @@ def _within(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
     return values, directions, values > beyond / 2
 
 
-def _told(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
+def _mask_unobservable(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
     """Set infinite variances for unobservable coordinates, and zero for those that are not free."""
     variances = jnp.diagonal(covariance, axis1=-2, axis2=-1)
-    unseen = free & (variances > SHOWN / tolerance)
+    unseen = free & (variances > MAX_VARIANCE_SHARE / tolerance)
     eye = jnp.eye(free.shape[-1], dtype=bool)
     either = unseen[..., :, None] | unseen[..., None, :]
     covariance = jnp.where(either, jnp.where(eye, jnp.inf, jnp.nan), covariance)
@@ -173,7 +173,7 @@ def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> 
         largest = np.argsort(-np.abs(direction))[:3]
         parts = [f"{direction[k]:+.2f} {result.names[k]}" for k in largest if abs(direction[k]) > 0.1]
         lines.append("The data do not determine " + ", ".join(parts) + ".")
-    still = np.asarray(result.still)
+    still = np.asarray(result.unobservable_poses)
     for number, name in enumerate(dof_layout(problem.body.skeleton).names):
         frames = np.flatnonzero(still[:, number])
         if len(frames) == len(still):

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields
 from ...body.body import Body
-from ...body.shape_modes import Modes, moved
+from ...body.shape_modes import ShapeModes, apply_modes
 from ...errors import InputError
 from ...geometry import rotation
 
@@ -56,8 +56,8 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
         return jnp.ones(self.size(body), body.vertices.dtype)
 
 
-def _number(given: float | Float[Array, ""] | None) -> Float[Array, ""] | None:
-    return None if given is None else jnp.asarray(given, float)
+def _number(value: float | Float[Array, ""] | None) -> Float[Array, ""] | None:
+    return None if value is None else jnp.asarray(value, float)
 
 
 class Size(AbstractUnknown[Float[Array, ""]]):
@@ -144,9 +144,9 @@ class JointOrientations(AbstractUnknown[Float[Array, "C 4"]]):
 
 
 class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
-    """Coefficients of the modes of a shape space, of joints and surface together (`Modes`), within bounds."""
+    """Coefficients of the modes of a shape space, of joints and surface together (`ShapeModes`), within bounds."""
 
-    modes: Modes
+    modes: ShapeModes
     lowest: Float[Array, "K"] | None = None
     highest: Float[Array, "K"] | None = None
 
@@ -157,7 +157,7 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
         return jnp.zeros(self.size(body), body.vertices.dtype)
 
     def apply(self, body, value):
-        return moved(body, self.modes, value)
+        return apply_modes(body, self.modes, value)
 
     def retract(self, value, d):
         return value + d
@@ -206,10 +206,10 @@ class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
         return len(self.vertices) * (len(self.bones) - 1)
 
     def start(self, body):
-        return self._weights(body)[self._places()]
+        return self._weights(body)[self._indices()]
 
     def apply(self, body, value):
-        changed = self._weights(body).at[self._places()].set(value)
+        changed = self._weights(body).at[self._indices()].set(value)
         return eqx.tree_at(lambda b: b.skin.weights, body, changed)
 
     def retract(self, value, d):
@@ -223,7 +223,7 @@ class SkinningWeights(AbstractUnknown[Float[Array, "C K"]]):
         most = value[:, :-1]
         return -most.reshape(-1), (jnp.sum(value, 1, keepdims=True) - most).reshape(-1)
 
-    def _places(self):
+    def _indices(self):
         return np.array(self.vertices, int)[:, None], np.array(self.bones, int)
 
     def _weights(self, body: Body) -> Float[Array, "V J"]:
@@ -248,11 +248,11 @@ def split_tangent(
 ) -> dict[str, Float[Array, "N"]]:
     """Split a tangent of all unknowns by unknown."""
     names = sorted(unknowns)
-    ends = _ends(body, [unknowns[name] for name in names])
+    ends = _offsets(body, [unknowns[name] for name in names])
     return dict(zip(names, jnp.split(d, ends[:-1]) if names else [], strict=True))
 
 
-def _ends(body: Body, unknowns: Sequence[AbstractUnknown]) -> list[int]:
+def _offsets(body: Body, unknowns: Sequence[AbstractUnknown]) -> list[int]:
     ends, total = [], 0
     for unknown in unknowns:
         total += unknown.size(body)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
-from ..linear.dense import Dense
-from ..linear.structured import AbstractStructured, damped
-from .bounded_least_squares import solve_boxed
+from ..linear.dense import DenseMatrix
+from ..linear.structured import AbstractStructuredMatrix, damped
+from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
 
 
@@ -37,7 +37,7 @@ def dense_information(
 ) -> ConstrainedInfo:
     """Compute value, gradient and Gauss-Newton Hessian from all rows, in scaled tangents."""
     scaled = jacobian * scales
-    hessian = Dense(scaled.T @ scaled)
+    hessian = DenseMatrix(scaled.T @ scaled)
     return ConstrainedInfo(0.5 * (residual @ residual), scaled.T @ residual, hessian)  # pyright: ignore[reportCallIssue]
 
 
@@ -53,14 +53,14 @@ class NormalDescent(optx.AbstractDescent):
 
     def init(self, y: PyTree, f_info_struct: Any) -> Any:
         del y
-        return _normal(f_info_struct)
+        return _as_constrained_info(f_info_struct)
 
     def query(self, y: PyTree, f_info: Any, state: Any) -> Any:
         del y, state
-        return _normal(f_info)
+        return _as_constrained_info(f_info)
 
     def step(self, step_size: Float[Array, ""], state: ConstrainedInfo) -> tuple[PyTree, optx.RESULTS]:
-        share, hessian = 1.0 / step_size, cast(AbstractStructured, state.hessian)
+        share, hessian = 1.0 / step_size, cast(AbstractStructuredMatrix, state.hessian)
         if self.relative:
             matrix = damped(hessian, share)
         else:
@@ -70,14 +70,14 @@ class NormalDescent(optx.AbstractDescent):
         return _solve(matrix, side, state.constraints), optx.RESULTS.successful
 
 
-def _solve(matrix: AbstractStructured, side: PyTree, constraints: Constraints | None) -> PyTree:
+def _solve(matrix: AbstractStructuredMatrix, rhs: PyTree, constraints: Constraints | None) -> PyTree:
     equalities = None if constraints is None else constraints.equalities
     if constraints is not None and constraints.low is not None:
-        return solve_boxed(matrix, side, constraints.low, constraints.high, equalities)
-    return matrix.factorise().solve(side, equalities)
+        return solve_bounded(matrix, rhs, constraints.low, constraints.high, equalities)
+    return matrix.factorise().solve(rhs, equalities)
 
 
-def _normal(info: Any) -> ConstrainedInfo:
+def _as_constrained_info(info: Any) -> ConstrainedInfo:
     if isinstance(info, ConstrainedInfo):
         return info
     return ConstrainedInfo(info.f, info.grad, info.hessian)

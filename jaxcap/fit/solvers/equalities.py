@@ -16,21 +16,24 @@ class Equalities(eqx.Module):
     rows: Float[Array, "C S"]
     values: Float[Array, "C"]
 
-    def least_change(self) -> Float[Array, "S"]:
+    def minimum_norm_solution(self) -> Float[Array, "S"]:
         """Find the shortest `s` that satisfies them."""
         return jnp.linalg.lstsq(self.rows, self.values)[0]
 
 
-def keep_equalities(
-    solve: Callable[[Array], Array], free: Float[Array, "S"], equalities: Equalities | None
+def enforce_equalities(
+    solve: Callable[[Array], Array], unconstrained: Float[Array, "S"], equalities: Equalities | None
 ) -> Float[Array, "S"]:
-    """Correct the unconstrained solution `free` of `A s = side` to minimise `s^T A s / 2 - side^T s` subject
+    """Correct the unconstrained solution `unconstrained` of `A s = side` to minimise `s^T A s / 2 - side^T s` subject
     to equalities.
 
     `solve` solves systems of `A`.
     """
     if equalities is None or len(equalities.rows) == 0:
-        return free
+        return unconstrained
     rows = equalities.rows
     answers = solve(rows.T)
-    return free - answers @ jnp.linalg.lstsq(rows @ answers, rows @ free - equalities.values)[0]
+    return (
+        unconstrained
+        - answers @ jnp.linalg.lstsq(rows @ answers, rows @ unconstrained - equalities.values)[0]
+    )

@@ -27,7 +27,7 @@ class FlatProblem(eqx.Module):
         """The coordinates of the centre: zeros."""
         return jnp.zeros_like(ravel_pytree(self.problem.scales())[0])
 
-    def back(self, d: Float[Array, "N"]) -> Any:
+    def to_manifold(self, d: Float[Array, "N"]) -> Any:
         """Map chart coordinates to the point of the manifold."""
         scales = self.problem.scales()
         tangent = ravel_pytree(scales)[1](d)
@@ -35,16 +35,16 @@ class FlatProblem(eqx.Module):
 
     def value(self, d: Float[Array, "N"]) -> Float[Array, ""]:
         """Compute `|r|^2 / 2`."""
-        return self.problem.value(self.back(d))
+        return self.problem.value(self.to_manifold(d))
 
     def residual(self, d: Float[Array, "N"]) -> Float[Array, "R"]:
         """Compute all residuals."""
         problem: Any = self.problem
-        return problem.residual(self.back(d))
+        return problem.residual(self.to_manifold(d))
 
     def recentred(self, d: Float[Array, "N"]) -> "FlatProblem":
         """Make the chart about another point."""
-        return FlatProblem(self.problem, self.back(d))
+        return FlatProblem(self.problem, self.to_manifold(d))
 
 
 @checked

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..linear.cholesky import factorise
-from .minimise import HISTORY, AbstractManifoldSolver
+from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
 from .problem import AbstractProblem
 
 
@@ -42,12 +42,12 @@ class GaussNewton(AbstractManifoldSolver):
     norm: Callable[[PyTree], Array] = optx.max_norm
 
     @property
-    def needs_rows(self):
+    def needs_jacobian(self):
         return True
 
     def init(self, fn, y, args: Any, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
-        energy, length = energy_of(args, y), options.get("history", HISTORY)
+        energy, length = energy_of(args, y), options.get("history", HISTORY_LENGTH)
         return GaussNewtonState(
             energy, jnp.array(0), jnp.array(False), jnp.array(True), jnp.full(length, jnp.nan, energy.dtype)
         )

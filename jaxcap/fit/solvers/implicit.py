@@ -20,9 +20,9 @@ from .problem import AbstractProblem
 #: lower limit in roundings
 DERIVATIVE_STEPS, DERIVATIVE_TOLERANCE, DERIVATIVE_ROUNDINGS = 200, 1e-12, 10
 #: the share of each curvature added to it, as a power of the precision
-LITTLE = 0.7
+RIDGE_EXPONENT = 0.7
 #: the largest share of the energy that a Newton step may still gain at a solution with a trusted derivative
-STATIONARY = 1e-6
+MAX_RELATIVE_GAIN = 1e-6
 
 
 def implicit_minimum(
@@ -30,14 +30,14 @@ def implicit_minimum(
     start: Any,
     solver: AnySolver,
     max_steps: int,
-    onto: Callable[[Any, Any], Any] | None = None,
+    project: Callable[[Any, Any], Any] | None = None,
 ) -> Minimum:
     """Minimise a problem, with derivatives by every array of it (`jax.grad`, `jax.jvp`), not by the start.
 
     **Arguments:** as of `minimise`; `onto(problem, y)` projects `y` onto the manifold, for the case that
     parameters of the manifold, such as joint axes, are themselves differentiated.
     """
-    y, rest = _minimum(problem, start, solver, max_steps, onto)
+    y, rest = _minimum(problem, start, solver, max_steps, project)
     return eqx.tree_at(lambda m: m.y, rest, y, is_leaf=lambda x: x is None)
 
 
@@ -49,31 +49,31 @@ def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
     """
     arrays, rest = eqx.partition((problem, found.y), eqx.is_array)
     info = _information(*eqx.combine(jax.lax.stop_gradient(arrays), rest))
-    inside = _inside(info)
+    inside = _constrained_system(info)
     left, value = 0.5 * _dot(info.grad, inside.solve(info.grad)), info.as_min()
-    small = left <= STATIONARY * value + jnp.finfo(value.dtype).eps ** 1.5
-    return small & _is_within(info) & (found.result == optx.RESULTS.successful)
+    small = left <= MAX_RELATIVE_GAIN * value + jnp.finfo(value.dtype).eps ** 1.5
+    return small & _is_feasible(info) & (found.result == optx.RESULTS.successful)
 
 
-def _is_within(info: ConstrainedInfo) -> Bool[Array, ""]:
+def _is_feasible(info: ConstrainedInfo) -> Bool[Array, ""]:
     """Test if a point is within its bounds, up to rounding."""
     constraints = info.constraints
     if constraints is None or constraints.low is None:
         return jnp.array(True)
     kept = jax.tree.map(
-        lambda low, high: jnp.all((low <= _room(low)) & (high >= -_room(high))),
+        lambda low, high: jnp.all((low <= _bound_tolerance(low)) & (high >= -_bound_tolerance(high))),
         constraints.low,
         constraints.high,
     )
     return jnp.stack(jax.tree.leaves(kept)).all()
 
 
-def _room(end: Float[Array, "..."]) -> float:
+def _bound_tolerance(end: Float[Array, "..."]) -> float:
     """Compute the distance from a bound within which an unknown counts as at the bound."""
     return 1e3 * float(jnp.finfo(end.dtype).eps)
 
 
-class _Inside(eqx.Module):
+class _ConstrainedSystem(eqx.Module):
     """Equations within constraints: unknowns pressed against a bound stay, and steps satisfy linear
     equalities.
     """
@@ -81,7 +81,7 @@ class _Inside(eqx.Module):
     factor: Any
     #: the amount added to the diagonal of the factor, so that rounding moves little along undetermined
     #: directions
-    little: Any
+    ridge: Any
     free: Any
     rows: Float[Array, "C S"] | None
 
@@ -95,36 +95,36 @@ class _Inside(eqx.Module):
         leaves[-1] = leaves[-1] - self.rows.T @ jnp.linalg.lstsq(self.rows.T, leaves[-1])[0]
         return jax.tree.unflatten(structure, leaves)
 
-    def solve(self, side: Any, values: Float[Array, "C"] | None = None) -> Any:
+    def solve(self, rhs: Any, values: Float[Array, "C"] | None = None) -> Any:
         """Minimise `x^T A x / 2 - side^T x` over the free unknowns subject to `rows x = values`, zero if not
         given.
         """
         if self.rows is None:
-            return self.project(self.factor.solve(self.project(side)))
+            return self.project(self.factor.solve(self.project(rhs)))
         values = jnp.zeros(len(self.rows), self.rows.dtype) if values is None else values
-        return self.factor.solve(self.project(side), Equalities(self.rows, values))
+        return self.factor.solve(self.project(rhs), Equalities(self.rows, values))
 
 
-def _inside(info: ConstrainedInfo) -> _Inside:
+def _constrained_system(info: ConstrainedInfo) -> _ConstrainedSystem:
     hessian: Any = info.hessian
-    constraints, free = info.constraints, free_numbers(info)
+    constraints, free = info.constraints, free_unknowns(info)
     equalities = None if constraints is None else constraints.equalities
     if constraints is not None and constraints.low is not None:
-        hessian = hessian.among(free)
+        hessian = hessian.restricted(free)
     dtype = info.as_min().dtype
-    held = damped(hessian, jnp.asarray(jnp.finfo(dtype).eps ** LITTLE, dtype))
+    held = damped(hessian, jnp.asarray(jnp.finfo(dtype).eps ** RIDGE_EXPONENT, dtype))
     little = jax.tree.map(jnp.subtract, held.diagonal(), hessian.diagonal())
-    return _Inside(held.factorise(), little, free, None if equalities is None else equalities.rows)
+    return _ConstrainedSystem(held.factorise(), little, free, None if equalities is None else equalities.rows)
 
 
-def free_numbers(info: ConstrainedInfo) -> Any:
+def free_unknowns(info: ConstrainedInfo) -> Any:
     """Find the unknowns that are not pressed against a bound."""
     constraints = info.constraints
     if constraints is None or constraints.low is None:
         return jax.tree.map(lambda leaf: jnp.ones(leaf.shape, bool), info.grad)
 
     def is_free(low, high, slope):
-        room = _room(slope)
+        room = _bound_tolerance(slope)
         return ~((low >= -room) & (slope > 0)) & ~((high <= room) & (slope < 0)) & (low < high)
 
     return jax.tree.map(is_free, constraints.low, constraints.high, info.grad)
@@ -142,17 +142,17 @@ def _information(problem: AbstractProblem, y: Any):
 
 @eqx.filter_custom_jvp
 def _minimum(problem, start, solver, max_steps, onto):
-    return _descend(problem, start, solver, max_steps)
+    return _minimise(problem, start, solver, max_steps)
 
 
 @eqx.filter_jit
-def _descend(problem, start, solver, max_steps):
+def _minimise(problem, start, solver, max_steps):
     found = minimise(problem, start, solver, max_steps)
     return found.y, eqx.tree_at(lambda m: m.y, found, None)
 
 
 @_minimum.def_jvp
-def _implicit(primals, tangents):
+def _minimum_jvp(primals, tangents):
     """Differentiate a minimum by the implicit function theorem.
 
     The gradient `g(d; p)` of the Lagrangian by the tangent vanishes there for every value of the parameters
@@ -166,7 +166,7 @@ def _implicit(primals, tangents):
     scales = problem.scales()
     zero = jax.tree.map(jnp.zeros_like, scales)
     info = _information(problem, y)
-    inside = _inside(info)
+    inside = _constrained_system(info)
     forces = None if inside.rows is None else _multipliers(info, inside.rows)
 
     def moved(problem, d):
@@ -189,7 +189,7 @@ def _implicit(primals, tangents):
 
     def curvature(d):
         bent = jax.jvp(lambda d: gradient(problem, d), (zero,), (d,))[1]
-        return inside.project(jax.tree.map(lambda b, a, d: b + a * d, bent, inside.little, d))
+        return inside.project(jax.tree.map(lambda b, a, d: b + a * d, bent, inside.ridge, d))
 
     side, first = jax.tree.map(jnp.negative, of_parameters(gradient, zero)), zero
     if inside.rows is not None:

@@ -12,13 +12,13 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ...errors import InputError
 from .descent import NormalDescent
-from .minimise import HISTORY, AbstractManifoldSolver
+from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
 from .problem import AbstractNestedProblem, AbstractProblem
 
 #: changes of the energy count if they exceed this many roundings of it
-ROUNDINGS = 4
+ENERGY_ROUNDINGS = 4
 #: a gain counts as nothing below this power of the precision, as a share of the energy
-GAIN = 0.75
+GAIN_EXPONENT = 0.75
 
 
 class SolverState(eqx.Module):
@@ -32,7 +32,7 @@ class SolverState(eqx.Module):
     #: one over the damping
     step_size: Float[Array, ""]
     #: length of the last step if its effect on the energy was below rounding, otherwise infinite
-    taken: Float[Array, ""]
+    hidden_length: Float[Array, ""]
     #: length of the last accepted step, infinite before any
     length: Float[Array, ""]
     terminate: Bool[Array, ""]
@@ -88,13 +88,13 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         self.search = optx.ClassicalTrustRegion()
 
     @property
-    def needs_rows(self):
+    def needs_jacobian(self):
         return not isinstance(self.descent, NormalDescent)
 
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
         info = jax.tree.map(
-            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(self._linearised, args, y)
+            lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), eqx.filter_eval_shape(self._linearise, args, y)
         )
         value = info.as_min()
         step_size = 1.0 / jnp.asarray(options.get("damping", self.damping), value.dtype)
@@ -104,21 +104,21 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             moved=jnp.array(True),
             search_state=eqx.tree_at(lambda s: s.step_size, search_state, step_size),
             step_size=step_size,
-            taken=jnp.array(jnp.inf, value.dtype),
+            hidden_length=jnp.array(jnp.inf, value.dtype),
             length=jnp.array(jnp.inf, value.dtype),
             num_steps=jnp.array(0),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
-            history=jnp.full(options.get("history", HISTORY), jnp.nan, value.dtype),
+            history=jnp.full(options.get("history", HISTORY_LENGTH), jnp.nan, value.dtype),
         )
 
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
-        info = _if(state.moved, lambda y: self._linearised(args, y), y, state.info)
+        info = _filter_cond(state.moved, lambda y: self._linearise(args, y), y, state.info)
         zero = jax.tree.map(jnp.zeros_like, args.scales())
         descent_state = self.descent.query(zero, info, self.descent.init(zero, info))
         whole, _ = self.descent.step(state.step_size, descent_state)
-        step, candidate, there = self._try(args, y, whole)
+        step, candidate, there = self._search_length(args, y, whole)
         step_size, accept, _, search_state = self.search.step(
             jnp.array(False), zero, step, info, there, state.search_state
         )
@@ -126,14 +126,14 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         change, length = jnp.abs(before - after), self.norm(step)
         # here the change of the energy is below rounding
         eps = jnp.finfo(before.dtype).eps
-        hidden = change <= ROUNDINGS * eps * jnp.abs(before)
-        shorter = length < state.taken
+        hidden = change <= ENERGY_ROUNDINGS * eps * jnp.abs(before)
+        shorter = length < state.hidden_length
         accept = jnp.where(hidden, shorter, accept)
-        search_state = where(hidden, state.search_state, search_state)
+        search_state = tree_where(hidden, state.search_state, search_state)
         step_size = jnp.where(hidden, state.step_size, step_size)
         # a NaN step is not small, and the search rejects it; a rejected small step ends the iteration only if
         # its predicted gain is negligible
-        nothing = jnp.abs(info.compute_grad_dot(step)) <= eps**GAIN * jnp.abs(before)
+        nothing = jnp.abs(info.compute_grad_dot(step)) <= eps**GAIN_EXPONENT * jnp.abs(before)
         small = (length < self.atol) & (accept | nothing)
         flat = change < self.rtol * jnp.abs(before)
         # the largest damping; if a smaller one was too little for a factor, this one is too
@@ -143,7 +143,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             moved=accept,
             search_state=search_state,
             step_size=step_size,
-            taken=jnp.where(hidden & shorter, length, jnp.inf),
+            hidden_length=jnp.where(hidden & shorter, length, jnp.inf),
             length=jnp.where(accept, length, state.length),
             num_steps=state.num_steps + 1,
             terminate=small | (accept & flat) | (hidden & ~shorter) | (most & ~accept),
@@ -152,10 +152,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
                 2.0 * jnp.where(accept, after, before), mode="drop"
             ),
         )
-        return where(accept, candidate, y), state, None
+        return tree_where(accept, candidate, y), state, None
 
-    def _linearised(self, problem: Any, y: Any) -> Any:
-        if not self.needs_rows:
+    def _linearise(self, problem: Any, y: Any) -> Any:
+        if not self.needs_jacobian:
             return problem.information(y)
         scales = problem.scales()
         if not eqx.is_array(scales):
@@ -167,14 +167,14 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         rows = lx.MatrixLinearOperator(jacobian * scales)
         return optx.FunctionInfo.ResidualJac(residual, rows)  # pyright: ignore[reportCallIssue]
 
-    def _try(self, problem: AbstractProblem, y: Any, whole: PyTree) -> tuple[PyTree, Any, Any]:
+    def _search_length(self, problem: AbstractProblem, y: Any, whole: PyTree) -> tuple[PyTree, Any, Any]:
         """Find the best length of a step, its end point, and the energy there."""
 
         def of(length):
             step = jax.tree.map(lambda leaf: length * leaf, whole)
             candidate = problem.retract(y, jax.tree.map(jnp.multiply, problem.scales(), step))
             if isinstance(problem, AbstractNestedProblem):
-                candidate = problem.nested(candidate)
+                candidate = problem.improve_nested(candidate)
             return step, candidate, problem.value(candidate)
 
         if len(self.lengths) == 1:
@@ -208,7 +208,9 @@ def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""], able: Bool[Arra
     return kinds.where(jnp.isfinite(value), result, kinds.nonfinite)
 
 
-def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherwise: PyTree) -> PyTree:
+def _filter_cond(
+    condition: Bool[Array, ""], function: Callable, argument: PyTree, otherwise: PyTree
+) -> PyTree:
     """Evaluate `function(argument)` only if a condition holds."""
     arrays, rest = eqx.partition(otherwise, eqx.is_array)
     found = jax.lax.cond(
@@ -217,7 +219,7 @@ def _if(condition: Bool[Array, ""], function: Callable, argument: PyTree, otherw
     return eqx.combine(found, rest)
 
 
-def where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:
+def tree_where(condition: Bool[Array, ""], a: PyTree, b: PyTree) -> PyTree:
     """Select `a` or `b`, leaf by leaf."""
     arrays_a, rest = eqx.partition(a, eqx.is_array)
     arrays_b, _ = eqx.partition(b, eqx.is_array)

@@ -15,9 +15,9 @@ from .flat import flat_problem
 from .problem import AbstractProblem
 
 #: length of the energy history if the number of steps is not given
-HISTORY = 256
+HISTORY_LENGTH = 256
 #: number of successive charts for solvers without manifolds
-CHARTS = 4
+NUM_CHARTS = 4
 
 
 class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
@@ -30,7 +30,7 @@ class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
 
     @property
     @abc.abstractmethod
-    def needs_rows(self) -> bool:
+    def needs_jacobian(self) -> bool:
         """True if the solver needs all rows of the Jacobian, and so ignores constraints."""
 
     def __check_init__(self):
@@ -67,7 +67,7 @@ def minimise(
 
     Derivatives through it are undefined; callers define those of the minimum.
 
-    **Arguments:** `solver`, one of this package or any of optimistix's, which works in `CHARTS` successive
+    **Arguments:** `solver`, one of this package or any of optimistix's, which works in `NUM_CHARTS` successive
     charts, each centred at the last result; the steps are shared among them. `damping` of the first step, in
     place of the solver's own: pass that of an earlier `Minimum` to continue from there.
 
@@ -105,9 +105,9 @@ def _check_solver(problem: AbstractProblem, solver: Any) -> None:
             "least-squares solver or minimiser of optimistix."
         )
     manifold = isinstance(solver, AbstractManifoldSolver)
-    if manifold and not solver.needs_rows:
+    if manifold and not solver.needs_jacobian:
         return
-    name, constraint = type(solver).__name__, problem.constraint()
+    name, constraint = type(solver).__name__, problem.describe_constraints()
     if constraint is not None:
         raise InputError(
             f"{name} does not support constraints, but the problem has {constraint}; use "
@@ -123,14 +123,14 @@ def _check_solver(problem: AbstractProblem, solver: Any) -> None:
 
 
 def _minimise_flat(problem: AbstractProblem, start: Any, solver: Any, max_steps: int) -> Minimum:
-    squares, charts = isinstance(solver, optx.AbstractLeastSquaresSolver), min(CHARTS, max_steps)
+    squares, charts = isinstance(solver, optx.AbstractLeastSquaresSolver), min(NUM_CHARTS, max_steps)
 
     def in_chart(y, _):
         flat = flat_problem(problem, y)
         run: Any = optx.least_squares if squares else optx.minimise
         function = (lambda d, flat: flat.residual(d)) if squares else (lambda d, flat: flat.value(d))
         found = run(function, solver, flat.start, args=flat, max_steps=max_steps // charts, throw=False)
-        y = flat.back(found.value)
+        y = flat.to_manifold(found.value)
         return y, (2.0 * problem.value(y), found.stats["num_steps"], found.result)
 
     y, (values, steps, results) = jax.lax.scan(in_chart, start, length=charts)

@@ -42,7 +42,7 @@ class AbstractProblem(eqx.Module, Generic[Unknown]):
         isotropic damping.
         """
 
-    def constraint(self) -> str | None:
+    def describe_constraints(self) -> str | None:
         """Name the constraint on steps, for the error message of solvers that ignore it; None where steps are
         free.
         """
@@ -57,7 +57,7 @@ class AbstractNestedProblem(AbstractProblem[Unknown]):
     """
 
     @abc.abstractmethod
-    def nested(self, y: Unknown) -> Unknown:
+    def improve_nested(self, y: Unknown) -> Unknown:
         """Improve the cheap unknowns at `y`; the energy must not rise."""
 
 

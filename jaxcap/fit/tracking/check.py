@@ -16,9 +16,9 @@ _UNITS = {
     "feet (ft)": 0.3048,
 }
 #: size of a cloud relative to its body beyond which its unit is wrong; outliers and floors extend far
-LARGEST, SMALLEST = 8.0, 0.02
+MAX_RATIO, MIN_RATIO = 8.0, 0.02
 #: size of a cloud relative to its body within which a unit is plausible
-PART, WHOLE = 0.25, 1.35
+MIN_UNIT_RATIO, MAX_UNIT_RATIO = 0.25, 1.35
 
 
 def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
@@ -43,11 +43,11 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
         )
     low, high = np.quantile(points, [0.05, 0.95], axis=0)
     extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
-    if SMALLEST * height <= extent <= LARGEST * height:
+    if MIN_RATIO * height <= extent <= MAX_RATIO * height:
         return
     shares = {unit: extent * size / height for unit, size in _UNITS.items()}
     # centimetres and inches are too similar for partly visible people
-    likely = [unit for unit, share in shares.items() if PART < share < WHOLE]
+    likely = [unit for unit, share in shares.items() if MIN_UNIT_RATIO < share < MAX_UNIT_RATIO]
     if not likely:
         # with a floor or a room around it
         nearest = min(shares, key=lambda unit: abs(np.log(shares[unit])))

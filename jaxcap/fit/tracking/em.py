@@ -123,7 +123,7 @@ def data_energy(
     return Sum((across, rigid_moments(bones, rest, points, tangential * weights, len(posed.joints))))
 
 
-def expectation(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
+def e_step(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
     """Compute the E-step at an estimate: `(posed, posterior)`."""
     posed = pose_body(body, estimate.pose)
     found = posterior(
@@ -155,7 +155,7 @@ def em_step(
 
     The statistics are those of the E-step.
     """
-    posed, found = expectation(body, parts, mixture, cloud, volume, estimate)
+    posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
     energy = Sum(terms_of(data) + terms_of(prior))
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
@@ -175,7 +175,7 @@ def frame_statistics(
     body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume: Float[Array, ""], estimate: Estimate
 ) -> FrameStatistics:
     """Compute the statistics of an estimate's fit to its cloud."""
-    _, found = expectation(body, parts, mixture, cloud, volume, estimate)
+    _, found = e_step(body, parts, mixture, cloud, volume, estimate)
     return _statistics(found, cloud, estimate.sigma)
 
 

@@ -13,7 +13,7 @@ from ...body.body import pose_body
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, rest_pose, retract
 from ...body.skeleton import Skeleton, dof_layout
-from ...energy.energy import Sum, bare
+from ...energy.energy import Sum, unweighted
 from ...energy.priors.limits import JointLimits
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
@@ -26,10 +26,10 @@ from .track_frame import Tracker
 _LOG = logging.getLogger(__name__)
 
 #: sigma falls from the size of a trunk to that of a wrist, metres
-COARSE = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
-FINE = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
+COARSE_SIGMAS = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
+FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 #: standard deviation at which starts are compared, metres
-JUDGE = 0.02
+COMPARISON_SIGMA = 0.02
 #: numbers of vertices and points in the coarse search, and number of points in the refinement
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 
@@ -51,7 +51,7 @@ def anneal(
         wide = Estimate(estimate.pose, sigma, estimate.priors)
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
-    judged = jnp.append(sigmas, jnp.asarray(JUDGE, sigmas.dtype))
+    judged = jnp.append(sigmas, jnp.asarray(COMPARISON_SIGMA, sigmas.dtype))
     last, statistics = jax.lax.scan(
         step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
     )
@@ -73,7 +73,7 @@ def anneal_each(
 
 
 @eqx.filter_jit
-def anneal_all(
+def anneal_sorted(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
     """Run `anneal_each` and sort the results, best first."""
@@ -82,7 +82,7 @@ def anneal_all(
     return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
 
 
-def turned_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
+def rotated_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
     """Rotate a pose about the vertical `up` in `count` equal steps and align the centres of surface and
     cloud; `(count, ...)`.
 
@@ -133,10 +133,10 @@ def subtree_starts(
     num = poses.rotations.shape[0]
     which, how = jax.random.split(key)
     below_root = np.array(skeleton.parents) >= 0
-    bearers = np.flatnonzero((skeleton.descent.sum(1) > 1) & below_root)
+    bearers = np.flatnonzero((skeleton.descendants.sum(1) > 1) & below_root)
     bearers = bearers if bearers.size else np.arange(skeleton.num_joints)
     joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
-    below = jnp.asarray(skeleton.descent)[joints][..., dof_layout(skeleton).joints]
+    below = jnp.asarray(skeleton.descendants)[joints][..., dof_layout(skeleton).joints]
     near, far = jax.random.split(how)
     steps = deviations * jax.random.normal(near, (count, num, skeleton.num_dofs), poses.rotations.dtype)
     # some steps small, some large enough to turn a hand over
@@ -157,8 +157,10 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
     Of its further terms only those over joints are kept: vertices have other indices on the coarse body.
     """
     body = reduce_body(tracker.body, COARSE_VERTICES)
-    over_joints = tuple(t for t in tracker.terms if isinstance(bare(t), JointLimits | PosePrior | RestPrior))
-    parts = make_parts(body.skin.parts(), body.skeleton.num_joints, body.vertices)
+    over_joints = tuple(
+        t for t in tracker.terms if isinstance(unweighted(t), JointLimits | PosePrior | RestPrior)
+    )
+    parts = make_parts(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
 
 
@@ -198,20 +200,20 @@ def initialise(
     _LOG.info("searching for the pose in all directions")
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
-    wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE, FINE))
+    wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE_SIGMAS, FINE_SIGMAS))
     if starts is None:
-        starts = turned_starts(coarse, few, rest, turns, vertical)
+        starts = rotated_starts(coarse, few, rest, turns, vertical)
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
-    poses, _ = anneal_all(coarse, few, starts, wide)
+    poses, _ = anneal_sorted(coarse, few, starts, wide)
     _LOG.info("searching near the best poses")
     limbs = tangent_deviations(skeleton, 0.02, 0.4)
     poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
-    poses, _ = anneal_all(coarse, few, poses, fine)
+    poses, _ = anneal_sorted(coarse, few, poses, fine)
     for number in range(rounds):
         poses = subtree_starts(
             skeleton, _first(poses, keep // 2), 2 * neighbours + 1, limbs, keys[2 + number]
         )
-        poses, _ = anneal_all(coarse, few, poses, fine)
+        poses, _ = anneal_sorted(coarse, few, poses, fine)
     return refine(tracker, cloud, _first(poses, 1), 2 * neighbours + 1, keys[-1])
 
 
@@ -226,8 +228,8 @@ def refine(
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
     _LOG.info("searching near the best pose with the whole body")
-    sigmas = jnp.asarray(FINE[2:], poses.rotations.dtype)
-    poses, scores = anneal_all(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
+    sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
+    poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
     return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]
 
 

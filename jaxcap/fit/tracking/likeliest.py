@@ -9,13 +9,13 @@ from jaxtyping import Array, Float
 from ...body.pose import Pose, difference
 from ...observe import Cloud
 from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
-from .recover import next_frame, settled
+from .recover import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, start_state
 
 #: standard deviation at which poses are compared, metres
-COMPARED = 0.02
+COMPARISON_SIGMA = 0.02
 #: a pose with a mean log-likelihood below the best by more than this is not improved
-HOPELESS = 0.3
+MAX_DEFICIT = 0.3
 
 _change = eqx.filter_jit(difference)
 
@@ -25,7 +25,7 @@ def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, "
     """Evaluate a pose by the mean log-likelihood of a cloud's points, at a standard deviation that is the
     same for all poses.
     """
-    sigma = jnp.asarray(COMPARED, pose.rotations.dtype)
+    sigma = jnp.asarray(COMPARISON_SIGMA, pose.rotations.dtype)
     estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
     volume = box_volume(cloud)
     found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
@@ -33,47 +33,49 @@ def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, "
     return jnp.where(jnp.isfinite(found.log_likelihood), found.log_likelihood, -jnp.inf)
 
 
-def improve(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
+def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
     """Track a frame from a nearby pose, by the tracker's own steps; never to a less likely pose.
 
     Returns the result of `track_frame`, and the log-likelihood of the pose.
     """
-    state, statistics = next_frame(tracker, settled(tracker, start_state(tracker, pose), 0.0), cloud)
-    state = settled(tracker, state)
+    state, statistics = track_frame_jit(
+        tracker, reset_velocity(tracker, start_state(tracker, pose), 0.0), cloud
+    )
+    state = reset_velocity(tracker, state)
     before, after = (float(log_likelihood(tracker, p, cloud)) for p in (pose, state.estimate.pose))
     if after >= before:
         return state, statistics, after
     return eqx.tree_at(lambda s: s.estimate.pose, state, pose), statistics, before
 
 
-def likeliest(
+def choose_likeliest(
     tracker: Tracker,
     state: TrackState,
     statistics: FrameStatistics,
     poses: Iterable[Pose],
-    before: Pose,
+    previous: Pose,
     cloud: Cloud,
-    worth: float = 0.0,
+    margin: float = 0.0,
 ) -> tuple[TrackState, FrameStatistics]:
     """Choose between the tracked pose of a frame and some other `poses`, unchanged and improved.
 
-    **Arguments:** `before` is the pose of the previous frame, from which the body has moved; `worth` the mean
+    **Arguments:** `previous` is the pose of the previous frame, from which the body has moved; `margin` the mean
     log-likelihood by which another pose has to be better.
 
     The state and the statistics are the same objects if no other pose is better.
     """
-    best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + worth
+    best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + margin
     for pose in poses:
-        if float(log_likelihood(tracker, pose, cloud)) < best - HOPELESS:
+        if float(log_likelihood(tracker, pose, cloud)) < best - MAX_DEFICIT:
             continue
-        found, measured, likelihood = improve(tracker, pose, cloud)
+        found, measured, likelihood = track_from(tracker, pose, cloud)
         if likelihood > best:
-            change = _change(tracker.body.skeleton, before, found.estimate.pose)
+            change = _change(tracker.body.skeleton, previous, found.estimate.pose)
             best, state, statistics = likelihood, TrackState(found.estimate, change), measured
     return state, statistics
 
 
-def likelier_pose(tracker: Tracker, one: Pose, other: Pose, cloud: Cloud) -> Pose:
+def likelier_pose(tracker: Tracker, first: Pose, second: Pose, cloud: Cloud) -> Pose:
     """Choose the likelier of two poses of a frame; the first where they are equal."""
-    likelihoods = [float(log_likelihood(tracker, pose, cloud)) for pose in (one, other)]
-    return one if likelihoods[0] >= likelihoods[1] else other
+    likelihoods = [float(log_likelihood(tracker, pose, cloud)) for pose in (first, second)]
+    return first if likelihoods[0] >= likelihoods[1] else second

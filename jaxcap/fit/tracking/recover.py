@@ -10,49 +10,49 @@ from ...body.pose import Pose
 from ...energy.priors.prior import tangent_deviations
 from ...observe import Cloud, thin_cloud
 from ..judgement.evidence import gather_evidence
-from ..judgement.surface import JudgedSurface
-from ..judgement.usual import Usual, nothing_usual, renew, sensors_of, warned
+from ..judgement.surface import SampledSurface
+from ..judgement.usual import NormalValues, initial_values, mark_flagged, sensor_directions, update_values
 from ..judgement.verdict import Judgement, judge_evidence
 from .em import Estimate, FrameStatistics
 from .initialise import (
     COARSE_POINTS,
-    FINE,
-    anneal_all,
+    FINE_SIGMAS,
+    anneal_sorted,
     perturbed_starts,
     refine,
+    rotated_starts,
     subtree_starts,
-    turned_starts,
 )
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
 FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
 #: pause in frames after a search without success, which doubles from the first number to the second
-PATIENCE, LONGEST = 2.0, 128.0
+MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
 #: share of outliers above which the body is not in the cloud, and the next frame starts at the last good pose
-GONE = 0.5
+MAX_OUTLIER_SHARE = 0.5
 #: number of directions in the search for a body that jumped
-TURNS = 4
+NUM_DIRECTIONS = 4
 
-next_frame = eqx.filter_jit(track_frame)
+track_frame_jit = eqx.filter_jit(track_frame)
 
 
-class Patience(eqx.Module):
+class SearchPause(eqx.Module):
     """The pause between searches, after searches without success."""
 
     #: frames until the next search is allowed
     wait: float = 0.0
     #: length of the pause after the last search
-    pause: float = 0.0
+    length: float = 0.0
 
-    def after(self, good: bool) -> "Patience":
+    def advance(self, good: bool) -> "SearchPause":
         """Advance by one frame; good frames shorten the pauses again."""
-        return Patience(max(self.wait - 1.0, 0.0), 0.5 * self.pause if good else self.pause)
+        return SearchPause(max(self.wait - 1.0, 0.0), 0.5 * self.length if good else self.length)
 
-    def after_failure(self) -> "Patience":
+    def extend(self) -> "SearchPause":
         """Double the pause after a search without success."""
-        pause = min(max(2.0 * self.pause, PATIENCE), LONGEST)
-        return Patience(pause, pause)
+        pause = min(max(2.0 * self.length, MIN_PAUSE), MAX_PAUSE)
+        return SearchPause(pause, pause)
 
 
 class TrackedFrame(eqx.Module):
@@ -69,8 +69,8 @@ class TrackedFrame(eqx.Module):
     #: pose of the last frame that was not lost, including this one
     trusted: Pose
     #: normal values, from the good frames so far
-    usual: Usual
-    patience: Patience
+    normal_values: NormalValues
+    search_pause: SearchPause
     #: number of searches so far, including this frame's
     searches: float
 
@@ -111,8 +111,8 @@ def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
     return () if lost else judgement.unseen
 
 
-def first_frame(
-    tracker: Tracker, surface: JudgedSurface, cloud: Cloud, pose: Pose, sigma: float
+def track_first_frame(
+    tracker: Tracker, surface: SampledSurface, cloud: Cloud, pose: Pose, sigma: float
 ) -> TrackedFrame:
     """Track the first frame from a pose near it.
 
@@ -122,20 +122,20 @@ def first_frame(
     last = min(sigma, FIRST_SIGMA)
     state = start_state(tracker, pose, sigma)
     for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
-        state, _ = next_frame(tracker, settled(tracker, state, float(level)), cloud)
-    state, statistics = next_frame(tracker, settled(tracker, state, last), cloud)
-    usual = nothing_usual(surface)
-    frame = judge(surface, cloud, settled(tracker, state), statistics, usual, Patience())
-    return conclude(tracker, frame, pose)
+        state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
+    state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
+    usual = initial_values(surface)
+    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, usual, SearchPause())
+    return finish_frame(tracker, frame, pose)
 
 
-def judge(
-    surface: JudgedSurface,
+def judge_frame(
+    surface: SampledSurface,
     cloud: Cloud,
     state: TrackState,
     statistics: FrameStatistics,
-    usual: Usual,
-    patience: Patience,
+    usual: NormalValues,
+    patience: SearchPause,
     searches: float = 0.0,
 ) -> TrackedFrame:
     """Compare a frame with the normal values `usual`, and update these if it is good.
@@ -147,51 +147,53 @@ def judge(
     judgement, renewed = _compare(surface, usual, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(usual.frames) == 0)
-    renewed = renewed if teaches else warned(usual)
+    renewed = renewed if teaches else mark_flagged(usual)
     return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, patience, searches)
 
 
 @eqx.filter_jit
-def _compare(surface: JudgedSurface, usual: Usual, pose: Pose, cloud: Cloud) -> tuple[Judgement, Usual]:
-    evidence = gather_evidence(surface, pose, cloud, sensors_of(usual))
-    return judge_evidence(surface, usual, evidence), renew(usual, evidence)
+def _compare(
+    surface: SampledSurface, usual: NormalValues, pose: Pose, cloud: Cloud
+) -> tuple[Judgement, NormalValues]:
+    evidence = gather_evidence(surface, pose, cloud, sensor_directions(usual))
+    return judge_evidence(surface, usual, evidence), update_values(usual, evidence)
 
 
-def conclude(tracker: Tracker, frame: TrackedFrame, before: Pose) -> TrackedFrame:
-    """Determine the start of the next frame: the last trusted pose, `before`, if the body is not in the
+def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> TrackedFrame:
+    """Determine the start of the next frame: the last trusted pose, `previous`, if the body is not in the
     cloud.
     """
-    patience = frame.patience.after(frame.verdict == "good")
+    patience = frame.search_pause.advance(frame.verdict == "good")
     pose, state = frame.pose, frame.state
     if frame.lost:
         finite = _finite(pose)
-        if not finite or not float(frame.statistics.outlier_share) < GONE:
-            state = start_state(tracker, before, FIRST_SIGMA)
-        pose = pose if finite else before
-    trusted = before if frame.lost else pose
+        if not finite or not float(frame.statistics.outlier_share) < MAX_OUTLIER_SHARE:
+            state = start_state(tracker, previous, FIRST_SIGMA)
+        pose = pose if finite else previous
+    trusted = previous if frame.lost else pose
     return eqx.tree_at(
-        lambda f: (f.pose, f.trusted, f.state, f.patience), frame, (pose, trusted, state, patience)
+        lambda f: (f.pose, f.trusted, f.state, f.search_pause), frame, (pose, trusted, state, patience)
     )
 
 
-def wanted(frame: TrackedFrame) -> bool:
+def needs_search(frame: TrackedFrame) -> bool:
     """Decide if a frame is to be searched for: it is not good, and no search has just failed."""
-    return frame.verdict != "good" and frame.patience.wait <= 0
+    return frame.verdict != "good" and frame.search_pause.wait <= 0
 
 
-def better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
+def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
     """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
     likelier = not float(frame.statistics.log_likelihood) > float(found.statistics.log_likelihood)
     return found if likelier and found.judgement.worst < frame.judgement.worst else frame
 
 
-def recover(
+def search_frame(
     tracker: Tracker,
-    surface: JudgedSurface,
+    surface: SampledSurface,
     coarse: Tracker,
     frame: TrackedFrame,
-    usual: Usual,
-    before: Pose,
+    usual: NormalValues,
+    previous: Pose,
     cloud: Cloud,
     key: PRNGKeyArray,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
@@ -199,36 +201,42 @@ def recover(
     """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global
     refinement").
 
-    Starts are neighbours of the frame's own pose and of the last trusted one, `before`, whole and limb by
+    Starts are neighbours of the frame's own pose and of the last trusted one, `previous`, whole and limb by
     limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. The
     result is used if it is likelier and its worst fault is smaller.
     """
     failed = eqx.tree_at(
-        lambda f: (f.patience, f.searches), frame, (frame.patience.after_failure(), frame.searches + 1.0)
+        lambda f: (f.search_pause, f.searches), frame, (frame.search_pause.extend(), frame.searches + 1.0)
     )
     skeleton = tracker.body.skeleton
     few = thin_cloud(cloud, COARSE_POINTS)
     if not float(jnp.sum(few.weights)) > 0:
         return failed
     wide = tangent_deviations(skeleton, 0.05, 0.5)
-    here = _stack(*([frame.pose] if _finite(frame.pose) else []), before)
+    here = _stack(*([frame.pose] if _finite(frame.pose) else []), previous)
     keys = jax.random.split(key, 3)
     starts = _join(
         perturbed_starts(skeleton, here, 7, wide, keys[0]),
         subtree_starts(skeleton, here, 7, wide, keys[1]),
-        turned_starts(coarse, few, before, TURNS, jnp.asarray(up, before.rotations.dtype)),
+        rotated_starts(coarse, few, previous, NUM_DIRECTIONS, jnp.asarray(up, previous.rotations.dtype)),
     )
-    sigmas = jnp.asarray(np.repeat(FINE, 2), frame.pose.rotations.dtype)
-    poses, _ = anneal_all(coarse, few, starts, sigmas)
+    sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
+    poses, _ = anneal_sorted(coarse, few, starts, sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
-    state, _ = next_frame(tracker, start_state(tracker, pose, 0.02), cloud)
-    state, statistics = next_frame(tracker, settled(tracker, state), cloud)
-    patience = Patience(0.0, frame.patience.pause)
-    found = judge(surface, cloud, settled(tracker, state), statistics, usual, patience, frame.searches + 1.0)
-    if better(found, frame) is frame:
+    state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
+    state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
+    patience = SearchPause(0.0, frame.search_pause.length)
+    found = judge_frame(
+        surface, cloud, reset_velocity(tracker, state), statistics, usual, patience, frame.searches + 1.0
+    )
+    if choose_better(found, frame) is frame:
         return failed
     # a better pose that is not good either keeps the pause
-    return found if found.verdict == "good" else eqx.tree_at(lambda f: f.patience, found, failed.patience)
+    return (
+        found
+        if found.verdict == "good"
+        else eqx.tree_at(lambda f: f.search_pause, found, failed.search_pause)
+    )
 
 
 def _finite(pose: Pose) -> bool:
@@ -243,7 +251,7 @@ def _join(*stacks: Pose) -> Pose:
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *stacks)
 
 
-def settled(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:
+def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:
     """Reset the velocity of a state and optionally set the initial standard deviation of the next frame."""
     estimate = state.estimate
     if sigma is not None:

@@ -13,32 +13,32 @@ import numpy as np
 from ...arguments import check_rate, checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose, rest_pose, stack_poses
-from ...energy.check import OwnTerms
+from ...energy.check import UserTerms
 from ...errors import InputError
 from ...observe import Cloud, CloudFrames, Scan, as_cloud
 from ...values import check_direction
-from ..judgement.surface import judged_surface
-from ..judgement.usual import nothing_usual
+from ..judgement.surface import sampled_surface
+from ..judgement.usual import initial_values
 from .check import check_cloud
 from .initialise import coarse_tracker, initialise
-from .likeliest import likelier_pose, likeliest
+from .likeliest import choose_likeliest, likelier_pose
 from .recover import (
-    Patience,
+    SearchPause,
     TrackedFrame,
-    better,
-    conclude,
-    first_frame,
-    judge,
-    next_frame,
-    recover,
-    settled,
-    wanted,
+    choose_better,
+    finish_frame,
+    judge_frame,
+    needs_search,
+    reset_velocity,
+    search_frame,
+    track_first_frame,
+    track_frame_jit,
 )
 from .track_frame import Tracker, check_sigma, make_tracker
 
 _LOG = logging.getLogger(__name__)
 #: largest numbers of frames and reasons named in a sentence
-NAMED, REASONS = 20, 4
+MAX_NAMED_FRAMES, MAX_NAMED_REASONS = 20, 4
 #: search for the pose of a first frame: if the start does not explain the cloud, always, never
 FirstSearch = Literal["auto"] | bool
 
@@ -51,7 +51,7 @@ class Search(NamedTuple):
     #: the faults, as in `TrackedFrame.reasons`; empty for a requested search
     reasons: tuple[str, ...]
     #: number of earlier searches
-    before: int
+    num_earlier: int
 
 
 @checked
@@ -64,9 +64,9 @@ def track_frames(
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     first: int = 0,
-    announce: Callable[[Search], None] | None = None,
-    known: Callable[[int], Sequence[Pose]] | None = None,
-    worth: float = 0.0,
+    on_search: Callable[[Search], None] | None = None,
+    candidates: Callable[[int], Sequence[Pose]] | None = None,
+    margin: float = 0.0,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yield each frame as soon as it is done.
 
@@ -74,9 +74,9 @@ def track_frames(
     interrupted run; `search`: find the first pose by `initialise` if `start` does not explain the first cloud
     ("auto"), always or never; `sigma` metres is the initial standard deviation of the first frame (Kineben's
     sigma0); `up` is the vertical of the scene; `first` is the number of the first cloud, so that a resumed
-    run searches as an uninterrupted one; `announce` is called before every search; `known(number)` gives
+    run searches as an uninterrupted one; `on_search` is called before every search; `known(number)` gives
     other candidate poses of a frame: the frame keeps the likeliest, and leaves the tracked pose only for one
-    with a mean log-likelihood better by more than `worth`.
+    with a mean log-likelihood better by more than `margin`.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
     sensor, compared with the normal values of the previous frames. A frame that is not good is searched for
@@ -88,10 +88,10 @@ def track_frames(
     """
     check_sigma("track_frames", sigma)
     check_direction("track_frames", up=up)
-    return _frames(tracker, clouds, start, search, sigma, up, first, announce, known, worth)
+    return _track_frames(tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin)
 
 
-def _frames(
+def _track_frames(
     tracker: Tracker,
     clouds: Iterable[Cloud | Scan] | Cloud,
     start: Pose | TrackedFrame | None,
@@ -99,59 +99,66 @@ def _frames(
     sigma: float,
     up: tuple[float, float, float],
     first: int,
-    announce: Callable[[Search], None] | None,
-    known: Callable[[int], Sequence[Pose]] | None,
-    worth: float,
+    on_search: Callable[[Search], None] | None,
+    candidates: Callable[[int], Sequence[Pose]] | None,
+    margin: float,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
-    coarse, surface = None, judged_surface(tracker.body)
+    coarse, surface = None, sampled_surface(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
     def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
         _LOG.info("searching for a better pose of frame %d", number)
-        if announce is not None:
-            announce(Search(number, reasons, int(before)))
+        if on_search is not None:
+            on_search(Search(number, reasons, int(before)))
         return coarse_tracker(tracker) if coarse is None else coarse
 
-    for number, cloud in enumerate(_each(clouds), first):
+    for number, cloud in enumerate(_iterate_clouds(clouds), first):
         check_cloud(tracker.body, cloud, f"cloud {number}")
         if frame is None:
             pose = rest_pose(tracker.body.skeleton) if pose is None else pose
             if search is not True:
-                frame = first_frame(tracker, surface, cloud, pose, sigma)
+                frame = track_first_frame(tracker, surface, cloud, pose, sigma)
             if frame is None or (search == "auto" and frame.verdict != "good"):
                 coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
                 pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
-                found = first_frame(tracker, surface, cloud, pose, 0.03)
-                frame = found if frame is None else better(found, frame)
+                found = track_first_frame(tracker, surface, cloud, pose, 0.03)
+                frame = found if frame is None else choose_better(found, frame)
                 frame = eqx.tree_at(lambda f: f.searches, frame, 1.0)
-            if known is not None:
+            if candidates is not None:
                 reached = frame.state, frame.statistics
-                state, statistics = likeliest(tracker, *reached, known(number), pose, cloud, worth)
+                state, statistics = choose_likeliest(
+                    tracker, *reached, candidates(number), pose, cloud, margin
+                )
                 if state is not frame.state:
-                    usual, patience = nothing_usual(surface), Patience()
-                    frame = judge(surface, cloud, state, statistics, usual, patience, frame.searches)
-                    frame = conclude(tracker, frame, pose)
+                    usual, patience = initial_values(surface), SearchPause()
+                    frame = judge_frame(surface, cloud, state, statistics, usual, patience, frame.searches)
+                    frame = finish_frame(tracker, frame, pose)
         else:
-            before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.usual
-            state, statistics = next_frame(tracker, frame.state, cloud)
+            before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.normal_values
+            state, statistics = track_frame_jit(tracker, frame.state, cloud)
             # a lost frame may have led away from the correct pose
-            others = [*([trusted] if frame.lost else []), *(known(number) if known is not None else [])]
+            others = [
+                *([trusted] if frame.lost else []),
+                *(candidates(number) if candidates is not None else []),
+            ]
             if others:
-                state, statistics = likeliest(tracker, state, statistics, others, before, cloud, worth)
+                state, statistics = choose_likeliest(
+                    tracker, state, statistics, others, before, cloud, margin
+                )
             if frame.lost:
-                state = settled(tracker, state)
-            frame = judge(surface, cloud, state, statistics, usual, frame.patience, frame.searches)
-            if wanted(frame):
+                state = reset_velocity(tracker, state)
+            frame = judge_frame(surface, cloud, state, statistics, usual, frame.search_pause, frame.searches)
+            if needs_search(frame):
                 coarse = begin_search(number, frame.reasons, frame.searches)
                 key = jax.random.key(number)
-                found = recover(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
-                if known is not None and found.pose is not frame.pose:
+                found = search_frame(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
+                if candidates is not None and found.pose is not frame.pose:
                     # the end of a search may be worse than its start
                     likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
                     found = found if likelier is found.pose else frame
                 frame = found
-            frame = conclude(tracker, frame, trusted)
+            frame = finish_frame(tracker, frame, trusted)
         yield frame
 
 
@@ -166,7 +173,7 @@ def track(
     search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
 ) -> Motion:
     """Track a body through a sequence of clouds and return its motion (Kineben, section 3.3).
 
@@ -206,9 +213,13 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
         numbers = [number for number, (found, _) in enumerate(verdicts) if found == verdict]
         if not numbers:
             continue
-        named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+        named = ", ".join(map(str, numbers[:MAX_NAMED_FRAMES])) + (
+            " and more" if len(numbers) > MAX_NAMED_FRAMES else ""
+        )
         counts = Counter(reason for number in numbers for reason in verdicts[number][1])
-        reasons = "; ".join(f"{reason} (in {count})" for reason, count in counts.most_common(REASONS))
+        reasons = "; ".join(
+            f"{reason} (in {count})" for reason, count in counts.most_common(MAX_NAMED_REASONS)
+        )
         sentences.append(
             f"{len(numbers)} of {len(verdicts)} frames are {verdict}: {named}, counted from 0; {reasons}"
         )
@@ -228,15 +239,15 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
     counts = Counter(part for parts in unseen for part in parts)
     if not counts:
         return []
-    named = ", ".join(f"{part} (in {count})" for part, count in counts.most_common(REASONS))
-    more = f" and {len(counts) - REASONS} other parts" if len(counts) > REASONS else ""
+    named = ", ".join(f"{part} (in {count})" for part, count in counts.most_common(MAX_NAMED_REASONS))
+    more = f" and {len(counts) - MAX_NAMED_REASONS} other parts" if len(counts) > MAX_NAMED_REASONS else ""
     return [
         f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show the whole body: no points belong to "
         f"{named}{more}, and their poses in these frames are guesses"
     ]
 
 
-def _each(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
+def _iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
     """Iterate over frames, also of scans as read from files, and of one cloud stacked over frames."""
     if isinstance(clouds, (Cloud, Scan)):
         return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there

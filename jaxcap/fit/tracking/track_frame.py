@@ -9,7 +9,7 @@ from ...arguments import check_fields, checked
 from ...body.body import Body
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, difference, retract
-from ...energy.check import OwnTerms, own_terms
+from ...energy.check import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...observe import Cloud
@@ -18,7 +18,7 @@ from ..correspondence.part_blocks import Parts, make_parts
 from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
 
 #: largest initial standard deviation in metres: larger ones are in another unit
-WIDEST = 5.0
+MAX_SIGMA = 5.0
 
 
 class Tracker(eqx.Module):
@@ -58,7 +58,7 @@ class TrackState(eqx.Module):
 def make_tracker(
     body: Body,
     mixture: Mixture | None = None,
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
     *,
     motion_deviation: tuple[float, float] = (0.05, 0.3),
     rest_deviation: float = 1.0,
@@ -81,8 +81,8 @@ def make_tracker(
     check_positive(where, sigma_growth=sigma_growth)
     check_positive(where, "metres", sigma_start=sigma_start)
     check_at_least(where, 1, iterations=iterations)
-    own = own_terms(where, terms, body)
-    bones = body.skin.parts()
+    own = sum_user_terms(where, terms, body)
+    bones = body.skin.dominant_bones()
     return Tracker(
         body=body,
         parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
@@ -98,12 +98,12 @@ def make_tracker(
 
 
 def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
-    """Check that an initial standard deviation is in metres: above 0 and at most `WIDEST`.
+    """Check that an initial standard deviation is in metres: above 0 and at most `MAX_SIGMA`.
 
     **Raises:** `InputError`.
     """
-    expected = f"a deviation above 0 and at most {WIDEST:g} metres"
-    check_values(where, lambda x: (x > 0) & (x <= WIDEST), expected, sigma=sigma)
+    expected = f"a deviation above 0 and at most {MAX_SIGMA:g} metres"
+    check_values(where, lambda x: (x > 0) & (x <= MAX_SIGMA), expected, sigma=sigma)
 
 
 @checked

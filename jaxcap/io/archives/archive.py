@@ -13,20 +13,20 @@ import numpy as np
 from ...errors import InputError
 
 #: limits of all arrays: bytes, at 8 a number as all become double precision, or multiples of the file size
-ROOM, PACKED = 2**27, 64
+MIN_MEMORY_LIMIT, MAX_EXPANSION = 2**27, 64
 #: largest number of arrays in one file
-MOST = 4096
+MAX_ARRAYS = 4096
 #: largest length of an axis of an array without elements
-LONGEST = 1_000_000
+MAX_EMPTY_AXIS = 1_000_000
 _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
-_READ = 2**20
+_CHUNK_SIZE = 2**20
 
 
-class _Head(NamedTuple):
+class _ArrayHeader(NamedTuple):
     """The header of an array."""
 
     shape: tuple[int, ...]
-    by_columns: bool
+    fortran_order: bool
     dtype: np.dtype
 
 
@@ -36,7 +36,7 @@ def array_names(path: str | Path) -> list[str]:
         return list(archive.members)
 
 
-def kind_of(path: str | Path) -> str:
+def read_format_name(path: str | Path) -> str:
     """Return the format name of an `.npz` file, empty if it has none.
 
     Raises `InputError` if it is not an `.npz` file.
@@ -44,13 +44,13 @@ def kind_of(path: str | Path) -> str:
     return str(load_arrays(path, lambda name: name == "format").get("format", ""))
 
 
-def load_arrays(path: str | Path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """Read the arrays of any `.npz` file with `wanted` names, all by default.
+def load_arrays(path: str | Path, select: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
+    """Read the arrays of any `.npz` file with `select` names, all by default.
 
     **Raises:** `InputError` if the file is not one, and as `Archive.load` does.
     """
     with open_archive(path) as archive:
-        return archive.load(wanted)
+        return archive.load(select)
 
 
 class Archive(NamedTuple):
@@ -61,8 +61,8 @@ class Archive(NamedTuple):
     #: by array name
     members: dict[str, zipfile.ZipInfo]
 
-    def load(self, wanted: Callable[[str], bool]) -> dict[str, np.ndarray]:
-        """Read the arrays with `wanted` names.
+    def load(self, select: Callable[[str], bool]) -> dict[str, np.ndarray]:
+        """Read the arrays with `select` names.
 
         Their headers are checked before the first array is inflated; the other arrays are not read.
 
@@ -70,11 +70,14 @@ class Archive(NamedTuple):
         than numbers and text, or if the arrays inflate beyond the limit for the size of the file.
         """
         path, file = self.path, self.file
-        chosen = {name: info for name, info in self.members.items() if wanted(name)}
-        heads = {name: _head(file, info, f"{path}: the array '{name}'") for name, info in chosen.items()}
+        chosen = {name: info for name, info in self.members.items() if select(name)}
+        heads = {
+            name: _read_array_header(file, info, f"{path}: the array '{name}'")
+            for name, info in chosen.items()
+        }
         taken = sum(math.prod(head.shape) * max(head.dtype.itemsize, 8) for head in heads.values())
         size = os.path.getsize(path)
-        if taken > max(ROOM, PACKED * size):
+        if taken > max(MIN_MEMORY_LIMIT, MAX_EXPANSION * size):
             raise InputError(
                 f"{path}: the arrays need {taken / 1e6:.0f} MB of memory, but the file has only {size / 1e6:.2g} MB; it is "
                 "damaged or malicious, so get it again."
@@ -121,8 +124,8 @@ def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipIn
     """
     found: dict[str, zipfile.ZipInfo] = {}
     members = file.infolist()
-    if len(members) > MOST:
-        raise InputError(f"{path}: the file contains {len(members)} arrays; expected at most {MOST}.")
+    if len(members) > MAX_ARRAYS:
+        raise InputError(f"{path}: the file contains {len(members)} arrays; expected at most {MAX_ARRAYS}.")
     for info in members:
         name = info.filename.removesuffix(".npy")
         if name in found:
@@ -131,7 +134,7 @@ def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipIn
     return found
 
 
-def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
+def _read_array_header(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _ArrayHeader:
     """Read the header of an array and check it against the archive. Raises `InputError`."""
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; write the file without a password.")
@@ -141,7 +144,7 @@ def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
         )
     with file.open(info) as stream:
         try:
-            head = _parse_head(stream)
+            head = _parse_array_header(stream)
         except ValueError:
             raise InputError(f"{where} is not a NumPy array; write the file with numpy.savez.") from None
         begins = stream.tell()
@@ -154,12 +157,12 @@ def _head(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _Head:
         raise InputError(
             f"{where} has the shape {head.shape} and needs {size} bytes, but the file has {there}; it is damaged."
         )
-    if max(head.shape, default=0) > max(LONGEST, size):
+    if max(head.shape, default=0) > max(MAX_EMPTY_AXIS, size):
         raise InputError(f"{where} has the shape {head.shape} but no elements; it is damaged.")
     return head
 
 
-def _parse_head(stream: Any) -> _Head:
+def _parse_array_header(stream: Any) -> _ArrayHeader:
     """Parse the header of an array. Raises `ValueError` if it is invalid."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -171,24 +174,24 @@ def _parse_head(stream: Any) -> _Head:
         raise ValueError("no head") from error
     if not all(isinstance(length, int) and 0 <= length < 2**40 for length in shape) or len(shape) > 16:
         raise ValueError(f"shape {shape}")
-    return _Head(shape, by_columns, dtype)
+    return _ArrayHeader(shape, by_columns, dtype)
 
 
-def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _Head, where: str) -> np.ndarray:
+def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _ArrayHeader, where: str) -> np.ndarray:
     """Read the elements of an array in native byte order. Raises `InputError` for invalid text."""
     data = bytearray(math.prod(head.shape) * head.dtype.itemsize)
     with file.open(info) as stream:
-        _parse_head(stream)
+        _parse_array_header(stream)
         at = 0
         while at < len(data):
-            piece = stream.read(_READ)
+            piece = stream.read(_CHUNK_SIZE)
             if not piece:
                 raise EOFError
             data[at : at + len(piece)] = piece
             at += len(piece)
     if not data:
         return np.zeros(head.shape, head.dtype.newbyteorder("=") if head.dtype.kind != "S" else "U1")
-    values = np.frombuffer(data, head.dtype).reshape(head.shape, order="F" if head.by_columns else "C")
+    values = np.frombuffer(data, head.dtype).reshape(head.shape, order="F" if head.fortran_order else "C")
     if head.dtype.kind == "f" and head.dtype.itemsize > 8:
         return values.astype(float)
     if head.dtype.kind == "S":

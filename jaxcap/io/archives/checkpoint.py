@@ -10,12 +10,12 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Motion
 from ...errors import InputError
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import parse_json
-from .journal import check_same_run
-from .npz import body_arrays, body_of, get_array, load_kind, motion_arrays, motion_of, save_arrays
+from .journal import check_same_header
+from .npz import body_arrays, body_of, get_array, load_format, motion_arrays, motion_of, save_arrays
 
-KIND = "jaxcap checkpoint"
+FORMAT = "jaxcap checkpoint"
 
 
 class Checkpoint(NamedTuple):
@@ -44,38 +44,40 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint, header: Mapping[st
         **{f"motion.{name}": values for name, values in motion_arrays(checkpoint.motion).items()},
         **{f"more.{name}": values for name, values in checkpoint.arrays.items()},
     }
-    save_arrays(path, KIND, arrays)
+    save_arrays(path, FORMAT, arrays)
 
 
-@reads("a checkpoint")
-def load_checkpoint(path: str | Path, header: Mapping[str, object], needs: Sequence[str] = ()) -> Checkpoint:
+@reader_of("a checkpoint")
+def load_checkpoint(
+    path: str | Path, header: Mapping[str, object], required: Sequence[str] = ()
+) -> Checkpoint:
     """Read the checkpoint of a run that was started with the same `header`.
 
     **Raises:** `InputError` if the file is no checkpoint, is damaged, lacks one of the further arrays that
-    the run `needs`, or has another header; the message gives the first difference.
+    the run `required`, or has another header; the message gives the first difference.
     """
     path = Path(path)
-    arrays = load_kind(path, KIND)
+    arrays = load_format(path, FORMAT)
     kept, past = _group(arrays, "more."), _group(arrays, "history.")
-    if "header" not in arrays or any(name not in kept for name in needs):
+    if "header" not in arrays or any(name not in kept for name in required):
         raise InputError(f"{path}: this checkpoint is incomplete; overwrite it to start again.")
     there = parse_json(str(arrays["header"]), f"{path}: its header")
     if not isinstance(there, dict):
         raise InputError(f"{path}: this checkpoint is incomplete; overwrite it to start again.")
-    check_same_run(path, there, header)
+    check_same_header(path, there, header)
     steps = get_array(past, "steps", path, (None,), "text").tolist()
     values = get_array(past, "values", path, (len(steps),)).tolist()
     body, motion = body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
     return Checkpoint(body, motion, tuple(zip(steps, values, strict=True)), kept)
 
 
-@reads("a checkpoint")
+@reader_of("a checkpoint")
 def load_progress(path: str | Path) -> tuple[Body, Motion]:
     """Read the body and the poses of any unfinished run.
 
     **Raises:** `InputError` if the file is no checkpoint or is damaged.
     """
-    arrays = load_kind(path, KIND, wanted=lambda name: name.startswith(("body.", "motion.")))
+    arrays = load_format(path, FORMAT, select=lambda name: name.startswith(("body.", "motion.")))
     return body_of(_group(arrays, "body."), path), motion_of(_group(arrays, "motion."), path)
 
 

@@ -23,18 +23,18 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..system.atomic import FULL, replacing
+from ..system.atomic import DISK_FULL_ERRORS, atomic_path
 from ..text import parse_json
 
 MAGIC = b"JAXCAPJ1"
 #: largest number of floats in a record
-WIDEST = 1_000_000
+MAX_RECORD_WIDTH = 1_000_000
 #: bytes of records that are read at once
 BLOCK = 1 << 22
 
 
 class Journal:
-    """Records of `width` floats at the end of a file. Create one by `begin_journal` or `resume_journal`.
+    """Records of `width` floats at the end of a file. Create one by `create_journal` or `resume_journal`.
 
     `count` is the number of records in the file, `last` the last record that was there at the start.
     """
@@ -69,7 +69,7 @@ class Journal:
             while left:
                 left = left[self._file.write(left) :]
         except OSError as error:
-            mend = "free some disk space" if error.errno in FULL else "make its folder writable"
+            mend = "free some disk space" if error.errno in DISK_FULL_ERRORS else "make its folder writable"
             raise InputError(
                 f"{self.path}: record {self.count} cannot be written ({error.strerror}); {mend} and resume the run."
             ) from None
@@ -89,23 +89,25 @@ class Journal:
         self.close()
 
 
-def begin_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
+def create_journal(path: str | Path, header: Mapping[str, object], width: int) -> Journal:
     """Create a journal and replace an existing one. Raises `InputError` if it cannot be written."""
     path = Path(path)
     text = json.dumps({"width": width, **header}).encode()
     data = MAGIC + struct.pack("<I", len(text)) + text
-    with replacing(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_bytes(data)
     try:
         return Journal(path, width, len(data))
     except OSError as error:
-        mend = "free some disk space" if error.errno in FULL else "give a path in a writable folder"
+        mend = (
+            "free some disk space" if error.errno in DISK_FULL_ERRORS else "give a path in a writable folder"
+        )
         raise InputError(f"{path}: cannot be written ({error.strerror}); {mend}.") from None
 
 
 def read_header(path: str | Path) -> dict[str, object]:
     """Read the header of a journal. Raises `InputError` if the file is no journal."""
-    with _opened(Path(path)) as (_, header, _):
+    with _open_journal(Path(path)) as (_, header, _):
         return header
 
 
@@ -119,9 +121,9 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
     first difference), or if another version wrote it with records of another width.
     """
     path = Path(path)
-    with _opened(path) as (file, there, start):
+    with _open_journal(path) as (file, there, start):
         begun = int(str(there.pop("width")))
-        check_same_run(path, there, header)
+        check_same_header(path, there, header)
         if begun != width:
             raise InputError(
                 f"{path}: this run was started by another version of jaxcap, with {begun} numbers for each frame; expected "
@@ -135,7 +137,7 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
     # the end of the program may tear the last record; damage before other records happened later
     if behind > 1:
         kept = path.with_name(f"{path.name}.damaged")
-        with replacing(kept) as temporary:
+        with atomic_path(kept) as temporary:
             shutil.copyfile(path, temporary)
         warnings.warn(
             f"{path}: record {count}, counted from 0, is damaged; it and the {behind - 1} records after it are computed again. "
@@ -146,31 +148,31 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
 
 
 def read_records(
-    path: str | Path, after: int = 0, columns: slice = slice(None)
+    path: str | Path, skip: int = 0, columns: slice = slice(None)
 ) -> Float[np.ndarray, "N columns"]:
-    """Read the valid records after the first `after`, or some of their columns.
+    """Read the valid records after the first `skip`, or some of their columns.
 
     Another program may write the journal at the same time; an incomplete record is skipped. Raises
     `InputError` if the file is no journal.
     """
-    with _opened(Path(path)) as (file, there, start):
+    with _open_journal(Path(path)) as (file, there, start):
         width = int(str(there["width"]))
-        file.seek(start + _size(width) * after)
+        file.seek(start + _size(width) * skip)
         blocks = [block[:, columns].copy() for block in _blocks(file, width)]
     return np.concatenate([np.zeros((0, width))[:, columns], *blocks])
 
 
-def check_same_run(path: Path, there: Mapping[str, object], header: Mapping[str, object]) -> None:
+def check_same_header(path: Path, stored: Mapping[str, object], header: Mapping[str, object]) -> None:
     """Check that a file has the `header` of the run that is to continue.
 
     **Raises:** `InputError` with the first difference.
     """
     # a JSON round trip, as tuples become lists
     now = json.loads(json.dumps(header))
-    for name in [*now, *there]:
-        if there.get(name) != now.get(name):
+    for name in [*now, *stored]:
+        if stored.get(name) != now.get(name):
             raise InputError(
-                f"{path}: this run was started with {name} {_short(there.get(name))}, not {_short(now.get(name))}; "
+                f"{path}: this run was started with {name} {_short(stored.get(name))}, not {_short(now.get(name))}; "
                 "resume it with the same settings, or overwrite it."
             )
 
@@ -197,7 +199,7 @@ def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
+def _open_journal(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
     """Open a journal; yield the file at its first record, the header, and this position."""
     try:
         file = open(path, "rb")  # noqa: SIM115 - closed below
@@ -212,7 +214,7 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, dict[str, object], int]]:
             text = file.read(min(start - 12, path.stat().st_size))
             header = parse_json(text, path)
             width = header.get("width") if isinstance(header, dict) else None
-            if len(text) < start - 12 or type(width) is not int or not 0 < width <= WIDEST:
+            if len(text) < start - 12 or type(width) is not int or not 0 < width <= MAX_RECORD_WIDTH:
                 raise ValueError
         except (ValueError, struct.error):
             raise InputError(f"{path}: this is not the journal of a run; overwrite it.") from None

@@ -8,21 +8,21 @@ import numpy as np
 
 from ...arguments import checked
 from ...body.limits.chart import DIMENSIONS, Chart
-from ...body.limits.limit_surface import LimitSurface, SurfaceLimits, fits
+from ...body.limits.limit_surface import LimitSurface, SurfaceLimits, missing_joints
 from ...body.limits.limits import AbstractLimits, AllLimits
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..kinds import wrong_kind
+from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import shortened
-from .npz import LEAST, get_array, load_kind, save_arrays
+from .npz import MIN_QUATERNION_NORM, get_array, load_format, save_arrays
 
 #: the format's name in the file
-KIND = "jaxcap limits"
+FORMAT = "jaxcap limits"
 #: arrays of a surface, with their shapes; None is any length
-_ARRAYS: dict[str, tuple[int | None, ...]] = {
+_ARRAY_SHAPES: dict[str, tuple[int | None, ...]] = {
     "keys": (None, 3),
     "reach": (),
     "centres": (None, None, 3),
@@ -41,28 +41,28 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
     arrays: dict[str, np.ndarray] = {"joints": np.array([s.joint for s in limits.surfaces], dtype=str)}
     for number, surface in enumerate(limits.surfaces):
         start = f"{number}."
-        arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAYS}
+        arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAY_SHAPES}
         arrays[f"{start}parent"] = np.array(surface.parent or "", dtype=str)
         arrays |= _chart_arrays(f"{start}chart.", surface.chart)
         if surface.parent_chart is not None:
             arrays |= _chart_arrays(f"{start}parent_chart.", surface.parent_chart)
-    save_arrays(path, KIND, arrays)
+    save_arrays(path, FORMAT, arrays)
 
 
 @checked
-@reads("joint limits")
+@reader_of("joint limits")
 def load_limits(path: str | Path) -> SurfaceLimits:
     """Read limits that `save_limits` wrote.
 
     **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
-    arrays = load_kind(path, KIND)
+    arrays = load_format(path, FORMAT)
     joints = get_array(arrays, "joints", path, (None,), "text").tolist()
     return SurfaceLimits(tuple(_surface(arrays, f"{i}.", joint, path) for i, joint in enumerate(joints)))
 
 
 @checked
-@reads("joint limits")
+@reader_of("joint limits")
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     """Read joint limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
@@ -73,7 +73,7 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     suffix = path.suffix.lower()
     if suffix == ".npz":
         limits = load_limits(path)
-        lacking = fits(limits, skeleton)
+        lacking = missing_joints(limits, skeleton)
         if lacking:
             raise InputError(
                 f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
@@ -90,31 +90,33 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
                 f"expected {', '.join(skeleton.names)}; give the .asf of this skeleton."
             )
         return AllLimits((asf.ranges, asf.boxes))
-    raise wrong_kind(path, "a file of joint limits", (".npz", ".cst", ".asf"))
+    raise wrong_kind_error(path, "a file of joint limits", (".npz", ".cst", ".asf"))
 
 
-def _chart_arrays(start: str, chart: Chart) -> dict[str, np.ndarray]:
+def _chart_arrays(prefix: str, chart: Chart) -> dict[str, np.ndarray]:
     return {
-        f"{start}middle": np.asarray(chart.middle),
-        f"{start}axes": np.asarray(chart.axes),
-        f"{start}kind": np.array(chart.kind, dtype=str),
+        f"{prefix}middle": np.asarray(chart.middle),
+        f"{prefix}axes": np.asarray(chart.axes),
+        f"{prefix}kind": np.array(chart.kind, dtype=str),
     }
 
 
-def _chart(arrays: Mapping[str, np.ndarray], start: str, path: str | Path) -> Chart:
-    kind = str(get_array(arrays, f"{start}kind", path, (), "text"))
+def _chart(arrays: Mapping[str, np.ndarray], prefix: str, path: str | Path) -> Chart:
+    kind = str(get_array(arrays, f"{prefix}kind", path, (), "text"))
     if kind not in DIMENSIONS:
         raise InputError(
             f"{path}: the chart '{shortened(kind)}' is unknown; expected {', '.join(DIMENSIONS)}."
         )
-    middle = get_array(arrays, f"{start}middle", path, (4,))
-    if not np.linalg.norm(middle) > LEAST:
+    middle = get_array(arrays, f"{prefix}middle", path, (4,))
+    if not np.linalg.norm(middle) > MIN_QUATERNION_NORM:
         raise InputError(f"{path}: the middle of a chart is a zero quaternion; learn the limits again.")
-    return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{start}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
+    return Chart(jnp.asarray(middle), jnp.asarray(get_array(arrays, f"{prefix}axes", path, (2, 3))), kind)  # pyright: ignore[reportArgumentType]
 
 
-def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str | Path) -> LimitSurface:
-    values = {name: get_array(arrays, f"{start}{name}", path, shape) for name, shape in _ARRAYS.items()}
+def _surface(arrays: Mapping[str, np.ndarray], prefix: str, joint: str, path: str | Path) -> LimitSurface:
+    values = {
+        name: get_array(arrays, f"{prefix}{name}", path, shape) for name, shape in _ARRAY_SHAPES.items()
+    }
     keyframes, primitives = values["centres"].shape[:2]
     alike = values["thickness"].shape == values["counts"].shape == (keyframes, primitives)
     if not (alike and keyframes and primitives and len(values["keys"]) == keyframes):
@@ -126,11 +128,11 @@ def _surface(arrays: Mapping[str, np.ndarray], start: str, joint: str, path: str
             raise InputError(
                 f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; expected a number above 0."
             )
-    parent = str(get_array(arrays, f"{start}parent", path, (), "text")) or None
+    parent = str(get_array(arrays, f"{prefix}parent", path, (), "text")) or None
     return LimitSurface(
         joint=joint,
         parent=parent,
-        chart=_chart(arrays, f"{start}chart.", path),
-        parent_chart=None if parent is None else _chart(arrays, f"{start}parent_chart.", path),
+        chart=_chart(arrays, f"{prefix}chart.", path),
+        parent_chart=None if parent is None else _chart(arrays, f"{prefix}parent_chart.", path),
         **{name: jnp.asarray(value) for name, value in values.items()},
     )

@@ -11,26 +11,26 @@ import numpy as np
 from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose
-from ...body.skeleton import Skeleton, make_skeleton, rest_difference
+from ...body.skeleton import Skeleton, describe_rest_difference, make_skeleton
 from ...body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from ...errors import InputError, sentence_of
-from ..kinds import WORDS, check_npz, wrong_arrays
-from ..system.atomic import replacing
-from ..system.door import reads
-from ..text import LARGEST, RATES, shortened
+from ...errors import InputError, user_message
+from ..kinds import KIND_NAMES, check_npz, wrong_arrays_error
+from ..system.atomic import atomic_path
+from ..system.door import reader_of
+from ..text import MAX_NUMBER, RATE_RANGE, shortened
 from .archive import open_archive
 
 VERSION = 1
 
 #: smallest norm of a quaternion that is a valid rotation
-LEAST = 1e-6
+MIN_QUATERNION_NORM = 1e-6
 #: largest error of the sum of a vertex's weights
-SHARE = 1e-3
+WEIGHT_SUM_TOLERANCE = 1e-3
 #: number of frames that a warning lists for each verdict
-NAMED = 10
-_SKELETON = ("names", "parents", "kinds", "centres", "orientations", "axes")
+MAX_LISTED_FRAMES = 10
+_SKELETON_ARRAYS = ("names", "parents", "kinds", "centres", "orientations", "axes")
 #: prefix of the arrays of limits in a body file
-LIMITS = "limits."
+LIMITS_PREFIX = "limits."
 #: skins by their name in files, with their arrays
 SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
     "rigid": (RigidSkin, ("bones",)),
@@ -46,17 +46,19 @@ def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | N
 
     **Raises:** `InputError` if the file cannot be written or the skin has no name in `SKINS`.
     """
-    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **beside_body(limits or {})})
+    save_arrays(path, "jaxcap body", {**body_arrays(body, path), **add_limits_prefix(limits or {})})
 
 
-def beside_body(limits: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def add_limits_prefix(limits: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Add the prefix of body files to the names of limits."""
-    return {f"{LIMITS}{name}": values for name, values in limits.items()}
+    return {f"{LIMITS_PREFIX}{name}": values for name, values in limits.items()}
 
 
-def limits_in(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def extract_limits(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Select the limits among the arrays of a body file, and remove their prefix."""
-    return {name.removeprefix(LIMITS): a for name, a in arrays.items() if name.startswith(LIMITS)}
+    return {
+        name.removeprefix(LIMITS_PREFIX): a for name, a in arrays.items() if name.startswith(LIMITS_PREFIX)
+    }
 
 
 def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
@@ -79,13 +81,15 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
 
 
 @checked
-@reads("a body")
+@reader_of("a body")
 def load_body(path: str | Path) -> Body:
     """Read a body that `save_body` wrote.
 
     **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
-    return body_of(load_kind(path, "jaxcap body", wanted=lambda name: not name.startswith(LIMITS)), path)
+    return body_of(
+        load_format(path, "jaxcap body", select=lambda name: not name.startswith(LIMITS_PREFIX)), path
+    )
 
 
 def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
@@ -95,7 +99,7 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         raise InputError(f"{path}: the skin '{shortened(kind)}' is unknown; expected {', '.join(SKINS)}.")
     cls, names = SKINS[kind]
     skeleton = skeleton_of(arrays, path)
-    vertices = get_array(arrays, "vertices", path, (None, 3), rows="vertex")
+    vertices = get_array(arrays, "vertices", path, (None, 3), row_name="vertex")
     faces = get_array(arrays, "faces", path, (None, 3), "whole")
     if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
         wrong = faces.max() if faces.min() >= 0 else faces.min()
@@ -118,24 +122,24 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
                 f"{path}: the skin refers to bone {wrong}, but the skeleton has {joints}: 0 to {joints - 1}."
             )
         if not whole:
-            _check_shares(values, path, rest=name != "weights")
+            _check_weights(values, path, partial=name != "weights")
         fields.append(jnp.asarray(values))
     return Body(skeleton, cls(*fields), jnp.asarray(vertices), jnp.asarray(faces))
 
 
-def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
-    """Check that weights are at least zero and add up to one for each vertex; with `rest`, to at most one.
+def _check_weights(weights: np.ndarray, path: str | Path, partial: bool) -> None:
+    """Check that weights are at least zero and add up to one for each vertex; with `partial`, to at most one.
 
     The base bone takes the rest. Raises `InputError`.
     """
-    if (weights < -SHARE).any():
+    if (weights < -WEIGHT_SUM_TOLERANCE).any():
         vertex, bone = divmod(int(weights.argmin()), weights.shape[1])
         raise InputError(
             f"{path}: the weight of bone {bone} for vertex {vertex} is {weights.min():g}; expected weights of at least 0 "
             "that sum to one."
         )
     apart = weights.sum(1) - 1.0
-    wrong = (apart > SHARE) | ((apart < -SHARE) & (not rest))
+    wrong = (apart > WEIGHT_SUM_TOLERANCE) | ((apart < -WEIGHT_SUM_TOLERANCE) & (not partial))
     if wrong.any():
         vertex = int(wrong.argmax())
         raise InputError(
@@ -145,7 +149,9 @@ def _check_shares(weights: np.ndarray, path: str | Path, rest: bool) -> None:
 
 def load_limits(path: str | Path) -> dict[str, np.ndarray]:
     """Read the joint limits of a body file, by the names they were saved under; `{}` if there are none."""
-    return limits_in(load_kind(path, "jaxcap body", wanted=lambda name: name.startswith(LIMITS)))
+    return extract_limits(
+        load_format(path, "jaxcap body", select=lambda name: name.startswith(LIMITS_PREFIX))
+    )
 
 
 @checked
@@ -172,19 +178,19 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
 
 
 @checked
-@reads("a motion")
+@reader_of("a motion")
 def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     """Read a motion that `save_motion` wrote.
 
     Warns of frames with the tracker's verdict doubtful or lost.
 
     **Raises:** `InputError` if the file has another format or is damaged; also if `skeleton` is given and has
-    other joints or another rest pose (`rest_difference`), for which rotations have another meaning.
+    other joints or another rest pose (`describe_rest_difference`), for which rotations have another meaning.
     """
-    arrays = load_kind(path, "jaxcap motion")
+    arrays = load_format(path, "jaxcap motion")
     motion = motion_of(arrays, path)
     if "verdicts" in arrays:
-        _tell_verdicts(get_array(arrays, "verdicts", path, (len(motion),), "text"), path)
+        _warn_of_verdicts(get_array(arrays, "verdicts", path, (len(motion),), "text"), path)
     if skeleton is not None:
         own = get_array(arrays, "names", path, (None,), "text") if "names" in arrays else skeleton.names
         names, joints = tuple(str(name) for name in own), motion.poses.rotations.shape[1]
@@ -194,7 +200,7 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
                 f"{', '.join(skeleton.names)} as in the skeleton; retarget it with `jaxcap edit retarget`."
             )
         if "parents" in arrays:
-            other = rest_difference(skeleton_of(arrays, path), skeleton)
+            other = describe_rest_difference(skeleton_of(arrays, path), skeleton)
             if other is not None:
                 raise InputError(
                     f"{path}: this motion belongs to another rest pose: its {other}; retarget it with `jaxcap edit retarget`."
@@ -202,12 +208,14 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
     return motion
 
 
-def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
+def _warn_of_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
     told = []
     for verdict in ("lost", "doubtful"):
         numbers = np.flatnonzero(verdicts == verdict)
         if len(numbers):
-            named = ", ".join(map(str, numbers[:NAMED])) + (" and more" if len(numbers) > NAMED else "")
+            named = ", ".join(map(str, numbers[:MAX_LISTED_FRAMES])) + (
+                " and more" if len(numbers) > MAX_LISTED_FRAMES else ""
+            )
             told.append(f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)")
     if told:
         warnings.warn(
@@ -218,16 +226,16 @@ def _tell_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
 
 def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     """Build the motion from the arrays of `motion_arrays`. Raises `InputError` if they are inconsistent."""
-    rotations = get_array(arrays, "rotations", path, (None, None, 4), rows="frame")
+    rotations = get_array(arrays, "rotations", path, (None, None, 4), row_name="frame")
     frames, joints = rotations.shape[:2]
-    translations = get_array(arrays, "translations", path, (frames, joints, 3), rows="frame")
-    scale = get_array(arrays, "scale", path, (frames,), rows="frame")
+    translations = get_array(arrays, "translations", path, (frames, joints, 3), row_name="frame")
+    scale = get_array(arrays, "scale", path, (frames,), row_name="frame")
     rate = get_array(arrays, "rate", path, ()).item()
-    if not RATES[0] <= rate <= RATES[1]:
+    if not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
         raise InputError(
-            f"{path}: the rate is {rate}; expected {RATES[0]:g} to {RATES[1]:g} frames per second."
+            f"{path}: the rate is {rate}; expected {RATE_RANGE[0]:g} to {RATE_RANGE[1]:g} frames per second."
         )
-    if not (np.linalg.norm(rotations, axis=-1) > LEAST).all():
+    if not (np.linalg.norm(rotations, axis=-1) > MIN_QUATERNION_NORM).all():
         raise InputError(f"{path}: the array 'rotations' contains zero quaternions; write unit quaternions.")
     if not (scale > 0).all():
         raise InputError(
@@ -236,11 +244,11 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
     return Motion(Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.asarray(scale)), rate)
 
 
-@reads("a skeleton")
+@reader_of("a skeleton")
 def load_skeleton(path: str | Path) -> Skeleton:
     """Read the skeleton of a body or subject file, or of a motion file that was written with one."""
     kinds = ("jaxcap body", "jaxcap motion", "jaxcap subject")
-    return skeleton_of(load_kind(path, *kinds, wanted=lambda name: name in _SKELETON), path)
+    return skeleton_of(load_format(path, *kinds, select=lambda name: name in _SKELETON_ARRAYS), path)
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, np.ndarray]:
@@ -265,15 +273,15 @@ def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
     parents = get_array(arrays, "parents", path, (count,), "whole").tolist()
     kinds = get_array(arrays, "kinds", path, (count,), "text").tolist()
     shapes = {"centres": (count, 3), "orientations": (count, 4), "axes": (count, 2, 3)}
-    numbers = {name: get_array(arrays, name, path, shape, rows="joint") for name, shape in shapes.items()}
-    if not (np.linalg.norm(numbers["orientations"], axis=1) > LEAST).all():
+    numbers = {name: get_array(arrays, name, path, shape, row_name="joint") for name, shape in shapes.items()}
+    if not (np.linalg.norm(numbers["orientations"], axis=1) > MIN_QUATERNION_NORM).all():
         raise InputError(
             f"{path}: the array 'orientations' contains zero quaternions; write unit quaternions."
         )
     try:
         checked = make_skeleton(names, parents, kinds, numbers["centres"])
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None
     if checked.names != tuple(names):
         raise InputError(f"{path}: a joint comes before its parent; write the file with save_body.")
     # the arrays unchanged, so that a body is restored to the last bit
@@ -281,8 +289,8 @@ def skeleton_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Skeleton:
     return Skeleton(checked.names, checked.parents, checked.kinds, centres, orientations, axes)
 
 
-def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
-    """Write arrays with the name of a format, for `load_kind`.
+def save_arrays(path: str | Path, format_name: str, arrays: Mapping) -> None:
+    """Write arrays with the name of a format, for `load_format`.
 
     **Raises:** `InputError` if the file cannot be written, or a value is not an array of numbers or text.
     """
@@ -290,31 +298,31 @@ def save_arrays(path: str | Path, kind: str, arrays: Mapping) -> None:
     for name, values in plain.items():
         if values.dtype == object:
             raise InputError(f"{path}: '{name}' is not an array of numbers or text; give such an array.")
-    with replacing(path) as beside, open(beside, "wb") as file:
-        everything: dict[str, Any] = {"format": np.array(kind), "version": np.array(VERSION), **plain}
+    with atomic_path(path) as beside, open(beside, "wb") as file:
+        everything: dict[str, Any] = {"format": np.array(format_name), "version": np.array(VERSION), **plain}
         np.savez_compressed(file, **everything)
 
 
-def load_kind(
-    path: str | Path, *kinds: str, wanted: Callable[[str], bool] = lambda name: True
+def load_format(
+    path: str | Path, *formats: str, select: Callable[[str], bool] = lambda name: True
 ) -> dict[str, np.ndarray]:
-    """Read the `wanted` arrays of a file of one of some formats, with its `format` and `version`.
+    """Read the `select` arrays of a file of one of some formats, with its `format` and `version`.
 
     **Raises:** `InputError` if it has another format or version.
     """
-    check_npz(path, WORDS[kinds[0].removeprefix("jaxcap ")])
+    check_npz(path, KIND_NAMES[formats[0].removeprefix("jaxcap ")])
     with open_archive(path) as archive:
         marks = archive.load(lambda name: name in ("format", "version"))
-        if str(marks.get("format", "")) not in kinds:
-            raise wrong_arrays(path, f"not a '{kinds[0]}'")
+        if str(marks.get("format", "")) not in formats:
+            raise wrong_arrays_error(path, f"not a '{formats[0]}'")
         version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
         if version != VERSION:
             raise InputError(f"{path}: this file has version {version}; expected version {VERSION}.")
-        return marks | archive.load(lambda name: name not in marks and wanted(name))
+        return marks | archive.load(lambda name: name not in marks and select(name))
 
 
 #: types of the contents of arrays, and their names
-_CONTENTS = {
+_CONTENT_TYPES = {
     "numbers": ("fiu", "numbers"),
     "whole": ("iu", "whole numbers"),
     "text": ("U", "text"),
@@ -326,12 +334,12 @@ def get_array(
     name: str,
     path: str | Path,
     shape: tuple[int | None, ...],
-    holds: Literal["numbers", "whole", "text"] = "numbers",
-    rows: str = "row",
+    content: Literal["numbers", "whole", "text"] = "numbers",
+    row_name: str = "row",
 ) -> np.ndarray:
     """Return an array after a check of its `shape`, in which None is any length, and of its contents.
 
-    Numbers have to be finite, and at most `LARGEST`. `rows` names the elements of the first axis in messages.
+    Numbers have to be finite, and at most `MAX_NUMBER`. `row_name` names the elements of the first axis in messages.
 
     **Raises:** `InputError` if the array is missing or invalid.
     """
@@ -344,21 +352,21 @@ def get_array(
     if not fits:
         wanted = " x ".join("any" if n is None else str(n) for n in shape) or "a single value"
         raise InputError(f"{path}: the array '{name}' has the shape {values.shape}; expected {wanted}.")
-    types, words = _CONTENTS[holds]
+    types, words = _CONTENT_TYPES[content]
     # an array without elements may have any type
     if values.dtype.kind not in types and values.size:
         raise InputError(f"{path}: the array '{name}' has the type {values.dtype}; expected {words}.")
-    if holds != "numbers":
+    if content != "numbers":
         return values
-    _check_finite(values, name, path, rows)
+    _check_finite(values, name, path, row_name)
     return values if values.dtype.kind == "f" else values.astype(float)
 
 
-def _check_finite(values: np.ndarray, name: str, path: str | Path, rows: str) -> None:
+def _check_finite(values: np.ndarray, name: str, path: str | Path, row_name: str) -> None:
     """Check that an array holds finite numbers. Raises `InputError`."""
     sizes = np.abs(np.atleast_1d(values).astype(float))
-    wrong = ~(sizes <= LARGEST)
+    wrong = ~(sizes <= MAX_NUMBER)
     if wrong.any():
-        which = f", first in {rows} {int(np.argwhere(wrong)[0, 0])}" if values.ndim else ""
+        which = f", first in {row_name} {int(np.argwhere(wrong)[0, 0])}" if values.ndim else ""
         why = "too large" if np.isfinite(sizes).all() else "not finite"
         raise InputError(f"{path}: the array '{name}' has numbers that are {why}{which}; write it again.")

@@ -8,21 +8,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from ...adapt.shape.shape_prior import ShapePrior, neighbours_in, uniform_laplacian
+from ...adapt.shape.shape_prior import ShapePrior, prior_edges, uniform_laplacian
 from ...arguments import checked
 from ...body.body import Body
 from ...body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes
-from ...body.pair_prior import PairPrior, make_pair_prior, misfit
+from ...body.pair_prior import PairPrior, describe_mismatch, make_pair_prior
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...geometry.mesh import mesh_edges
-from ..system.door import reads
+from ..system.door import reader_of
 from .archive import load_arrays
-from .npz import LEAST, LIMITS, get_array, limits_in, load_kind, save_arrays, save_body
+from .npz import (
+    LIMITS_PREFIX,
+    MIN_QUATERNION_NORM,
+    extract_limits,
+    get_array,
+    load_format,
+    save_arrays,
+    save_body,
+)
 
 #: the format's name in a separate file
-KIND = "jaxcap prior"
+FORMAT = "jaxcap prior"
 
 
 class Priors(NamedTuple):
@@ -52,18 +60,18 @@ def save_prior(
     **Raises:** `InputError` if the file cannot be written, or a prior belongs to another skeleton or surface
     than the body's.
     """
-    arrays = prior_arrays(prior, boxes) | ({} if shape is None else shape_arrays(shape))
+    arrays = prior_arrays(prior, boxes) | ({} if shape is None else shape_prior_arrays(shape))
     if body is None:
-        save_arrays(path, KIND, arrays)
+        save_arrays(path, FORMAT, arrays)
         return
-    check_fit(prior, body.skeleton, path)
+    check_prior_skeleton(prior, body.skeleton, path)
     if shape is not None:
-        _check_surface(len(shape.vectors[0]), neighbours_in(shape), body, path)
+        _check_topology(len(shape.vectors[0]), prior_edges(shape), body, path)
     save_body(path, body, {**(limits or {}), **arrays})
 
 
 @checked
-@reads("a prior")
+@reader_of("a prior")
 def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
     """Read the pose and shape priors of `body` at once; without `shape`, the pose priors only.
 
@@ -75,14 +83,14 @@ def load_priors(path: str | Path, body: Body, *, shape: bool = True) -> Priors:
     return Priors(prior, boxes, _shape(arrays, path, body) if shape else None)
 
 
-def carries_prior(path: str | Path) -> bool:
+def has_prior(path: str | Path) -> bool:
     """Check that a body file contains a pose prior. Raises `InputError` if it is no complete `.npz`."""
-    name = f"{LIMITS}prior.weights"
+    name = f"{LIMITS_PREFIX}prior.weights"
     return name in load_arrays(path, lambda there: there == name)
 
 
 @checked
-@reads("a prior")
+@reader_of("a prior")
 def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     """Read a pose prior from a separate file or from a body file.
 
@@ -92,13 +100,13 @@ def load_prior(path: str | Path, skeleton: Skeleton | None = None) -> PairPrior:
     return _prior(_arrays(path), path, skeleton)
 
 
-@reads("a prior")
+@reader_of("a prior")
 def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes | None:
     """Read the boxes of a prior file; None if there are none. Errors as in `load_prior`."""
     return _boxes(_arrays(path), path, skeleton)
 
 
-@reads("a prior")
+@reader_of("a prior")
 def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
     """Read the shape prior of `body`, in the dtype of its vertices; None if there is none.
 
@@ -108,7 +116,7 @@ def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
     return _shape(_arrays(path), path, body)
 
 
-def shape_counts(path: str | Path) -> tuple[int, int] | None:
+def shape_prior_size(path: str | Path) -> tuple[int, int] | None:
     """Return the numbers of meshes and vertices of a shape prior; None if there is none.
 
     Errors as in `load_prior`.
@@ -116,13 +124,13 @@ def shape_counts(path: str | Path) -> tuple[int, int] | None:
     arrays = _arrays(path)
     if "shape.vectors" not in arrays:
         return None
-    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh").shape[:2]
+    meshes, vertices = get_array(arrays, "shape.vectors", path, (None, None, 3), row_name="mesh").shape[:2]
     return meshes, vertices
 
 
-def check_fit(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
+def check_prior_skeleton(prior: PairPrior, skeleton: Skeleton, path: str | Path) -> None:
     """Check that a prior belongs to a skeleton. Raises `InputError`."""
-    reason = misfit(prior, skeleton)
+    reason = describe_mismatch(prior, skeleton)
     if reason is not None:
         raise InputError(
             f"{path}: this prior belongs to another skeleton: {reason}; learn a prior for this skeleton. "
@@ -143,12 +151,12 @@ def prior_arrays(prior: PairPrior, boxes: PoseBoxes | None = None) -> dict[str, 
     return arrays
 
 
-def shape_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
+def shape_prior_arrays(shape: ShapePrior) -> dict[str, np.ndarray]:
     """Convert a shape prior to named float32 arrays.
 
     Its Laplacian is recomputed from the body for which it is read.
     """
-    arrays = {"shape.edges": neighbours_in(shape).astype(np.int32)}
+    arrays = {"shape.edges": prior_edges(shape).astype(np.int32)}
     numbers = {"vectors": shape.vectors}
     numbers |= {
         name: np.asarray(getattr(shape.poses, name)) for name in ("translations", "rotations", "scale")
@@ -165,15 +173,15 @@ def _prior(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
     try:
         prior = make_pair_prior(
             tuple((above, below) for above, below in pairs),
-            _turns(arrays, "prior.frames", path, (len(pairs), 2, 4)),
+            _read_quaternions(arrays, "prior.frames", path, (len(pairs), 2, 4)),
             weights,
             get_array(arrays, "prior.means", path, (*shape, 6)),
             get_array(arrays, "prior.factors", path, (*shape, 6, 6)),
         )
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None
     if skeleton is not None:
-        check_fit(prior, skeleton, path)
+        check_prior_skeleton(prior, skeleton, path)
     return prior
 
 
@@ -191,38 +199,38 @@ def _boxes(arrays: Mapping[str, np.ndarray], path: str | Path, skeleton: Skeleto
     try:
         return make_pose_boxes(joints, lower, upper)
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None
 
 
 def _shape(arrays: Mapping[str, np.ndarray], path: str | Path, body: Body) -> ShapePrior | None:
     if "shape.vectors" not in arrays:
         return None
-    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3), rows="mesh")
+    vectors = get_array(arrays, "shape.vectors", path, (None, None, 3), row_name="mesh")
     meshes, vertices = vectors.shape[:2]
-    _check_surface(vertices, get_array(arrays, "shape.edges", path, (None, 2), "whole"), body, path)
+    _check_topology(vertices, get_array(arrays, "shape.edges", path, (None, 2), "whole"), body, path)
     joints = body.skeleton.num_joints
     if not meshes:
         raise InputError(f"{path}: the shape prior has no meshes; learn it again.")
     numbers = (
-        get_array(arrays, "shape.translations", path, (meshes, joints, 3), rows="mesh"),
-        _turns(arrays, "shape.rotations", path, (meshes, joints, 4)),
-        get_array(arrays, "shape.scale", path, (meshes,), rows="mesh"),
+        get_array(arrays, "shape.translations", path, (meshes, joints, 3), row_name="mesh"),
+        _read_quaternions(arrays, "shape.rotations", path, (meshes, joints, 4)),
+        get_array(arrays, "shape.scale", path, (meshes,), row_name="mesh"),
     )
     poses = Pose(*(jnp.asarray(values, body.vertices.dtype) for values in numbers))
     return ShapePrior(uniform_laplacian(body), poses, vectors.astype(float))
 
 
-def _turns(
+def _read_quaternions(
     arrays: Mapping[str, np.ndarray], name: str, path: str | Path, shape: tuple[int, ...]
 ) -> np.ndarray:
     """Return an array of quaternions after a check that none is zero. Raises `InputError`."""
     turns = get_array(arrays, name, path, shape)
-    if not (np.linalg.norm(turns, axis=-1) > LEAST).all():
+    if not (np.linalg.norm(turns, axis=-1) > MIN_QUATERNION_NORM).all():
         raise InputError(f"{path}: the array '{name}' contains zero quaternions; learn the prior again.")
     return turns
 
 
-def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
+def _check_topology(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, path: str | Path) -> None:
     """Check that a shape prior has the vertices and edges of a body. Raises `InputError`."""
     if vertices != len(body.vertices):
         raise InputError(
@@ -235,11 +243,11 @@ def _check_surface(vertices: int, edges: Int[np.ndarray, "E 2"], body: Body, pat
         )
 
 
-def _of_prior(name: str) -> bool:
-    return name.removeprefix(LIMITS).startswith(("prior.", "boxes.", "shape."))
+def _is_prior_array(name: str) -> bool:
+    return name.removeprefix(LIMITS_PREFIX).startswith(("prior.", "boxes.", "shape."))
 
 
 def _arrays(path: str | Path) -> dict[str, np.ndarray]:
     """Read the arrays of priors from a separate file or from a body file."""
-    arrays = load_kind(path, KIND, "jaxcap body", wanted=_of_prior)
-    return arrays if str(arrays["format"]) == KIND else limits_in(arrays)
+    arrays = load_format(path, FORMAT, "jaxcap body", select=_is_prior_array)
+    return arrays if str(arrays["format"]) == FORMAT else extract_limits(arrays)

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...errors import InputError
-from ..system.door import reads
-from ..text import LARGEST, read_json
+from ..system.door import reader_of
+from ..text import MAX_NUMBER, read_json
 
 
 class RunStatistics(NamedTuple):
@@ -17,7 +17,7 @@ class RunStatistics(NamedTuple):
     clouds: tuple[str, ...]
 
 
-@reads("the statistics of a run")
+@reader_of("the statistics of a run")
 def read_statistics(path: str | Path) -> RunStatistics:
     """Read the statistics of a run.
 
@@ -36,4 +36,4 @@ def read_statistics(path: str | Path) -> RunStatistics:
 
 
 def _is_length(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= LARGEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= MAX_NUMBER

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 _COMPONENTS = {np.dtype("u1"): 5121, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("<f4"): 5126}
 _TYPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 #: targets of buffer views, for rendering
-VERTICES, INDICES = 34962, 34963
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
-class Blob:
+class GlbBuilder:
     """Arrays packed into one buffer; `add` returns the index of an array's accessor in `document`."""
 
     def __init__(self, document: "pygltflib.GLTF2"):
@@ -48,7 +48,7 @@ class Blob:
         self.document.accessors.append(accessor)
         return len(self.document.accessors) - 1
 
-    def file(self) -> bytes:
+    def to_bytes(self) -> bytes:
         """Return the complete `.glb` file with the document and its data."""
         import pygltflib
 

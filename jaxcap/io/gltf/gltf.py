@@ -19,22 +19,22 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..meshes.mesh import vertex_normals
 from ..skinned.skinned import (
-    SET,
+    INFLUENCES_PER_SET,
     bind_frames,
+    check_linear_skin,
     check_motion,
-    check_skin,
     influences,
     moving_frames,
     rest_frames,
 )
-from ..system.atomic import replacing
-from .glb import INDICES, VERTICES, Blob
+from ..system.atomic import atomic_path
+from .glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
 
 if TYPE_CHECKING:
     import pygltflib
 
 #: a channel is written if a number differs from its rest value by more than single precision resolves
-_STILL = 1e-7
+_CHANNEL_TOLERANCE = 1e-7
 
 
 @checked
@@ -53,16 +53,16 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path}: skinned bodies are not written as '{path.suffix}' files; use .glb.")
-    check_skin(path, body, "glTF")
+    check_linear_skin(path, body, "glTF")
     check_motion(path, body.skeleton, motion)
     document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0", generator="jaxcap"))
-    blob = Blob(document)
+    blob = GlbBuilder(document)
     roots = [joint for joint, parent in enumerate(body.skeleton.parents) if parent < 0]
     top, surface = body.skeleton.num_joints, body.skeleton.num_joints + 1
     document.nodes = _joint_nodes(body.skeleton)
-    document.nodes.append(pygltflib.Node(name=_free_name("Armature", body.skeleton), children=roots))
+    document.nodes.append(pygltflib.Node(name=_unique_name("Armature", body.skeleton), children=roots))
     # outside the armature, because a skinned mesh does not follow its own node
-    document.nodes.append(pygltflib.Node(name=_free_name("Body", body.skeleton), mesh=0, skin=0))
+    document.nodes.append(pygltflib.Node(name=_unique_name("Body", body.skeleton), mesh=0, skin=0))
     document.meshes = [pygltflib.Mesh(name="Body", primitives=[_surface(blob, body)])]
     # the default material of glTF is a metallic mirror
     look = pygltflib.PbrMetallicRoughness(
@@ -80,11 +80,11 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
     if motion is not None:
         document.animations = _animations(blob, body.skeleton, motion)
     document.scenes, document.scene = [pygltflib.Scene(nodes=[top, surface])], 0
-    with replacing(path) as beside:
-        beside.write_bytes(blob.file())
+    with atomic_path(path) as beside:
+        beside.write_bytes(blob.to_bytes())
 
 
-def _free_name(name: str, skeleton: Skeleton) -> str:
+def _unique_name(name: str, skeleton: Skeleton) -> str:
     while name in skeleton.names:
         name += "_"
     return name
@@ -115,7 +115,7 @@ def _inverse_bind(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:
     return inverse.astype("<f4")
 
 
-def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
+def _surface(blob: GlbBuilder, body: Body) -> "pygltflib.Primitive":
     import pygltflib
 
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
@@ -123,24 +123,24 @@ def _surface(blob: Blob, body: Body) -> "pygltflib.Primitive":
     # a vertex of no face has no normal, and glTF requires unit length
     normals[np.linalg.norm(normals, axis=1) < 0.5] = [0.0, 1.0, 0.0]
     attributes = pygltflib.Attributes(
-        POSITION=blob.add(vertices.astype("<f4"), VERTICES, bounds=True),
-        NORMAL=blob.add(normals.astype("<f4"), VERTICES),
+        POSITION=blob.add(vertices.astype("<f4"), ARRAY_BUFFER, bounds=True),
+        NORMAL=blob.add(normals.astype("<f4"), ARRAY_BUFFER),
     )
-    joints, weights = influences(np.asarray(body.skin.influence(body.skeleton.num_joints), float))
+    joints, weights = influences(np.asarray(body.skin.bone_weights(body.skeleton.num_joints), float))
     number = "u1" if body.skeleton.num_joints <= 256 else "<u2"
-    for place in range(joints.shape[1] // SET):
-        part = slice(SET * place, SET * (place + 1))
-        setattr(attributes, f"JOINTS_{place}", blob.add(joints[:, part].astype(number), VERTICES))
-        setattr(attributes, f"WEIGHTS_{place}", blob.add(weights[:, part], VERTICES))
+    for place in range(joints.shape[1] // INFLUENCES_PER_SET):
+        part = slice(INFLUENCES_PER_SET * place, INFLUENCES_PER_SET * (place + 1))
+        setattr(attributes, f"JOINTS_{place}", blob.add(joints[:, part].astype(number), ARRAY_BUFFER))
+        setattr(attributes, f"WEIGHTS_{place}", blob.add(weights[:, part], ARRAY_BUFFER))
     # the largest number of a type ends a strip, so it cannot be a vertex
     number = "<u2" if len(vertices) <= 0xFFFF else "<u4"
-    indices = blob.add(faces.reshape(-1).astype(number), INDICES) if len(faces) else None
+    indices = blob.add(faces.reshape(-1).astype(number), ELEMENT_ARRAY_BUFFER) if len(faces) else None
     return pygltflib.Primitive(
         attributes=attributes, indices=indices, material=0, mode=4 if len(faces) else 0
     )
 
 
-def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
+def _animations(blob: GlbBuilder, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
     """Build one animation with a channel for every node property that leaves its rest value.
 
     Empty if all are at rest.
@@ -153,7 +153,7 @@ def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltfl
 
     def channel(node: int, what: str, values: np.ndarray, rest: np.ndarray) -> None:
         nonlocal clock
-        if np.abs(values - rest).max() <= _STILL:
+        if np.abs(values - rest).max() <= _CHANNEL_TOLERANCE:
             return
         clock = blob.add(times.astype("<f4"), bounds=True) if clock is None else clock
         output = blob.add(values.astype("<f4"))
@@ -167,8 +167,8 @@ def _animations(blob: Blob, skeleton: Skeleton, motion: Motion) -> "list[pygltfl
 
     rest, moving = rest_frames(skeleton), moving_frames(skeleton, motion)
     for joint in range(skeleton.num_joints):
-        channel(joint, "translation", moving.places[:, joint], rest.places[joint])
-        channel(joint, "rotation", moving.turns[:, joint], rest.turns[joint])
+        channel(joint, "translation", moving.positions[:, joint], rest.positions[joint])
+        channel(joint, "rotation", moving.quaternions[:, joint], rest.quaternions[joint])
     scales = np.repeat(np.asarray(motion.poses.scale, float)[:, None], 3, 1)
     channel(skeleton.num_joints, "scale", scales, np.ones(3))
     return [animation] if animation.channels else []

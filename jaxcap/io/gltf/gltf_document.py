@@ -15,10 +15,10 @@ from .gltf_scene import chunks
 #: suffixes of both forms
 SUFFIXES = (".glb", ".gltf")
 #: largest number of buffers
-MOST_BUFFERS = 1000
+MAX_BUFFERS = 1000
 
 
-def read_head(path: str | Path) -> dict[str, Any]:
+def read_gltf_json(path: str | Path) -> dict[str, Any]:
     """Read the JSON of a file without its buffers; empty if it is not a readable glTF file."""
     try:
         with Path(path).open("rb") as stream:
@@ -36,18 +36,18 @@ def read_head(path: str | Path) -> dict[str, Any]:
 
 def has_skin(path: str | Path) -> bool:
     """Check that a file is a `.glb` or `.gltf` with joints that move a surface."""
-    head = read_head(path)
+    head = read_gltf_json(path)
     nodes = head.get("nodes")
-    return bool(head.get("skins")) and any("skin" in node for node in _dicts(nodes))
+    return bool(head.get("skins")) and any("skin" in node for node in _select_dicts(nodes))
 
 
-def clips_of(path: str | Path) -> tuple[str, ...]:
+def read_clip_names(path: str | Path) -> tuple[str, ...]:
     """Return the names of the animations in a `.glb` or `.gltf`; empty if it cannot be read."""
-    names = [one.get("name") for one in _dicts(read_head(path).get("animations"))]
+    names = [one.get("name") for one in _select_dicts(read_gltf_json(path).get("animations"))]
     return clip_names([name if isinstance(name, str) else None for name in names])
 
 
-def no_skin(path: str | Path) -> InputError:
+def missing_skin_error(path: str | Path) -> InputError:
     """Return the error for a glTF or USD file without a skin, with advice."""
     rig = f"rig it with `jaxcap rig {shlex.quote(str(path))} -o body.npz`"
     if Path(path).suffix.lower() not in SUFFIXES:
@@ -71,16 +71,16 @@ def read_document(path: Path) -> tuple[Part, list[bytes | None]]:
         head, own = chunks(path)
         root = Part(parse_json(head, path), str(path))
     parts, found = root.parts("buffers"), dict[str, bytes]()
-    if len(parts) > MOST_BUFFERS:
-        raise InputError(f"{path}: the file has {len(parts)} buffers; export it with at most {MOST_BUFFERS}.")
+    if len(parts) > MAX_BUFFERS:
+        raise InputError(f"{path}: the file has {len(parts)} buffers; export it with at most {MAX_BUFFERS}.")
     buffers: list[bytes | None] = []
     for number, buffer in enumerate(parts):
-        uri = buffer.word("uri") if "uri" in buffer else None
+        uri = buffer.text("uri") if "uri" in buffer else None
         if uri is not None and uri not in found:
             found[uri] = read_inside(path, uri)
         buffers.append(found[uri] if uri is not None else own if number == 0 else None)
     return root, buffers
 
 
-def _dicts(rows: object) -> list[dict]:
+def _select_dicts(rows: object) -> list[dict]:
     return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []

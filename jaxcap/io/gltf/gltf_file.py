@@ -9,24 +9,24 @@ from scipy.interpolate import PPoly
 from scipy.spatial.transform import Rotation, Slerp
 
 from ...errors import InputError
-from ..archives.archive import PACKED, ROOM
-from ..archives.npz import LEAST
+from ..archives.archive import MAX_EXPANSION, MIN_MEMORY_LIMIT
+from ..archives.npz import MIN_QUATERNION_NORM
 from ..skinned.clip import clip_names, clip_number
-from ..text import LARGEST
-from .gltf_clock import first_and_last, frames_of
-from .gltf_document import no_skin, read_document
+from ..text import MAX_NUMBER
+from .gltf_clock import count_frames, time_range
+from .gltf_document import missing_skin_error, read_document
 from .gltf_parts import Part
-from .gltf_scene import WIDTHS, tree
+from .gltf_scene import TYPE_SIZES, node_parents
 
 #: NumPy types by glTF code
-_NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENT_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 #: default transform of a node
-_REST = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
+_DEFAULT_TRANSFORM = {"translation": [0.0, 0, 0], "rotation": [0.0, 0, 0, 1], "scale": [1.0, 1, 1]}
 #: extensions that do not affect geometry
-_HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
+_IGNORED_EXTENSIONS = ("KHR_materials_", "KHR_texture_", "KHR_mesh_quantization", "KHR_lights_")
 
 #: translation `(F, 3)`, rotation (xyzw) and scale of a node; one frame if it is static
-Stand = dict[str, np.ndarray]
+NodeTransform = dict[str, np.ndarray]
 
 
 class GltfFile:
@@ -40,21 +40,21 @@ class GltfFile:
         root, self.buffers = read_document(self.path)
         self.nodes, self.skins = root.parts("nodes"), root.parts("skins")
         if not self.skins:
-            raise no_skin(path)
+            raise missing_skin_error(path)
         for name in root.values("extensionsRequired"):
-            if not str(name).startswith(_HARMLESS):
+            if not str(name).startswith(_IGNORED_EXTENSIONS):
                 raise InputError(
                     f"{path}: this file requires the extension {name}; export it without compression."
                 )
         self.meshes, self.animations = root.parts("meshes"), root.parts("animations")
         self._accessors, self._views = root.parts("accessors"), root.parts("bufferViews")
-        self._room = max(ROOM, PACKED * sum(len(buffer or b"") for buffer in self.buffers))
+        self._room = max(MIN_MEMORY_LIMIT, MAX_EXPANSION * sum(len(buffer or b"") for buffer in self.buffers))
         #: index of the selected animation
-        self.clip = clip_number(clip_names([one.word("name") for one in self.animations]), clip, path)
+        self.clip = clip_number(clip_names([one.text("name") for one in self.animations]), clip, path)
         #: the parent of each node that has one
-        self.above = tree(self.nodes)
+        self.parents = node_parents(self.nodes)
 
-    def spend(self, numbers: int, what: str) -> None:
+    def reserve_memory(self, numbers: int, purpose: str) -> None:
         """Count numbers that are computed from the file.
 
         Raises `InputError` if their memory exceeds the limit for its size.
@@ -62,22 +62,22 @@ class GltfFile:
         self._room -= 8 * numbers
         if self._room < 0:
             raise InputError(
-                f"{self.path}: {what} needs more memory than a file of this size may use; it is damaged or "
+                f"{self.path}: {purpose} needs more memory than a file of this size may use; it is damaged or "
                 "malicious, so export it again."
             )
 
-    def array(self, index: int | None, width: int, what: str) -> Float[np.ndarray, "N W"]:
+    def array(self, index: int | None, width: int, purpose: str) -> Float[np.ndarray, "N W"]:
         """Read the elements of an accessor as rows of a `width`; normalised integers become fractions.
 
         **Raises:** `InputError` if there is none, it points outside of the file, or it has another width;
-        `what` names its purpose.
+        `purpose` names its purpose.
         """
         if index is None:
-            raise InputError(f"{self.path}: {what} has no data; export it again.")
+            raise InputError(f"{self.path}: {purpose} has no data; export it again.")
         accessor = self._accessors[index] if index < len(self._accessors) else None
         if accessor is None:
             raise InputError(
-                f"{self.path}: {what} refers to accessor {index}, but there are only {len(self._accessors)}; export it again."
+                f"{self.path}: {purpose} refers to accessor {index}, but there are only {len(self._accessors)}; export it again."
             )
         if "sparse" in accessor:
             raise InputError(
@@ -85,52 +85,52 @@ class GltfFile:
             )
         place = accessor.index("bufferView", len(self._views))
         if place is None:
-            raise accessor.wrong("bufferView", "the index of its buffer view")
-        kind, view = accessor.whole("componentType"), self._views[place]
-        if kind not in _NUMBERS:
-            raise accessor.wrong("componentType", f"one of {', '.join(map(str, _NUMBERS))}")
-        if WIDTHS.get(accessor.word("type")) != width:
-            wanted = next(name for name, count in WIDTHS.items() if count == width)
-            raise accessor.wrong("type", f"{wanted} for {what}")
-        buffer = view.whole("buffer")
+            raise accessor.type_error("bufferView", "the index of its buffer view")
+        kind, view = accessor.integer("componentType"), self._views[place]
+        if kind not in _COMPONENT_TYPES:
+            raise accessor.type_error("componentType", f"one of {', '.join(map(str, _COMPONENT_TYPES))}")
+        if TYPE_SIZES.get(accessor.text("type")) != width:
+            wanted = next(name for name, count in TYPE_SIZES.items() if count == width)
+            raise accessor.type_error("type", f"{wanted} for {purpose}")
+        buffer = view.integer("buffer")
         numbers = self.buffers[buffer] if buffer < len(self.buffers) else None
         if numbers is None:
             raise InputError(f"{self.path}: buffer {buffer} is not in this file; export it as .glb.")
-        number, count = np.dtype(_NUMBERS[kind]), accessor.whole("count")
+        number, count = np.dtype(_COMPONENT_TYPES[kind]), accessor.integer("count")
         size = width * number.itemsize
-        stride = view.whole("byteStride") or size
-        start = view.whole("byteOffset") + accessor.whole("byteOffset")
+        stride = view.integer("byteStride") or size
+        start = view.integer("byteOffset") + accessor.integer("byteOffset")
         if stride < size or start + stride * max(count - 1, 0) + size * min(count, 1) > len(numbers):
             raise InputError(
                 f"{accessor.where} refers to data beyond the end of its buffer; the file is damaged."
             )
-        self.spend(count * width, what)
+        self.reserve_memory(count * width, purpose)
         strides = (stride, number.itemsize)
         rows = np.ndarray((count, width), number, numbers, start, strides).astype(float)
-        if not (np.abs(rows) <= LARGEST).all():
+        if not (np.abs(rows) <= MAX_NUMBER).all():
             raise InputError(
-                f"{accessor.where} contains numbers that are not finite or too large for {what}."
+                f"{accessor.where} contains numbers that are not finite or too large for {purpose}."
             )
         if accessor.content.get("normalized") and number.kind != "f":
             rows = np.maximum(rows / np.iinfo(number).max, -1.0)
         return rows
 
-    def still(self, number: int) -> Stand:
+    def rest_transform(self, index: int) -> NodeTransform:
         """Return the local transform of a node without animation, `(1, ...)`. Raises `InputError`."""
-        node = self.nodes[number]
+        node = self.nodes[index]
         matrix = node.numbers("matrix", 16)
         if matrix is None:
-            found = {name: node.numbers(name, len(plain)) for name, plain in _REST.items()}
+            found = {name: node.numbers(name, len(plain)) for name, plain in _DEFAULT_TRANSFORM.items()}
             part = {
-                name: np.array(_REST[name] if values is None else values)[None]
+                name: np.array(_DEFAULT_TRANSFORM[name] if values is None else values)[None]
                 for name, values in found.items()
             }
-            self._check_turns(part["rotation"], f"{node.where}.rotation")
+            self._check_quaternions(part["rotation"], f"{node.where}.rotation")
             return part
         columns = matrix.reshape(4, 4).T
         sizes = np.linalg.norm(columns[:3, :3], axis=0)
         turn = columns[:3, :3] / np.where(sizes > 0, sizes, 1.0)
-        if not np.linalg.det(turn) > LEAST:
+        if not np.linalg.det(turn) > MIN_QUATERNION_NORM:
             raise InputError(
                 f"{node.where}: its matrix is singular or mirrors; write a matrix of a rotation and a scale."
             )
@@ -140,7 +140,7 @@ class GltfFile:
             "scale": sizes[None],
         }
 
-    def animation(self, rate: float | None) -> tuple[np.ndarray, dict[int, Stand]]:
+    def sample_animation(self, rate: float | None) -> tuple[np.ndarray, dict[int, NodeTransform]]:
         """Sample the selected animation.
 
         Return the times and the local transforms of the animated nodes, `(F, ...)`.
@@ -153,51 +153,51 @@ class GltfFile:
         used: list[tuple[str, int, int]] = []
         for channel in animation.parts("channels"):
             target = channel.part("target")
-            name, node = target.word("path"), target.index("node", len(self.nodes))
-            if name not in _REST or node is None:
+            name, node = target.text("path"), target.index("node", len(self.nodes))
+            if name not in _DEFAULT_TRANSFORM or node is None:
                 continue
             place = channel.index("sampler", len(samplers))
             if place is None:
-                raise channel.wrong("sampler", "the index of a sampler")
+                raise channel.type_error("sampler", "the index of a sampler")
             used.append((name, node, place))
         # an animation of shape keys alone lasts as long as their keys
         times = [keys[place] for _, _, place in used] or keys
         if not times:
             raise InputError(f"{animation.where} has no samplers; export it with its keys.")
-        count = frames_of(times, rate, self.path)
-        self.spend(count, "the animation at this rate")
-        first, last = first_and_last(times)
+        count = count_frames(times, rate, self.path)
+        self.reserve_memory(count, "the animation at this rate")
+        first, last = time_range(times)
         clock = np.linspace(first, last, count) if rate is None else first + np.arange(count) / rate
-        moving: dict[int, Stand] = {}
+        moving: dict[int, NodeTransform] = {}
         for name, node, place in used:
-            self.spend(len(clock) * len(_REST[name]), "the animation")
-            stand = moving.setdefault(node, self.still(node))
-            stand[name] = self._sampled(samplers[place], keys[place], name, clock)
+            self.reserve_memory(len(clock) * len(_DEFAULT_TRANSFORM[name]), "the animation")
+            stand = moving.setdefault(node, self.rest_transform(node))
+            stand[name] = self._sample_property(samplers[place], keys[place], name, clock)
         return clock, moving
 
-    def world(
-        self, moving: Mapping[int, Stand], wanted: Iterable[int]
+    def world_transforms(
+        self, animated: Mapping[int, NodeTransform], node_indices: Iterable[int]
     ) -> dict[int, Float[np.ndarray, "F 4 4"]]:
-        """Compute the transforms of `wanted` nodes into the world.
+        """Compute the transforms of `node_indices` nodes into the world.
 
         There is one frame for a node with no animation on it or above it. Raises `InputError`.
         """
         done: dict[int, np.ndarray] = {}
-        for number in wanted:
+        for number in node_indices:
             chain = [number]
-            while chain[-1] not in done and chain[-1] in self.above:
-                chain.append(self.above[chain[-1]])
+            while chain[-1] not in done and chain[-1] in self.parents:
+                chain.append(self.parents[chain[-1]])
             for node in reversed(chain):
                 if node in done:
                     continue
-                part = moving[node] if node in moving else self.still(node)
+                part = animated[node] if node in animated else self.rest_transform(node)
                 count = max(map(len, part.values()))
                 local = np.tile(np.eye(4), (count, 1, 1))
                 local[:, :3, :3] = Rotation.from_quat(part["rotation"]).as_matrix() * part["scale"][:, None]
                 local[:, :3, 3] = part["translation"]
-                done[node] = done[self.above[node]] @ local if node in self.above else local
-                self.spend(done[node].size, "the motion of its nodes")
-                if not np.abs(done[node]).max(initial=0) <= LARGEST:
+                done[node] = done[self.parents[node]] @ local if node in self.parents else local
+                self.reserve_memory(done[node].size, "the motion of its nodes")
+                if not np.abs(done[node]).max(initial=0) <= MAX_NUMBER:
                     raise InputError(f"{self.nodes[node].where} has a transform with too large numbers.")
         return done
 
@@ -208,13 +208,16 @@ class GltfFile:
             raise InputError(f"{sampler.where}: its times do not increase; export the animation again.")
         return times
 
-    def _sampled(
-        self, sampler: Part, times: Float[np.ndarray, "K"], name: str, clock: Float[np.ndarray, "F"]
+    def _sample_property(
+        self, sampler: Part, times: Float[np.ndarray, "K"], name: str, sample_times: Float[np.ndarray, "F"]
     ) -> Float[np.ndarray, "F N"]:
         """Sample the property `name` of a node at all times of the clock."""
-        how = sampler.word("interpolation", "LINEAR")
+        how = sampler.text("interpolation", "LINEAR")
         where, place = f"{sampler.where}.output", sampler.index("output", len(self._accessors))
-        numbers, of_each = self.array(place, len(_REST[name]), where), 3 if how == "CUBICSPLINE" else 1
+        numbers, of_each = (
+            self.array(place, len(_DEFAULT_TRANSFORM[name]), where),
+            3 if how == "CUBICSPLINE" else 1,
+        )
         if len(numbers) != of_each * len(times):
             raise InputError(
                 f"{sampler.where} has {len(times)} times and {len(numbers)} values; expected {of_each} for each."
@@ -222,25 +225,25 @@ class GltfFile:
         keys = numbers.reshape(len(times), of_each, -1)
         numbers = keys[:, of_each // 2]
         if name == "rotation":
-            self._check_turns(numbers, where)
-        inside = np.clip(clock, times[0], times[-1])
+            self._check_quaternions(numbers, where)
+        inside = np.clip(sample_times, times[0], times[-1])
         if len(times) > 1 and of_each == 3:
             curve = _spline(times, keys)(inside)
             if name == "rotation":
-                self._check_turns(curve, where)
+                self._check_quaternions(curve, where)
             return curve
         if len(times) == 1:
-            return np.tile(numbers, (len(clock), 1))
+            return np.tile(numbers, (len(sample_times), 1))
         if how == "STEP":
             return numbers[np.searchsorted(times, inside, "right") - 1]
         if name == "rotation":
             return Slerp(times, Rotation.from_quat(numbers))(inside).as_quat()
         return np.stack([np.interp(inside, times, column) for column in numbers.T], 1)
 
-    def _check_turns(self, quaternions: Float[np.ndarray, "N 4"], where: str) -> None:
+    def _check_quaternions(self, quaternions: Float[np.ndarray, "N 4"], where: str) -> None:
         """Check that no quaternion is zero. Raises `InputError`."""
         long = np.linalg.norm(quaternions, axis=1)
-        if not (long > LEAST).all():
+        if not (long > MIN_QUATERNION_NORM).all():
             raise InputError(
                 f"{where} has a zero quaternion in row {int(long.argmin())}; write a unit quaternion."
             )

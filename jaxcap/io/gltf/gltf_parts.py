@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..text import LARGEST, shortened
+from ..text import MAX_NUMBER, shortened
 
 
 class Part:
@@ -28,43 +28,45 @@ class Part:
     def part(self, name: str) -> "Part":
         """Get an object; an empty one if it is missing."""
         value = self.content.get(name)
-        return Part({} if value is None else value, self._at(name))
+        return Part({} if value is None else value, self._key_path(name))
 
     def parts(self, name: str) -> list["Part"]:
         """Get a list of objects."""
-        return [Part(value, f"{self._at(name)}[{number}]") for number, value in enumerate(self.values(name))]
+        return [
+            Part(value, f"{self._key_path(name)}[{number}]") for number, value in enumerate(self.values(name))
+        ]
 
     def values(self, name: str) -> list[Any]:
         value = self.content.get(name)
         if value is not None and not isinstance(value, list):
-            raise self.wrong(name, "a list")
+            raise self.type_error(name, "a list")
         return value or []
 
-    def word(self, name: str, default: str = "") -> str:
+    def text(self, name: str, default: str = "") -> str:
         value = self.content.get(name)
         if value is not None and not isinstance(value, str):
-            raise self.wrong(name, "text")
+            raise self.type_error(name, "text")
         return default if value is None else value
 
-    def whole(self, name: str, default: int = 0) -> int:
+    def integer(self, name: str, default: int = 0) -> int:
         """Get a non-negative integer."""
         value = self.content.get(name, default)
         if not _is_index(value):
-            raise self.wrong(name, "a whole number of at least 0")
+            raise self.type_error(name, "a whole number of at least 0")
         return value
 
     def index(self, name: str, count: int) -> int | None:
         """Get an index below `count`."""
         value = self.content.get(name)
         if value is not None and not (_is_index(value) and value < count):
-            raise self.wrong(name, f"a number below {count}")
+            raise self.type_error(name, f"a number below {count}")
         return value
 
     def indices(self, name: str, count: int) -> list[int]:
         """Get a list of indices below `count`."""
         values = self.values(name)
         if not all(_is_index(value) and value < count for value in values):
-            raise self.wrong(name, f"a list of numbers below {count}")
+            raise self.type_error(name, f"a list of numbers below {count}")
         return values
 
     def numbers(self, name: str, count: int) -> Float[np.ndarray, "N"] | None:
@@ -74,14 +76,16 @@ class Part:
             return None
         fits = isinstance(values, list) and len(values) == count
         if not fits or not all(_is_number(value) for value in values):
-            raise self.wrong(name, f"a list of {count} finite numbers")
+            raise self.type_error(name, f"a list of {count} finite numbers")
         return np.array(values, float)
 
-    def wrong(self, name: str, wanted: str) -> InputError:
+    def type_error(self, name: str, expected: str) -> InputError:
         """Return the error for a value of the wrong type."""
-        return InputError(f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; expected {wanted}.")
+        return InputError(
+            f"{self.where}: '{name}' is {_quoted(self.content.get(name))}; expected {expected}."
+        )
 
-    def _at(self, name: str) -> str:
+    def _key_path(self, name: str) -> str:
         # the file's name ends with a colon, and a path in it continues with a full stop
         return f"{self.where}.{name}" if ": " in self.where else f"{self.where}: {name}"
 
@@ -91,7 +95,7 @@ def _is_index(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_NUMBER
 
 
 def _quoted(value: Any) -> str:

@@ -9,19 +9,26 @@ from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import KINDS, Skeleton
-from ..skinned.bind_pose import Bound, Joints, bind, body_of, motion_of, placing
-from ..skinned.left_out import warn_left_out
-from ..system.door import reads
-from ..text import LARGEST
+from ..skinned.bind_pose import (
+    BindPose,
+    FileJoints,
+    body_of,
+    make_bind_pose,
+    motion_of,
+    surface_to_world_transform,
+)
+from ..skinned.left_out import warn_of_unread_content
+from ..system.door import reader_of
+from ..text import MAX_NUMBER
 from .gltf_file import GltfFile
 from .gltf_parts import Part
-from .gltf_surface import inverse_binds, left_out, read_surface, skin_joints
+from .gltf_surface import find_unread_content, inverse_binds, read_surface, skin_joints
 
-_HINGES = ("revolute", "universal")
+_KINDS_WITH_AXES = ("revolute", "universal")
 
 
 @checked
-@reads("a skinned glTF file")
+@reader_of("a skinned glTF file")
 def read_gltf(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Skeleton, Motion | None]:
@@ -39,12 +46,12 @@ def read_gltf(
     `Skeleton` and its `Pose` cannot represent: sheared, sparse or compressed transforms.
     """
     file = GltfFile(path, clip)
-    bound = _bind(file)
-    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=False))
+    bound = _read_bind_pose(file)
+    warn_of_unread_content(file.path, find_unread_content(file, skin_joints(file, 0), surface=False))
     return bound.skeleton, _motion(file, bound, rate)
 
 
-@reads("a skinned glTF file")
+@reader_of("a skinned glTF file")
 def read_gltf_body(
     path: str | Path, rate: float | None = None, clip: str | None = None
 ) -> tuple[Body, Motion | None]:
@@ -59,13 +66,13 @@ def read_gltf_body(
     no joint.
     """
     file = GltfFile(path, clip)
-    bound = _bind(file)
+    bound = _read_bind_pose(file)
     surface = read_surface(file, _nodes(file, bound))
-    warn_left_out(file.path, left_out(file, skin_joints(file, 0), surface=True))
+    warn_of_unread_content(file.path, find_unread_content(file, skin_joints(file, 0), surface=True))
     return body_of(file.path, bound, surface), _motion(file, bound, rate)
 
 
-def _bind(file: GltfFile) -> Bound:
+def _read_bind_pose(file: GltfFile) -> BindPose:
     """Build the skeleton of the first skin, at rest."""
     joints = skin_joints(file, 0)
     place = {joint: number for number, joint in enumerate(joints)}
@@ -74,23 +81,23 @@ def _bind(file: GltfFile) -> Bound:
     nodes = [file.nodes[joint] for joint in joints]
     for joint in joints:
         # a check: rest is the bind pose, but the node's own transform matters once something moves
-        file.still(joint)
+        file.rest_transform(joint)
     axes, kinds = np.tile(np.eye(3)[:2], (len(joints), 1, 1)), []
     for number, node in enumerate(nodes):
-        kind, noted = _notes(node)
+        kind, noted = _read_extras(node)
         kinds.append(kind)
         if noted is not None:
             axes[number] = noted
-    names = [node.word("name") or f"joint{number}" for number, node in enumerate(nodes)]
+    names = [node.text("name") or f"joint{number}" for number, node in enumerate(nodes)]
     root = parents.index(-1)
-    over = file.above.get(joints[root])
-    world = file.world({}, [joints[root]] if over is None else [joints[root], over])
+    over = file.parents.get(joints[root])
+    world = file.world_transforms({}, [joints[root]] if over is None else [joints[root], over])
     above = np.eye(3) if over is None else world[over][0, :3, :3]
-    placed = placing(file.path, above, (world[joints[root]][0] @ inverse[root])[:3, :3])
-    return bind(file.path, Joints(names, parents, kinds, axes, inverse), placed)
+    placed = surface_to_world_transform(file.path, above, (world[joints[root]][0] @ inverse[root])[:3, :3])
+    return make_bind_pose(file.path, FileJoints(names, parents, kinds, axes, inverse), placed)
 
 
-def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
+def _read_extras(node: Part) -> tuple[str | None, np.ndarray | None]:
     """Read the kind and the axes that `write_gltf` stores for a joint.
 
     None if they are missing or belong to other programs.
@@ -100,43 +107,43 @@ def _notes(node: Part) -> tuple[str | None, np.ndarray | None]:
         return None, None
     try:
         axes = np.array(note["axes"], float)
-        axes = axes if axes.shape == (2, 3) and (np.abs(axes) <= LARGEST).all() else None
+        axes = axes if axes.shape == (2, 3) and (np.abs(axes) <= MAX_NUMBER).all() else None
     except (KeyError, TypeError, ValueError, OverflowError):
         axes = None
     kind = note.get("kind")
     # the axis of a hinge is needed
-    known = isinstance(kind, str) and kind in KINDS and (axes is not None or kind not in _HINGES)
+    known = isinstance(kind, str) and kind in KINDS and (axes is not None or kind not in _KINDS_WITH_AXES)
     return (kind if known else None), axes
 
 
-def _parents(file: GltfFile, place: Mapping[int, int]) -> list[int]:
+def _parents(file: GltfFile, joint_indices: Mapping[int, int]) -> list[int]:
     """Return the nearest joint above each joint, past any other nodes; -1 for a root."""
     # for each node: the joint that it is or descends from
-    nearest: dict[int, int] = dict(place)
+    nearest: dict[int, int] = dict(joint_indices)
     parents = []
-    for joint in place:
-        chain, node = [], file.above.get(joint)
+    for joint in joint_indices:
+        chain, node = [], file.parents.get(joint)
         while node is not None and node not in nearest:
             chain.append(node)
-            node = file.above.get(node)
+            node = file.parents.get(node)
         found = -1 if node is None else nearest[node]
         nearest.update(dict.fromkeys(chain, found))
         parents.append(found)
     return parents
 
 
-def _motion(file: GltfFile, bound: Bound, rate: float | None) -> Motion | None:
+def _motion(file: GltfFile, bound: BindPose, rate: float | None) -> Motion | None:
     if not file.animations:
         return None
-    clock, moving = file.animation(rate)
+    clock, moving = file.sample_animation(rate)
     nodes = _nodes(file, bound)
-    world = file.world(moving, nodes)
-    file.spend(3 * 16 * len(clock) * len(nodes), "the motion of its joints")
+    world = file.world_transforms(moving, nodes)
+    file.reserve_memory(3 * 16 * len(clock) * len(nodes), "the motion of its joints")
     frames = np.stack([np.broadcast_to(world[node], (len(clock), 4, 4)) for node in nodes], 1)
     found = (len(clock) - 1) / (clock[-1] - clock[0]) if len(clock) > 1 else 30.0
     return motion_of(file.path, bound, frames, found)
 
 
-def _nodes(file: GltfFile, bound: Bound) -> list[int]:
+def _nodes(file: GltfFile, bound: BindPose) -> list[int]:
     joints = skin_joints(file, 0)
     return [joints[number] for number in bound.order]

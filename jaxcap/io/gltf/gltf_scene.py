@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import InputError
-from ..archives.archive import PACKED, ROOM
+from ..archives.archive import MAX_EXPANSION, MIN_MEMORY_LIMIT
 from ..text import parse_json, read_json
 from .gltf_parts import Part
 
 #: numbers in an element of each type
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+TYPE_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 #: largest number of mesh instances, which a scene reader joins in seconds
-MOST_MESHES = 2000
-_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+MAX_MESHES = 2000
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
 def chunks(path: Path) -> tuple[bytes, bytes]:
@@ -30,12 +30,12 @@ def chunks(path: Path) -> tuple[bytes, bytes]:
             if at > len(data):
                 break
             found.setdefault(kind, data[at - length : at])
-    if _JSON not in found:
+    if _JSON_CHUNK not in found:
         raise InputError(f"{path}: this .glb file is incomplete or damaged; copy or export it again.")
-    return found[_JSON], found.get(_BINARY, b"")
+    return found[_JSON_CHUNK], found.get(_BINARY_CHUNK, b"")
 
 
-def tree(nodes: Sequence[Part]) -> dict[int, int]:
+def node_parents(nodes: Sequence[Part]) -> dict[int, int]:
     """Return the parent of each node that has one. Raises `InputError` if nodes form no tree."""
     above: dict[int, int] = {}
     for number, node in enumerate(nodes):
@@ -67,20 +67,20 @@ def check_scene(path: Path) -> None:
     binary = path.suffix.lower() == ".glb"
     root = Part(parse_json(chunks(path)[0], path) if binary else read_json(path), str(path))
     nodes, meshes = root.parts("nodes"), root.parts("meshes")
-    tree(nodes)
+    node_parents(nodes)
     beside = [
-        path.parent / buffer.word("uri") for buffer in root.parts("buffers") if len(buffer.word("uri")) < 256
+        path.parent / buffer.text("uri") for buffer in root.parts("buffers") if len(buffer.text("uri")) < 256
     ]
     size = path.stat().st_size + sum(other.stat().st_size for other in beside if _is_file(other))
-    room = max(ROOM, PACKED * size)
+    room = max(MIN_MEMORY_LIMIT, MAX_EXPANSION * size)
     for accessor in root.parts("accessors"):
-        room -= 8 * accessor.whole("count") * WIDTHS.get(accessor.word("type"), 1)
+        room -= 8 * accessor.integer("count") * TYPE_SIZES.get(accessor.text("type"), 1)
         if room < 0:
             raise InputError(f"{accessor.where} has more numbers than the file can contain; it is damaged.")
     shown = [node.index("mesh", len(meshes)) for node in nodes]
     count = sum(len(meshes[mesh].values("primitives")) for mesh in shown if mesh is not None)
-    if count > MOST_MESHES:
-        raise InputError(f"{path}: the file has {count} meshes; merge them to at most {MOST_MESHES}.")
+    if count > MAX_MESHES:
+        raise InputError(f"{path}: the file has {count} meshes; merge them to at most {MAX_MESHES}.")
 
 
 def _is_file(path: Path) -> bool:

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..skinned.bind_pose import inverted
-from ..skinned.left_out import FIGURES, RIGID, SHAPES
-from ..skinned.surface import Surface, as_shares, joined, sewn
+from ..skinned.bind_pose import invert_affine
+from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES
+from ..skinned.surface import SkinnedSurface, concatenate_surfaces, merge_seams, normalise_weights
 from .gltf_file import GltfFile
 from .gltf_parts import Part
 
@@ -16,37 +16,37 @@ from .gltf_parts import Part
 _TRIANGLES, _POINTS = 4, 0
 
 
-def read_surface(file: GltfFile, joints: Sequence[int]) -> Surface:
+def read_surface(file: GltfFile, joints: Sequence[int]) -> SkinnedSurface:
     """Read the meshes of all skins that share joints with the first.
 
     The nodes `joints` are the columns of the weights.
 
     **Raises:** `InputError` if there is none, one is not made of triangles, or a vertex follows no joint.
     """
-    parts: list[Surface] = []
-    skins = {skin: skin_joints(file, skin) for skin in sharing(file, joints)}
-    for _, mesh, skin in skinned(file):
+    parts: list[SkinnedSurface] = []
+    skins = {skin: skin_joints(file, skin) for skin in find_skins_with_joints(file, joints)}
+    for _, mesh, skin in skinned_meshes(file):
         if skin not in skins:
             continue
-        move = _between_skins(file, skin, joints)
+        move = _skin_to_first_skin(file, skin, joints)
         for primitive in file.meshes[mesh].parts("primitives"):
-            part = _part(file, primitive, skins[skin], joints)
+            part = _read_primitive(file, primitive, skins[skin], joints)
             parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
     if not parts:
         raise InputError(
             f"{file.path}: no mesh in this file is skinned to its joints; read it as a skeleton."
         )
-    return sewn(joined(parts))
+    return merge_seams(concatenate_surfaces(parts))
 
 
-def sharing(file: GltfFile, joints: Sequence[int]) -> tuple[int, ...]:
+def find_skins_with_joints(file: GltfFile, joints: Sequence[int]) -> tuple[int, ...]:
     """Find the skins in use that have at least one of some joints. Raises `InputError`."""
     wanted = set(joints)
-    used = dict.fromkeys(skin for _, _, skin in skinned(file))
+    used = dict.fromkeys(skin for _, _, skin in skinned_meshes(file))
     return tuple(skin for skin in used if not wanted.isdisjoint(skin_joints(file, skin)))
 
 
-def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
+def skinned_meshes(file: GltfFile) -> list[tuple[Part, int, int]]:
     """Return the nodes with a mesh and a skin, and the indices of both. Raises `InputError`."""
     found = [
         (node, node.index("mesh", len(file.meshes)), node.index("skin", len(file.skins)))
@@ -55,21 +55,21 @@ def skinned(file: GltfFile) -> list[tuple[Part, int, int]]:
     return [(node, mesh, skin) for node, mesh, skin in found if mesh is not None and skin is not None]
 
 
-def left_out(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, list[str]]:
+def find_unread_content(file: GltfFile, joints: Sequence[int], surface: bool) -> dict[str, list[str]]:
     """List the names of contents, by type, that are not read with the figure of `joints`.
 
     `surface` is true if the surface of the figure is read.
     """
 
     def name(node: Part, mesh: int) -> str:
-        return node.word("name") or file.meshes[mesh].word("name") or f"mesh {mesh}"
+        return node.text("name") or file.meshes[mesh].text("name") or f"mesh {mesh}"
 
-    own, with_skin = set(sharing(file, joints)), skinned(file)
-    found = {FIGURES: [name(node, mesh) for node, mesh, skin in with_skin if skin not in own]}
+    own, with_skin = set(find_skins_with_joints(file, joints)), skinned_meshes(file)
+    found = {OTHER_FIGURES: [name(node, mesh) for node, mesh, skin in with_skin if skin not in own]}
     if surface:
         meshes = ((node, node.index("mesh", len(file.meshes))) for node in file.nodes if "skin" not in node)
-        found[RIGID] = [name(node, mesh) for node, mesh in meshes if mesh is not None]
-        found[SHAPES] = [
+        found[UNSKINNED_MESHES] = [name(node, mesh) for node, mesh in meshes if mesh is not None]
+        found[SHAPE_KEYS] = [
             name(node, mesh)
             for node, mesh, skin in with_skin
             if skin in own and any("targets" in part for part in file.meshes[mesh].parts("primitives"))
@@ -84,7 +84,7 @@ def skin_joints(file: GltfFile, skin: int) -> list[int]:
     """
     joints = file.skins[skin].indices("joints", len(file.nodes))
     if not joints or len(set(joints)) < len(joints):
-        raise file.skins[skin].wrong("joints", "a list of nodes without duplicates")
+        raise file.skins[skin].type_error("joints", "a list of nodes without duplicates")
     return joints
 
 
@@ -97,7 +97,7 @@ def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
     if "inverseBindMatrices" not in part:
         return np.tile(np.eye(4), (count, 1, 1))
     where = f"{part.where}.inverseBindMatrices"
-    found = file.array(part.whole("inverseBindMatrices"), 16, where)
+    found = file.array(part.integer("inverseBindMatrices"), 16, where)
     if len(found) != count:
         raise InputError(
             f"{where} has {len(found)} matrices for {count} joints; expected one for each joint."
@@ -105,7 +105,7 @@ def inverse_binds(file: GltfFile, skin: int) -> Float[np.ndarray, "J 4 4"]:
     return found.reshape(-1, 4, 4).swapaxes(1, 2)
 
 
-def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np.ndarray, "4 4"]:
+def _skin_to_first_skin(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np.ndarray, "4 4"]:
     """Compute the transform from the bind space of a skin to that of the first, by a joint of both."""
     if skin == 0 or any("inverseBindMatrices" not in file.skins[number] for number in (0, skin)):
         return np.eye(4)
@@ -113,11 +113,13 @@ def _between_skins(file: GltfFile, skin: int, joints: Sequence[int]) -> Float[np
     to_first, to_other = (
         inverse_binds(file, number)[skin_joints(file, number).index(shared)] for number in (0, skin)
     )
-    return inverted(file.path, to_first) @ to_other
+    return invert_affine(file.path, to_first) @ to_other
 
 
-def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[int]) -> Surface:
-    mode, where = primitive.whole("mode", _TRIANGLES), primitive.where
+def _read_primitive(
+    file: GltfFile, primitive: Part, primitive_joints: Sequence[int], joints: Sequence[int]
+) -> SkinnedSurface:
+    mode, where = primitive.integer("mode", _TRIANGLES), primitive.where
     if mode not in (_TRIANGLES, _POINTS):
         raise InputError(f"{where}: a mesh consists of lines or triangle strips; export it as triangles.")
     names = primitive.part("attributes")
@@ -127,7 +129,7 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
     elif "indices" not in primitive:
         faces = np.arange(len(vertices))
     else:
-        faces = file.array(primitive.whole("indices"), 1, f"{where}.indices")[:, 0].astype(np.int64)
+        faces = file.array(primitive.integer("indices"), 1, f"{where}.indices")[:, 0].astype(np.int64)
     if faces.size % 3:
         raise InputError(f"{where}: its triangles have {faces.size} corners; expected a multiple of three.")
     faces = faces.reshape(-1, 3)
@@ -135,9 +137,9 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
         raise InputError(
             f"{where}: a face refers to vertex {faces.max()} of {len(vertices)}; export the mesh again."
         )
-    file.spend(4 * len(vertices) * len(joints), "the weights of its vertices")
+    file.reserve_memory(4 * len(vertices) * len(joints), "the weights of its vertices")
     column = {node: number for number, node in enumerate(joints)}
-    columns = np.array([column.get(node, -1) for node in own])
+    columns = np.array([column.get(node, -1) for node in primitive_joints])
     weights, rows, place = np.zeros((len(vertices), len(joints))), np.arange(len(vertices)), 0
     while f"JOINTS_{place}" in names:
         chosen = _attribute(file, names, f"JOINTS_{place}", 4).astype(int)
@@ -156,9 +158,9 @@ def _part(file: GltfFile, primitive: Part, own: Sequence[int], joints: Sequence[
         for numbers, share in zip(columns[chosen].T, shares.T, strict=True):
             np.add.at(weights, (rows[numbers >= 0], numbers[numbers >= 0]), share[numbers >= 0])
         place += 1
-    return Surface(vertices, faces, as_shares(weights, str(file.path)))
+    return SkinnedSurface(vertices, faces, normalise_weights(weights, str(file.path)))
 
 
 def _attribute(file: GltfFile, names: Part, name: str, width: int) -> Float[np.ndarray, "V W"]:
     """Read an attribute of all vertices."""
-    return file.array(names.whole(name) if name in names else None, width, f"{names.where}.{name}")
+    return file.array(names.integer(name) if name in names else None, width, f"{names.where}.{name}")

@@ -12,14 +12,14 @@ import numpy as np
 
 from ...errors import InputError
 from ...observe import MarkerFrames
-from ..system.atomic import replacing
+from ..system.atomic import atomic_path
 from ..text import unit_scale
 from .c3d_child import load_c3d
-from .c3d_header import announced_size, read_header
-from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file
+from .c3d_header import declared_size, read_header
+from .marker_file import MarkerFile, make_marker_file, parse_unit, shift_from_origin
 
 #: lists in the POINT group of points that are no markers
-KINDS = (
+POINT_TYPE_GROUPS = (
     "ANGLES",
     "FORCES",
     "MOMENTS",
@@ -35,7 +35,7 @@ KINDS = (
     "ACCELERATIONS",
 )
 #: patterns of the names of model outputs
-_OUTPUTS = {
+_MODEL_OUTPUT_PATTERNS = {
     "angles": r".*Angles?",
     "forces": r".*(Force|GRF|GroundReactionForce)",
     "moments": r".*(Moment|GRM|GroundReactionMoment)",
@@ -43,7 +43,7 @@ _OUTPUTS = {
     "model outputs": r"CentreOf(Mass|MassFloor|Pressure)|CenterOf(Mass|MassFloor|Pressure)",
 }
 #: largest number of frames in the header's 16 bits
-LONGEST = 65535
+MAX_FRAMES = 65535
 
 
 def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
@@ -59,18 +59,18 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
     try:
         loaded = load_c3d(path)
     except InputError:
-        if path.stat().st_size < announced_size(path, declared):
+        if path.stat().st_size < declared_size(path, declared):
             raise InputError(
                 f"{path}: the file is cut short: it ends before the last of its {declared} frames; copy it again."
             ) from None
         raise
-    points, residuals, words = loaded.points, loaded.residuals, loaded.words
+    points, residuals, words = loaded.points, loaded.residuals, loaded.text_parameters
     if points.shape[1] and points.shape[2] < declared:
         raise InputError(
             f"{path}: the file is cut short: it contains {points.shape[2]} of the {declared} frames of its header; "
             "copy it again."
         )
-    labels, told = _strings(words, "LABELS"), []
+    labels, told = _read_string_list(words, "LABELS"), []
     count = points.shape[1]
     if len(labels) > count:
         told.append(
@@ -86,27 +86,27 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
     places = np.transpose(points[:, markers], (2, 1, 0)).copy()
     places[(residuals[markers] < 0).T] = np.nan
     _check_finite(path, places, [labels[i] for i in markers])
-    said = " ".join(_strings(words, "UNITS")[:1])
-    if unit is None and not file_unit(said, ""):
+    said = " ".join(_read_string_list(words, "UNITS")[:1])
+    if unit is None and not parse_unit(said, ""):
         told.append(f"its unit is {repr(said) if said else 'missing'}; lengths are read as millimetres.")
     rate = loaded.rates[0] if loaded.rates and loaded.rates[0] > 0 else loaded.header_rate
-    return make_file(
+    return make_marker_file(
         path,
         places,
         # a point without a label is named by its index in the file
         [labels[i] or f"*{i + 1}" for i in markers],
         # the rate is stored in single precision
         float(f"{rate:.7g}"),
-        file_unit(said) if unit is None else unit,
+        parse_unit(said) if unit is None else unit,
         first_frame=first,
-        others=others,
-        told=told,
+        other_points=others,
+        warnings=told,
     )
 
 
-def _check_finite(path: Path, places: np.ndarray, labels: list[str]) -> None:
+def _check_finite(path: Path, positions: np.ndarray, labels: list[str]) -> None:
     """Check that no coordinate is infinite; NaN is a gap. Raises `InputError`."""
-    wrong = np.isinf(places).any(2)
+    wrong = np.isinf(positions).any(2)
     if wrong.any():
         frame, marker = np.unravel_index(int(wrong.argmax()), wrong.shape)
         raise InputError(
@@ -124,11 +124,11 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     import ezc3d
 
     path, metres = Path(path), unit_scale(unit)
-    if len(frames) > LONGEST:
+    if len(frames) > MAX_FRAMES:
         raise InputError(
-            f"{path}: the motion has {len(frames)} frames; a C3D file can contain at most {LONGEST}; write several files."
+            f"{path}: the motion has {len(frames)} frames; a C3D file can contain at most {MAX_FRAMES}; write several files."
         )
-    places, seen = clear_of_zero(frames)
+    places, seen = shift_from_origin(frames)
     values = np.ones((4, places.shape[1], len(places)))
     values[:3] = np.transpose(np.where(seen[..., None], places / metres, 0), (2, 1, 0))
     file = ezc3d.c3d()
@@ -138,7 +138,7 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     group["LABELS"]["value"] = list(frames.labels)
     file["data"]["points"] = values
     file["data"]["meta_points"]["residuals"] = np.where(seen, 0.0, -1.0).T[None]
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         # ezc3d appends a lower-case suffix to names without it
         lower = beside.with_suffix(".c3d")
         try:
@@ -152,22 +152,22 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
 def point_kinds(labels: list[str], group: dict[str, list[str]]) -> list[str]:
     """Assign a type to each point: "" for a marker, otherwise such as `angles` or `forces`."""
     named: dict[str, str] = {}
-    groups = [*KINDS, *(word.strip().upper() for word in _strings(group, "TYPE_GROUPS"))]
+    groups = [*POINT_TYPE_GROUPS, *(word.strip().upper() for word in _read_string_list(group, "TYPE_GROUPS"))]
     for kind in dict.fromkeys(groups):
         if kind and kind not in ("LABELS", "DESCRIPTIONS", "UNITS", "MARKERS", "TYPE_GROUPS"):
-            for label in _strings(group, kind):
+            for label in _read_string_list(group, kind):
                 named.setdefault(label.strip(" \0"), kind.lower().replace("_", " "))
     bare = [label.partition(":")[2] or label for label in labels]
     axes = _segment_axes(bare)
     return [
         (label and (named.get(label) or named.get(short)))
-        or ("segment axes" if short in axes else _by_name(short))
+        or ("segment axes" if short in axes else _type_from_name(short))
         for label, short in zip(labels, bare, strict=True)
     ]
 
 
-def _by_name(label: str) -> str:
-    return next((kind for kind, ending in _OUTPUTS.items() if re.fullmatch(ending, label)), "")
+def _type_from_name(label: str) -> str:
+    return next((kind for kind, ending in _MODEL_OUTPUT_PATTERNS.items() if re.fullmatch(ending, label)), "")
 
 
 def _segment_axes(labels: list[str]) -> set[str]:
@@ -180,7 +180,7 @@ def _segment_axes(labels: list[str]) -> set[str]:
     return {stem + end for stem in stems if {stem + end for end in "OPAL"} <= there for end in "OPAL"}
 
 
-def _strings(group: dict[str, list[str]], name: str) -> list[str]:
+def _read_string_list(group: dict[str, list[str]], name: str) -> list[str]:
     """Return a list of words that continues in NAME2, NAME3, ..., as lists of more than 255 do."""
     words: list[str] = []
     number = 1

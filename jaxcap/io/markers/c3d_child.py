@@ -9,26 +9,26 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..system.own_process import Ended, run_program
+from ..system.own_process import ProcessFailed, run_program
 
 _PROGRAM = Path(__file__).with_name("c3d_process.py")
 #: time limit in seconds: a constant and a part for each byte; the limit of CPU time in the process is lower
 _WAIT, _WAIT_PER_BYTE = 60, 2e-5
 
 
-class Loaded(NamedTuple):
+class C3dContents(NamedTuple):
     """The data that ezc3d reads from a C3D file."""
 
     points: Float[np.ndarray, "3 M F"]
     residuals: Float[np.ndarray, "M F"]
     #: words of the parameters of the group POINT, by name; empty for numeric parameters
-    words: dict[str, list[str]]
+    text_parameters: dict[str, list[str]]
     #: frames per second, from the group POINT if present, and from the header
     rates: list[float]
     header_rate: float
 
 
-def load_c3d(path: Path) -> Loaded:
+def load_c3d(path: Path) -> C3dContents:
     """Read a C3D file by ezc3d in a new process of the same Python (0.2 s).
 
     The process imports ezc3d and NumPy only.
@@ -39,24 +39,24 @@ def load_c3d(path: Path) -> Loaded:
     wait = _WAIT + _WAIT_PER_BYTE * path.stat().st_size
     try:
         return _parse(path, run_program(_PROGRAM, path, ("ezc3d", "numpy"), wait, "convert it to .trc"))
-    except Ended as error:
-        raise _damaged(path, str(error)) from None
+    except ProcessFailed as error:
+        raise _damaged_error(path, str(error)) from None
 
 
-def _parse(path: Path, answer: bytes) -> Loaded:
+def _parse(path: Path, answer: bytes) -> C3dContents:
     stream = io.BytesIO(answer)
     try:
         head = json.loads(stream.readline())
         if "error" in head:
-            raise _damaged(path, head["error"])
+            raise _damaged_error(path, head["error"])
         points, residuals = (np.lib.format.read_array(stream, allow_pickle=False) for _ in range(2))
     except InputError:
         raise
     except ValueError:
-        raise _damaged(path, "ezc3d ended before the whole file was read") from None
-    return Loaded(points, residuals, head["words"], head["rates"], head["header_rate"])
+        raise _damaged_error(path, "ezc3d ended before the whole file was read") from None
+    return C3dContents(points, residuals, head["words"], head["rates"], head["header_rate"])
 
 
-def _damaged(path: Path, reason: str) -> InputError:
+def _damaged_error(path: Path, reason: str) -> InputError:
     reason = " ".join(reason.split())[:120].rstrip(". ")
     return InputError(f"{path}: this C3D file is incomplete or damaged ({reason}); copy or export it again.")

@@ -43,7 +43,7 @@ def read_header(path: Path) -> tuple[int, int]:
             f"{path}: its numbers are in the MIPS format, which ezc3d does not read; convert the file to the Intel format."
         )
     try:
-        _walk_parameters(raw, begin + 4)
+        _check_parameters(raw, begin + 4)
     except (IndexError, struct.error):
         raise InputError(
             f"{path}: the file is cut short or damaged within its parameters; copy it again."
@@ -52,7 +52,7 @@ def read_header(path: Path) -> tuple[int, int]:
     return first, max(last - first + 1, 0)
 
 
-def _walk_parameters(raw: bytes, at: int) -> None:
+def _check_parameters(raw: bytes, at: int) -> None:
     """Follow the chain of parameters to its end, for which ezc3d searches forever in a damaged file.
 
     **Raises:** `IndexError` or `struct.error` if the chain leads out of the file, or values out of their
@@ -76,7 +76,7 @@ def _walk_parameters(raw: bytes, at: int) -> None:
         at = link + step
 
 
-def announced_size(path: Path, frames: int) -> int:
+def declared_size(path: Path, frames: int) -> int:
     """Compute the file size in bytes that the header announces."""
     head = path.read_bytes()[:512]
     points, values = struct.unpack_from("<HH", head, 2)

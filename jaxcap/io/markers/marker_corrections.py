@@ -12,15 +12,15 @@ from pathlib import Path
 
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import numbered_lines, parse_floats, read_text, shortened
 
 
-@reads("marker corrections")
+@reader_of("marker corrections")
 def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
     """Read corrections as marker -> (segment, weight).
 
-    They are for `markers.segments.partition.correct` and `fit_local`.
+    They are for `markers.segments.partition.apply_corrections` and `fit_local`.
 
     **Raises:** `InputError` with file and line, for a line of fewer than two or more than three words, a
     weight that is not a number from 0 to 1, or a duplicate marker.

@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 
 from ...errors import InputError
 from ...observe import MarkerFrames
-from ..text import LARGEST, check_rate, likely_units, unit_scale
+from ..text import MAX_NUMBER, check_rate, likely_units, unit_scale
 
 #: bounds in metres of the longest side of the markers of one frame
-SIZE = (0.2, 5.0)
+BODY_SIZE_RANGE = (0.2, 5.0)
 #: names of units in files, in lower case and without the plural s
 _UNIT_WORDS = {
     "m": ("m", "meter", "metre"),
@@ -37,12 +37,12 @@ class MarkerFile(NamedTuple):
     #: the number of the first frame in the file
     first_frame: int
     #: type -> labels of the points that are no markers: angles, forces, ...
-    others: dict[str, tuple[str, ...]]
+    other_points: dict[str, tuple[str, ...]]
     #: repaired faults of the file, one sentence each
-    told: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
-def file_unit(word: str, default: str = "mm") -> str:
+def parse_unit(word: str, default: str = "mm") -> str:
     """Return the unit that a file calls `word`; `default` if it is empty or unknown."""
     word = word.strip().lower()
     return next(
@@ -50,7 +50,7 @@ def file_unit(word: str, default: str = "mm") -> str:
     )
 
 
-def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]]:
+def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], list[str]]:
     """Make `count` labels unique; return them with sentences on the changes.
 
     Surrounding blanks are removed. An empty label becomes `*7`, as capture programs name unlabelled points;
@@ -77,7 +77,7 @@ def tidy_labels(labels: Sequence[str], count: int) -> tuple[list[str], list[str]
     return names, told
 
 
-def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
+def group_by_subject(labels: Sequence[str]) -> dict[str, list[int]]:
     """Group markers by subject, the prefix of labels such as `Anna:LKNE`, in the file's order."""
     found: dict[str, list[int]] = {}
     for i, label in enumerate(labels):
@@ -87,45 +87,45 @@ def subjects_of(labels: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
-def pick_subject(
-    frames: MarkerFrames, where: str | Path, subject: str | None = None, asked: str = "subject='{}'"
+def select_subject(
+    frames: MarkerFrames, where: str | Path, subject: str | None = None, option_hint: str = "subject='{}'"
 ) -> MarkerFrames:
     """Select the markers of one subject, and remove the prefix of their labels.
 
     With at most one subject in the file, these are all markers. With more, `subject` selects one, and markers
-    without a prefix are dropped. `asked` is the advice on the choice in errors.
+    without a prefix are dropped. `option_hint` is the advice on the choice in errors.
 
     **Raises:** `InputError` with the names of the subjects, if there are several and none is selected.
     """
-    subjects = subjects_of(frames.labels)
+    subjects = group_by_subject(frames.labels)
     if subject is not None and subject not in subjects:
-        there = f"it has {_listed(subjects)}" if subjects else "no label has a prefix such as 'Anna:'"
+        there = f"it has {_list_subjects(subjects)}" if subjects else "no label has a prefix such as 'Anna:'"
         raise InputError(f"{where}: the file has no subject '{subject}'; {there}.")
     if subject is None and len(subjects) > 1:
         raise InputError(
-            f"{where}: the file has {len(subjects)} subjects, {_listed(subjects)}; select one with "
-            f"{asked.format(max(subjects, key=lambda name: len(subjects[name])))}."
+            f"{where}: the file has {len(subjects)} subjects, {_list_subjects(subjects)}; select one with "
+            f"{option_hint.format(max(subjects, key=lambda name: len(subjects[name])))}."
         )
     if not subjects:
         return frames
     chosen = range(len(frames.labels)) if subject is None else subjects[subject]
     prefixed = {i for members in subjects.values() for i in members}
     short = [frames.labels[i].partition(":")[2] if i in prefixed else frames.labels[i] for i in chosen]
-    labels, _ = tidy_labels(short, len(short))
+    labels, _ = make_labels_unique(short, len(short))
     index = np.asarray(list(chosen))
-    return MarkerFrames(frames.places[:, index], frames.seen[:, index], tuple(labels), frames.rate)
+    return MarkerFrames(frames.positions[:, index], frames.visible[:, index], tuple(labels), frames.rate)
 
 
-def frame_size(frames: MarkerFrames) -> float:
+def median_extent(frames: MarkerFrames) -> float:
     """Compute the median over frames of the longest side of the markers' bounding box, in metres.
 
     NaN if no frame shows two markers.
     """
-    seen = np.asarray(frames.seen)
+    seen = np.asarray(frames.visible)
     several = seen.sum(1) > 1
     if not several.any():
         return float("nan")
-    places, seen = np.asarray(frames.places, float)[several], seen[several][..., None]
+    places, seen = np.asarray(frames.positions, float)[several], seen[several][..., None]
     sides = np.where(seen, places, -np.inf).max(1) - np.where(seen, places, np.inf).min(1)
     return float(np.median(sides.max(1)))
 
@@ -134,22 +134,24 @@ def check_extent(
     frames: MarkerFrames,
     where: str | Path,
     scale: float,
-    size: tuple[float, float] = SIZE,
-    asked: str = "pass unit='{}', or another size if the unit is right",
+    size: tuple[float, float] = BODY_SIZE_RANGE,
+    option_hint: str = "pass unit='{}', or another size if the unit is right",
 ) -> None:
     """Check that the markers have the size of a body, for a file unit of `scale` metres.
 
-    `asked` is the advice on the unit in errors.
+    `option_hint` is the advice on the unit in errors.
 
     **Raises:** `InputError` with the likely unit.
     """
-    extent = frame_size(frames)
+    extent = median_extent(frames)
     if np.isnan(extent) or size[0] <= extent <= size[1]:
         return
     length = extent / scale
     likely = likely_units(length, size)
     hint = (
-        f"this looks like {UNIT_NAMES[likely[0]]}: {asked.format(likely[0])}" if likely else "check the unit"
+        f"this looks like {UNIT_NAMES[likely[0]]}: {option_hint.format(likely[0])}"
+        if likely
+        else "check the unit"
     )
     raise InputError(
         f"{where}: the markers of a frame extend over {extent:.4g} m; expected {size[0]:g} to "
@@ -157,16 +159,16 @@ def check_extent(
     )
 
 
-def make_file(
+def make_marker_file(
     where: str | Path,
-    places: Float[np.ndarray, "F M 3"],
+    positions: Float[np.ndarray, "F M 3"],
     labels: Sequence[str],
     rate: float,
     unit: str | float,
     *,
     first_frame: int = 1,
-    others: dict[str, tuple[str, ...]] | None = None,
-    told: Sequence[str] = (),
+    other_points: dict[str, tuple[str, ...]] | None = None,
+    warnings: Sequence[str] = (),
 ) -> MarkerFile:
     """Build a `MarkerFile` from positions in the file's `unit`, NaN for gaps.
 
@@ -174,41 +176,41 @@ def make_file(
 
     **Raises:** `InputError` if there are no markers or frames, none is ever visible, or the rate is invalid.
     """
-    if places.shape[1] == 0:
-        more = f"; it contains only {_kinds(others)}" if others else ""
+    if positions.shape[1] == 0:
+        more = f"; it contains only {_list_point_types(other_points)}" if other_points else ""
         raise InputError(f"{where}: the file has no markers{more}; give a file of marker trajectories.")
-    if len(places) == 0:
+    if len(positions) == 0:
         raise InputError(f"{where}: the file has no frames; give a file of marker trajectories.")
-    names, changed = tidy_labels(labels, places.shape[1])
-    lost = np.isnan(places).any(2) | (places == 0).all(2)
+    names, changed = make_labels_unique(labels, positions.shape[1])
+    lost = np.isnan(positions).any(2) | (positions == 0).all(2)
     if lost.all():
         raise InputError(
-            f"{where}: none of its {len(names)} markers is visible in any of {len(places)} frames."
+            f"{where}: none of its {len(names)} markers is visible in any of {len(positions)} frames."
         )
     scale = unit_scale(unit)
-    if not (np.abs(places[~lost]) * scale <= LARGEST).all():
+    if not (np.abs(positions[~lost]) * scale <= MAX_NUMBER).all():
         raise InputError(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
     check_rate(rate, str(where))
     # `check_extent` checks the unit, as it knows other units
-    frames = MarkerFrames(np.where(lost[..., None], 0.0, places * scale), ~lost, tuple(names), float(rate))
+    frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
-    return MarkerFile(frames, scale, said, first_frame, others or {}, (*told, *changed))
+    return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed))
 
 
-def clear_of_zero(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:
+def shift_from_origin(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:
     """Return positions and visibility for writing; a marker exactly at the origin is moved by a nanometre.
 
     Zeros in files are gaps.
     """
-    places, seen = np.array(frames.places, float), np.asarray(frames.seen)
+    places, seen = np.array(frames.positions, float), np.asarray(frames.visible)
     places[seen & (places == 0).all(2), 0] = 1e-9
     return places, seen
 
 
-def regular_rows(
-    where: str | Path, times: Float[np.ndarray, "R"], places: Float[np.ndarray, "R M 3"], what: str
+def fill_missing_frames(
+    where: str | Path, times: Float[np.ndarray, "R"], positions: Float[np.ndarray, "R M 3"], what: str
 ) -> tuple[float, Float[np.ndarray, "F M 3"]]:
     """Place rows with times on regular frames; return the rate (1 over the unit of times) and positions.
 
@@ -236,15 +238,15 @@ def regular_rows(
     ):
         raise InputError(f"{where}: {what} has unequal steps; resample the file to a constant rate.")
     at = at.astype(int)
-    full = np.full((at[-1] + 1, *places.shape[1:]), np.nan)
-    full[at] = places
+    full = np.full((at[-1] + 1, *positions.shape[1:]), np.nan)
+    full[at] = positions
     return float(f"{rate:.9g}"), full
 
 
-def _listed(subjects: dict[str, list[int]]) -> str:
+def _list_subjects(subjects: dict[str, list[int]]) -> str:
     names = [f"'{name}' ({len(members)} markers)" for name, members in subjects.items()]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _kinds(others: dict[str, tuple[str, ...]]) -> str:
+def _list_point_types(others: dict[str, tuple[str, ...]]) -> str:
     return " and ".join(f"{len(labels)} {kind}" for kind, labels in others.items())

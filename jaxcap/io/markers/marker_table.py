@@ -16,23 +16,25 @@ import numpy as np
 from ...errors import InputError
 from ...observe import MarkerFrames
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import check_rate, parse_floats, read_text, shortened, unit_scale
-from .marker_file import MarkerFile, clear_of_zero, make_file, regular_rows
-from .trc import read_places
+from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, shift_from_origin
+from .trc import parse_positions
 
 #: a label, a separator, and an axis with an optional unit; blanks are collapsed, and names are limited, as the time of a
 #: search grows with their length
-_COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
+_MARKER_COLUMN = re.compile(r"(?P<label>.*\S) ?[._:/|\- ] ?\(?(?P<axis>[xyzXYZ])\)?( ?[\[(]\w+[\])])?")
 LONGEST_NAME = 200
-_TIMES = re.compile(r"(time|times|t|seconds|timestamp)[\s_.]*[\[(]?(s|sec|seconds|ms|milliseconds)?[\])]?")
-_FRAMES = re.compile(r"(frame|frames|frame#|index|sample|#)[\s_]*(no|number)?\.?")
-_RATE = re.compile(
+_TIME_COLUMN = re.compile(
+    r"(time|times|t|seconds|timestamp)[\s_.]*[\[(]?(s|sec|seconds|ms|milliseconds)?[\])]?"
+)
+_FRAME_COLUMN = re.compile(r"(frame|frames|frame#|index|sample|#)[\s_]*(no|number)?\.?")
+_RATE_LINE = re.compile(
     r"#? ?(rate|frame ?rate|datarate)(?: ?[:=,;]| ) ?([^\s,;]+?)[ ,;]*(hz)?[,; ]*", re.IGNORECASE
 )
 
 
-@reads("a marker table")
+@reader_of("a marker table")
 def read_marker_table(
     path: str | Path, unit: str | float | None = None, rate: float | None = None
 ) -> MarkerFile:
@@ -53,7 +55,7 @@ def read_marker_table(
     if not rows:
         raise InputError(f"{path}: the table is empty; give a row of column names and a row for each frame.")
     names, begin = _column_names(rows)
-    names = [_plain(name) for name in names]
+    names = [_collapse_blanks(name) for name in names]
     long = next((name for name in names if len(name) > LONGEST_NAME), None)
     if long is not None:
         raise InputError(
@@ -63,12 +65,12 @@ def read_marker_table(
     labels, columns = _markers(path, rows[0][0], names)
     width = len(names)
     places, clock, numbers = [], [], []
-    time_at, frame_at = _find(_TIMES, names), _find(_FRAMES, names)
+    time_at, frame_at = _find(_TIME_COLUMN, names), _find(_FRAME_COLUMN, names)
     for number, cells in rows[begin:]:
         where = f"{path}:{number}"
         if len(cells) != width and any(cells[width:] if len(cells) > width else [True]):
             raise InputError(f"{where}: this row has {len(cells)} cells for {width} columns; it is damaged or cut short.")  # fmt: skip
-        places.append(read_places([cells[i] for three in columns for i in three], labels, where))
+        places.append(parse_positions([cells[i] for three in columns for i in three], labels, where))
         if time_at is not None:
             clock += parse_floats([cells[time_at]], where, f"column '{names[time_at]}'")
         if frame_at is not None:
@@ -77,9 +79,11 @@ def read_marker_table(
     full, found = there, None
     if len(there) > 1 and time_at is not None:
         scale = 1e-3 if "m" in (re.sub(r"^(times?stamp|times?)", "", names[time_at].lower())) else 1.0
-        found, full = regular_rows(path, scale * np.asarray(clock), there, f"column '{names[time_at]}'")
+        found, full = fill_missing_frames(
+            path, scale * np.asarray(clock), there, f"column '{names[time_at]}'"
+        )
     elif len(there) > 1 and frame_at is not None:
-        _, full = regular_rows(path, np.asarray(numbers), there, f"column '{names[frame_at]}'")
+        _, full = fill_missing_frames(path, np.asarray(numbers), there, f"column '{names[frame_at]}'")
     # the rate of a single frame is arbitrary
     rate = rate or said or found or (1.0 if len(there) == 1 else None)
     if len(there) and rate is None:
@@ -88,10 +92,12 @@ def read_marker_table(
             "'# rate: 120'."
         )
     missing = len(full) - len(there)
-    told = [f"{missing} frames are missing between its rows; no marker is visible in them."] if missing else []
+    told = (
+        [f"{missing} frames are missing between its rows; no marker is visible in them."] if missing else []
+    )
     first = round(numbers[0]) if numbers else 1
-    return make_file(
-        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, told=told
+    return make_marker_file(
+        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, warnings=told
     )
 
 
@@ -104,7 +110,7 @@ def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    places, seen = clear_of_zero(frames)
+    places, seen = shift_from_origin(frames)
     places = places / unit_scale(unit)
     text = io.StringIO()
     if len(frames) == 1:
@@ -124,7 +130,7 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
     rate, lines = None, text.splitlines(keepends=True)
     start = len(lines)
     for i, line in enumerate(lines):
-        match = _RATE.fullmatch(_plain(line)) if len(line) <= LONGEST_NAME else None
+        match = _RATE_LINE.fullmatch(_collapse_blanks(line)) if len(line) <= LONGEST_NAME else None
         if match:
             (rate,) = parse_floats([match[2]], f"{path}:{i + 1}", "the rate")
             check_rate(rate, f"{path}:{i + 1}")
@@ -141,7 +147,7 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
     return rate, [(number, cells) for number, cells in rows if any(cells)]
 
 
-def _plain(text: str) -> str:
+def _collapse_blanks(text: str) -> str:
     """Collapse blanks and tabs to single blanks."""
     return " ".join(text.split())
 
@@ -167,8 +173,8 @@ def _markers(path: Path, line: int, names: list[str]) -> tuple[list[str], list[l
     """Return the labels, and for each the indices of its columns x, y and z."""
     found: dict[str, dict[str, int]] = {}
     for i, name in enumerate(names):
-        match = _COLUMN.fullmatch(name)
-        if match and not _TIMES.fullmatch(name.lower()):
+        match = _MARKER_COLUMN.fullmatch(name)
+        if match and not _TIME_COLUMN.fullmatch(name.lower()):
             axes = found.setdefault(match["label"], {})
             axis = match["axis"].lower()
             if axis in axes:

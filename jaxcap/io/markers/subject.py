@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ...arguments import checked
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...markers.subject import Subject, make_subject
-from ..archives.npz import get_array, load_kind, save_arrays, skeleton_arrays, skeleton_of
-from ..system.door import reads
+from ..archives.npz import get_array, load_format, save_arrays, skeleton_arrays, skeleton_of
+from ..system.door import reader_of
 
 #: the format's name in the file
-KIND = "jaxcap subject"
+FORMAT = "jaxcap subject"
 
 
 @checked
@@ -21,7 +21,7 @@ def save_subject(path: str | Path, subject: Subject) -> None:
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    save_arrays(path, KIND, subject_arrays(subject))
+    save_arrays(path, FORMAT, subject_arrays(subject))
 
 
 def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
@@ -38,13 +38,13 @@ def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
 
 
 @checked
-@reads("a subject")
+@reader_of("a subject")
 def load_subject(path: str | Path) -> Subject:
     """Read a subject that `save_subject` wrote.
 
     **Raises:** `InputError` if the file has another format, is damaged, or is inconsistent.
     """
-    return subject_of(load_kind(path, KIND), path)
+    return subject_of(load_format(path, FORMAT), path)
 
 
 def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
@@ -54,14 +54,14 @@ def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
     models = get_array(arrays, "marker.models", path, (count,), "text").tolist()
     bones = get_array(arrays, "marker.bones", path, (count,), "whole")
     weights, deviations = (
-        get_array(arrays, f"marker.{name}", path, (count,), rows="marker")
+        get_array(arrays, f"marker.{name}", path, (count,), row_name="marker")
         for name in ("weights", "deviations")
     )
-    offsets = get_array(arrays, "marker.offsets", path, (count, 3), rows="marker")
+    offsets = get_array(arrays, "marker.offsets", path, (count, 3), row_name="marker")
     skeleton = skeleton_of(arrays, path)
     try:
         return make_subject(
             skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models
         )
     except ValueError as error:
-        raise InputError(f"{path}: {sentence_of(error)}") from None
+        raise InputError(f"{path}: {user_message(error)}") from None

@@ -13,15 +13,15 @@ import numpy as np
 from ...errors import InputError
 from ...observe import MarkerFrames
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
-from .marker_file import MarkerFile, clear_of_zero, file_unit, make_file, regular_rows
+from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, parse_unit, shift_from_origin
 
 #: cells that are allowed in a file of any size
-MOST_CELLS = 1_000_000
+MAX_CELLS = 1_000_000
 
 
-class _Head(NamedTuple):
+class _TrcHeader(NamedTuple):
     rate: float
     #: frames and markers that the header announces, or None
     frames: int | None
@@ -30,7 +30,7 @@ class _Head(NamedTuple):
     labels: list[str]
 
 
-@reads("a TRC file")
+@reader_of("a TRC file")
 def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """Read the markers of a TRC file; a cell that is empty or NaN, or a position of zeros, is a gap.
 
@@ -47,7 +47,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     head = _read_head(path, lines)
     count, numbers, times, rows, last = len(head.labels), [], [], [], 5
     # empty cells may be missing, so a small file could claim many
-    room = max(MOST_CELLS, 8 * sum(map(len, lines)))
+    room = max(MAX_CELLS, 8 * sum(map(len, lines)))
     for number, line in enumerate(lines[5:], 6):
         if not line.strip():
             continue
@@ -65,8 +65,8 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         # editors remove trailing blanks, so empty cells at the end of a row may be missing
         cells = (cells + [""] * (2 + 3 * count))[: 2 + 3 * count]
         numbers.append(parse_int(cells[0], where, "the frame"))
-        times.append(read_cell(cells[1], where, "the time"))
-        rows.append(np.array(read_places(cells[2:], head.labels, where)))
+        times.append(parse_cell(cells[1], where, "the time"))
+        rows.append(np.array(parse_positions(cells[2:], head.labels, where)))
     if head.frames is not None and len(rows) < head.frames:
         raise InputError(
             f"{path}:{last}: the file is cut short: it contains {len(rows)} of the {head.frames} frames of its "
@@ -81,18 +81,18 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     rate = head.rate
     if len(rows) > 1:
         at = np.asarray(numbers, float)
-        _, places = regular_rows(path, at, places, "the column of frames")
+        _, places = fill_missing_frames(path, at, places, "the column of frames")
         if len(places) > len(rows):
             told.append(
                 f"{len(places) - len(rows)} frames are missing between its rows; no marker is visible in them."
             )
         if not rate > 0 and np.isfinite(times).all():
-            rate, _ = regular_rows(
+            rate, _ = fill_missing_frames(
                 path, np.asarray(times), np.zeros((len(rows), 0, 3)), "the column of times"
             )
-    unit = file_unit(head.unit) if unit is None else unit
+    unit = parse_unit(head.unit) if unit is None else unit
     first = numbers[0] if numbers else 1
-    return make_file(path, places, head.labels, rate, unit, first_frame=first, told=told)
+    return make_marker_file(path, places, head.labels, rate, unit, first_frame=first, warnings=told)
 
 
 def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
@@ -110,7 +110,7 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
         raise InputError(
             f"{path}: the label {wrong[0]!r} contains a tab or a line break, which TRC files cannot represent; change it."
         )
-    places, seen = clear_of_zero(frames)
+    places, seen = shift_from_origin(frames)
     count, rate = len(frames.labels), f"{frames.rate:.9g}"
     settings = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame",
                 "OrigNumFrames")  # fmt: skip
@@ -132,19 +132,19 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read_cell(cell: str, where: str, what: str) -> float:
+def parse_cell(cell: str, where: str, what: str) -> float:
     """Parse a number; NaN for a cell that is empty or marked as missing."""
     if not cell or cell.lower() in ("nan", "na", "n/a", "null", "none", "-nan", "-nan(ind)", "nan(ind)"):
         return math.nan
     return parse_floats([cell], where, what)[0]
 
 
-def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
+def parse_positions(cells: list[str], labels: list[str], where: str) -> list[float]:
     """Parse three numbers for each label; all NaN for a marker without any.
 
     **Raises:** `InputError` if a marker has one or two of three coordinates, or a cell is no number.
     """
-    numbers = [read_cell(cell, where, f"marker {shortened(labels[i // 3])}") for i, cell in enumerate(cells)]
+    numbers = [parse_cell(cell, where, f"marker {shortened(labels[i // 3])}") for i, cell in enumerate(cells)]
     for i, label in enumerate(labels):
         missing = sum(map(math.isnan, numbers[3 * i : 3 * i + 3]))
         if missing in (1, 2):
@@ -154,7 +154,7 @@ def read_places(cells: list[str], labels: list[str], where: str) -> list[float]:
     return numbers
 
 
-def _read_head(path: Path, lines: list[str]) -> _Head:
+def _read_head(path: Path, lines: list[str]) -> _TrcHeader:
     if not lines or not lines[0].strip().startswith("PathFileType"):
         raise InputError(
             f"{path}:1: this is not a TRC file; expected PathFileType at the beginning of the first line."
@@ -197,4 +197,4 @@ def _read_head(path: Path, lines: list[str]) -> _Head:
             f"{path}:4: there are {len(labels) + extra} labels for {len(labels)} markers; correct the header."
         )
     labels += [""] * ((markers or 0) - len(labels))
-    return _Head(rate, setting("NumFrames"), markers, values.get("Units", ""), labels)
+    return _TrcHeader(rate, setting("NumFrames"), markers, values.get("Units", ""), labels)

@@ -9,19 +9,21 @@ from jaxtyping import Float
 
 from ...arguments import checked
 from ...errors import InputError
+from ...observe import Cloud
 from ...observe import Scan as Scan
 from ..archives.archive import array_names, load_arrays
-from ..kinds import wrong_arrays
-from ..system.door import reads
-from ..system.paths import cut, find_files, order_files
-from ..text import LARGEST, unit_scale
+from ..kinds import wrong_arrays_error
+from ..system.atomic import atomic_path
+from ..system.door import reader_of
+from ..system.paths import find_files, order_files, select_range
+from ..text import MAX_NUMBER, unit_scale
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 
 _ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
 #: the faces of a cloud
 NO_FACES = np.zeros((0, 3), int)
 #: points, normals and triangles of a frame
-Load = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
+FrameLoader = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
 
 
 class Scans(Sequence):
@@ -31,7 +33,7 @@ class Scans(Sequence):
     nothing.
     """
 
-    def __init__(self, names: Sequence[str], load: Load):
+    def __init__(self, names: Sequence[str], load: FrameLoader):
         self.names, self._load = tuple(names), load
 
     def __len__(self) -> int:
@@ -57,7 +59,7 @@ class Scans(Sequence):
 
 
 @checked
-@reads("clouds")
+@reader_of("clouds")
 def read_clouds(
     source: str | Path | Sequence[str | Path],
     first: int | None = None,
@@ -97,13 +99,38 @@ def read_clouds(
     return Scans([str(path) for path in paths], load)
 
 
+@checked
+def save_clouds(path: str | Path, clouds: Sequence[Cloud | Scan]) -> None:
+    """Write clouds as one `.npz` for `read_clouds`; points with weight zero are left out.
+
+    **Raises:** `InputError` if there are no clouds, or the file cannot be written.
+    """
+    if len(clouds) == 0:
+        raise InputError("save_clouds: `clouds` is empty; expected one cloud at least.")
+    points, normals = [], []
+    for cloud in clouds:
+        used = np.asarray(cloud.weights) > 0 if isinstance(cloud, Cloud) else np.ones(len(cloud.points), bool)
+        points.append(np.asarray(cloud.points)[used])
+        normals.append(
+            np.zeros_like(points[-1]) if cloud.normals is None else np.asarray(cloud.normals)[used]
+        )
+    offsets = np.cumsum([0, *(len(part) for part in points)])
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file,
+            points=np.concatenate(points).astype(np.float32),
+            normals=np.concatenate(normals).astype(np.float32),
+            offsets=offsets,
+        )
+
+
 def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
     arrays = load_arrays(path, lambda name: name in _ARRAYS)
     held = array_names(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
     if points is None or "skin" in held:
-        raise wrong_arrays(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
+        raise wrong_arrays_error(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if points.dtype.kind not in "fiu":
         raise InputError(
             f"{path}: '{'points' if 'points' in arrays else 'vertices'}' has the type {points.dtype}; expected numbers, (F, N, 3)."
@@ -142,13 +169,13 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
         raise InputError(
             f"{path}: the file has {count} frames but only {len(points)} points; remove empty frames."
         )
-    frames = cut(list(range(count)), first, last, str(path))
+    frames = select_range(list(range(count)), first, last, str(path))
 
     def load(index: int):
         frame = frames[index]
         rows = frame if offsets is None else slice(offsets[frame], offsets[frame + 1])
         here = np.asarray(points[rows], float) * metres
-        own = None if normals is None else _known(np.asarray(normals[rows], float))
+        own = None if normals is None else _zero_invalid_normals(np.asarray(normals[rows], float))
         if faces is None:
             return here, own, NO_FACES
         # checked before normals are computed
@@ -158,6 +185,6 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     return Scans([f"{path}[{frame}]" for frame in frames], load)
 
 
-def _known(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+def _zero_invalid_normals(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Set normals that are not finite or too large to zero, which marks them as unknown."""
-    return np.where((np.abs(normals) <= LARGEST).all(1, keepdims=True), normals, 0.0)
+    return np.where((np.abs(normals) <= MAX_NUMBER).all(1, keepdims=True), normals, 0.0)

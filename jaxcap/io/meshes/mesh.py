@@ -14,11 +14,11 @@ from ...arguments import checked
 from ...errors import InputError
 from ...observe import unit_normals
 from ..gltf.gltf_scene import check_scene
-from ..kinds import wrong_kind
-from ..system.atomic import replacing, write_text
-from ..system.door import reads
+from ..kinds import wrong_kind_error
+from ..system.atomic import atomic_path, write_text
+from ..system.door import reader_of
 from ..system.inside import InsideResolver
-from ..text import BODY, LARGEST, likely_units, unit_scale
+from ..text import BODY, MAX_NUMBER, likely_units, unit_scale
 from .obj import read_obj, write_obj
 from .off import read_off
 from .ply_check import check_ply
@@ -26,7 +26,7 @@ from .ply_check import check_ply
 #: suffixes that `read_mesh` supports
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
 #: suffixes that `write_mesh` supports
-WRITTEN = (".off", ".obj", ".ply", ".stl", ".glb")
+WRITABLE_SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb")
 _UNIT_NAMES = {
     "m": "metres",
     "cm": "centimetres",
@@ -47,7 +47,7 @@ class Mesh(NamedTuple):
 
 
 @checked
-@reads("a mesh")
+@reader_of("a mesh")
 def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     """Read a mesh or a cloud; polygons are split into triangle fans.
 
@@ -59,7 +59,7 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
     path = Path(path)
     metres, suffix = unit_scale(unit), path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
+        raise wrong_kind_error(path, "a mesh or a cloud", SUFFIXES)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path.")
     reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
@@ -105,11 +105,11 @@ def write_mesh(path: str | Path, mesh: Mesh, unit: str | float = "m") -> None:
             else trimesh.PointCloud(vertices)
         )
         data = solid.export(file_type=suffix[1:])
-        with replacing(path) as beside:
+        with atomic_path(path) as beside:
             beside.write_bytes(data if isinstance(data, bytes) else str(data).encode())
     else:
         raise InputError(
-            f"{path}: meshes are not written as '{path.suffix}' files; use {', '.join(WRITTEN)}."
+            f"{path}: meshes are not written as '{path.suffix}' files; use {', '.join(WRITABLE_SUFFIXES)}."
         )
 
 
@@ -118,7 +118,7 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
     if len(points) == 0:
         raise InputError(f"{where}: it has no points; expected at least one.")
     # half floats cannot hold LARGEST; the comparison with a double converts them
-    wrong = ~(np.abs(points) <= np.float64(LARGEST)).all(1)
+    wrong = ~(np.abs(points) <= np.float64(MAX_NUMBER)).all(1)
     if wrong.any():
         why = "too large" if np.isfinite(points).all() else "NaN or infinite"
         raise InputError(

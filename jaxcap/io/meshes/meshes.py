@@ -12,13 +12,13 @@ from ...errors import InputError
 from ...observe import MeshSequence
 from ..archives.archive import array_names, load_arrays
 from ..archives.npz import save_arrays
-from ..kinds import wrong_arrays
-from ..system.door import reads
+from ..kinds import wrong_arrays_error
+from ..system.door import reader_of
 from ..system.paths import find_files
 from ..text import check_rate, shortened, unit_scale
 from .mesh import check_points, read_mesh
 
-KIND = "jaxcap meshes"
+FORMAT = "jaxcap meshes"
 _ARRAYS = ("vertices", "faces", "face_counts", "face_indices", "names", "rate")
 
 
@@ -54,7 +54,7 @@ def read_meshes(
     return read_named_meshes(paths, unit, rate).sequence
 
 
-@reads("registered meshes")
+@reader_of("registered meshes")
 def read_named_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> NamedMeshes:
@@ -63,10 +63,12 @@ def read_named_meshes(
     sources = [paths] if isinstance(paths, str | Path) else list(paths)
     if not sources:
         raise InputError("No meshes were given; give files, a folder or an .npz.")
-    found = [path for source in sources for path in find_files(source, whole=False, also=(".npz",))]
+    found = [
+        path for source in sources for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",))
+    ]
     files = [_read(path) for path in found]
     for path, file in zip(found[1:], files[1:], strict=True):
-        _same_triangles(path, file, found[0], files[0])
+        _check_same_topology(path, file, found[0], files[0])
     rates = [file.rate for file in files if file.rate is not None]
     names = tuple(name for file in files for name in file.names)
     vertices = metres * np.concatenate([file.vertices for file in files])
@@ -78,7 +80,7 @@ def read_named_meshes(
 def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
     """Write a sequence as an `.npz` for `read_meshes`. Raises `InputError` if it cannot be written."""
     arrays = {"vertices": sequence.vertices, "faces": sequence.faces, "rate": np.array(sequence.rate, float)}
-    save_arrays(path, KIND, arrays)
+    save_arrays(path, FORMAT, arrays)
 
 
 def triangulate(
@@ -119,7 +121,7 @@ def _arrays(path: Path) -> _File:
     arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
     vertices = arrays.get("vertices")
     if vertices is None or "skin" in held:
-        raise wrong_arrays(path, "without an array 'vertices' (F, V, 3) of numbers")
+        raise wrong_arrays_error(path, "without an array 'vertices' (F, V, 3) of numbers")
     if vertices.dtype.kind not in "fiu":
         raise InputError(f"{path}: 'vertices' has the type {vertices.dtype}; expected numbers, (F, V, 3).")
     if vertices.ndim == 2:
@@ -129,8 +131,8 @@ def _arrays(path: Path) -> _File:
     faces = arrays.get("faces")
     if faces is None and {"face_counts", "face_indices"} <= set(arrays):
         faces = triangulate(
-            _whole(arrays["face_counts"], "face_counts", path),
-            _whole(arrays["face_indices"], "face_indices", path),
+            _check_integers(arrays["face_counts"], "face_counts", path),
+            _check_integers(arrays["face_indices"], "face_indices", path),
             path,
         )
     if faces is None or faces.dtype.kind not in "iu":
@@ -164,7 +166,7 @@ def _arrays(path: Path) -> _File:
     return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
 
 
-def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
+def _check_integers(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     """Return a list of integers after a check. Raises `InputError`."""
     if values.ndim != 1 or values.dtype.kind not in "iu":
         raise InputError(
@@ -174,7 +176,7 @@ def _whole(values: np.ndarray, name: str, path: Path) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> None:
+def _check_same_topology(path: Path, file: _File, first: Path, reference: _File) -> None:
     counts = [(f.vertices.shape[1], len(f.faces)) for f in (file, reference)]
     if counts[0] != counts[1]:
         raise InputError(
@@ -184,7 +186,7 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
     if (file.faces == reference.faces).all():
         return
     # a file may list the same triangles in another order, or start each at another corner
-    rows = [set(map(tuple, _turned(f.faces).tolist())) for f in (file, reference)]
+    rows = [set(map(tuple, _rotate_corners(f.faces).tolist())) for f in (file, reference)]
     if rows[0] != rows[1]:
         raise InputError(
             f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
@@ -192,7 +194,7 @@ def _same_triangles(path: Path, file: _File, first: Path, reference: _File) -> N
         )
 
 
-def _turned(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
+def _rotate_corners(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
     """Rotate the corners of each triangle so that its smallest index comes first."""
     start = faces.argmin(1)[:, None]
     return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)

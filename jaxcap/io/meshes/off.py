@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ..text import float_table, numbered_lines, parse_floats, parse_int, read_text
+from ..text import numbered_lines, parse_float_table, parse_floats, parse_int, read_text
 
 
 def read_off(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -57,7 +57,7 @@ def _rows(lines: list[tuple[int, str]], width: int, path: Path) -> np.ndarray:
     for (number, _), row in zip(lines, words, strict=True):
         if len(row) != width:
             raise InputError(f"{path}:{number}: this vertex has {len(row)} numbers; expected {width}.")
-    numbers = float_table([word for row in words for word in row])
+    numbers = parse_float_table([word for row in words for word in row])
     if numbers is not None:
         return numbers.reshape(-1, width)
     rows = [

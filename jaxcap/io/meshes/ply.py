@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from ..system.atomic import replacing
+from ..system.atomic import atomic_path
 
 
 def write_ply(
@@ -44,5 +44,5 @@ def write_ply(
         corners["count"], corners["corners"] = 3, faces
         lines += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
     text = "\n".join([*lines, "end_header"]) + "\n"
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         beside.write_bytes(text.encode("ascii") + rows.tobytes() + corners.tobytes())

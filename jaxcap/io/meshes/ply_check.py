@@ -10,7 +10,7 @@ from ..text import parse_int, shortened
 from .ply_header import Element, Header, Property, read_header
 
 #: names of the list of vertices of a face
-_CORNERS = ("vertex_indices", "vertex_index")
+_VERTEX_LIST_NAMES = ("vertex_indices", "vertex_index")
 
 
 def check_ply(path: Path) -> None:
@@ -35,7 +35,7 @@ def _check_text(data: bytes, header: Header, path: Path) -> None:
     for element in header.elements:
         rows = lines[begin : begin + element.count]
         if len(rows) < element.count:
-            raise _cut(f"{path}:{header.lines + len(lines)}", element, len(rows))
+            raise _truncated_error(f"{path}:{header.lines + len(lines)}", element, len(rows))
         _check_rows(rows, element, header, path, header.lines + begin + 1)
         begin += element.count
 
@@ -48,7 +48,7 @@ def _check_rows(rows: list[str], element: Element, header: Header, path: Path, f
         left, at = row.split(), 0
         for column, one in enumerate(element.properties):
             count = 1
-            if one.counts is not None and at < len(left):
+            if one.length_type is not None and at < len(left):
                 count = parse_int(left[at], f"{path}:{number}", f"the length of '{shortened(one.name)}'")
                 at += 1
             if not 0 <= count <= len(left) - at:
@@ -60,7 +60,7 @@ def _check_rows(rows: list[str], element: Element, header: Header, path: Path, f
             lines[column] += [number] * count
             at += count
     for column, one in enumerate(element.properties):
-        vertices = header.count_of("vertex") if _is_corner(element, one) else None
+        vertices = header.count_of("vertex") if _is_vertex_list(element, one) else None
         _check_words(words[column], lines[column], one, path, vertices)
 
 
@@ -119,28 +119,28 @@ def _check_block(data: bytes, at: int, element: Element, header: Header, path: P
     fields, size = [], 0
     for number, one in enumerate(element.properties):
         count = 1
-        if one.counts is not None:
-            fields.append((f"length {number}", one.counts, ()))
-            size, count = size + one.counts.itemsize, lengths.pop(0) if lengths else 0
-        fields.append((f"values {number}", one.type, () if one.counts is None else (count,)))
+        if one.length_type is not None:
+            fields.append((f"length {number}", one.length_type, ()))
+            size, count = size + one.length_type.itemsize, lengths.pop(0) if lengths else 0
+        fields.append((f"values {number}", one.type, () if one.length_type is None else (count,)))
         size += count * one.type.itemsize
     there = element.count if not size else (len(data) - at) // size
     if there < element.count:
-        raise _cut(path, element, max(there, 0))
+        raise _truncated_error(path, element, max(there, 0))
     if not size:
         return at
     if not element.has_lists:
         return at + element.count * size
     rows = np.frombuffer(data, np.dtype(fields), element.count, at)
     for number, one in enumerate(element.properties):
-        if one.counts is None:
+        if one.length_type is None:
             continue
         if (rows[f"length {number}"] != rows[f"length {number}"][0]).any():
             raise InputError(
                 f"{path}: the lists '{shortened(one.name)}' of '{shortened(element.name)}' have different lengths, which is "
                 "supported only in text files; write the file as text, or with triangles only."
             )
-        if _is_corner(element, one):
+        if _is_vertex_list(element, one):
             _check_corners(rows[f"values {number}"], header.count_of("vertex"), path)
     return at + element.count * size
 
@@ -150,12 +150,12 @@ def _lengths(data: bytes, at: int, element: Element) -> list[int]:
     found = []
     for one in element.properties:
         count = 1
-        if one.counts is not None:
-            if at + one.counts.itemsize > len(data):
+        if one.length_type is not None:
+            if at + one.length_type.itemsize > len(data):
                 break
-            count = max(int(np.frombuffer(data, one.counts, 1, at)[0]), 0)
+            count = max(int(np.frombuffer(data, one.length_type, 1, at)[0]), 0)
             found.append(count)
-            at += one.counts.itemsize
+            at += one.length_type.itemsize
         at += count * one.type.itemsize
     return found
 
@@ -169,11 +169,11 @@ def _check_corners(corners: np.ndarray, vertices: int, path: Path) -> None:
         )
 
 
-def _is_corner(element: Element, one: Property) -> bool:
-    return element.name == "face" and one.name in _CORNERS
+def _is_vertex_list(element: Element, one: Property) -> bool:
+    return element.name == "face" and one.name in _VERTEX_LIST_NAMES
 
 
-def _cut(where: str | Path, element: Element, there: int) -> InputError:
+def _truncated_error(where: str | Path, element: Element, there: int) -> InputError:
     return InputError(
         f"{where}: the header declares {element.count} of '{shortened(element.name)}', but {there} follow; the file is cut "
         "short."

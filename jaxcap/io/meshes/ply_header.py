@@ -9,21 +9,21 @@ from ...errors import InputError
 from ..text import parse_int, shortened
 
 #: NumPy types of the numbers, by both of their names
-TYPES = {
+NUMBER_TYPES = {
     **dict(zip(("char", "uchar", "short", "ushort"), ("i1", "u1", "i2", "u2"), strict=True)),
     **dict(zip(("int", "uint", "float", "double"), ("i4", "u4", "f4", "f8"), strict=True)),
     **dict(zip(("int8", "uint8", "int16", "uint16"), ("i1", "u1", "i2", "u2"), strict=True)),
     **dict(zip(("int32", "uint32", "float32", "float64"), ("i4", "u4", "f4", "f8"), strict=True)),
 }
-_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 class Property(NamedTuple):
-    """A number of an element, or, if `counts` is the type of its length, a list of numbers."""
+    """A number of an element, or, if `length_type` is the type of its length, a list of numbers."""
 
     name: str
     type: np.dtype
-    counts: np.dtype | None = None
+    length_type: np.dtype | None = None
 
 
 class Element(NamedTuple):
@@ -35,7 +35,7 @@ class Element(NamedTuple):
 
     @property
     def has_lists(self) -> bool:
-        return any(one.counts is not None for one in self.properties)
+        return any(one.length_type is not None for one in self.properties)
 
 
 class Header(NamedTuple):
@@ -64,11 +64,11 @@ def read_header(data: bytes, path: Path) -> Header:
                     raise InputError(f"{where}: the header has no line 'format'; write the file again.")
                 return Header(order == "", elements, number, end)
             case ["format", name, *_]:
-                if name not in _FORMATS:
+                if name not in _BYTE_ORDERS:
                     raise InputError(
-                        f"{where}: '{shortened(name)}' is not a format; expected {', '.join(_FORMATS)}."
+                        f"{where}: '{shortened(name)}' is not a format; expected {', '.join(_BYTE_ORDERS)}."
                     )
-                order = _FORMATS[name]
+                order = _BYTE_ORDERS[name]
             case ["element", name, count]:
                 elements.append(Element(name, _count(count, where, name), []))
             case ["property", *rest]:
@@ -93,12 +93,12 @@ def _count(word: str, where: str, name: str) -> int:
 
 def _property(words: list[str], order: str, where: str) -> Property:
     types, name = words[:-1], (words or [""])[-1]
-    strange = next((word for word in types if word not in TYPES and word != "list"), None)
+    strange = next((word for word in types if word not in NUMBER_TYPES and word != "list"), None)
     if strange is not None:
         raise InputError(
-            f"{where}: '{shortened(strange)}' is not a number type; expected {', '.join(TYPES)}."
+            f"{where}: '{shortened(strange)}' is not a number type; expected {', '.join(NUMBER_TYPES)}."
         )
-    found = [np.dtype(order + TYPES[word]) for word in types if word != "list"]
+    found = [np.dtype(order + NUMBER_TYPES[word]) for word in types if word != "list"]
     if types[:1] == ["list"] and len(types) == len(found) + 1 == 3 and found[0].kind in "iu":
         return Property(name, found[1], found[0])
     if len(types) == len(found) == 1:

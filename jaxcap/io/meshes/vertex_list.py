@@ -8,11 +8,11 @@ RFHD      88
 from pathlib import Path
 
 from ...errors import InputError
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import numbered_lines, parse_int, read_text, shortened
 
 
-@reads("a vertex list")
+@reader_of("a vertex list")
 def read_vertex_list(path: str | Path) -> dict[str, int]:
     """Read names with the vertex of each; a line with only a number gets the name `v` and the number.
 

@@ -18,26 +18,26 @@ from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...body.skeleton import Skeleton, rest_distance, same_joints
+from ...body.skeleton import Skeleton, has_same_joints, rest_distance
 from ...errors import InputError
 from ..archives.archive import array_names, load_arrays
 from ..archives.npz import get_array, skeleton_arrays, skeleton_of
 from ..skinned.skinned import check_motion
-from ..system.atomic import replacing
-from ..system.door import reads
+from ..system.atomic import atomic_path
+from ..system.door import reader_of
 from ..text import check_rate
 
 #: from a y-up to a z-up world
-_LIFT = Rotation.from_euler("x", 90, degrees=True)
+_Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
 #: names of the rate in the two generations of the data set
-_RATES = ("mocap_framerate", "mocap_frame_rate")
-_OWN = "skeleton."
+_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
+_SKELETON_PREFIX = "skeleton."
 #: largest distance of joints at rest for the same body, metres
-SAME_BODY = 0.01
-_TRUNK = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+MAX_REST_DISTANCE = 0.01
+_TRUNK_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 
 
-def _hand(wrist: int, first: int) -> tuple[int, ...]:
+def _finger_parents(wrist: int, first: int) -> tuple[int, ...]:
     """Return the parents of five fingers of three joints."""
     return tuple(
         parent for finger in range(5) for parent in (wrist, first + 3 * finger, first + 3 * finger + 1)
@@ -45,11 +45,11 @@ def _hand(wrist: int, first: int) -> tuple[int, ...]:
 
 
 #: parents of the joints of SMPL's family, by their number: SMPL without hands, SMPL, SMPL-H, SMPL-X
-TREES = {
-    22: _TRUNK,
-    24: (*_TRUNK, 20, 21),
-    52: (*_TRUNK, *_hand(20, 22), *_hand(21, 37)),
-    55: (*_TRUNK, 15, 15, 15, *_hand(20, 25), *_hand(21, 40)),
+SMPL_PARENTS = {
+    22: _TRUNK_PARENTS,
+    24: (*_TRUNK_PARENTS, 20, 21),
+    52: (*_TRUNK_PARENTS, *_finger_parents(20, 22), *_finger_parents(21, 37)),
+    55: (*_TRUNK_PARENTS, 15, 15, 15, *_finger_parents(20, 25), *_finger_parents(21, 40)),
 }
 
 
@@ -90,18 +90,18 @@ def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
         np.asarray(motion.poses.rotations, float).reshape(-1, 4), scalar_first=True
     ).as_rotvec()
     turns = turns.reshape(frames, joints, 3)
-    turns[:, 0] = (_LIFT * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
-    own = {f"{_OWN}{name}": values for name, values in skeleton_arrays(skeleton).items()}
-    own[f"{_OWN}centres"] = scale * np.asarray(skeleton.centres, float)
+    turns[:, 0] = (_Y_UP_TO_Z_UP * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
+    own = {f"{_SKELETON_PREFIX}{name}": values for name, values in skeleton_arrays(skeleton).items()}
+    own[f"{_SKELETON_PREFIX}centres"] = scale * np.asarray(skeleton.centres, float)
     arrays = {
-        "trans": _LIFT.apply(root + scale * moves[:, 0]) - root,
+        "trans": _Y_UP_TO_Z_UP.apply(root + scale * moves[:, 0]) - root,
         "poses": turns.reshape(frames, 3 * joints),
         "betas": np.zeros(16),
         "gender": np.array("neutral"),
-        **{name: np.array(float(motion.rate)) for name in _RATES},
+        **{name: np.array(float(motion.rate)) for name in _RATE_KEYS},
         **own,
     }
-    with replacing(path) as beside, open(beside, "wb") as file:
+    with atomic_path(path) as beside, open(beside, "wb") as file:
         np.savez_compressed(file, **arrays)
 
 
@@ -114,7 +114,7 @@ def is_amass(path: str | Path) -> bool:
 
 
 @checked
-@reads("an AMASS motion")
+@reader_of("an AMASS motion")
 def read_amass(
     path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
 ) -> tuple[Skeleton, Motion]:
@@ -126,9 +126,11 @@ def read_amass(
     **Raises:** `InputError` if the file has another format, is damaged, has pickled numbers or no rate, or if
     its joints are not the skeleton's.
     """
-    arrays = load_arrays(path, lambda name: name in ("poses", "trans", *_RATES) or name.startswith(_OWN))
-    poses = get_array(arrays, "poses", path, (None, None), rows="frame")
-    trans = get_array(arrays, "trans", path, (len(poses), 3), rows="frame")
+    arrays = load_arrays(
+        path, lambda name: name in ("poses", "trans", *_RATE_KEYS) or name.startswith(_SKELETON_PREFIX)
+    )
+    poses = get_array(arrays, "poses", path, (None, None), row_name="frame")
+    trans = get_array(arrays, "trans", path, (len(poses), 3), row_name="frame")
     if poses.shape[1] % 3 or not poses.shape[1]:
         raise InputError(
             f"{path}: the array 'poses' has the shape {poses.shape}; expected (frames, 3 * joints)."
@@ -149,61 +151,65 @@ def _motion(
     moves, root = np.zeros((frames, joints, 3)), np.asarray(skeleton.centres, float)[0]
     moves[:, 0] = trans
     if up == "z":
-        lowered = _LIFT.inv() * Rotation.from_rotvec(turns[:, 0])
+        lowered = _Y_UP_TO_Z_UP.inv() * Rotation.from_rotvec(turns[:, 0])
         rotations[:, 0] = lowered.as_quat(canonical=True, scalar_first=True)
-        moves[:, 0] = _LIFT.inv().apply(root + trans) - root
+        moves[:, 0] = _Y_UP_TO_Z_UP.inv().apply(root + trans) - root
     return Motion(Pose(jnp.asarray(moves), jnp.asarray(rotations), jnp.ones(frames)), rate)
 
 
 def _skeleton(
-    path: str | Path, arrays: Mapping[str, np.ndarray], joints: int, given: Skeleton | None
+    path: str | Path, arrays: Mapping[str, np.ndarray], joints: int, skeleton: Skeleton | None
 ) -> Skeleton:
     """Return the given skeleton after a check of its joints, or the file's own. Raises `InputError`."""
-    noted = {name.removeprefix(_OWN): values for name, values in arrays.items() if name.startswith(_OWN)}
+    noted = {
+        name.removeprefix(_SKELETON_PREFIX): values
+        for name, values in arrays.items()
+        if name.startswith(_SKELETON_PREFIX)
+    }
     if noted:
         own = skeleton_of(noted, path)
         if own.num_joints != joints:
             raise InputError(
                 f"{path}: the poses have {joints} joints, and the skeleton of the file has {own.num_joints}; write it again."
             )
-        if given is None:
+        if skeleton is None:
             return own
-        if not same_joints(own, given):
+        if not has_same_joints(own, skeleton):
             raise InputError(
-                f"{path}: this motion has the joints {', '.join(own.names)}; expected {', '.join(given.names)} as in the body; "
+                f"{path}: this motion has the joints {', '.join(own.names)}; expected {', '.join(skeleton.names)} as in the body; "
                 "retarget it."
             )
-        apart = rest_distance(own, given)
-        if apart > SAME_BODY:
+        apart = rest_distance(own, skeleton)
+        if apart > MAX_REST_DISTANCE:
             raise InputError(
                 f"{path}: this motion belongs to another body: its joints at rest differ by up to {1000 * apart:.0f} mm "
                 "from those of this body; retarget it."
             )
-        return given
+        return skeleton
     what = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}.get(joints)
     told = f"poses of {joints} joints{f' ({what})' if what else ''}"
-    if given is None:
+    if skeleton is None:
         raise InputError(
             f"{path}: the file has {told} but no skeleton; give a body with these joints (--body)."
         )
-    if given.num_joints != joints:
+    if skeleton.num_joints != joints:
         raise InputError(
-            f"{path}: the file has {told} and the body has {given.num_joints} joints; give a body with the same joints."
+            f"{path}: the file has {told} and the body has {skeleton.num_joints} joints; give a body with the same joints."
         )
-    if joints in TREES and given.parents != TREES[joints]:
-        wrong = next(j for j in range(joints) if given.parents[j] != TREES[joints][j])
+    if joints in SMPL_PARENTS and skeleton.parents != SMPL_PARENTS[joints]:
+        wrong = next(j for j in range(joints) if skeleton.parents[j] != SMPL_PARENTS[joints][j])
         raise InputError(
-            f"{path}: the file has {told}, but joint {wrong} of the body, '{given.names[wrong]}', has another parent "
+            f"{path}: the file has {told}, but joint {wrong} of the body, '{skeleton.names[wrong]}', has another parent "
             f"than in {what}; give a body with its joints in that order."
         )
-    return given
+    return skeleton
 
 
 def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
-    found = next((arrays[name] for name in _RATES if name in arrays), None)
+    found = next((arrays[name] for name in _RATE_KEYS if name in arrays), None)
     if found is None:
         raise InputError(
-            f"{path}: the arrays '{_RATES[0]}' and '{_RATES[1]}' are missing; add one of them, as the rate is unknown."
+            f"{path}: the arrays '{_RATE_KEYS[0]}' and '{_RATE_KEYS[1]}' are missing; add one of them, as the rate is unknown."
         )
     if found.size != 1 or found.dtype.kind not in "iuf":
         raise InputError(

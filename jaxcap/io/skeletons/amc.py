@@ -11,13 +11,21 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...errors import InputError
-from ..system.door import reads
-from ..text import check_rate, float_table, numbered_lines, parse_floats, parse_int, read_text, shortened
+from ..system.door import reader_of
+from ..text import (
+    check_rate,
+    numbered_lines,
+    parse_float_table,
+    parse_floats,
+    parse_int,
+    read_text,
+    shortened,
+)
 from .asf import Asf
 
 
 @checked
-@reads("an Acclaim motion")
+@reader_of("an Acclaim motion")
 def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
     """Read a motion of the skeleton `asf`, as poses of `asf.skeleton`.
 
@@ -39,14 +47,14 @@ def read_amc(path: str | Path, asf: Asf, rate: float = 120.0) -> Motion:
         raise InputError(
             f"{path}: no bone of the .asf file has degrees of freedom; give the .asf file of this motion."
         )
-    values = _regular(rows, counts, path)
+    values = _parse_table(rows, counts, path)
     if values is None:
-        values = _irregular(rows, counts, path)
+        values = _parse_lines(rows, counts, path)
     degrees = "degrees" in header or (asf.degrees and "radians" not in header)
     return _motion(values, asf, np.pi / 180 if degrees else 1.0, rate)
 
 
-def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray] | None:
+def _parse_table(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray] | None:
     """Parse a file with one order of bones in all frames to values by bone, `(F, dofs)`.
 
     None for any other file.
@@ -68,7 +76,7 @@ def _regular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[
             return None
         columns.append(range(column + 1, column + 1 + len(rest)))
         column += 1 + len(rest)
-    numbers = float_table([row[i] for row in table for part in (range(1), *columns) for i in part])
+    numbers = parse_float_table([row[i] for row in table for part in (range(1), *columns) for i in part])
     if numbers is None or not all(row[0].isdecimal() for row in table):
         return None
     numbers = numbers.reshape(len(table), -1)
@@ -86,7 +94,7 @@ def _check_order(frames: Sequence[float | int], path: str | Path) -> None:
             )
 
 
-def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray]:
+def _parse_lines(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dict[str, np.ndarray]:
     """Parse a file line by line to values by bone: bones in any order, and every error with its line."""
     frames: list[dict[str, list[float]]] = []
     order: list[int] = []
@@ -130,7 +138,7 @@ def _irregular(rows: list[tuple[int, str]], counts: dict[str, int], path) -> dic
     return {name: np.array([frame[name] for frame in frames]) for name in counts}
 
 
-def _motion(values: dict[str, np.ndarray], asf: Asf, turn: float, rate: float) -> Motion:
+def _motion(values: dict[str, np.ndarray], asf: Asf, radians_per_unit: float, rate: float) -> Motion:
     skeleton = asf.skeleton
     place = {name: joint for joint, name in enumerate(skeleton.names)}
     frames = len(next(iter(values.values())))
@@ -141,7 +149,7 @@ def _motion(values: dict[str, np.ndarray], asf: Asf, turn: float, rate: float) -
         turns = [i for i, dof in enumerate(dofs) if dof[0] == "r"]
         if turns:
             order = "".join(dofs[i][1] for i in turns)
-            moved = Rotation.from_euler(order, numbers[:, turns] * turn)
+            moved = Rotation.from_euler(order, numbers[:, turns] * radians_per_unit)
             frame = Rotation.from_matrix(asf.frames[name])
             rotations[:, joint] = (frame * moved * frame.inv()).as_quat(canonical=True, scalar_first=True)
         for i, dof in enumerate(dofs):

@@ -19,9 +19,9 @@ from ...body.limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
 from ...body.limits.limits import JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import numbered_lines, parse_floats, read_text, shortened
-from .twist_axes import END, twist_orientations
+from .twist_axes import END_SUFFIX, twist_orientations
 
 _KINDS = ("fixed", "revolute", "universal", "ball")
 
@@ -48,7 +48,7 @@ class Asf(NamedTuple):
 
 
 @checked
-@reads("an Acclaim skeleton")
+@reader_of("an Acclaim skeleton")
 def read_asf(path: str | Path) -> Asf:
     """Read an Acclaim skeleton. Lengths are inches divided by the file's `length` unit.
 
@@ -108,7 +108,7 @@ def read_asf(path: str | Path) -> Asf:
                 raise InputError(
                     f"{path}:{bone['limits'][0]}: '{shortened(name)}' has {len(dofs[name])} dofs but {len(pairs) / 2:g} limits; expected one for each dof."
                 )
-            limits[name] = _finite(np.sort(pairs.reshape(-1, 2), 1), f"{path}:{bone['limits'][0]}", name)
+            limits[name] = _make_finite(np.sort(pairs.reshape(-1, 2), 1), f"{path}:{bone['limits'][0]}", name)
     order = _root_first(parents)
     position = (
         np.array(_vector(root, "position", "root", path)) * metres if "position" in root else np.zeros(3)
@@ -130,7 +130,7 @@ def read_asf(path: str | Path) -> Asf:
         rows.append((name, place[above], _KINDS[rotations], ends[above]))
     for name in order[1:]:
         if name not in inner:
-            rows.append((name + END, place[name], "fixed", ends[name]))
+            rows.append((name + END_SUFFIX, place[name], "fixed", ends[name]))
     names, above, kinds, centres = zip(*rows, strict=True)
     axes = np.tile(np.eye(3)[:2], (len(rows), 1, 1))
     for joint, name in enumerate(names):
@@ -233,7 +233,7 @@ def _bounds(words: list[str], where: str, name: str) -> list[float]:
     ]
 
 
-def _finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.ndarray, "D 2"]:
+def _make_finite(pairs: Float[np.ndarray, "D 2"], where: str, name: str) -> Float[np.ndarray, "D 2"]:
     """Replace infinite ends of angle ranges, and clip ranges to two turns, more than any joint rotates.
 
     An open end becomes half a turn, or half a turn from the given end if that is further. Raises `InputError`

@@ -16,12 +16,12 @@ from ...metrics import joint_errors
 from ..archives.archive import array_names
 from ..archives.npz import load_motion, load_skeleton
 from ..registry import read_motion
-from ..system.door import reads
-from .amass import SAME_BODY, is_amass, read_amass
+from ..system.door import reader_of
+from .amass import MAX_REST_DISTANCE, is_amass, read_amass
 
 
-@reads("a motion")
-def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
+@reader_of("a motion")
+def read_body_motion(body: Body, path: Path, unit: str | None = None) -> Motion:
     """Read a motion of a body; joints of a BVH file, with lengths in `unit`, are matched by name.
 
     **Raises:** `InputError` if the file is invalid or belongs to another body.
@@ -32,7 +32,7 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
         motion = load_motion(path, body.skeleton)
         # a motion may have been saved without its skeleton
         if "centres" in array_names(path):
-            _check_near(path, rest_distance(body.skeleton, load_skeleton(path)))
+            _check_distance(path, rest_distance(body.skeleton, load_skeleton(path)))
         return motion
     skeleton, motion = read_motion(path, unit)
     target = body.skeleton
@@ -63,13 +63,13 @@ def read_motion_of(body: Body, path: Path, unit: str | None = None) -> Motion:
     here = np.asarray(joint_paths(target, poses))[:, [target.names.index(name) for name in shared]]
     # a file with other joints may have another rest pose, so positions in the motion are compared
     there = there[:, [skeleton.names.index(name) for name in shared]]
-    _check_near(path, float(joint_errors(here, there).max()))
+    _check_distance(path, float(joint_errors(here, there).max()))
     return Motion(poses, motion.rate)
 
 
-def _check_near(path: Path, apart: float) -> None:
-    if apart > SAME_BODY:
+def _check_distance(path: Path, distance: float) -> None:
+    if distance > MAX_REST_DISTANCE:
         raise InputError(
-            f"{path}: this motion belongs to another skeleton: its joints differ by up to {1000 * apart:.0f} mm "
+            f"{path}: this motion belongs to another skeleton: its joints differ by up to {1000 * distance:.0f} mm "
             "from those of the body; retarget it with `jaxcap edit retarget`."
         )

@@ -21,16 +21,16 @@ from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
-from ..system.door import reads
-from ..text import RATES, float_table, parse_floats, parse_int, read_text, shortened, unit_scale
+from ..system.door import reader_of
+from ..text import RATE_RANGE, parse_float_table, parse_floats, parse_int, read_text, shortened, unit_scale
 from .bvh_writer import BvhWriter, write_bvh
-from .twist_axes import END, twist_orientations
+from .twist_axes import END_SUFFIX, twist_orientations
 
 __all__ = ["BvhWriter", "read_bvh", "write_bvh"]
 
 _CHANNEL = re.compile(r"([xyz])(position|rotation)$", re.IGNORECASE)
 #: largest number of frames of a motion without channels
-MOST_STILL = 100_000
+MAX_STATIC_FRAMES = 100_000
 _KINDS = ("fixed", "revolute", "universal", "ball")
 
 
@@ -44,7 +44,7 @@ class _Joint(NamedTuple):
 
 
 @checked
-@reads("a BVH file")
+@reader_of("a BVH file")
 def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Motion]:
     """Read the skeleton of a BVH file in metres, and its motion.
 
@@ -58,9 +58,9 @@ def read_bvh(path: str | Path, unit: str | float = "cm") -> tuple[Skeleton, Moti
     start = next((i for i, (_, line) in enumerate(lines) if line.strip().lower() == "motion"), None)
     if start is None:
         raise InputError(f"{path}: the file has no MOTION section; it is incomplete.")
-    joints = _Hierarchy(lines[:start], path).joints()
+    joints = _HierarchyParser(lines[:start], path).joints()
     values, rate = _motion(lines[start + 1 :], sum(len(joint.channels) for joint in joints), path)
-    return _assemble(joints, values, rate, metres)
+    return _make_motion(joints, values, rate, metres)
 
 
 def _lines(text: str) -> list[tuple[int, str]]:
@@ -76,7 +76,7 @@ def _lines(text: str) -> list[tuple[int, str]]:
     return lines
 
 
-class _Hierarchy:
+class _HierarchyParser:
     """A parser of the joint tree: words and braces with their lines, in any layout."""
 
     def __init__(self, lines: list[tuple[int, str]], path):
@@ -103,13 +103,13 @@ class _Hierarchy:
 
     def joint(self, found: list[_Joint]) -> None:
         """Parse one joint with its descendants; with a stack, because chains may be long."""
-        stack = [self.open(found, -1)]
+        stack = [self.parse_joint_header(found, -1)]
         while stack:
             number, word = self.take("'}'")
             if word == "}":
                 stack.pop()
             elif word.lower() == "joint":
-                stack.append(self.open(found, stack[-1]))
+                stack.append(self.parse_joint_header(found, stack[-1]))
             elif word.lower() == "end":
                 self.expect("Site", "'Site'")
                 self.end_site(found, stack[-1])
@@ -119,7 +119,7 @@ class _Hierarchy:
                     f"'{shortened(found[stack[-1]].name)}'; expected JOINT, End Site or '}}'."
                 )
 
-    def open(self, found: list[_Joint], parent: int) -> int:
+    def parse_joint_header(self, found: list[_Joint], parent: int) -> int:
         name, line = self.name()
         if name in self.lines:
             raise InputError(
@@ -148,11 +148,11 @@ class _Hierarchy:
         offset = self.floats(3, f"the End Site of '{found[parent].name}'")
         self.expect("}", "'}'")
         if any(offset):
-            name = found[parent].name + END
+            name = found[parent].name + END_SUFFIX
             count = self.ends.get(parent, 1)
             while name in self.lines:
                 count += 1
-                name = f"{found[parent].name}{END}{count}"
+                name = f"{found[parent].name}{END_SUFFIX}{count}"
             self.ends[parent], self.lines[name] = count, number
             found.append(_Joint(name, parent, number, offset, []))
 
@@ -220,19 +220,19 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
             f"{path}: 'Frames:' and 'Frame Time:' are missing after MOTION; the file is cut short."
         )
     (first, frames), (second, time), *rows = lines
-    word = _setting(frames, "frames", f"{path}:{first}", "Frames: <number>")
+    word = _parse_setting(frames, "frames", f"{path}:{first}", "Frames: <number>")
     count = parse_int(word, f"{path}:{first}", "the number of Frames")
-    word = _setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
+    word = _parse_setting(time, "frame time", f"{path}:{second}", "Frame Time: <seconds>")
     seconds = parse_floats([word], f"{path}:{second}", "the Frame Time")[0]
     if not (seconds > 0 and count >= 0):
         raise InputError(
             f"{path}:{second}: there are {count} frames of {seconds:g} seconds each; expected at least 0 frames, and a time above 0."
         )
-    if not 1 / RATES[1] <= seconds <= 1 / RATES[0]:
+    if not 1 / RATE_RANGE[1] <= seconds <= 1 / RATE_RANGE[0]:
         raise InputError(
-            f"{path}:{second}: the Frame Time is {seconds:g} seconds; expected {1 / RATES[1]:g} to {1 / RATES[0]:g}."
+            f"{path}:{second}: the Frame Time is {seconds:g} seconds; expected {1 / RATE_RANGE[1]:g} to {1 / RATE_RANGE[0]:g}."
         )
-    if width == 0 and count > MOST_STILL:
+    if width == 0 and count > MAX_STATIC_FRAMES:
         raise InputError(
             f"{path}:{first}: there are {count} frames, but the joints have no CHANNELS and do not move; remove the frames."
         )
@@ -251,7 +251,7 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
             f"{path}:{rows[-1][0] if rows else second}: there are {total} numbers for {count} frames of {width} "
             f"channels, which suffice for {total / max(width, 1):.4g} frames; {ending}."
         )
-    values = float_table([word for line in words for word in line])
+    values = parse_float_table([word for line in words for word in line])
     if values is None:
         # again line by line, for the line number in the error
         read = [
@@ -265,7 +265,7 @@ def _motion(lines: list[tuple[int, str]], width: int, path) -> tuple[np.ndarray,
     return values.reshape(count, width), rate
 
 
-def _setting(line: str, name: str, where: str, wanted: str) -> str:
+def _parse_setting(line: str, name: str, where: str, wanted: str) -> str:
     """Return the single word after a name and an optional colon. Raises `InputError`."""
     words = line.replace(":", " ").lower().split()
     known = name.split()
@@ -274,7 +274,7 @@ def _setting(line: str, name: str, where: str, wanted: str) -> str:
     return words[-1]
 
 
-def _assemble(
+def _make_motion(
     joints: list[_Joint], values: np.ndarray, rate: float, metres: float
 ) -> tuple[Skeleton, Motion]:
     frames, count = len(values), len(joints)

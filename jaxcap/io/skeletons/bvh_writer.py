@@ -16,17 +16,17 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
-from ...errors import InputError, sentence_of
-from ..system.atomic import replacing
+from ...errors import InputError, user_message
+from ..system.atomic import atomic_path
 from ..text import unit_scale
-from .twist_axes import is_end
+from .twist_axes import is_end_joint
 
-_ROTATIONS = "Zrotation Xrotation Yrotation"
-_POSITIONS = "Xposition Yposition Zposition"
+_ROTATION_CHANNELS = "Zrotation Xrotation Yrotation"
+_POSITION_CHANNELS = "Xposition Yposition Zposition"
 #: digits reserved for the number of frames, which is unknown until the end
-_WIDTH = 10
+_COUNT_WIDTH = 10
 #: frames that are written at once
-_AT_ONCE = 1000
+_FRAMES_PER_WRITE = 1000
 
 
 @checked
@@ -40,7 +40,7 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
     """
     path = Path(path)
     scales = np.asarray(motion.poses.scale)
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         try:
             with BvhWriter(
                 beside, skeleton, motion.rate, unit, float(scales[0]) if len(scales) else 1.0
@@ -49,11 +49,11 @@ def write_bvh(path: str | Path, skeleton: Skeleton, motion: Motion, unit: str | 
                     np.asarray(motion.poses.translations),
                     np.asarray(motion.poses.rotations),
                 )
-                for start in range(0, len(scales), _AT_ONCE):
-                    some = slice(start, start + _AT_ONCE)
+                for start in range(0, len(scales), _FRAMES_PER_WRITE):
+                    some = slice(start, start + _FRAMES_PER_WRITE)
                     writer.write_arrays(translations[some], rotations[some], scales[some], count=False)
         except InputError as error:
-            raise InputError(sentence_of(error).replace(str(beside), str(path))) from None
+            raise InputError(user_message(error).replace(str(beside), str(path))) from None
 
 
 class BvhWriter:
@@ -112,10 +112,11 @@ class BvhWriter:
             raise InputError(
                 f"{path}: this file cannot be continued ({error.strerror}); start a new file."
             ) from None
-        size = len(self._header) + _WIDTH + len(self._time)
+        size = len(self._header) + _COUNT_WIDTH + len(self._time)
         start = self._file.read(size)
         same = (
-            start[: len(self._header)] == self._header and start[len(self._header) + _WIDTH :] == self._time
+            start[: len(self._header)] == self._header
+            and start[len(self._header) + _COUNT_WIDTH :] == self._time
         )
         if not same:
             self._file.close()
@@ -134,7 +135,7 @@ class BvhWriter:
             self._file.close()
             raise InputError(f"{path}: the file has {self.frames} complete frames; expected {frames}.")
         if self.frames:
-            self._previous = self._angles_of(last)
+            self._previous = self._parse_angles(last)
         self._file.seek(end)
         self._file.truncate()
         self._rewrite_count()
@@ -164,10 +165,10 @@ class BvhWriter:
         self._check(translations, scales)
         turned = np.asarray(rotations, float)[:, self._order]
         matrices = Rotation.from_quat(turned.reshape(-1, 4), scalar_first=True).as_matrix()
-        angles = _euler(matrices.reshape(*turned.shape[:2], 3, 3), self._previous)
+        angles = _continuous_euler_angles(matrices.reshape(*turned.shape[:2], 3, 3), self._previous)
         self._previous = angles[-1]
-        moves = self._moves[self._order]
-        places = (self._places + translations[:, self._order]) * self._factor
+        moves = self._is_translating[self._order]
+        places = (self._offsets + translations[:, self._order]) * self._factor
         numbers = np.concatenate([places, np.degrees(angles)], 2)
         # positions of the joints that translate, and rotations of all
         rows = numbers[:, np.stack([moves, np.ones_like(moves)], 1).repeat(3, 1)]
@@ -198,7 +199,7 @@ class BvhWriter:
                 f"{self.path}: frame {self.frames + first} has the scale {scales[first]:g} and the file "
                 f"{self.scale:g}; BVH has one scale for all frames."
             )
-        still = np.abs(np.where(self._moves[:, None], 0.0, translations)).max(2)
+        still = np.abs(np.where(self._is_translating[:, None], 0.0, translations)).max(2)
         wrong = still.max(1) > 1e-6
         if wrong.any():
             first = int(wrong.argmax())
@@ -213,24 +214,25 @@ class BvhWriter:
         self._skeleton = skeleton
         self._factor = scale / unit_scale(unit)
         kinds, parents = np.array(skeleton.kinds), np.array(skeleton.parents)
-        self._moves = np.isin(kinds, ["translate", "free"]) | (parents < 0)
-        header, self._order = _hierarchy(skeleton, self._factor, self._moves)
+        self._is_translating = np.isin(kinds, ["translate", "free"]) | (parents < 0)
+        header, self._order = _hierarchy(skeleton, self._factor, self._is_translating)
         centres = np.asarray(skeleton.centres, float)
-        self._places = (centres - np.where(parents[:, None] < 0, 0.0, centres[parents]))[self._order]
-        self._width = int(3 * len(self._order) + 3 * self._moves[self._order].sum())
+        self._offsets = (centres - np.where(parents[:, None] < 0, 0.0, centres[parents]))[self._order]
+        self._width = int(3 * len(self._order) + 3 * self._is_translating[self._order].sum())
         self._previous = np.zeros((len(self._order), 3))
         self._header = (header + "MOTION\nFrames: ").encode()
         self._time = f"\nFrame Time: {1.0 / rate:.10g}\n".encode()
 
-    def _angles_of(self, line: bytes) -> np.ndarray:
+    def _parse_angles(self, line: bytes) -> np.ndarray:
         numbers = iter(line.split())
         rows = [
-            [float(next(numbers)) for _ in range(6 if moves else 3)] for moves in self._moves[self._order]
+            [float(next(numbers)) for _ in range(6 if moves else 3)]
+            for moves in self._is_translating[self._order]
         ]
         return np.radians([row[-3:] for row in rows])
 
     def _count(self, frames: int) -> bytes:
-        return f"{frames:>{_WIDTH}d}".encode()
+        return f"{frames:>{_COUNT_WIDTH}d}".encode()
 
     def _rewrite_count(self) -> None:
         # the frame first, so that the count never includes a missing one
@@ -242,11 +244,11 @@ class BvhWriter:
         self._file.flush()
 
 
-def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[str, np.ndarray]:
+def _hierarchy(skeleton: Skeleton, factor: float, is_translating: np.ndarray) -> tuple[str, np.ndarray]:
     """Build the HIERARCHY section, and return it with the joints in its order, without End Sites."""
     names, parents = skeleton.names, skeleton.parents
     centres = np.asarray(skeleton.centres, float)
-    ends = [is_end(names, parents, skeleton.kinds, joint) for joint in range(len(names))]
+    ends = [is_end_joint(names, parents, skeleton.kinds, joint) for joint in range(len(names))]
     for name in names:
         if any(letter in name for letter in "{}\r\n") or name != name.strip() or not name:
             raise InputError(
@@ -267,7 +269,11 @@ def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[st
             lines += [indent + "End Site", indent + "{", f"{indent}\t{offset}", indent + "}"]
             continue
         order.append(joint)
-        channels = f"CHANNELS 6 {_POSITIONS} {_ROTATIONS}" if moves[joint] else f"CHANNELS 3 {_ROTATIONS}"
+        channels = (
+            f"CHANNELS 6 {_POSITION_CHANNELS} {_ROTATION_CHANNELS}"
+            if is_translating[joint]
+            else f"CHANNELS 3 {_ROTATION_CHANNELS}"
+        )
         lines += [f"{indent}{'ROOT' if depth == 0 else 'JOINT'} {names[joint]}", indent + "{"]
         lines += [f"{indent}\t{offset}", f"{indent}\t{channels}"]
         children = [child for child in range(len(names)) if parents[child] == joint]
@@ -278,7 +284,7 @@ def _hierarchy(skeleton: Skeleton, factor: float, moves: np.ndarray) -> tuple[st
     return "\n".join(lines) + "\n", np.array(order)
 
 
-def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
+def _continuous_euler_angles(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
     """Compute continuous angles `(F, J, 3)` with `R = Rz(a) Rx(b) Ry(c)`.
 
     Of both solutions and all full rotations, the angles nearest to the previous frame are chosen; `previous`
@@ -290,17 +296,17 @@ def _euler(r: np.ndarray, previous: np.ndarray) -> np.ndarray:
     a = np.arctan2(-r[..., 0, 1], r[..., 1, 1])
     b = np.arctan2(r[..., 2, 1], cosine)
     angles = np.empty((*r.shape[:2], 3))
-    for frame, here in enumerate(_triples(r, a, b)):
+    for frame, here in enumerate(_euler_solutions(r, a, b)):
         if locked[frame].any():
             kept = np.where(locked[frame], previous[:, 0], a[frame])
-            here = next(_triples(r[frame, None], kept[None], b[frame, None]))
+            here = next(_euler_solutions(r[frame, None], kept[None], b[frame, None]))
         both = here - 2 * np.pi * np.round((here - previous) / (2 * np.pi))
         far = np.abs(both - previous).sum(-1)
         previous = angles[frame] = np.where((far[1] < far[0] - 1e-9)[:, None], both[1], both[0])
     return angles
 
 
-def _triples(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
+def _euler_solutions(r: np.ndarray, a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
     """Yield both solutions for the angles of each frame, `(2, J, 3)`, from the first two angles of one."""
     # from the rotation that remains after Z, so that the product is exact even if a is ill-conditioned
     c = np.arctan2(

@@ -18,16 +18,16 @@ import numpy as np
 
 from ...body.limits.limits import Cone, JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ..kinds import check_kind
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import Words, shortened
 
-_NUMBERS = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}
+_NUM_VALUES = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}
 
 
-class Constraints(NamedTuple):
+class CstLimits(NamedTuple):
     """The contents of a `.cst` file."""
 
     ranges: JointRanges
@@ -35,8 +35,8 @@ class Constraints(NamedTuple):
     translations: dict[str, tuple[float, float, float]] = {}  # noqa: RUF012
 
 
-@reads("joint limits")
-def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> Constraints:
+@reader_of("joint limits")
+def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> CstLimits:
     """Read the limits of a skeleton's joints.
 
     **Raises:** `InputError` with file and line, for an unknown or duplicate joint, a smallest angle above the
@@ -62,9 +62,9 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
             raise InputError(f"{where}: the joint '{name}' occurs twice; remove one of its entries.")
         seen.add(name)
         kind = skeleton.kinds[skeleton.index(name)]
-        if kind not in _NUMBERS:
+        if kind not in _NUM_VALUES:
             raise InputError(f"{where}: the joint '{name}' is {kind} and has no range; remove it.")
-        v = words.floats(_NUMBERS[kind], f"the limits of the {kind} joint '{name}'")
+        v = words.floats(_NUM_VALUES[kind], f"the limits of the {kind} joint '{name}'")
         try:
             if kind == "translate":
                 translations[name] = (v[0], v[1], v[2])
@@ -75,22 +75,22 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
                 cones[name] = Cone((v[0], v[1], v[2]), v[3] * turn, (v[4], v[5], v[6]), v[7] * turn)
                 make_joint_ranges(skeleton, None, {name: cones[name]})
         except ValueError as error:
-            raise InputError(f"{where}: {sentence_of(error)}") from None
+            raise InputError(f"{where}: {user_message(error)}") from None
     if words.left:
         extra = words.take("")
         raise InputError(
             f"{words.where}: found '{shortened(extra)}' after the {count} joints of the header; correct the number in the header."
         )
-    return Constraints(make_joint_ranges(skeleton, ranges, cones), translations)
+    return CstLimits(make_joint_ranges(skeleton, ranges, cones), translations)
 
 
 def write_cst(
-    path: str | Path, skeleton: Skeleton, constraints: Constraints, angle_unit: Literal["rad", "deg"] = "rad"
+    path: str | Path, skeleton: Skeleton, constraints: CstLimits, angle_unit: Literal["rad", "deg"] = "rad"
 ) -> None:
     """Write the limits of a skeleton's joints. Raises `InputError` if the file cannot be written."""
     ranges, turn = constraints.ranges, _radians(angle_unit)
     rows: dict[str, list] = {name: list(values) for name, values in constraints.translations.items()}
-    order = np.lexsort((np.asarray(ranges.numbers), np.asarray(ranges.joints)))
+    order = np.lexsort((np.asarray(ranges.angle_indices), np.asarray(ranges.joints)))
     for i in order:
         row = rows.setdefault(skeleton.names[int(ranges.joints[i])], [])
         row += [float(ranges.lower[i]) / turn, float(ranges.upper[i]) / turn]

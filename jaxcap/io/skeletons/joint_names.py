@@ -22,10 +22,10 @@ from pathlib import Path
 
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import read_text
 
-KIND, VERSION = "jaxcap joint names", 1
+FORMAT, VERSION = "jaxcap joint names", 1
 
 
 def write_joint_names(
@@ -35,11 +35,11 @@ def write_joint_names(
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    content = {"format": KIND, "version": VERSION, "names": dict(names), "unmatched": list(unmatched)}
+    content = {"format": FORMAT, "version": VERSION, "names": dict(names), "unmatched": list(unmatched)}
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
-@reads("a table of joints")
+@reader_of("a table of joints")
 def read_joint_names(path: str | Path) -> dict[str, str | None]:
     """Read a table that `write_joint_names` or a person wrote; unspecified joints are left out.
 
@@ -71,9 +71,9 @@ def read_joint_names(path: str | Path) -> dict[str, str | None]:
         raise InputError(f"{path}: '{twice[0]}' occurs twice in this table; write each joint once.")
     names = content
     if isinstance(content, dict) and "format" in content:
-        if content["format"] != KIND or content.get("version") != VERSION:
+        if content["format"] != FORMAT or content.get("version") != VERSION:
             raise InputError(
-                f"{path}: this is '{content['format']}' of version {content.get('version')}; expected '{KIND}' of version {VERSION}."
+                f"{path}: this is '{content['format']}' of version {content.get('version')}; expected '{FORMAT}' of version {VERSION}."
             )
         names = content.get("names")
     if not isinstance(names, dict) or not names:

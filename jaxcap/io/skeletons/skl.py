@@ -21,17 +21,17 @@ import numpy as np
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import Words, shortened, unit_scale
 from .twist_axes import with_twist_axes
 
 #: largest number of letters of a joint's name
 LONGEST_NAME = 200
 #: number of axes before the point, for each type
-TYPES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
+NUM_AXES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
 
 
-@reads("a skeleton")
+@reader_of("a skeleton")
 def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     """Read a skeleton; `unit` is that of the file's positions.
 
@@ -56,9 +56,9 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
             )
         lines[name] = words.where
         kind = words.take(f"the type of '{name}'").upper().removeprefix("KBJOINT_")
-        if kind not in TYPES:
+        if kind not in NUM_AXES:
             raise InputError(
-                f"{words.where}: '{shortened(kind)}' is not a joint type; expected {', '.join(TYPES)}."
+                f"{words.where}: '{shortened(kind)}' is not a joint type; expected {', '.join(NUM_AXES)}."
             )
         names.append(name)
         kinds[name], above[name] = kind, words.take(f"the parent of '{name}'")
@@ -74,9 +74,9 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
             raise InputError(
                 f"{words.where}: the coordinates of '{name}' occur twice; remove one of the lines."
             )
-        number = TYPES[kinds[name]]
+        number = NUM_AXES[kinds[name]]
         values = words.floats(3 * number + 3, f"the coordinates of the {kinds[name]} joint '{name}'")
-        axes[name] = _axes(np.array(values[:-3]).reshape(number, 3), values[-3:], name, words.where)
+        axes[name] = _complete_axes(np.array(values[:-3]).reshape(number, 3), values[-3:], name, words.where)
         centres[name] = np.array(values[-3:]) * metres
     for name in names:
         if name not in centres:
@@ -92,13 +92,13 @@ def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     return with_twist_axes(skeleton)
 
 
-def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
+def _check_tree(parents: dict[str, str], lines: dict[str, str]) -> None:
     """Check that every joint descends from a root, which has the parent `NULL`.
 
     Raises `InputError` with the line.
     """
     rooted: set[str] = set()
-    for name in above:
+    for name in parents:
         chain: dict[str, None] = {}
         here = name
         while here != "NULL" and here not in rooted:
@@ -109,11 +109,11 @@ def _check_tree(above: dict[str, str], lines: dict[str, str]) -> None:
                     f"{lines[here]}: the joint '{here}' descends from itself: {shortened(' <- '.join(cycle))}; correct its parent."
                 )
             chain[here] = None
-            if above[here] != "NULL" and above[here] not in above:
+            if parents[here] != "NULL" and parents[here] not in parents:
                 raise InputError(
-                    f"{lines[here]}: the parent '{shortened(above[here])}' of '{here}' is not a joint of this file; correct it."
+                    f"{lines[here]}: the parent '{shortened(parents[here])}' of '{here}' is not a joint of this file; correct it."
                 )
-            here = above[here]
+            here = parents[here]
         rooted.update(chain)
 
 
@@ -132,15 +132,15 @@ def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> 
     for joint, name in enumerate(skeleton.names):
         kind, parent = skeleton.kinds[joint].upper(), skeleton.parents[joint]
         graph.append(f"{name} {kind} {skeleton.names[parent] if parent >= 0 else 'NULL'}")
-        axes = np.asarray(skeleton.axes[joint], float)[: TYPES[kind]].ravel()
+        axes = np.asarray(skeleton.axes[joint], float)[: NUM_AXES[kind]].ravel()
         place = np.asarray(skeleton.centres[joint], float) / metres
         coordinates.append(" ".join([name, *(f"{value:.9g}" for value in (*axes, *place))]))
     write_text(path, "\n".join([f"KBSKEL {skeleton.num_joints}", *graph, *coordinates]) + "\n")
 
 
-def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.ndarray:
+def _complete_axes(file_axes: np.ndarray, point: list[float], name: str, where: str) -> np.ndarray:
     """Return (2, 3) axes, with defaults for those that the file does not give. Raises `InputError`."""
-    lengths = np.linalg.norm(given, axis=1)
+    lengths = np.linalg.norm(file_axes, axis=1)
     if (np.abs(lengths - 1) > 1e-2).any():
         swapped = abs(np.linalg.norm(point) - 1) < 1e-3
         hint = (
@@ -152,8 +152,8 @@ def _axes(given: np.ndarray, point: list[float], name: str, where: str) -> np.nd
             f"{where}: an axis of '{name}' has the length {lengths[np.argmax(abs(lengths - 1))]:.4g}; {hint}."
         )
     axes = np.eye(3)[:2]
-    axes[: len(given)] = given
-    if len(given) == 1:
+    axes[: len(file_axes)] = file_axes
+    if len(file_axes) == 1:
         # any direction other than the axis
-        axes[1] = np.roll(np.eye(3), 1, 0)[np.abs(given[0]).argmax()]
+        axes[1] = np.roll(np.eye(3), 1, 0)[np.abs(file_axes[0]).argmax()]
     return axes

@@ -12,17 +12,19 @@ import numpy as np
 from ...body.skeleton import Skeleton
 
 #: suffix of the name of a joint at the end of a chain
-END = ".end"
+END_SUFFIX = ".end"
 
 
-def is_end(names: tuple[str, ...], parents: tuple[int, ...], kinds: tuple[str, ...], joint: int) -> bool:
+def is_end_joint(
+    names: tuple[str, ...], parents: tuple[int, ...], kinds: tuple[str, ...], joint: int
+) -> bool:
     """Check that a joint is only the end of its parent: `fixed`, a leaf, named `<parent>.end`."""
     parent = parents[joint]
     return (
         parent >= 0
         and kinds[joint] == "fixed"
         and joint not in parents
-        and names[joint].startswith(names[parent] + END)
+        and names[joint].startswith(names[parent] + END_SUFFIX)
     )
 
 

@@ -12,11 +12,11 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..kinds import check_kind
 from ..system.atomic import write_text
-from ..system.door import reads
+from ..system.door import reader_of
 from ..text import read_text, shortened
 
 
-@reads("the parts of a mesh")
+@reader_of("the parts of a mesh")
 def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
     """Read the bone of each of a mesh's `num_vertices` vertices.
 

@@ -19,21 +19,21 @@ from ...body.skin import LinearSkin, RigidSkin
 from ...errors import InputError
 
 #: joints in one vertex attribute
-SET = 4
+INFLUENCES_PER_SET = 4
 
 
 class LocalFrames(NamedTuple):
     """Joints in their parents' frames; quaternions are `xyzw`."""
 
-    places: Float[np.ndarray, "*frames J 3"]
-    turns: Float[np.ndarray, "*frames J 4"]
+    positions: Float[np.ndarray, "*frames J 3"]
+    quaternions: Float[np.ndarray, "*frames J 4"]
 
 
-def check_skin(path: Path, body: Body, what: str) -> None:
-    """Check that the skin of a body is linear, as the format `what` requires. Raises `InputError`."""
+def check_linear_skin(path: Path, body: Body, format_name: str) -> None:
+    """Check that the skin of a body is linear, as the format `format_name` requires. Raises `InputError`."""
     if not isinstance(body.skin, (LinearSkin, RigidSkin)):
         raise InputError(
-            f"{path}: {what} supports linear blend skinning only, and this body has a {type(body.skin).__name__}; linearise it first."
+            f"{path}: {format_name} supports linear blend skinning only, and this body has a {type(body.skin).__name__}; linearise it first."
         )
 
 
@@ -79,7 +79,7 @@ def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
         back = above[joint].inv()
         places[:, joint] = back.apply(steps[joint] + moves[:, joint])
         turned = back * Rotation.from_quat(quaternions[:, joint], scalar_first=True) * frames[joint]
-        turns[:, joint] = _continuous(turned.as_quat(), (back * frames[joint]).as_quat())
+        turns[:, joint] = _make_continuous(turned.as_quat(), (back * frames[joint]).as_quat())
     return LocalFrames(places, turns)
 
 
@@ -102,7 +102,7 @@ def influences(
     """
     weights = weights.astype("<f4")
     most = int((weights > 0).sum(1).max(initial=1))
-    count = -(-most // SET) * SET
+    count = -(-most // INFLUENCES_PER_SET) * INFLUENCES_PER_SET
     weights = np.pad(weights, ((0, 0), (0, max(count - weights.shape[1], 0))))
     joints, chosen = strongest_bones(weights, count)
     # the strongest weight absorbs the rounding error
@@ -119,8 +119,10 @@ def _frames(skeleton: Skeleton) -> tuple[Float[np.ndarray, "J 3"], Rotation, Rot
     return steps, Rotation.from_quat(frames, scalar_first=True), Rotation.from_quat(above, scalar_first=True)
 
 
-def _continuous(turns: Float[np.ndarray, "F 4"], rest: Float[np.ndarray, "4"]) -> Float[np.ndarray, "F 4"]:
+def _make_continuous(
+    quaternions: Float[np.ndarray, "F 4"], rest: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "F 4"]:
     """Flip the signs of quaternions so that they are continuous."""
-    before = np.concatenate([rest[None], turns[:-1]])
-    flips = np.where(np.sum(before * turns, 1) < 0, -1.0, 1.0)
-    return turns * np.cumprod(flips)[:, None]
+    before = np.concatenate([rest[None], quaternions[:-1]])
+    flips = np.where(np.sum(before * quaternions, 1) < 0, -1.0, 1.0)
+    return quaternions * np.cumprod(flips)[:, None]

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from ...errors import InputError
 
 
-class Surface(NamedTuple):
+class SkinnedSurface(NamedTuple):
     """Vertices in the bind pose with skinning weights, which sum to one."""
 
     vertices: Float[np.ndarray, "V 3"]
@@ -17,7 +17,7 @@ class Surface(NamedTuple):
     weights: Float[np.ndarray, "V J"]
 
 
-def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
+def normalise_weights(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray, "V J"]:
     """Normalise weights to a sum of one.
 
     Raises `InputError` for a vertex without any; `where` names its mesh.
@@ -30,17 +30,17 @@ def as_shares(weights: Float[np.ndarray, "V J"], where: str) -> Float[np.ndarray
     return weights / total[:, None]
 
 
-def joined(parts: Sequence[Surface]) -> Surface:
+def concatenate_surfaces(parts: Sequence[SkinnedSurface]) -> SkinnedSurface:
     """Concatenate several surfaces."""
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    return Surface(
+    return SkinnedSurface(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
         np.concatenate([part.weights for part in parts]),
     )
 
 
-def sewn(surface: Surface) -> Surface:
+def merge_seams(surface: SkinnedSurface) -> SkinnedSurface:
     """Merge vertices on open edges that have the same position and weights.
 
     Programs split these along seams, as each side has its own texture coordinates or normal.
@@ -58,4 +58,4 @@ def sewn(surface: Surface) -> Surface:
     rank[order] = np.arange(len(order))
     kept, faces = first[order], rank[where.reshape(-1)][faces]
     flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    return Surface(surface.vertices[kept], faces[~flat], surface.weights[kept])
+    return SkinnedSurface(surface.vertices[kept], faces[~flat], surface.weights[kept])

@@ -12,13 +12,13 @@ from ...errors import InputError
 from .file_lock import lock_folder
 
 #: no space on the device, quota exceeded, file too large
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: suffix of temporary folders
-_ENDING = ".unfinished"
+_TEMPORARY_SUFFIX = ".unfinished"
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` if the block succeeds, remove it otherwise.
 
     The temporary file has the name of `path`, in a new folder next to it that only this user can enter
@@ -34,7 +34,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     try:
         while True:
             # file systems limit the length of names, so only the beginning is repeated
-            folder = tempfile.mkdtemp(_ENDING, f".{path.name[:64]}.", path.parent)
+            folder = tempfile.mkdtemp(_TEMPORARY_SUFFIX, f".{path.name[:64]}.", path.parent)
             # the lock shows `remove_unfinished` that the folder is in use
             lock = lock_folder(folder)
             if os.path.isdir(folder):
@@ -43,7 +43,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        mend = "free some disk space" if error.errno in FULL else "give a path in a writable folder"
+        mend = (
+            "free some disk space" if error.errno in DISK_FULL_ERRORS else "give a path in a writable folder"
+        )
         raise InputError(f"{path}: cannot be written ({error.strerror or error}); {mend}.") from None
     finally:
         if folder is not None:
@@ -59,7 +61,7 @@ def remove_unfinished(path: str | Path) -> None:
     """
     path = Path(path)
     folder, begin = (path, ".") if path.is_dir() else (path.parent, f".{path.name[:64]}.")
-    for there in folder.glob(f".*{_ENDING}"):
+    for there in folder.glob(f".*{_TEMPORARY_SUFFIX}"):
         lock = lock_folder(there) if there.name.startswith(begin) else None
         if lock is not None:
             shutil.rmtree(there, ignore_errors=True)
@@ -68,5 +70,5 @@ def remove_unfinished(path: str | Path) -> None:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file atomically. Raises `InputError` if it cannot be written."""
-    with replacing(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -5,9 +5,9 @@ import os
 from pathlib import Path
 
 #: errors of file systems without locks, such as some network drives
-_WITHOUT = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+_NO_LOCK_ERRORS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 #: the byte that Windows locks, after the text, which others must be able to read
-_FAR = 1 << 30
+_LOCK_OFFSET = 1 << 30
 
 
 def lock_open_file(file: int) -> bool | None:
@@ -19,7 +19,7 @@ def lock_open_file(file: int) -> bool | None:
         if os.name == "nt":
             import msvcrt
 
-            os.lseek(file, _FAR, os.SEEK_SET)
+            os.lseek(file, _LOCK_OFFSET, os.SEEK_SET)
             msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
             os.lseek(file, 0, os.SEEK_SET)
         else:
@@ -27,7 +27,7 @@ def lock_open_file(file: int) -> bool | None:
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        if error.errno in _WITHOUT:
+        if error.errno in _NO_LOCK_ERRORS:
             return None
         if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
             return False
@@ -36,7 +36,7 @@ def lock_open_file(file: int) -> bool | None:
     return True
 
 
-def is_at(file: int, path: str | Path) -> bool:
+def is_file_at(file: int, path: str | Path) -> bool:
     """Check that an open file is still the one at a path, and was not removed by a run that ended."""
     try:
         return os.path.samestat(os.fstat(file), os.stat(path, follow_symlinks=False))
@@ -55,7 +55,7 @@ def lock_folder(folder: str | Path) -> int | None:
         file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError:
         return None
-    if lock_open_file(file) and is_at(file, folder):
+    if lock_open_file(file) and is_file_at(file, folder):
         return file
     os.close(file)
     return None

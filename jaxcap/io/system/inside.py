@@ -29,7 +29,7 @@ def read_inside(path: str | Path, uri: str) -> bytes:
         for name in names:
             try:
                 found = folder / name
-                inside = not _leaves(name) and is_inside(path, found)
+                inside = not _leaves_folder(name) and is_inside(path, found)
                 if inside and found.is_file():
                     return found.resolve().read_bytes()
             except (OSError, ValueError, RuntimeError):
@@ -37,7 +37,7 @@ def read_inside(path: str | Path, uri: str) -> bytes:
                 continue
             leaves |= not inside
     if leaves:
-        raise outside(path, uri)
+        raise outside_folder_error(path, uri)
     raise InputError(
         f"{path}: it refers to '{_short(uri)}', and there is no such file in its folder; copy that file as well."
     )
@@ -52,7 +52,7 @@ def is_inside(path: str | Path, other: str | Path) -> bool:
     return any(found.is_relative_to(folder.resolve()) for folder in _folders(Path(path)))
 
 
-def outside(path: str | Path, uri: str) -> InputError:
+def outside_folder_error(path: str | Path, uri: str) -> InputError:
     """Return the error for a file that names another one outside of its folder."""
     return InputError(
         f"{path}: it refers to '{_short(uri)}', which is outside of its folder and is not read; move that file into the "
@@ -96,7 +96,7 @@ class InsideResolver:
         raise OSError(f"{self.path}: files cannot be written while a mesh is read.")
 
 
-def _leaves(name: str) -> bool:
+def _leaves_folder(name: str) -> bool:
     """Check for a name that is absolute on any system, has a scheme, or contains `..`."""
     return bool(re.match(r"[/\\~]|[A-Za-z][A-Za-z0-9+.-]*:", name)) or ".." in re.split(r"[/\\]", name)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from .atomic import remove_unfinished
-from .file_lock import is_at, lock_open_file
+from .file_lock import is_file_at, lock_open_file
 
 #: the lock file of a folder of results
 FOLDER_LOCK = ".jaxcap.lock"
@@ -68,13 +68,13 @@ def _take(path: Path, output: Path) -> int:
                     stacklevel=2,
                 )
                 return file
-            if free and is_at(file, path):
+            if free and is_file_at(file, path):
                 return file
             owner = b"" if free else os.read(file, 200)
             os.close(file)
             if not free:
                 raise InputError(
-                    f"{output}: another run{_name(owner)} writes to this output; wait until it ends, stop it, or give another output."
+                    f"{output}: another run{_describe_owner(owner)} writes to this output; wait until it ends, stop it, or give another output."
                 )
     except OSError as error:
         raise InputError(
@@ -82,7 +82,7 @@ def _take(path: Path, output: Path) -> int:
         ) from None
 
 
-def _name(owner: bytes) -> str:
+def _describe_owner(owner: bytes) -> str:
     """Describe the process that a lock file names, with its computer if that is another one."""
     number, _, computer = owner.decode("utf-8", "replace").strip().partition(" ")
     if not number.isdigit():

@@ -10,20 +10,20 @@ from pathlib import Path
 from ...errors import InputError
 
 
-def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float, instead: str) -> bytes:
+def run_program(program: Path, path: Path, modules: tuple[str, ...], time_limit: float, advice: str) -> bytes:
     """Run a program on a file in a new process of the same Python, which imports `modules` and nothing else.
 
     This is a plain program and not `multiprocessing`, which imports the caller's `__main__` again or copies
-    its threads. Messages name the first of `modules` as the library; `instead` is the advice if no process
+    its threads. Messages name the first of `modules` as the library; `advice` is the advice if no process
     can be started.
 
-    **Raises:** `Ended` if the program fails or does not end; `InputError` if there is no Python to start;
+    **Raises:** `ProcessFailed` if the program fails or does not end; `InputError` if there is no Python to start;
     `ImportError` if a module is not installed.
     """
     try:
         done = subprocess.run(
             [
-                _python(path, modules[0], instead),
+                _python(path, modules[0], advice),
                 "-I",
                 "-S",
                 str(program),
@@ -32,36 +32,40 @@ def run_program(program: Path, path: Path, modules: tuple[str, ...], wait: float
             ],
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=wait,
+            timeout=time_limit,
             # one thread: threads of BLAS, which is not used, take a large share of the allowed memory
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
     except subprocess.TimeoutExpired:
-        raise Ended(f"{modules[0]} does not end within {wait:.0f} s") from None
+        raise ProcessFailed(f"{modules[0]} does not end within {time_limit:.0f} s") from None
     except OSError as error:
         raise InputError(
             f"{path}: the process that reads it cannot be started ({error.strerror or error}); close other programs, or "
-            f"{instead}."
+            f"{advice}."
         ) from None
     if done.returncode:
-        raise Ended(_ending(modules[0], done.returncode, done.stderr))
+        raise ProcessFailed(_describe_failure(modules[0], done.returncode, done.stderr))
     return done.stdout
 
 
-class Ended(Exception):
+class ProcessFailed(Exception):
     """The failure of a program; the message describes it in a few words."""
 
 
-def _ending(library: str, code: int, said: bytes) -> str:
+def _describe_failure(library: str, code: int, stderr: bytes) -> str:
     """Describe how a process failed, in a few words."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         if name == "SIGXCPU":
             return f"{library} does not end with this file"
         return f"{library} crashes with this file, {name}"
-    lines = said.decode("utf-8", "replace").strip().splitlines()
-    return f"{library} fails with this file, {lines[-1]}" if lines else f"{library} crashes with this file, code {code:#x}"
+    lines = stderr.decode("utf-8", "replace").strip().splitlines()
+    return (
+        f"{library} fails with this file, {lines[-1]}"
+        if lines
+        else f"{library} crashes with this file, code {code:#x}"
+    )
 
 
 def _folders(modules: tuple[str, ...]) -> list[str]:
@@ -75,7 +79,7 @@ def _folders(modules: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _python(path: Path, library: str, instead: str) -> str:
+def _python(path: Path, library: str, advice: str) -> str:
     """Return the path of the running Python. Raises `InputError` if Python is embedded in another program."""
     names = [sys.executable, getattr(sys, "_base_executable", "")]
     names += [os.path.join(sys.exec_prefix, "bin", "python3"), os.path.join(sys.exec_prefix, "python.exe")]
@@ -84,5 +88,5 @@ def _python(path: Path, library: str, instead: str) -> str:
             if name and "py" in os.path.basename(name).lower() and os.path.isfile(name):
                 return name
     raise InputError(
-        f"{path}: {library} reads files in a separate process, and no Python program was found to start it; {instead}."
+        f"{path}: {library} reads files in a separate process, and no Python program was found to start it; {advice}."
     )

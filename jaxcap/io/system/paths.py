@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import InputError
-from ..kinds import wrong_kind
+from ..kinds import wrong_kind_error
 from ..meshes.mesh import SUFFIXES
 
 #: the number in a printf pattern
@@ -19,14 +19,14 @@ def find_files(
     first: int | None = None,
     last: int | None = None,
     *,
-    whole: bool = True,
-    also: Sequence[str] = (),
+    check_gaps: bool = True,
+    extra_suffixes: Sequence[str] = (),
 ) -> list[Path]:
     """Find mesh files in the order of the numbers in their names.
 
     **Arguments:** `source` is a printf pattern (`cloud_%03d.off`), a glob, a folder, or one file. `first` and
-    `last`, both included, are the numbers in a pattern, and otherwise files counted from 0. With `whole`, no
-    number may be missing. `also` are suffixes, besides those of meshes, that are accepted.
+    `last`, both included, are the numbers in a pattern, and otherwise files counted from 0. With `check_gaps`, no
+    number may be missing. `extra_suffixes` are suffixes, besides those of meshes, that are accepted.
 
     **Raises:** `InputError` if nothing is found, or a number is missing.
     """
@@ -34,19 +34,19 @@ def find_files(
     if _NUMBER.search(text):
         return _pattern(text, first, last)
     if Path(text).is_dir():
-        found = _folder(Path(text), (*SUFFIXES, *also))
+        found = _folder(Path(text), (*SUFFIXES, *extra_suffixes))
     elif glob.has_magic(text) and not Path(text).is_file():
-        found = sorted((Path(path) for path in glob.glob(text)), key=_natural)
+        found = sorted((Path(path) for path in glob.glob(text)), key=_natural_sort_key)
         if not found:
             raise InputError(f"{text}: no file matches this pattern; check the path.")
     else:
         if not Path(text).is_file():
-            raise wrong_kind(text, "a mesh or a cloud", (*SUFFIXES, *also))
+            raise wrong_kind_error(text, "a mesh or a cloud", (*SUFFIXES, *extra_suffixes))
         found = [Path(text)]
     for path in found:
-        if path.suffix.lower() not in (*SUFFIXES, *also):
-            raise wrong_kind(path, "a mesh or a cloud", (*SUFFIXES, *also))
-    return cut(_whole(found) if whole else found, first, last, text)
+        if path.suffix.lower() not in (*SUFFIXES, *extra_suffixes):
+            raise wrong_kind_error(path, "a mesh or a cloud", (*SUFFIXES, *extra_suffixes))
+    return select_range(_check_no_gaps(found) if check_gaps else found, first, last, text)
 
 
 def order_files(
@@ -59,15 +59,15 @@ def order_files(
     **Raises:** `InputError` if a file is not a mesh file or is given twice, or a number is missing.
     """
     for source in sources:
-        _check_one_of_many(Path(source), len(sources))
-    paths = sorted(map(Path, sources), key=_natural)
+        _check_single_frame(Path(source), len(sources))
+    paths = sorted(map(Path, sources), key=_natural_sort_key)
     for path, after in itertools.pairwise(paths):
         if path == after:
             raise InputError(f"{path}: this file is given twice; each file is one frame.")
-    return cut(_whole(paths), first, last, f"{paths[0]} to {paths[-1].name}")
+    return select_range(_check_no_gaps(paths), first, last, f"{paths[0]} to {paths[-1].name}")
 
 
-def cut(items: list, first: int | None, last: int | None, where: str) -> list:
+def select_range(items: list, first: int | None, last: int | None, where: str) -> list:
     """Return items `first` to `last`, both included. Raises `InputError` if they do not exist."""
     start, end = first or 0, len(items) - 1 if last is None else last
     if not items:
@@ -79,7 +79,7 @@ def cut(items: list, first: int | None, last: int | None, where: str) -> list:
     return items[start : end + 1]
 
 
-def _check_one_of_many(path: Path, count: int) -> None:
+def _check_single_frame(path: Path, count: int) -> None:
     """Check that a file is a single frame. Raises `InputError`."""
     text, suffix = str(path), path.suffix.lower()
     many = {"a folder": path.is_dir(), "a pattern": bool(glob.has_magic(text) or _NUMBER.search(text))}
@@ -93,7 +93,7 @@ def _check_one_of_many(path: Path, count: int) -> None:
     if suffix == ".npz":
         raise InputError(f"{path}: an .npz contains a whole sequence; give it as the only source.")
     if suffix not in SUFFIXES:
-        raise wrong_kind(path, "a mesh or a cloud", SUFFIXES)
+        raise wrong_kind_error(path, "a mesh or a cloud", SUFFIXES)
 
 
 def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
@@ -129,7 +129,8 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
 
 def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     paths = sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in suffixes_read and p.is_file()), key=_natural
+        (p for p in folder.iterdir() if p.suffix.lower() in suffixes_read and p.is_file()),
+        key=_natural_sort_key,
     )
     suffixes = sorted({path.suffix.lower() for path in paths})
     if not paths:
@@ -143,7 +144,7 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     return paths
 
 
-def _whole(paths: list[Path]) -> list[Path]:
+def _check_no_gaps(paths: list[Path]) -> list[Path]:
     """Check that no file is missing among names that differ in one number, and return the paths.
 
     If a gap between numbers is not a multiple of the smallest one, the numbers are no frame counts but, for
@@ -165,7 +166,7 @@ def _whole(paths: list[Path]) -> list[Path]:
     return paths
 
 
-def _natural(path: Path) -> list:
+def _natural_sort_key(path: Path) -> list:
     """Return a sort key that puts 2 before 10."""
     return [
         (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word

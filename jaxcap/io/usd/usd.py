@@ -20,8 +20,15 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..meshes.mesh import vertex_normals
-from ..skinned.skinned import bind_frames, check_motion, check_skin, influences, moving_frames, rest_frames
-from ..system.atomic import replacing
+from ..skinned.skinned import (
+    bind_frames,
+    check_linear_skin,
+    check_motion,
+    influences,
+    moving_frames,
+    rest_frames,
+)
+from ..system.atomic import atomic_path
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
@@ -49,14 +56,14 @@ def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> Non
         raise InputError(
             f"{path}: writing USD needs the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
         ) from None
-    check_skin(path, body, "USD")
+    check_linear_skin(path, body, "USD")
     check_motion(path, body.skeleton, motion)
     # OpenUSD creates files in the folder it chooses; only a successful result is moved to `path`
-    with replacing(path) as beside, tempfile.TemporaryDirectory() as folder:
+    with atomic_path(path) as beside, tempfile.TemporaryDirectory() as folder:
         layer, package = Path(folder) / path.with_suffix(".usdc").name, Path(folder) / path.name
         try:
             stage = Usd.Stage.CreateNew(str(layer if path.suffix.lower() == ".usdz" else package))
-            _fill(stage, body, motion)
+            _write_stage(stage, body, motion)
             stage.GetRootLayer().Save()
             if path.suffix.lower() == ".usdz":
                 UsdUtils.CreateNewUsdzPackage(str(layer), str(package))
@@ -67,7 +74,7 @@ def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> Non
         beside.write_bytes(made)
 
 
-def _fill(stage: "Usd.Stage", body: Body, motion: Motion | None) -> None:
+def _write_stage(stage: "Usd.Stage", body: Body, motion: Motion | None) -> None:
     from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -86,7 +93,7 @@ def _fill(stage: "Usd.Stage", body: Body, motion: Motion | None) -> None:
         Vt.Matrix4dArray(
             [
                 Gf.Matrix4d(1.0).SetRotate(Gf.Quatd(turn[3], *turn[:3])).SetTranslateOnly(Gf.Vec3d(*place))
-                for place, turn in zip(rest.places.tolist(), rest.turns.tolist(), strict=True)
+                for place, turn in zip(rest.positions.tolist(), rest.quaternions.tolist(), strict=True)
             ]
         )
     )
@@ -96,7 +103,7 @@ def _fill(stage: "Usd.Stage", body: Body, motion: Motion | None) -> None:
         stage.SetFramesPerSecond(motion.rate)
         stage.SetStartTimeCode(0)
         stage.SetEndTimeCode(motion.num_frames - 1)
-        _animate(stage, skeleton, body.skeleton, motion)
+        _write_animation(stage, skeleton, body.skeleton, motion)
         scales = np.asarray(motion.poses.scale, float)
         if (scales != 1).any():
             size = UsdGeom.Xformable(root).AddScaleOp(UsdGeom.XformOp.PrecisionDouble)
@@ -132,7 +139,7 @@ def _surface(stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", body: Body) -> No
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(vertex_normals(vertices, faces).astype("f4")))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(0.8)]))
-    joints, weights = influences(np.asarray(body.skin.influence(body.skeleton.num_joints), float))
+    joints, weights = influences(np.asarray(body.skin.bone_weights(body.skeleton.num_joints), float))
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
@@ -144,7 +151,9 @@ def _surface(stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", body: Body) -> No
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
 
 
-def _animate(stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", joints: Skeleton, motion: Motion) -> None:
+def _write_animation(
+    stage: "Usd.Stage", skeleton: "UsdSkel.Skeleton", joints: Skeleton, motion: Motion
+) -> None:
     from pxr import Gf, Sdf, UsdSkel, Vt
 
     animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("Motion"))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ...errors import InputError
-from ..system.own_process import Ended, run_program
+from ..system.own_process import ProcessFailed, run_program
 
 _PROGRAM = Path(__file__).with_name("usd_process.py")
 #: time limit in seconds: a constant and a part for each byte; the limit of CPU time in the process is lower
@@ -18,7 +18,7 @@ def check_usd(path: Path) -> None:
     wait = _WAIT + _WAIT_PER_BYTE * path.stat().st_size
     try:
         run_program(_PROGRAM, path, ("pxr",), wait, "convert it to .glb")
-    except Ended as error:
+    except ProcessFailed as error:
         reason = str(error).replace("pxr", "OpenUSD")
         raise InputError(
             f"{path}: this USD file is incomplete or damaged ({reason}); export it again."

@@ -27,13 +27,13 @@ def main(path: str, folders: list[str]) -> None:
     limits["limit"](int(SECONDS + SECONDS_PER_BYTE * size), MEMORY + MEMORY_PER_BYTE * size)
     try:
         layer = Sdf.Layer.FindOrOpen(path)
-        if layer and _inside(Sdf, path, layer):
-            _touch(Usd, UsdSkel, Tf, Usd.Stage.Open(layer))
+        if layer and _layers_in_folder(Sdf, path, layer):
+            _read_everything(Usd, UsdSkel, Tf, Usd.Stage.Open(layer))
     except (Tf.ErrorException, UnicodeDecodeError):
         pass
 
 
-def _inside(Sdf: Any, path: str, first: Any) -> bool:
+def _layers_in_folder(Sdf: Any, path: str, first: Any) -> bool:
     """Check that all layers are in the folder of the file or of its link target.
 
     The reader rejects layers in other folders, so they are not opened here either.
@@ -55,7 +55,7 @@ def _inside(Sdf: Any, path: str, first: Any) -> bool:
     return True
 
 
-def _touch(Usd: Any, UsdSkel: Any, Tf: Any, stage: Any) -> None:
+def _read_everything(Usd: Any, UsdSkel: Any, Tf: Any, stage: Any) -> None:
     """Read every attribute at every time, and the skinning of surfaces.
 
     An error of one does not stop the rest.

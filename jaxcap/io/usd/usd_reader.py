@@ -12,20 +12,27 @@ from jaxtyping import Float
 from ...body.body import Body
 from ...body.pose import Motion
 from ...errors import InputError
-from ..archives.archive import PACKED, ROOM
-from ..gltf.gltf_document import no_skin
+from ..archives.archive import MAX_EXPANSION, MIN_MEMORY_LIMIT
+from ..gltf.gltf_document import missing_skin_error
 from ..meshes.mesh import check_faces, check_points
 from ..meshes.meshes import triangulate
-from ..skinned.bind_pose import Joints, bind, body_of, inverted, motion_of, placing
-from ..skinned.left_out import FIGURES, RIGID, SHAPES, warn_left_out
-from ..skinned.surface import Surface, as_shares, joined
-from ..system.door import reads
-from ..system.inside import is_inside, outside
-from ..text import LARGEST, check_rate
+from ..skinned.bind_pose import (
+    FileJoints,
+    body_of,
+    invert_affine,
+    make_bind_pose,
+    motion_of,
+    surface_to_world_transform,
+)
+from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn_of_unread_content
+from ..skinned.surface import SkinnedSurface, concatenate_surfaces, normalise_weights
+from ..system.door import reader_of
+from ..system.inside import is_inside, outside_folder_error
+from ..text import MAX_NUMBER, check_rate
 from .usd import SUFFIXES as WRITTEN
 from .usd_child import check_usd
-from .usd_text import check_text, not_whole
-from .usd_turns import check_turns
+from .usd_text import check_text, parse_error
+from .usd_turns import check_quaternions
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdSkel
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".usd", *WRITTEN)
 
 
-@reads("a USD file")
+@reader_of("a USD file")
 def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
     """Read the body of a file's first skeleton, with linear blend skinning, and its animation.
 
@@ -64,7 +71,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
         _check_layers(path)
         return _Skinned(path, Usd.Stage.Open(str(path))).read()
     except Tf.ErrorException as error:
-        raise not_whole(path, error) from None
+        raise parse_error(path, error) from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: this file contains text that is not UTF-8; export it again.") from None
 
@@ -80,7 +87,7 @@ def _check_layers(path: Path) -> None:
             found = layer.ComputeAbsolutePath(name)
             # a layer within a package is named package.usdz[layer.usdc]
             if not is_inside(path, found.partition("[")[0]):
-                raise outside(path, name)
+                raise outside_folder_error(path, name)
             if found not in seen:
                 seen.add(found)
                 layers.append(Sdf.Layer.FindOrOpen(found))
@@ -107,21 +114,26 @@ class _Skinned:
                 if len(found.GetSkinningTargets())
             ]
         if not bindings:
-            raise no_skin(path)
+            raise missing_skin_error(path)
         self.skeleton, self.targets = bindings[0].GetSkeleton(), bindings[0].GetSkinningTargets()
-        warn_left_out(path, self.left_out(predicate, bindings[1:]))
+        warn_of_unread_content(path, self.find_unread_content(predicate, bindings[1:]))
         self.query = cache.GetSkelQuery(self.skeleton)
         if not self.query or not len(self.query.GetJointOrder()):
             raise InputError(f"{path}: the skeleton of this file has no joints; export it again.")
         metres = float(UsdGeom.GetStageMetersPerUnit(stage))
         if not 1e-6 <= metres <= 1e6:
             raise InputError(f"{path}: metersPerUnit is {metres:g}; expected 1e-06 to 1e+06.")
-        self.room = max(ROOM, PACKED * path.stat().st_size)
+        self.memory_left = max(MIN_MEMORY_LIMIT, MAX_EXPANSION * path.stat().st_size)
         # the transform of the stage to metres, y up
-        self.upright = np.eye(4) * metres
-        self.upright[3, 3] = 1.0
+        self.stage_to_world = np.eye(4) * metres
+        self.stage_to_world[3, 3] = 1.0
         if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-            self.upright = self.upright @ [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
+            self.stage_to_world = self.stage_to_world @ [
+                [1, 0, 0, 0],
+                [0, 0, 1, 0],
+                [0, -1, 0, 0],
+                [0, 0, 0, 1],
+            ]
 
     def read(self) -> tuple[Body, Motion | None]:
         from pxr import Usd
@@ -135,27 +147,29 @@ class _Skinned:
             raise InputError(
                 f"{self.path}: the joints of the skeleton do not form a tree with a root; export it again."
             )
-        check_turns(self.path, self.skeleton.GetPrim())
+        check_quaternions(self.path, self.skeleton.GetPrim())
         if animation := self.query.GetAnimQuery():
-            check_turns(self.path, animation.GetPrim())
+            check_quaternions(self.path, animation.GetPrim())
         there = self.columns(self.query.GetJointWorldBindTransforms(), "bindTransforms", len(order))
-        inverse = inverted(self.path, there)
-        above, root = self.above(Usd.TimeCode.Default()), parents.index(-1)
+        inverse = invert_affine(self.path, there)
+        above, root = self.skeleton_to_world(Usd.TimeCode.Default()), parents.index(-1)
         by_root = above
         if self.query.HasRestPose():
             found = self.query.ComputeJointSkelTransforms(Usd.TimeCode.Default(), True)
             rest = self.columns(found, "restTransforms", len(order))
             by_root = above @ rest[root] @ inverse[root]
         axes = np.tile(np.eye(3)[:2], (len(order), 1, 1))
-        placed = placing(self.path, above[:3, :3], by_root[:3, :3])
-        bound = bind(self.path, Joints(names, parents, [None] * len(order), axes, inverse), placed)
-        surface = joined([self.surface(target, order) for target in self.targets])
+        placed = surface_to_world_transform(self.path, above[:3, :3], by_root[:3, :3])
+        bound = make_bind_pose(
+            self.path, FileJoints(names, parents, [None] * len(order), axes, inverse), placed
+        )
+        surface = concatenate_surfaces([self.surface(target, order) for target in self.targets])
         surface = surface._replace(weights=surface.weights[:, list(bound.order)])
         frames, rate = self.frames(len(order))
         motion = motion_of(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
         return body_of(self.path, bound, surface), motion
 
-    def left_out(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
+    def find_unread_content(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
         """List the names of unread contents besides the first figure, by type."""
         from pxr import Usd, UsdGeom, UsdSkel
 
@@ -164,17 +178,19 @@ class _Skinned:
         meshes = [prim for prim in Usd.PrimRange.Stage(self.stage, predicate) if prim.IsA(UsdGeom.Mesh)]
         mine = [prim for prim in meshes if prim.GetPath() in own]
         return {
-            FIGURES: [other.GetSkeleton().GetPrim().GetName() for other in others],
-            RIGID: [prim.GetName() for prim in meshes if prim.GetPath() not in own | theirs],
-            SHAPES: [prim.GetName() for prim in mine if UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get()],
+            OTHER_FIGURES: [other.GetSkeleton().GetPrim().GetName() for other in others],
+            UNSKINNED_MESHES: [prim.GetName() for prim in meshes if prim.GetPath() not in own | theirs],
+            SHAPE_KEYS: [
+                prim.GetName() for prim in mine if UsdSkel.BindingAPI(prim).GetBlendShapesAttr().Get()
+            ],
         }
 
-    def above(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
+    def skeleton_to_world(self, time: "Usd.TimeCode") -> Float[np.ndarray, "4 4"]:
         """Return the transform from the skeleton's space into the world."""
         from pxr import UsdGeom
 
         there = UsdGeom.XformCache(time).GetLocalToWorldTransform(self.skeleton.GetPrim())
-        return self.upright @ np.array(there).T
+        return self.stage_to_world @ np.array(there).T
 
     def frames(self, joints: int) -> tuple[Float[np.ndarray, "F J 4 4"], float]:
         """Sample the transforms of all joints into the world; return them and the frame rate."""
@@ -189,36 +205,37 @@ class _Skinned:
         step = check_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
         if not np.isfinite([times[0], times[-1]]).all():
             raise InputError(f"{self.path}: the times of the animation are not finite; export it again.")
-        self.spend((times[-1] - times[0]) / step * joints * 3 * 16, "the animation")
+        self.reserve_memory((times[-1] - times[0]) / step * joints * 3 * 16, "the animation")
         frames = []
         for code in np.arange(times[0], times[-1] + 0.5 * step, step):
             found = self.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
             frames.append(
-                self.above(Usd.TimeCode(code)) @ self.columns(found, f"transforms at time {code:g}", joints)
+                self.skeleton_to_world(Usd.TimeCode(code))
+                @ self.columns(found, f"transforms at time {code:g}", joints)
             )
         return np.stack(frames), rate
 
-    def spend(self, numbers: float | int, what: str) -> None:
+    def reserve_memory(self, numbers: float | int, purpose: str) -> None:
         """Count numbers that are computed from the file.
 
         Raises `InputError` if their memory exceeds the limit for its size.
         """
-        self.room -= 8 * numbers
-        if not self.room >= 0:
+        self.memory_left -= 8 * numbers
+        if not self.memory_left >= 0:
             raise InputError(
-                f"{self.path}: {what} needs more memory than a file of this size may use; check its times and sizes."
+                f"{self.path}: {purpose} needs more memory than a file of this size may use; check its times and sizes."
             )
 
     def columns(self, matrices, name: str, count: int) -> Float[np.ndarray, "J 4 4"]:
         """Transpose the matrices of USD, one for each joint, to act on columns. Raises `InputError`."""
         found = np.array([] if matrices is None else matrices, float)
-        if found.shape != (count, 4, 4) or not (np.abs(found) <= LARGEST).all():
+        if found.shape != (count, 4, 4) or not (np.abs(found) <= MAX_NUMBER).all():
             raise InputError(
                 f"{self.path}: the {name} of the skeleton are invalid; expected {count} matrices of finite numbers; export it again."
             )
         return found.swapaxes(1, 2)
 
-    def surface(self, target: "UsdSkel.SkinningQuery", order: list[str]) -> Surface:
+    def surface(self, target: "UsdSkel.SkinningQuery", order: list[str]) -> SkinnedSurface:
         from pxr import Usd, UsdGeom
 
         mesh, first = UsdGeom.Mesh(target.GetPrim()), Usd.TimeCode.EarliestTime()
@@ -230,10 +247,10 @@ class _Skinned:
         where = f"{self.path}: '{target.GetPrim().GetPath()}'"
         into, vertices = np.array(target.GetGeomBindTransform()).T, np.array(points, float)
         check_points(vertices, where)
-        if not (np.abs(into) <= LARGEST).all():
+        if not (np.abs(into) <= MAX_NUMBER).all():
             raise InputError(f"{where}: its geomBindTransform is not finite; export it again.")
         vertices = vertices @ into[:3, :3].T + into[:3, 3]
-        self.spend(4 * len(vertices) * len(order), "its weights")
+        self.reserve_memory(4 * len(vertices) * len(order), "its weights")
         found = target.ComputeVaryingJointInfluences(len(vertices))
         if not found or not len(found[0]):
             raise InputError(
@@ -245,7 +262,7 @@ class _Skinned:
                 "same number for each vertex."
             )
         chosen, shares = (np.array(values).reshape(len(vertices), -1) for values in found)
-        if not ((shares >= 0) & (shares <= LARGEST)).all():
+        if not ((shares >= 0) & (shares <= MAX_NUMBER)).all():
             raise InputError(f"{where}: a weight is below zero or not finite; export the mesh again.")
         place, own = {joint: number for number, joint in enumerate(order)}, target.GetJointOrder()
         named = order if own is None else [str(name) for name in own]
@@ -267,4 +284,4 @@ class _Skinned:
         check_faces(faces, len(vertices), where)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             faces = faces[:, ::-1]
-        return Surface(vertices, faces, as_shares(weights, where))
+        return SkinnedSurface(vertices, faces, normalise_weights(weights, where))

@@ -7,7 +7,7 @@ from ...errors import InputError
 from ..text import shortened
 
 #: the start of a message of the text parser: file, line, column
-_PLACE = re.compile(r"'?(?P<file>[^\n']*?):(?P<line>\d+):\d+: ")
+_MESSAGE_LOCATION = re.compile(r"'?(?P<file>[^\n']*?):(?P<line>\d+):\d+: ")
 
 
 def check_text(path: Path) -> None:
@@ -21,12 +21,12 @@ def check_text(path: Path) -> None:
         raise InputError(f"{path}:{line}: this line is not UTF-8; export the file again.") from None
 
 
-def not_whole(path: Path, error: Exception) -> InputError:
+def parse_error(path: Path, error: Exception) -> InputError:
     """Return the error for a file that OpenUSD rejects, with the line in the file or in one of its layers."""
     # the text after the position in OpenUSD's own source
     lines = [line.partition(" in file ")[2].partition(" : ")[2] or line for line in str(error).splitlines()]
     reason = next((line.strip(" \t'.") for line in reversed(lines) if line.strip(" \t'.")), "")
-    place = _PLACE.match(reason)
+    place = _MESSAGE_LOCATION.match(reason)
     if place is None:
         why = f" ({shortened(reason)})" if reason else ", and OpenUSD gives no reason"
         return InputError(f"{path}: this USD file is incomplete or damaged{why}; export it again.")

@@ -10,23 +10,23 @@ import numpy as np
 from jaxtyping import Float
 
 from ...errors import InputError
-from ..archives.npz import LEAST
+from ..archives.npz import MIN_QUATERNION_NORM
 from ..text import shortened
 
 if TYPE_CHECKING:
     from pxr import Usd
 
-_TYPES = ("quath", "quatf", "quatd")
+_QUATERNION_TYPES = ("quath", "quatf", "quatd")
 
 
-def check_turns(path: Path, prim: "Usd.Prim") -> None:
+def check_quaternions(path: Path, prim: "Usd.Prim") -> None:
     """Check that no quaternion of a prim or its ancestors is zero, at any time sample.
 
     **Raises:** `InputError` with the prim, its attribute, the time and the joint.
     """
     while prim and not prim.IsPseudoRoot():
         for attribute in prim.GetAttributes():
-            if str(attribute.GetTypeName()).removesuffix("[]") in _TYPES:
+            if str(attribute.GetTypeName()).removesuffix("[]") in _QUATERNION_TYPES:
                 _check(path, prim, attribute)
         prim = prim.GetParent()
 
@@ -36,13 +36,13 @@ def _check(path: Path, prim: "Usd.Prim", attribute: Any) -> None:
         turns = _numbers(attribute.Get() if time is None else attribute.Get(time))
         # numbers that are not finite are reported for the transforms that are computed from them
         with np.errstate(over="ignore"):
-            short = np.linalg.norm(turns, axis=1) <= LEAST
+            short = np.linalg.norm(turns, axis=1) <= MIN_QUATERNION_NORM
         if short.any():
             row = int(short.argmax())
             when = "" if time is None else f" at time {time:g}"
             raise InputError(
                 f"{path}: '{shortened(str(attribute.GetPath()))}' has a zero quaternion{when}"
-                f"{_which(prim, row, len(turns))}; write a unit quaternion."
+                f"{_describe_row(prim, row, len(turns))}; write a unit quaternion."
             )
 
 
@@ -55,7 +55,7 @@ def _numbers(value: Any) -> Float[np.ndarray, "N 4"]:
     return np.array(value, float).reshape(-1, 4)
 
 
-def _which(prim: "Usd.Prim", row: int, count: int) -> str:
+def _describe_row(prim: "Usd.Prim", row: int, count: int) -> str:
     """Describe the joint of a prim's quaternion, or its row if there are several."""
     joints = prim.GetAttribute("joints").Get() or ()
     if len(joints) == count:

@@ -27,14 +27,14 @@ from ...fit.linear.cholesky import factorise
 from ...fit.solvers.descent import ConstrainedInfo, Constraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractProblem
-from ..skeleton.limbs import Limbs, Tree, bone_rates, bones_of, move_limbs
-from ..weights.weights_and_rest import images, settle, spread_weights
-from .projected import Moves, Own, Projected, flat_bones
+from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives, bone_transforms, move_bones
+from ..weights.weights_and_rest import bone_images, expand_weights, optimise_vertices
+from .projected import BoneJacobian, ProjectedHessian, VertexDirections, flat_bones
 
 #: stiffness of a joint rotation by one radian, and of a centre shift by one metre, as shares of r
-STIFF_TURN, STIFF_SHIFT = 1e-2, 1.0
+ROTATION_STIFFNESS, CENTRE_STIFFNESS = 1e-2, 1.0
 #: steps of the inner minimum for a trial step
-INNER = 2
+INNER_STEPS = 2
 #: ridge for linearly dependent directions of a vertex
 RIDGE = 1e-6
 #: conjugate gradients: tolerance relative to the right-hand side, and the most steps
@@ -44,7 +44,7 @@ TOLERANCE, STEPS = 5e-2, 25
 class Blend(eqx.Module):
     """Bones, and the weights and rest positions of the vertices that they blend."""
 
-    limbs: Limbs
+    bone_state: BoneState
     weights: Float[Array, "V J"]
     rest: Float[Array, "V 3"]
 
@@ -53,47 +53,53 @@ class BlendProblem(AbstractProblem[Blend]):
     """Half the squared residual of blended vertices as a function of bones alone; vertices adapt to each
     step."""
 
-    tree: Tree
-    near: Int[Array, "V K"]
-    aims: Float[Array, "V N"]
+    tree: TreeTopology
+    candidates: Int[Array, "V K"]
+    targets: Float[Array, "V N"]
     #: left joint, its parent, right joint, its parent
-    twins: Int[Array, "P 4"]
+    mirrored_bones: Int[Array, "P 4"]
     units: Unknowns
 
     def value(self, y: Blend) -> Float[Array, ""]:
-        return 0.5 * jnp.sum(self.errors(y) ** 2)
+        return 0.5 * jnp.sum(self.residuals(y) ** 2)
 
-    def errors(self, y: Blend) -> Float[Array, "V N"]:
+    def residuals(self, y: Blend) -> Float[Array, "V N"]:
         """Compute the residual of each vertex in all frames."""
-        return errors_of(y, self.tree, self.aims)
+        return blend_residuals(y, self.tree, self.targets)
 
     def retract(self, y: Blend, d: Unknowns) -> Blend:
-        limbs = move_limbs(self.tree, y.limbs, d)
-        return settle_blend(Blend(limbs, y.weights, y.rest), self.tree, self.near, self.aims, INNER)
+        limbs = move_bones(self.tree, y.bone_state, d)
+        return optimise_blend(
+            Blend(limbs, y.weights, y.rest), self.tree, self.candidates, self.targets, INNER_STEPS
+        )
 
     def scales(self) -> Unknowns:
         return self.units
 
     def information(self, y: Blend) -> ConstrainedInfo:
-        moves = Moves(self.tree, y.limbs, spread_places(y), self.units)
-        own = own_directions(self.tree, self.near, self.aims, y)
-        errors = self.errors(y)
-        left = own.without(errors)
-        arrow = arrow_of(self.tree, y).rescaled(*self.units)
+        moves = BoneJacobian(self.tree, y.bone_state, weighted_rest_positions(y), self.units)
+        own = vertex_directions(self.tree, self.candidates, self.targets, y)
+        errors = self.residuals(y)
+        left = own.project_out(errors)
+        arrow = gauss_newton_matrix(self.tree, y).rescaled(*self.units)
         value = 0.5 * jnp.sum(errors**2)
         none = jax.tree.map(jnp.zeros_like, self.units)
-        hessian = Projected(arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS))
+        hessian = ProjectedHessian(
+            arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS)
+        )
         # damp directions with little effect on the residual
-        stiff = jax.tree.map(lambda u, s: 2.0 * value * s * u**2, self.units, (STIFF_TURN, STIFF_SHIFT))
+        stiff = jax.tree.map(
+            lambda u, s: 2.0 * value * s * u**2, self.units, (ROTATION_STIFFNESS, CENTRE_STIFFNESS)
+        )
         hessian = hessian.add_diagonal(stiff)
-        constraints = Constraints(equalities=self._equalities(y.limbs))
-        return ConstrainedInfo(value, moves.pull(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
+        constraints = Constraints(equalities=self._equalities(y.bone_state))
+        return ConstrainedInfo(value, moves.vjp(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
-    def _equalities(self, limbs: Limbs) -> Equalities:
-        count = len(self.twins)
+    def _equalities(self, limbs: BoneState) -> Equalities:
+        count = len(self.mirrored_bones)
         differences = jnp.zeros(count, limbs.centres.dtype)
         rows = jnp.zeros((count, *limbs.centres.shape), differences.dtype)
-        for (end, start), sign in ((self.twins.T[:2], 1.0), (self.twins.T[2:], -1.0)):
+        for (end, start), sign in ((self.mirrored_bones.T[:2], 1.0), (self.mirrored_bones.T[2:], -1.0)):
             bones = limbs.centres[end] - limbs.centres[start]
             lengths = jnp.linalg.norm(bones, axis=1)
             slopes = sign * bones / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
@@ -102,51 +108,58 @@ class BlendProblem(AbstractProblem[Blend]):
         return Equalities(rows.reshape(count, -1) * self.units[1], -differences)
 
 
-def spread_places(y: Blend) -> Float[Array, "V B"]:
+def weighted_rest_positions(y: Blend) -> Float[Array, "V B"]:
     """Multiply the homogeneous rest position of each vertex by its weight for each bone."""
     places = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
     return (y.weights[:, :, None] * places[:, None]).reshape(len(places), -1)
 
 
-def errors_of(y: Blend, tree: Tree, aims: Float[Array, "V N"]) -> Float[Array, "V N"]:
+def blend_residuals(y: Blend, tree: TreeTopology, targets: Float[Array, "V N"]) -> Float[Array, "V N"]:
     """Compute the residual of each vertex in all frames."""
-    return jnp.matmul(spread_places(y), flat_bones(bones_of(tree, y.limbs)), precision="highest") - aims
+    return (
+        jnp.matmul(
+            weighted_rest_positions(y), flat_bones(bone_transforms(tree, y.bone_state)), precision="highest"
+        )
+        - targets
+    )
 
 
-def settle_blend(y: Blend, tree: Tree, near, aims, steps: int) -> Blend:
+def optimise_blend(y: Blend, tree: TreeTopology, candidates, targets, steps: int) -> Blend:
     """Optimise the weights and the rest position of each vertex."""
-    weights = jnp.take_along_axis(y.weights, near, 1)
-    found = settle(weights, y.rest, near, bones_of(tree, y.limbs), aims, steps)
-    return Blend(y.limbs, spread_weights(found.weights, near, y.weights.shape[1]), found.rest)
+    weights = jnp.take_along_axis(y.weights, candidates, 1)
+    found = optimise_vertices(
+        weights, y.rest, candidates, bone_transforms(tree, y.bone_state), targets, steps
+    )
+    return Blend(y.bone_state, expand_weights(found.weights, candidates, y.weights.shape[1]), found.rest)
 
 
-def arrow_of(tree: Tree, y: Blend) -> BlockArrow:
+def gauss_newton_matrix(tree: TreeTopology, y: Blend) -> BlockArrow:
     """Assemble `J^T J` by frames; vertices enter through moments of their weighted rest positions."""
-    spread = spread_places(y)
+    spread = weighted_rest_positions(y)
     moments = jnp.matmul(spread.T, spread, precision="highest")
     joints = len(tree.parents)
     width, shared = 3 * (joints + len(tree.roots)), 3 * joints
     eye = jnp.eye(width + shared, dtype=spread.dtype)
 
     def of_frame(limbs):
-        frame = Limbs(limbs[0][None], limbs[1][None], y.limbs.centres)
-        moves = jax.vmap(lambda d: bone_rates(tree, frame, (d[None, :width], d[width:]))[0])(eye)
+        frame = BoneState(limbs[0][None], limbs[1][None], y.bone_state.centres)
+        moves = jax.vmap(lambda d: bone_derivatives(tree, frame, (d[None, :width], d[width:]))[0])(eye)
         # (B, N) for each axis
         columns = moves.transpose(2, 1, 3, 0).reshape(3, -1, width + shared)
         with jax.default_matmul_precision("highest"):
             return jnp.einsum("abi,abj->ij", columns, moments @ columns)
 
-    grams = jax.lax.map(of_frame, (y.limbs.turns, y.limbs.places))
+    grams = jax.lax.map(of_frame, (y.bone_state.rotations, y.bone_state.root_positions))
     frames = BlockBanded(grams[:, None, :width, :width])
     return BlockArrow(frames, grams[:, :width, width:], jnp.sum(grams[:, width:, width:], 0))
 
 
-def own_directions(tree: Tree, near, aims, y: Blend) -> Own:
+def vertex_directions(tree: TreeTopology, candidates, targets, y: Blend) -> VertexDirections:
     """Compute the directions of each vertex with respect to its rest position and to weight exchanges between
     bones."""
-    bones = bones_of(tree, y.limbs)
-    weights = jnp.take_along_axis(y.weights, near, 1)
-    apart = images(bones, y.rest, near) - aims[:, None]
+    bones = bone_transforms(tree, y.bone_state)
+    weights = jnp.take_along_axis(y.weights, candidates, 1)
+    apart = bone_images(bones, y.rest, candidates) - targets[:, None]
     first = jnp.argmax(weights, 1)
     base = jnp.take_along_axis(apart, first[:, None, None], 1)
     apart = jnp.where((weights > 0)[:, :, None], apart - base, 0.0)
@@ -157,4 +170,4 @@ def own_directions(tree: Tree, near, aims, y: Blend) -> Own:
     gram = jnp.einsum("vin,vjn->vij", rows, rows, precision="highest")
     eye = jnp.eye(gram.shape[1], dtype=gram.dtype)
     inverse = jax.lax.map(lambda g: factorise(g, RIDGE).solve(eye), gram)
-    return Own(rows, inverse)
+    return VertexDirections(rows, inverse)

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Motion
 from ..state import LearnState
-from ..structure.skeleton_edit import Graft
-from ..structure.structure_search import exchange
-from .variable_projection import improve_all
+from ..structure.skeleton_edit import EditedBody
+from ..structure.structure_search import exchange_joints
+from .variable_projection import improve_body
 
 #: the number of vertices from which bones are learned
 VERTICES = 2000
@@ -16,33 +16,35 @@ VERTICES = 2000
 PASSES, TRIAL_PASSES, STEPS = 2, 1, 5
 #: joints are exchanged once a round keeps more than the first share of Q; rounds end when one lowers Q by
 #: less than the second
-FALLS, ENOUGH = 0.5, 0.05
+EXCHANGE_RATIO, MIN_DECREASE = 0.5, 0.05
 #: root mean square error below which learning ends, as a share of the body's height
 EXACT = 5e-6
 #: trials of an exchange
 TRIALS = 3
 
 
-def improve_linear(
+def improve_linear_skin(
     state: LearnState,
     targets: Float[Array, "F V 3"],
     rounds: int,
     on_round: Callable[[LearnState], None] | None,
-    exchanging: bool,
-    free: bool,
+    allow_exchange: bool,
+    variable_count: bool,
     prefix: str,
 ) -> LearnState:
     """Improve a body until a round lowers Q, here the squared distances alone, by little.
 
     From the second round on, joints are exchanged when steps alone no longer lower Q by much.
 
-    **Arguments:** `exchanging` allows the exchange of joints, and `free` a change of their number; `prefix`
+    **Arguments:** `allow_exchange` allows the exchange of joints, and `variable_count` a change of their number; `prefix`
     begins the names of steps in the history.
     """
-    while state.round < rounds and not _done(state, targets, exchanging, prefix):
-        if exchanging and _slow(state, prefix):
-            state = exchange(state, targets, _trial(targets, prefix), prefix + "exchange", TRIALS, free)
-        made = Graft(state.body, state.motion.poses, state.pairs)
+    while state.round < rounds and not _done(state, targets, allow_exchange, prefix):
+        if allow_exchange and _slow(state, prefix):
+            state = exchange_joints(
+                state, targets, _trial(targets, prefix), prefix + "exchange", TRIALS, variable_count
+            )
+        made = EditedBody(state.body, state.motion.poses, state.pairs)
         state = _improve(state, made, targets, prefix + "projection", PASSES)
         state = state._replace(round=state.round + 1)
         if on_round is not None:
@@ -50,12 +52,12 @@ def improve_linear(
     return state
 
 
-def _trial(targets, prefix: str) -> Callable[[LearnState, Graft], LearnState]:
+def _trial(targets, prefix: str) -> Callable[[LearnState, EditedBody], LearnState]:
     return lambda state, made: _improve(state, made, targets, prefix + "trial", TRIAL_PASSES)
 
 
-def _improve(state: LearnState, made: Graft, targets, step: str, passes: int) -> LearnState:
-    found = improve_all(made.body, made.poses, targets, made.pairs, rounds=passes, steps=STEPS)
+def _improve(state: LearnState, made: EditedBody, targets, step: str, passes: int) -> LearnState:
+    found = improve_body(made.body, made.poses, targets, made.pairs, rounds=passes, steps=STEPS)
     return state._replace(
         body=found.body,
         motion=Motion(found.poses, state.motion.rate),
@@ -76,13 +78,13 @@ def _rounds(state: LearnState, prefix: str) -> list[tuple[float, float]]:
 
 def _slow(state: LearnState, prefix: str) -> bool:
     rounds = _rounds(state, prefix)
-    return bool(rounds) and rounds[-1][1] > FALLS * rounds[-1][0]
+    return bool(rounds) and rounds[-1][1] > EXCHANGE_RATIO * rounds[-1][0]
 
 
 def _done(state: LearnState, targets, exchanging: bool, prefix: str) -> bool:
     ends = [after for _, after in _rounds(state, prefix)]
     height = float((targets[0].max(0) - targets[0].min(0)).max())
     exact = (EXACT * height) ** 2 * targets.shape[0] * targets.shape[1]
-    settled = len(ends) > 1 and ends[-1] > (1 - ENOUGH) * ends[-2]
+    settled = len(ends) > 1 and ends[-1] > (1 - MIN_DECREASE) * ends[-2]
     exchanged = len(ends) > 0 and state.history[-2][0] == prefix + "exchange"
     return len(ends) > 0 and (ends[-1] < exact or (settled and (exchanged or not exchanging)))

@@ -10,29 +10,29 @@ from jaxtyping import Array, Float, Int
 from ...fit.linear.block_arrow import ArrowFactor, BlockArrow, Unknowns
 from ...fit.linear.cholesky import factorise
 from ...fit.linear.conjugate_gradients import conjugate_gradients
-from ...fit.linear.structured import AbstractFactor, AbstractStructured
+from ...fit.linear.structured import AbstractFactor, AbstractStructuredMatrix
 from ...fit.solvers.equalities import Equalities
-from ..skeleton.limbs import Limbs, Tree, bone_rates
+from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives
 
 
-class Moves(eqx.Module):
+class BoneJacobian(eqx.Module):
     """The linear map from bone tangents to vertex displacements, without a stored Jacobian."""
 
-    tree: Tree
-    limbs: Limbs
+    tree: TreeTopology
+    bone_state: BoneState
     #: weights times rest positions, and weights: the coefficients of a bone's `(R, t)` in a vertex
-    spread: Float[Array, "V B"]
+    weighted_rest: Float[Array, "V B"]
     #: the unit of each component of a tangent
     scales: Unknowns
 
-    def push(self, d: Unknowns) -> Float[Array, "V N"]:
+    def jvp(self, d: Unknowns) -> Float[Array, "V N"]:
         """Compute the displacements of the vertices in all frames along a tangent."""
-        rates = bone_rates(self.tree, self.limbs, jax.tree.map(jnp.multiply, self.scales, d))
-        return jnp.matmul(self.spread, flat_bones(rates), precision="highest")
+        rates = bone_derivatives(self.tree, self.bone_state, jax.tree.map(jnp.multiply, self.scales, d))
+        return jnp.matmul(self.weighted_rest, flat_bones(rates), precision="highest")
 
-    def pull(self, errors: Float[Array, "V N"]) -> Unknowns:
+    def vjp(self, errors: Float[Array, "V N"]) -> Unknowns:
         """Apply the transpose of `push` to errors."""
-        (found,) = jax.linear_transpose(self.push, jax.tree.map(jnp.zeros_like, self.scales))(errors)
+        (found,) = jax.linear_transpose(self.jvp, jax.tree.map(jnp.zeros_like, self.scales))(errors)
         return found
 
 
@@ -41,20 +41,20 @@ def flat_bones(bones: Float[Array, "F J 3 4"]) -> Float[Array, "B N"]:
     return bones.transpose(1, 3, 0, 2).reshape(4 * bones.shape[1], -1)
 
 
-class Own(eqx.Module):
+class VertexDirections(eqx.Module):
     """The directions `C` of each vertex by its own unknowns, in all frames, and `(C C^T)^-1`."""
 
     rows: Float[Array, "V K N"]
     inverse: Float[Array, "V K K"]
 
-    def without(self, errors: Float[Array, "V N"]) -> Float[Array, "V N"]:
+    def project_out(self, errors: Float[Array, "V N"]) -> Float[Array, "V N"]:
         """Project errors onto the orthogonal complement of these directions."""
         with jax.default_matmul_precision("highest"):
             inner = jnp.einsum("vij,vj->vi", self.inverse, jnp.einsum("vjn,vn->vj", self.rows, errors))
             return errors - jnp.einsum("vin,vi->vn", self.rows, inner)
 
 
-class Projected(AbstractStructured):
+class ProjectedHessian(AbstractStructuredMatrix):
     """The matrix `J^T (1 - C^T (C C^T)^-1 C) J` over tangents of bones.
 
     `J^T J` is an arrow matrix; the rest couples all frames. The matrix is available by its products only. The
@@ -64,21 +64,21 @@ class Projected(AbstractStructured):
 
     #: `J^T J` plus `added`, and the amounts added to the diagonal
     arrow: BlockArrow
-    added: Unknowns
-    moves: Moves
-    own: Own
+    added_diagonal: Unknowns
+    jacobian: BoneJacobian
+    directions: VertexDirections
     #: tolerance of conjugate gradients relative to the right-hand side, and their most steps
     tolerance: Float[Array, ""]
     steps: Int[Array, ""]
 
     def mv(self, vector: Unknowns) -> Unknowns:
-        product = self.moves.pull(self.own.without(self.moves.push(vector)))
-        return jax.tree.map(lambda image, share, x: image + share * x, product, self.added, vector)
+        product = self.jacobian.vjp(self.directions.project_out(self.jacobian.jvp(vector)))
+        return jax.tree.map(lambda image, share, x: image + share * x, product, self.added_diagonal, vector)
 
-    def magnitudes(self, x: Unknowns) -> Unknowns:
-        return self.arrow.magnitudes(x)
+    def abs_mv(self, x: Unknowns) -> Unknowns:
+        return self.arrow.abs_mv(x)
 
-    def among(self, free: Unknowns) -> "Projected":
+    def restricted(self, free: Unknowns) -> "ProjectedHessian":
         raise NotImplementedError("Reduced normal equations do not support bounds.")
 
     def in_structure(self):
@@ -88,30 +88,32 @@ class Projected(AbstractStructured):
         """Return the diagonal of the arrow, an upper bound of the diagonal of the matrix."""
         return self.arrow.diagonal()
 
-    def add_diagonal(self, amounts: Unknowns) -> "Projected":
-        added = jax.tree.map(jnp.add, self.added, amounts)
-        return eqx.tree_at(lambda p: (p.arrow, p.added), self, (self.arrow.add_diagonal(amounts), added))
+    def add_diagonal(self, amounts: Unknowns) -> "ProjectedHessian":
+        added = jax.tree.map(jnp.add, self.added_diagonal, amounts)
+        return eqx.tree_at(
+            lambda p: (p.arrow, p.added_diagonal), self, (self.arrow.add_diagonal(amounts), added)
+        )
 
-    def factorise(self) -> "ProjectedFactor":
-        return ProjectedFactor(self, self.arrow.factorise())
+    def factorise(self) -> "ProjectedHessianFactor":
+        return ProjectedHessianFactor(self, self.arrow.factorise())
 
 
-class ProjectedFactor(AbstractFactor):
+class ProjectedHessianFactor(AbstractFactor):
     """The matrix with the factor of its arrow."""
 
-    matrix: Projected
+    matrix: ProjectedHessian
     arrow: ArrowFactor
 
-    def solve(self, side: Unknowns, equalities: Equalities | None = None) -> Unknowns:
+    def solve(self, rhs: Unknowns, equalities: Equalities | None = None) -> Unknowns:
         still = None if equalities is None else Equalities(equalities.rows, jnp.zeros_like(equalities.values))
-        kept = _along(equalities)
+        kept = _null_space_projection(equalities)
 
         def product(x):
             image = self.matrix.mv(x)
             return image[0], kept(image[1])
 
-        first = self.arrow.solve(side, equalities)
-        left = jax.tree.map(jnp.subtract, side, self.matrix.mv(first))
+        first = self.arrow.solve(rhs, equalities)
+        left = jax.tree.map(jnp.subtract, rhs, self.matrix.mv(first))
         found = conjugate_gradients(
             product,
             (left[0], kept(left[1])),
@@ -122,7 +124,7 @@ class ProjectedFactor(AbstractFactor):
         return jax.tree.map(jnp.add, first, found)
 
 
-def _along(equalities: Equalities | None) -> Callable[[Array], Array]:
+def _null_space_projection(equalities: Equalities | None) -> Callable[[Array], Array]:
     """Build the projection of a right-hand side onto the null space of equality constraints.
 
     The other component is balanced by constraint forces, and would remain as a residual.

@@ -11,27 +11,34 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin
-from ...body.symmetry import bones_of as paired_bones
+from ...body.symmetry import bone_pairs as paired_bones
 from ...fit.alternate import alternate
 from ...fit.linear.block_arrow import Unknowns
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ..skeleton.limbs import Limbs, Tree, bones_of, is_simple, make_limbs, read_limbs
-from ..weights.weights_and_rest import promising_bones
-from .blend import Blend, BlendProblem, arrow_of, errors_of, settle_blend
+from ..skeleton.limbs import (
+    BoneState,
+    TreeTopology,
+    bone_transforms,
+    has_only_ball_joints,
+    make_bone_state,
+    read_bone_state,
+)
+from ..weights.weights_and_rest import choose_candidate_bones
+from .blend import Blend, BlendProblem, blend_residuals, gauss_newton_matrix, optimise_blend
 
 #: vertices sampled for the steps, and the least number from each part
-SAMPLES, LEAST = 1200, 12
+SAMPLES, MIN_PART_SAMPLES = 1200, 12
 #: vertices per block; a constant size avoids recompilation
 BLOCK = SAMPLES
 #: the number of candidate bones of a vertex
-NEAR = 12
+NUM_CANDIDATES = 12
 #: steps of the inner minimum before a round, and updates of the candidate bones in it
-OUTER, PASSES = 10, 4
+INNER_STEPS, PASSES = 10, 4
 #: the least curvature, as a share of the largest
-LITTLE = 1e-9
+MIN_CURVATURE = 1e-9
 
 
-class Improved(NamedTuple):
+class ImprovedBody(NamedTuple):
     """A body with its poses, and the squared residual on all vertices at alpha = 0, before and after."""
 
     body: Body
@@ -41,7 +48,7 @@ class Improved(NamedTuple):
     damping: float
 
 
-def improve_all(
+def improve_body(
     body: Body,
     poses: Pose,
     targets: Float[Array, "F V 3"],
@@ -51,8 +58,8 @@ def improve_all(
     rounds: int = 3,
     steps: int = 6,
     samples: int = SAMPLES,
-    enough: float = 0.02,
-) -> Improved:
+    min_decrease: float = 0.02,
+) -> ImprovedBody:
     """Minimise the sum of squared distances over poses and joints, with optimal weights and rest vertices for
     each.
 
@@ -61,52 +68,52 @@ def improve_all(
 
     **Arguments:** `poses` stacked over F frames, of scale one; `targets` are the registered meshes, metres;
     `pairs` of joints whose bones stay equally long; `rounds` of `steps` steps, which end early if one gains
-    less than a share `enough`. The candidate bones of each vertex are updated before each round.
+    less than a share `min_decrease`. The candidate bones of each vertex are updated before each round.
 
     **Raises:** `ValueError` for a skin that is not linear, and for joints other than balls below free roots.
     """
     if not isinstance(body.skin, LinearSkin):
         raise ValueError(f"The body has a {type(body.skin).__name__}; expected a LinearSkin.")
-    if not is_simple(body.skeleton):
+    if not has_only_ball_joints(body.skeleton):
         raise ValueError(
             "The skeleton has joints of other kinds; expected free roots with ball joints below them."
         )
     count = body.skeleton.num_joints
-    tree, limbs = make_limbs(body.skeleton, poses)
+    tree, limbs = make_bone_state(body.skeleton, poses)
     width = len(tree.parents)
-    kept = spread_vertices(np.asarray(body.skin.parts()), samples)
+    kept = sample_vertices(np.asarray(body.skin.dominant_bones()), samples)
     shown = jnp.swapaxes(targets[:, kept], 0, 1).reshape(len(kept), -1)
-    weights = jnp.pad(body.skin.influence(count), ((0, 0), (0, width - count)))
-    twins = _twins(body, pairs, width)
+    weights = jnp.pad(body.skin.bone_weights(count), ((0, 0), (0, width - count)))
+    twins = _mirrored_bones(body, pairs, width)
     start = Blend(limbs, weights[kept], body.vertices[kept])
     start, _ = _settled(start, tree, shown, jnp.asarray(count))
-    solver = LevenbergMarquardt(rtol=enough / 2, damping=jnp.asarray(damping, targets.dtype))
+    solver = LevenbergMarquardt(rtol=min_decrease / 2, damping=jnp.asarray(damping, targets.dtype))
 
     def remake(y: Blend) -> BlendProblem:
-        near, units = _prepared(y, tree, shown, jnp.asarray(count))
+        near, units = _candidates_and_units(y, tree, shown, jnp.asarray(count))
         return BlendProblem(tree, near, shown, twins, units)
 
-    found = alternate(remake, start, solver, rounds=rounds, steps=steps, enough=enough)
-    skeleton, there = read_limbs(body.skeleton, found.y.limbs)
+    found = alternate(remake, start, solver, rounds=rounds, steps=steps, min_gain=min_decrease)
+    skeleton, there = read_bone_state(body.skeleton, found.y.bone_state)
     moved = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
-    whole, after = _adapt_body(moved, tree, found.y.limbs, targets)
+    whole, after = _adapt_body(moved, tree, found.y.bone_state, targets)
     aims = jnp.swapaxes(targets, 0, 1).reshape(len(body.vertices), -1)
     left = _errors(Blend(limbs, weights, body.vertices), tree, aims)
     before = float(np.sum(np.square(np.asarray(left, float))))
     if after < before:
-        return Improved(whole, there, before, after, damping)
-    return Improved(body, poses, before, before, damping)
+        return ImprovedBody(whole, there, before, after, damping)
+    return ImprovedBody(body, poses, before, before, damping)
 
 
-def adapt_all(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> tuple[Body, float]:
+def optimise_all_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> tuple[Body, float]:
     """Optimise the weights and the rest position of each vertex; also returns the squared residual."""
-    tree, limbs = make_limbs(body.skeleton, poses)
+    tree, limbs = make_bone_state(body.skeleton, poses)
     return _adapt_body(body, tree, limbs, targets)
 
 
-def _adapt_body(body: Body, tree: Tree, limbs: Limbs, targets) -> tuple[Body, float]:
+def _adapt_body(body: Body, tree: TreeTopology, limbs: BoneState, targets) -> tuple[Body, float]:
     count, joints = len(body.vertices), body.skeleton.num_joints
-    weights = jnp.pad(body.skin.influence(joints), ((0, 0), (0, len(tree.parents) - joints)))
+    weights = jnp.pad(body.skin.bone_weights(joints), ((0, 0), (0, len(tree.parents) - joints)))
     aims = jnp.swapaxes(targets, 0, 1).reshape(count, -1)
     size = min(BLOCK, count)
     parts = []
@@ -124,46 +131,53 @@ def _adapt_body(body: Body, tree: Tree, limbs: Limbs, targets) -> tuple[Body, fl
 
 
 @eqx.filter_jit
-def _settled(y: Blend, tree: Tree, aims, count) -> tuple[Blend, Float[Array, "V"]]:
+def _settled(y: Blend, tree: TreeTopology, aims, count) -> tuple[Blend, Float[Array, "V"]]:
     def again(_, y):
-        return settle_blend(y, tree, _near(y, tree, aims, count), aims, OUTER)
+        return optimise_blend(y, tree, _near(y, tree, aims, count), aims, INNER_STEPS)
 
     found = jax.lax.fori_loop(0, PASSES, again, y)
-    return found, jnp.sum(errors_of(found, tree, aims) ** 2, 1)
+    return found, jnp.sum(blend_residuals(found, tree, aims) ** 2, 1)
 
 
 @eqx.filter_jit
-def _prepared(y: Blend, tree: Tree, aims, count) -> tuple[Int[Array, "V K"], Unknowns]:
+def _candidates_and_units(y: Blend, tree: TreeTopology, aims, count) -> tuple[Int[Array, "V K"], Unknowns]:
     """Choose the candidate bones of each vertex, and units that equalise the curvature within each joint."""
 
     def unit(diagonal):
         threes = diagonal.reshape(*diagonal.shape[:-1], -1, 3)
         alike = jnp.broadcast_to(jnp.mean(threes, -1, keepdims=True), threes.shape).reshape(diagonal.shape)
-        return 1.0 / jnp.sqrt(alike + LITTLE * jnp.max(alike))
+        return 1.0 / jnp.sqrt(alike + MIN_CURVATURE * jnp.max(alike))
 
-    x, s = arrow_of(tree, y).diagonal()
+    x, s = gauss_newton_matrix(tree, y).diagonal()
     return _near(y, tree, aims, count), (unit(x), unit(s))
 
 
-def _near(y: Blend, tree: Tree, aims, count) -> Int[Array, "V K"]:
-    return promising_bones(
-        y.weights, y.rest, bones_of(tree, y.limbs), aims, count, min(NEAR, y.weights.shape[1])
+def _near(y: Blend, tree: TreeTopology, aims, count) -> Int[Array, "V K"]:
+    return choose_candidate_bones(
+        y.weights,
+        y.rest,
+        bone_transforms(tree, y.bone_state),
+        aims,
+        count,
+        min(NUM_CANDIDATES, y.weights.shape[1]),
     )
 
 
-_errors = eqx.filter_jit(errors_of)
+_errors = eqx.filter_jit(blend_residuals)
 
 
-def _twins(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
+def _mirrored_bones(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
     parents = np.array(body.skeleton.parents)
     rows = [(a, parents[a], b, parents[b]) for a, b in paired_bones(body.skeleton, pairs).tolist()]
     return jnp.asarray(np.array(rows + [(0, 0, 0, 0)] * (width // 2 - len(rows)), np.int32))
 
 
-def spread_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray, "S"]:
+def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray, "S"]:
     """Sample `count` of the vertices, or all, with more than their share from small parts."""
     sizes = np.bincount(labels)
-    shares = np.minimum(sizes, np.maximum(LEAST, count * np.sqrt(sizes) / np.sqrt(sizes).sum())).astype(int)
+    shares = np.minimum(
+        sizes, np.maximum(MIN_PART_SAMPLES, count * np.sqrt(sizes) / np.sqrt(sizes).sum())
+    ).astype(int)
     groups = (np.flatnonzero(labels == part) for part in range(len(sizes)))
     picked = [
         group[np.linspace(0, len(group) - 1, share).round().astype(int)]

@@ -9,16 +9,16 @@ from jaxtyping import Float, Int
 from ...geometry.procrustes import Moments, rigid_errors
 
 
-class Merging(NamedTuple):
+class Dendrogram(NamedTuple):
     """The sequence of merges of N sets into one; each merges the neighbours whose union costs least."""
 
     #: (N - 1, 2): the set that remains, and the one merged into it
-    steps: Int[np.ndarray, "M 2"]
+    merges: Int[np.ndarray, "M 2"]
     #: (N,) total error with 1, 2, ... N sets
     errors: Float[np.ndarray, "N"]
 
 
-def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Merging:
+def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Dendrogram:
     """Merge neighbouring sets by Ward's method, with the exact rigid error over all frames as the cost.
 
     **Arguments:** `moments` of N sets; `neighbours` are pairs of adjacent sets, which must connect all of
@@ -55,14 +55,14 @@ def agglomerate(moments: Moments, neighbours: Int[np.ndarray, "B 2"]) -> Merging
         age[a] += 1
         age[b] = -1
         _push(heap, moments, errors, age, np.array([(a, other) for other in sorted(around[a])], int))
-    return Merging(np.array(steps, int).reshape(-1, 2), np.maximum(total[::-1], 0.0))
+    return Dendrogram(np.array(steps, int).reshape(-1, 2), np.maximum(total[::-1], 0.0))
 
 
-def merged_labels(merging: Merging, count: int) -> Int[np.ndarray, "N"]:
+def merged_labels(merging: Dendrogram, count: int) -> Int[np.ndarray, "N"]:
     """Return the label, 0 to `count` - 1, of each of the N initial sets when `count` sets are left."""
     size = len(merging.errors)
     owner = np.arange(size)
-    for a, b in merging.steps[: size - count]:
+    for a, b in merging.merges[: size - count]:
         owner[owner == b] = a
     return np.unique(owner, return_inverse=True)[1]
 

@@ -14,9 +14,9 @@ from ...body.skeleton import Skeleton
 
 #: parts that stay within this distance of each other or of their position are not distinguishable, share of
 #: the body's length
-ALIKE = 0.003
+INDISTINGUISHABLE = 0.003
 #: vertices sampled from each part
-FEW = 40
+NUM_SAMPLES = 40
 
 
 def check_parts(
@@ -36,12 +36,12 @@ def check_parts(
     """
     count = rotations.shape[1]
     called = [f"part {part}" for part in range(count)] if names is None else list(names)
-    near = ALIKE * float(np.ptp(rest, axis=0).max())
+    near = INDISTINGUISHABLE * float(np.ptp(rest, axis=0).max())
     members = [np.flatnonzero(labels == part) for part in range(count)]
     bare = [called[part] for part in range(count) if not members[part].size]
     told = [f"No vertex belongs to {_listed(bare)}, so that the motion is poorly determined."] if bare else []
     chosen = [
-        (part, rest[rows[np.linspace(0, len(rows) - 1, min(FEW, len(rows))).astype(int)]])
+        (part, rest[rows[np.linspace(0, len(rows) - 1, min(NUM_SAMPLES, len(rows))).astype(int)]])
         for part, rows in enumerate(members)
         if rows.size
     ]
@@ -73,7 +73,7 @@ def check_learned(body: Body, motion: Motion) -> list[str]:
     transforms = _transforms(body.skeleton, motion.poses)
     return check_parts(
         np.asarray(body.vertices, float),
-        np.asarray(body.skin.influence(body.skeleton.num_joints)).argmax(1),
+        np.asarray(body.skin.bone_weights(body.skeleton.num_joints)).argmax(1),
         np.asarray(transforms.rotations, float),
         np.asarray(transforms.translations, float),
         body.skeleton.names,

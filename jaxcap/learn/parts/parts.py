@@ -6,21 +6,21 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import rigid_errors, rigid_motions
-from ..skeleton.reference_mesh import choose_rest
-from .agglomerate import Merging, agglomerate, merged_labels
-from .part_kmeans import improve_parts, sharpen_patches
-from .rigid_residuals import Scene, carried_back, part_moments
-from .ssdr_motions import unmix
-from .surface import cut_patches, label_edges, make_surface
+from ..skeleton.reference_mesh import choose_reference_mesh
+from .agglomerate import Dendrogram, agglomerate, merged_labels
+from .part_kmeans import improve_parts, refine_patch_borders
+from .rigid_residuals import MovingSurface, mean_rest_positions, part_moments
+from .ssdr_motions import estimate_bone_motions
+from .surface import boundary_edges, cut_patches, make_surface_graph
 
 #: the number of patches that are merged into parts
 PATCHES = 300
 #: one more part has to lower the root mean square error by this share
-LEAST_GAIN = 0.024
+MIN_GAIN = 0.024
 #: share of the body's diagonal below which an error is negligible
 NEGLIGIBLE = 2e-4
 #: the most parts when the number is chosen automatically
-MOST_PARTS = 60
+MAX_PARTS = 60
 
 
 class Parts(NamedTuple):
@@ -52,7 +52,7 @@ class Parts(NamedTuple):
 def find_parts(
     meshes: Float[np.ndarray, "F V 3"],
     faces: Int[np.ndarray, "T 3"],
-    count: int | None = None,
+    num_parts: int | None = None,
     rest: Float[np.ndarray, "V 3"] | None = None,
 ) -> Parts:
     """Segment a surface into connected parts that move as rigidly as possible.
@@ -60,37 +60,37 @@ def find_parts(
     Some hundred small patches are merged by least rigid error, which gives the error over the number of
     parts. The parts are then refined by k-means with rigid motions (Le and Deng 2012), and by moves that
     split one part and drop another if that lowers the error of blended vertices. Finally, motions are
-    estimated under blending (`unmix`). Each vertex is weighted by its area.
+    estimated under blending (`estimate_bone_motions`). Each vertex is weighted by its area.
 
-    **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `count` is the number of parts, by
-    default as many as each lower the error by `LEAST_GAIN`; `rest` is the mesh in whose pose the parts rest,
-    by default the one nearest to all others (`choose_rest`).
+    **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `num_parts` is the number of parts, by
+    default as many as each lower the error by `MIN_GAIN`; `rest` is the mesh in whose pose the parts rest,
+    by default the one nearest to all others (`choose_reference_mesh`).
 
     **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, and a count that is not between one and the number of patches.
     """
     meshes, faces = np.asarray(meshes), np.asarray(faces)
-    _check(meshes, faces, count)
+    _check(meshes, faces, num_parts)
     if rest is None:
-        rest = meshes[choose_rest(meshes, faces)]
+        rest = meshes[choose_reference_mesh(meshes, faces)]
     rest = np.asarray(rest, float)
-    surface = make_surface(rest, meshes, faces)
+    surface = make_surface_graph(rest, meshes, faces)
     paths = np.ascontiguousarray(meshes.transpose(1, 0, 2), float)
     middle, middles = surface.areas @ rest, np.einsum("v,vfa->fa", surface.areas, paths)
-    scene = Scene(surface, rest - middle, paths - middles)
+    scene = MovingSurface(surface, rest - middle, paths - middles)
     patches, merging, scene = _merge_patches(scene, PATCHES)
     curve = np.sqrt(merging.errors / len(meshes))
-    if count is None:
-        count = choose_count(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
-    elif count > len(curve):
+    if num_parts is None:
+        num_parts = choose_num_parts(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
+    elif num_parts > len(curve):
         raise ValueError(
-            f"The number of parts is {count}; expected at most {len(curve)}, the number of "
+            f"The number of parts is {num_parts}; expected at most {len(curve)}, the number of "
             "patches of the surface."
         )
-    state = improve_parts(scene, merged_labels(merging, count)[patches], count)
+    state = improve_parts(scene, merged_labels(merging, num_parts)[patches], num_parts)
     labels, moved = state.labels, state.moments
     error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
-    motions, mixed, back = unmix(scene, labels, state.motions)
+    motions, mixed, back = estimate_bone_motions(scene, labels, state.motions)
     rotations, translations = motions.rotations, motions.translations
     # move the origin back to that of the world
     translations = translations + middles - np.einsum("kfab,b->kfa", rotations, middle)
@@ -106,32 +106,32 @@ def find_parts(
     )
 
 
-def choose_count(curve: Float[np.ndarray, "N"], size: float) -> int:
-    """Choose the number of parts beyond which the error falls by less than `LEAST_GAIN` per part.
+def choose_num_parts(curve: Float[np.ndarray, "N"], size: float) -> int:
+    """Choose the number of parts beyond which the error falls by less than `MIN_GAIN` per part.
 
     The gain is the mean of the next three parts. The search also ends where the error is negligible against
     the `size` of the body, metres.
     """
-    for count in range(1, min(len(curve), MOST_PARTS)):
+    for count in range(1, min(len(curve), MAX_PARTS)):
         ahead = min(count + 3, len(curve))
         share = 1 - (curve[ahead - 1] / max(curve[count - 1], 1e-300)) ** (1 / (ahead - count))
-        if curve[count - 1] < NEGLIGIBLE * size or share < LEAST_GAIN:
+        if curve[count - 1] < NEGLIGIBLE * size or share < MIN_GAIN:
             return count
-    return min(len(curve), MOST_PARTS)
+    return min(len(curve), MAX_PARTS)
 
 
-def _merge_patches(scene: Scene, count: int) -> tuple[np.ndarray, Merging, Scene]:
+def _merge_patches(scene: MovingSurface, count: int) -> tuple[np.ndarray, Dendrogram, MovingSurface]:
     """Cut the surface into patches and merge them.
 
     Returns the patches, their merges, and the scene with a rest mesh that is the mean over frames of the
     patches moved back to rest, without the peculiarities of the initial mesh.
     """
-    patches = sharpen_patches(scene, cut_patches(scene.surface, scene.rest, count))
+    patches = refine_patch_borders(scene, cut_patches(scene.surface, scene.rest, count))
     number = int(patches.max()) + 1
     rotations, translations = rigid_motions(part_moments(scene, patches, number))
-    scene = scene._replace(rest=carried_back(scene, patches, rotations, translations))
+    scene = scene._replace(rest=mean_rest_positions(scene, patches, rotations, translations))
     moments = part_moments(scene, patches, number)
-    return patches, agglomerate(moments, label_edges(scene.surface, patches)[0]), scene
+    return patches, agglomerate(moments, boundary_edges(scene.surface, patches)[0]), scene
 
 
 def _check(meshes: np.ndarray, faces: np.ndarray, count: int | None) -> None:

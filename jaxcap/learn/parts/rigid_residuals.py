@@ -6,19 +6,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import Moments, group_moments
-from .surface import Surface, membership
+from .surface import SurfaceGraph, membership
 
 
-class Scene(NamedTuple):
+class MovingSurface(NamedTuple):
     """A moving surface with each frame centred at its mean, against cancellation."""
 
-    surface: Surface
+    surface: SurfaceGraph
     rest: Float[np.ndarray, "V 3"]
     #: the path of each vertex over the frames
     paths: Float[np.ndarray, "V F 3"]
 
 
-def part_moments(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Moments:
+def part_moments(scene: MovingSurface, labels: Int[np.ndarray, "V"], count: int) -> Moments:
     """Compute the moments of `count` parts, vertices weighted by area; vertices with negative labels are
     ignored."""
     held = np.flatnonzero(labels >= 0)
@@ -27,7 +27,7 @@ def part_moments(scene: Scene, labels: Int[np.ndarray, "V"], count: int) -> Mome
 
 
 def part_costs(
-    scene: Scene, rotations: Float[np.ndarray, "K F 3 3"], translations: Float[np.ndarray, "K F 3"]
+    scene: MovingSurface, rotations: Float[np.ndarray, "K F 3 3"], translations: Float[np.ndarray, "K F 3"]
 ) -> Float[np.ndarray, "V K"]:
     """Compute the squared residuals, summed over frames, of each vertex under the motion of each part.
 
@@ -35,14 +35,14 @@ def part_costs(
     """
     frames = scene.paths.shape[1]
     flat = scene.paths.reshape(len(scene.paths), -1)
-    sums = _sums_back(flat, rotations, translations)
+    sums = _sum_inverse_motions(flat, rotations, translations)
     squares = np.einsum("vi,vi->v", flat, flat)[:, None] + np.sum(translations**2, (1, 2))
     squares = squares - 2 * flat @ translations.reshape(len(translations), -1).T
     return np.maximum(squares - np.sum(sums * sums, -1) / frames, 0.0)
 
 
-def carried_back(
-    scene: Scene, labels: np.ndarray, rotations: np.ndarray, translations: np.ndarray
+def mean_rest_positions(
+    scene: MovingSurface, labels: np.ndarray, rotations: np.ndarray, translations: np.ndarray
 ) -> Float[np.ndarray, "V 3"]:
     """Compute the mean over frames of each vertex moved back to rest by its part."""
     frames = scene.paths.shape[1]
@@ -50,11 +50,14 @@ def carried_back(
     for part in range(len(rotations)):
         own = labels == part
         flat = scene.paths[own].reshape(-1, 3 * frames)
-        back[own] = _sums_back(flat, rotations[part : part + 1], translations[part : part + 1])[:, 0] / frames
+        back[own] = (
+            _sum_inverse_motions(flat, rotations[part : part + 1], translations[part : part + 1])[:, 0]
+            / frames
+        )
     return back
 
 
-def _sums_back(flat: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
+def _sum_inverse_motions(flat: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> np.ndarray:
     """Sum `R^T (x - t)` over frames, (V, K, 3)."""
     count = len(rotations)
     columns = rotations.reshape(count, -1, 3).transpose(1, 0, 2).reshape(-1, 3 * count)

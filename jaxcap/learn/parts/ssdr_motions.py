@@ -7,23 +7,25 @@ from jaxtyping import Float, Int
 
 from ...geometry.linear import solve_symmetric
 from ...geometry.procrustes import Moments, group_moments, rigid_motions
-from .rigid_residuals import Scene
-from .surface import label_edges, membership
-from .two_bone_blend import Mixed, Motions, carried_sums, make_motions, mix_parts, with_one
+from .rigid_residuals import MovingSurface
+from .surface import boundary_edges, membership
+from .two_bone_blend import Motions, TwoBoneBlend, fit_part_blends, homogeneous, make_motions, path_products
 
 #: rounds of weights, rest vertices and motions; more rounds fit better, but bones separate at the joints
 ROUNDS = 3
 
 
-class Unmixed(NamedTuple):
+class TwoBoneSkinning(NamedTuple):
     """Two-bone linear blend skinning of a moving surface."""
 
     motions: Motions
-    mixed: Mixed
+    blend: TwoBoneBlend
     rest: Float[np.ndarray, "V 3"]
 
 
-def unmix(scene: Scene, labels: Int[np.ndarray, "V"], motions: Motions) -> Unmixed:
+def estimate_bone_motions(
+    scene: MovingSurface, labels: Int[np.ndarray, "V"], motions: Motions
+) -> TwoBoneSkinning:
     """Estimate bone motions from rigid part motions under two-bone blending (Le and Deng 2012, section 4).
 
     The best rigid motion of all vertices of a part is biased towards its neighbours by blended vertices. In
@@ -31,23 +33,25 @@ def unmix(scene: Scene, labels: Int[np.ndarray, "V"], motions: Motions) -> Unmix
     and the motion of each part, by Procrustes on the residual of the other part. Each update lowers the
     error.
     """
-    touching = np.unique(label_edges(scene.surface, labels)[0], axis=0)
+    touching = np.unique(boundary_edges(scene.surface, labels)[0], axis=0)
     rest = scene.rest
-    mixed = mix_parts(rest, scene.paths, labels, motions, touching)
+    mixed = fit_part_blends(rest, scene.paths, labels, motions, touching)
     for _ in range(ROUNDS):
         rest = _rest_vertices(scene, labels, motions, mixed)
         motions = _bone_motions(scene, rest, labels, motions, mixed)
-        mixed = mix_parts(rest, scene.paths, labels, motions, touching)
-    return Unmixed(motions, mixed, rest)
+        mixed = fit_part_blends(rest, scene.paths, labels, motions, touching)
+    return TwoBoneSkinning(motions, mixed, rest)
 
 
-def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mixed) -> np.ndarray:
+def _rest_vertices(
+    scene: MovingSurface, labels: np.ndarray, motions: Motions, mixed: TwoBoneBlend
+) -> np.ndarray:
     """Solve `M p + m = x` for rest positions by least squares over the frames, `[M m]` the blend at the
     vertex."""
     count, frames = motions.translations.shape[:2]
     rows = np.arange(len(labels))
     w = mixed.shares[:, None]
-    sums = carried_sums(scene.paths, motions, np.arange(count))
+    sums = path_products(scene.paths, motions, np.arange(count))
     carried = w * sums[rows, labels] + (1 - w) * sums[rows, mixed.partners]
     cross = motions.products[labels, mixed.partners]
     w = w[:, :, None]
@@ -61,7 +65,7 @@ def _rest_vertices(scene: Scene, labels: np.ndarray, motions: Motions, mixed: Mi
 
 
 def _bone_motions(
-    scene: Scene, rest: np.ndarray, labels: np.ndarray, motions: Motions, mixed: Mixed
+    scene: MovingSurface, rest: np.ndarray, labels: np.ndarray, motions: Motions, mixed: TwoBoneBlend
 ) -> Motions:
     """Update the rigid motion of each part in turn, with all others fixed."""
     count = len(motions.rotations)
@@ -72,7 +76,7 @@ def _bone_motions(
     moments = group_moments(first + membership(partners, areas * others, count), rest, scene.paths)
     weights = membership(labels, areas * shares**2, count) + membership(partners, areas * others**2, count)
     mass, source = np.asarray(weights.sum(1)).ravel(), weights @ rest
-    whole = with_one(rest)
+    whole = homogeneous(rest)
     outer = (areas * shares * others)[:, None, None] * whole[:, :, None] * whole[:, None, :]
     overlap = np.zeros((count, count, 4, 4))
     np.add.at(overlap, (labels, partners), outer)

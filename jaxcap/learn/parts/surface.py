@@ -17,7 +17,7 @@ BRIDGE_SAMPLES = 64
 LLOYD_ROUNDS = 4
 
 
-class Surface(NamedTuple):
+class SurfaceGraph(NamedTuple):
     """A connected graph over the vertices of a mesh, with vertex areas.
 
     Edges are those of the triangles, edges between vertices that coincide in every frame, and, between pieces
@@ -31,12 +31,12 @@ class Surface(NamedTuple):
     #: share of each vertex in the surface area, positive, with sum one
     areas: Float[np.ndarray, "V"]
     #: (E,) false for edges that only connect pieces
-    real: np.ndarray
+    is_mesh_edge: np.ndarray
 
 
-def make_surface(
+def make_surface_graph(
     rest: Float[np.ndarray, "V 3"], meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]
-) -> Surface:
+) -> SurfaceGraph:
     """Build the graph of a mesh with vertices `rest` at rest and `meshes` over time."""
     count = len(rest)
     edges = mesh_edges(faces)
@@ -47,10 +47,10 @@ def make_surface(
     real = np.arange(len(edges) + len(bridges)) < len(edges)
     edges = np.concatenate([edges, bridges])
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
-    return Surface(edges, lengths, _areas(rest, faces), real)
+    return SurfaceGraph(edges, lengths, _areas(rest, faces), real)
 
 
-def adjacency(surface: Surface, values: np.ndarray | None = None) -> sparse.csr_matrix:
+def adjacency(surface: SurfaceGraph, values: np.ndarray | None = None) -> sparse.csr_matrix:
     """Build the symmetric adjacency matrix of the graph, with ones by default."""
     values = np.ones(len(surface.edges)) if values is None else values
     count = len(surface.areas)
@@ -68,19 +68,19 @@ def membership(
 
 
 def cut_patches(
-    surface: Surface, rest: Float[np.ndarray, "V 3"], count: int, among: np.ndarray | None = None
+    surface: SurfaceGraph, rest: Float[np.ndarray, "V 3"], count: int, subset: np.ndarray | None = None
 ) -> Int[np.ndarray, "V"]:
     """Partition a surface into at most `count` connected patches of about equal width.
 
     Patches are geodesic Voronoi cells of seeds from farthest point sampling, moved by Lloyd's algorithm. With
-    `among`, a connected set of vertices, only that set is partitioned; other vertices have the label -1.
+    `subset`, a connected set of vertices, only that set is partitioned; other vertices have the label -1.
     """
-    vertices = np.arange(len(rest)) if among is None else np.asarray(among)
+    vertices = np.arange(len(rest)) if subset is None else np.asarray(subset)
     points, areas = rest[vertices], surface.areas[vertices]
     # a sparse matrix treats zero as no edge
     graph = adjacency(surface, np.maximum(surface.lengths, 1e-9 * np.ptp(rest, axis=0).max()))
     graph = graph[vertices][:, vertices]
-    seeds = _far_apart(points, min(count, len(points)))
+    seeds = _farthest_points(points, min(count, len(points)))
     cells = np.zeros(len(points), int)
     for _ in range(LLOYD_ROUNDS):
         _, _, nearest = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
@@ -96,8 +96,8 @@ def cut_patches(
     return labels
 
 
-def label_edges(
-    surface: Surface, labels: Int[np.ndarray, "V"]
+def boundary_edges(
+    surface: SurfaceGraph, labels: Int[np.ndarray, "V"]
 ) -> tuple[Int[np.ndarray, "B 2"], Int[np.ndarray, "B"]]:
     """Return the graph edges between two sets: pairs of labels, the lesser first, and the edge indices."""
     pairs = labels[surface.edges]
@@ -105,8 +105,8 @@ def label_edges(
     return np.sort(pairs[crossing], axis=1), crossing
 
 
-def connect(
-    surface: Surface, labels: Int[np.ndarray, "V"], costs: Float[np.ndarray, "V K"]
+def make_connected(
+    surface: SurfaceGraph, labels: Int[np.ndarray, "V"], costs: Float[np.ndarray, "V K"]
 ) -> Int[np.ndarray, "V"]:
     """Make sets connected: each keeps its largest piece, and other vertices go to the neighbouring set of
     least cost."""
@@ -142,7 +142,7 @@ def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return areas / areas.sum()
 
 
-def _far_apart(points: np.ndarray, count: int) -> np.ndarray:
+def _farthest_points(points: np.ndarray, count: int) -> np.ndarray:
     """Sample points by farthest point sampling; returns sorted indices."""
     seeds = [int(np.argmax(np.sum((points - points.mean(0)) ** 2, 1)))]
     gaps = np.sum((points - points[seeds[0]]) ** 2, 1)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 
-class Mixed(NamedTuple):
+class TwoBoneBlend(NamedTuple):
     """The best blend of each vertex's own part with one other part."""
 
     #: squared distance, summed over frames
@@ -39,7 +39,7 @@ def make_motions(rotations: np.ndarray, translations: np.ndarray) -> Motions:
     return Motions(rotations, translations, products)
 
 
-def mix(
+def fit_two_bone_blends(
     points: Float[np.ndarray, "N 3"],
     paths: Float[np.ndarray, "N F 3"],
     motions: Motions,
@@ -53,8 +53,8 @@ def mix(
     used = np.unique(pairs)
     place = np.searchsorted(used, pairs)
     flat = paths.reshape(len(paths), -1)
-    whole = with_one(points)
-    towards = np.einsum("nkb,nb->nk", carried_sums(paths, motions, used), whole)
+    whole = homogeneous(points)
+    towards = np.einsum("nkb,nb->nk", path_products(paths, motions, used), whole)
     quadratic = np.einsum("na,nb->nab", whole, whole).reshape(-1, 16)
     own = quadratic @ motions.products[used, used].reshape(-1, 16).T
     both = quadratic @ motions.products[pairs[:, 0], pairs[:, 1]].reshape(-1, 16).T
@@ -67,12 +67,12 @@ def mix(
     return np.maximum(gap - 2 * shares * along + shares**2 * apart, 0.0), shares
 
 
-def with_one(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+def homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
     """Convert points to homogeneous coordinates."""
     return np.concatenate([points, np.ones((len(points), 1))], 1)
 
 
-def carried_sums(
+def path_products(
     paths: Float[np.ndarray, "N F 3"], motions: Motions, used: Int[np.ndarray, "U"]
 ) -> Float[np.ndarray, "N U 4"]:
     """Sum `[R t]^T x` over frames for the motions `used`."""
@@ -81,25 +81,25 @@ def carried_sums(
     return (paths.reshape(len(paths), -1) @ columns).reshape(len(paths), -1, 4)
 
 
-def mix_parts(
+def fit_part_blends(
     points: Float[np.ndarray, "V 3"],
     paths: Float[np.ndarray, "V F 3"],
     labels: Int[np.ndarray, "V"],
     motions: Motions,
-    touching: Int[np.ndarray, "P 2"],
-) -> Mixed:
+    adjacent_pairs: Int[np.ndarray, "P 2"],
+) -> TwoBoneBlend:
     """Fit the best blend of each vertex's own part with an adjacent part."""
     errors, shares, partners = np.zeros(len(points)), np.ones(len(points)), labels.copy()
     for part in np.unique(labels):
         own = np.flatnonzero(labels == part)
-        around = np.unique(touching[(touching == part).any(1)])
+        around = np.unique(adjacent_pairs[(adjacent_pairs == part).any(1)])
         around = np.append(around[around != part], part)
         pairs = np.stack([np.full(len(around), part), around], 1)
-        found, weights = mix(points[own], paths[own], motions, pairs)
+        found, weights = fit_two_bone_blends(points[own], paths[own], motions, pairs)
         best = np.argmin(found, axis=1)
         rows = np.arange(len(own))
         errors[own] = found[rows, best]
         # a part blended with itself has the whole weight
         shares[own] = np.where(around[best] == part, 1.0, weights[rows, best])
         partners[own] = around[best]
-    return Mixed(errors, shares, partners)
+    return TwoBoneBlend(errors, shares, partners)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
-from ..parts.surface import Surface, label_edges
+from ..parts.surface import SurfaceGraph, boundary_edges
 
 #: rounds of updating the residual variance, and with it the weight of the prior
 ROUNDS = 5
@@ -16,13 +16,13 @@ INDEPENDENT = 3
 FLOOR = 1e-3
 
 
-class Seams(NamedTuple):
+class PartBoundaries(NamedTuple):
     """Boundaries between parts, one row for each adjacent pair."""
 
     #: (P, 2), the lesser part first
     pairs: Int[np.ndarray, "P 2"]
     #: centroid of the common boundary in the rest mesh
-    middles: Float[np.ndarray, "P 3"]
+    centroids: Float[np.ndarray, "P 3"]
     #: root mean square distance of the boundary from its centroid, metres
     radii: Float[np.ndarray, "P"]
     #: length of the boundary, metres; zero for parts that do not touch
@@ -40,22 +40,22 @@ class Centres(NamedTuple):
     residuals: Float[np.ndarray, "P"]
 
 
-def find_seams(
-    surface: Surface, labels: Int[np.ndarray, "V"], rest: Float[np.ndarray, "V 3"], count: int
-) -> Seams:
+def find_boundaries(
+    surface: SurfaceGraph, labels: Int[np.ndarray, "V"], rest: Float[np.ndarray, "V 3"], count: int
+) -> PartBoundaries:
     """Find the boundaries between parts.
 
     If the parts of a disconnected mesh are not all connected, also return the gaps between every two parts of
     different pieces.
     """
-    pairs, crossing = label_edges(surface, labels)
+    pairs, crossing = boundary_edges(surface, labels)
     keys, place = np.unique(pairs, axis=0, return_inverse=True)
     place = place.ravel()
     ends = rest[surface.edges[crossing]]
     middles = ends.mean(1)
     # on a mesh of equilateral triangles, each crossing edge represents half an edge length of boundary; edges
     # that only connect pieces have almost no weight
-    weights = np.where(surface.real[crossing], 0.5 * surface.lengths[crossing], 0.0)
+    weights = np.where(surface.is_mesh_edge[crossing], 0.5 * surface.lengths[crossing], 0.0)
     lengths = np.bincount(place, weights, len(keys))
     shares = np.maximum(weights, 1e-9)
     shares = shares / np.bincount(place, shares, len(keys))[place]
@@ -63,12 +63,12 @@ def find_seams(
     spread = np.bincount(place, shares * np.sum((middles - centres[place]) ** 2, 1), len(keys))
     jumps = np.bincount(place, shares * np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1), len(keys))
     gaps = np.where(lengths > 0, 0.0, jumps)
-    seams = Seams(keys, centres, np.sqrt(spread), lengths, gaps)
+    seams = PartBoundaries(keys, centres, np.sqrt(spread), lengths, gaps)
     return _with_gaps(seams, labels, rest, count)
 
 
 def find_centres(
-    seams: Seams,
+    boundaries: PartBoundaries,
     rotations: Float[np.ndarray, "F K 3 3"],
     translations: Float[np.ndarray, "F K 3"],
     size: float,
@@ -85,27 +85,27 @@ def find_centres(
     metres, bounds the residuals from below.
     """
     frames = len(rotations)
-    a, b = seams.pairs.T
+    a, b = boundaries.pairs.T
     turn = rotations[:, a] - rotations[:, b]
-    shift = translations[:, b] - translations[:, a] - np.einsum("fpab,pb->fpa", turn, seams.middles)
+    shift = translations[:, b] - translations[:, a] - np.einsum("fpab,pb->fpa", turn, boundaries.centroids)
     values, axes = np.linalg.eigh(np.einsum("fpai,fpaj->pij", turn, turn))
     values = np.maximum(values, 0.0)
     along = np.einsum("pij,fpai,fpa->pj", axes, turn, shift)
-    radii = np.maximum(seams.radii, 0.01 * size)
+    radii = np.maximum(boundaries.radii, 0.01 * size)
     variances = (0.1 * radii) ** 2
-    points, residuals = seams.middles, np.zeros(len(radii))
+    points, residuals = boundaries.centroids, np.zeros(len(radii))
     for _ in range(ROUNDS):
         pull = max(1.0, frames / INDEPENDENT) * variances / radii**2
-        steps = _held_steps(values, along, pull, radii)
+        steps = _bounded_steps(values, along, pull, radii)
         away = np.einsum("pij,pj->pi", axes, steps)
-        points = seams.middles + away
+        points = boundaries.centroids + away
         gap = np.einsum("fpab,pb->fpa", turn, away) - shift
         residuals = np.sqrt(np.mean(np.sum(gap * gap, -1), 0))
         variances = np.maximum(np.maximum(residuals, error) ** 2 / 3, (FLOOR * radii) ** 2)
     return Centres(points, residuals)
 
 
-def _held_steps(values: np.ndarray, along: np.ndarray, pull: np.ndarray, radii: np.ndarray) -> np.ndarray:
+def _bounded_steps(values: np.ndarray, along: np.ndarray, pull: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """Solve (P, 3) `along / (values + pull)`, with `pull` raised until each step is within its radius."""
     solve = lambda weight: along / (values + weight[:, None])  # noqa: E731
     low, high = pull, np.maximum(pull, np.linalg.norm(along, axis=1) / radii)
@@ -117,14 +117,14 @@ def _held_steps(values: np.ndarray, along: np.ndarray, pull: np.ndarray, radii: 
     return solve(np.where(inside, pull, high))
 
 
-def _with_gaps(seams: Seams, labels: np.ndarray, rest: np.ndarray, count: int) -> Seams:
+def _with_gaps(seams: PartBoundaries, labels: np.ndarray, rest: np.ndarray, count: int) -> PartBoundaries:
     owner = np.arange(count)
     for a, b in seams.pairs[seams.lengths > 0]:
         owner[owner == owner[b]] = owner[a]
     if len(np.unique(owner)) == 1:
         return seams
     touching = seams.lengths > 0
-    seams = Seams(*(field[touching] for field in seams))
+    seams = PartBoundaries(*(field[touching] for field in seams))
     rows = []
     for a in range(count):
         for b in range(a + 1, count):
@@ -135,8 +135,8 @@ def _with_gaps(seams: Seams, labels: np.ndarray, rest: np.ndarray, count: int) -
                 rows.append(((a, b), (p[i] + q[j]) / 2, gaps[i, j]))
     pairs, middles, gaps = (np.array(column) for column in zip(*rows, strict=True))
     none = np.zeros(len(rows))
-    more = Seams(pairs, middles, none, none, gaps)
-    return Seams(*(np.concatenate(both) for both in zip(seams, more, strict=True)))
+    more = PartBoundaries(pairs, middles, none, none, gaps)
+    return PartBoundaries(*(np.concatenate(both) for both in zip(seams, more, strict=True)))
 
 
 def _thinned(points: np.ndarray, count: int = 500) -> np.ndarray:

@@ -17,20 +17,20 @@ from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
 
 #: mean squared rotation, squared radians, below which a motion does not determine a centre: (1 degree)²
-LITTLE = 0.02**2
+MIN_ROTATION = 0.02**2
 #: the same with a given skeleton: (17 degrees)²
-LITTLE_GIVEN = 0.3**2
+MIN_ROTATION_GIVEN = 0.3**2
 #: weight of a fixed centre, relative to the information of a rotation by one radian
-KEPT = 1e4
+FIXED_WEIGHT = 1e4
 #: damping of a centre relative to the weight of its prior
-HOLD = 30.0
+DAMPING = 30.0
 #: radii of its cut within which a centre is not penalised
-REACH = 1.5
+MAX_RADII = 1.5
 #: vertex error, as a share of the body's diagonal, below which the data are trusted fully
 EXACT = 3e-4
 
 
-class Anchors(eqx.Module):
+class JointCentrePrior(eqx.Module):
     """A quadratic prior on joint centres along directions that their motion does not determine.
 
     A hinge does not determine the centre along its axis, and a joint that hardly rotates determines nothing.
@@ -39,41 +39,43 @@ class Anchors(eqx.Module):
     for exact data.
     """
 
-    middles: Float[Array, "J 3"]
+    means: Float[Array, "J 3"]
     #: weight of the prior along each direction, relative to the information of a rotation by one radian; zero
     #: for roots and where the parts of a joint do not touch
     weights: Float[Array, "J 3 3"]
     #: damping towards the current centre in the same unit: without information, even a weak misfit would move
     #: a centre far over many steps
-    hold: Float[Array, "J 3 3"]
+    damping: Float[Array, "J 3 3"]
     #: information of the motion along each direction, in the same unit
-    told: Float[Array, "J 3 3"]
+    information: Float[Array, "J 3 3"]
 
 
-class Given(NamedTuple):
-    """Joint centres of a given skeleton; with `keep` they are fixed."""
+class GivenCentres(NamedTuple):
+    """Joint centres of a given skeleton; with `is_fixed` they are fixed."""
 
     centres: Float[Array, "J 3"]
-    keep: bool = False
+    is_fixed: bool = False
 
 
-def given_anchors(body: Body, poses: Pose, given: Given) -> Anchors:
+def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCentrePrior:
     """Build anchors at the joint centres of a given skeleton: a prior, or fixed centres.
 
     Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
     otherwise drift along the limb.
     """
-    told, values, axes = _told(poses)
-    pull = LITTLE_GIVEN**2 / (np.maximum(values, 0.0) + LITTLE_GIVEN)
+    told, values, axes = _motion_information(poses)
+    pull = MIN_ROTATION_GIVEN**2 / (np.maximum(values, 0.0) + MIN_ROTATION_GIVEN)
     weights = (
-        np.full_like(told, KEPT) * np.eye(3) if given.keep else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+        np.full_like(told, FIXED_WEIGHT) * np.eye(3)
+        if given.is_fixed
+        else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     )
     weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
     dtype = body.vertices.dtype
-    return Anchors(*(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, told)))
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, told)))
 
 
-def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -> Anchors:
+def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance: float) -> JointCentrePrior:
     """Build anchors at the middle of the edges between the subtree of a joint and the rest of the body.
 
     A centre outside the sphere of 1.5 times the cut's radius is penalised even if its motion determines it.
@@ -82,28 +84,28 @@ def cut_anchors(body: Body, poses: Pose, metric: Conformance, variance: float) -
     **Arguments:** `metric` of the body's mesh, for its edges; `variance` of a coordinate's error, squared
     metres.
     """
-    labels, rest = np.asarray(body.skin.parts()), np.asarray(body.vertices, float)
+    labels, rest = np.asarray(body.skin.dominant_bones()), np.asarray(body.vertices, float)
     inner, outer = neighbour_pairs(metric).T
     ends = (rest[inner] + rest[outer]) / 2
-    below = body.skeleton.descent
+    below = body.skeleton.descendants
     crossing = below[:, labels[inner]] & ~below[:, labels[outer]]
     count = crossing.sum(1)
     middles = crossing @ ends / np.maximum(count, 1)[:, None]
     squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
-    radii = REACH * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
+    radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
-    told, values, axes = _told(poses)
-    pull = LITTLE**2 / (np.maximum(values, 0.0) + LITTLE)
+    told, values, axes = _motion_information(poses)
+    pull = MIN_ROTATION**2 / (np.maximum(values, 0.0) + MIN_ROTATION)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     beyond = np.einsum("jaa->j", told) / 3 * np.maximum(away / radii - 1, 0.0)
     back = beyond[:, None, None] * np.eye(3)
-    hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (HOLD, 1.0))
+    hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (DAMPING, 1.0))
     dtype = body.vertices.dtype
-    return Anchors(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, told)))
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, told)))
 
 
-def _told(
+def _motion_information(
     poses: Pose,
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
     """Compute the information of each joint's motion on its centre, with eigenvalues and axes."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Body, pose_body
-from ...body.geometric_jacobian import joint_rates, pose_rates, stack_rates, take_rates
+from ...body.geometric_jacobian import concatenate_jacobians, joint_jacobian, pose_jacobian, select_parameters
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose, retract
 from ...body.skeleton import Skeleton
@@ -27,21 +27,21 @@ from ...fit.solvers.minimise import minimise
 from ...fit.solvers.problem import AbstractProblem
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, apply
-from ...geometry.patches import Blocks, laplacian_rows, make_blocks
+from ...geometry.patches import PatchLaplacian, laplacian_rows, make_patch_laplacian
 from ..objective import objective
-from .joint_centre_prior import Anchors, Given, cut_anchors, given_anchors
+from .joint_centre_prior import GivenCentres, JointCentrePrior, boundary_centre_prior, given_centre_prior
 
 #: the least number of vertices from which the curvature is estimated
 SAMPLES = 4000
 #: steps with the same anchors; the least damping of the next update; the relative tolerance on Q
-STEPS, LEAST, RTOL = 2, 1e-7, 1e-12
+STEPS, MIN_DAMPING, RTOL = 2, 1e-7, 1e-12
 
 
 class Curvature(eqx.Module):
     """The vertices over which `J^T A J` is summed, and their weight."""
 
     vertices: Int[Array, "S"]
-    laplacian: Blocks
+    laplacian: PatchLaplacian
     weight: Float[Array, ""]
 
 
@@ -56,10 +56,10 @@ def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
     stride = max(1, count // samples)
     vertices = np.arange(stride // 2, count, stride)
     weight = jnp.asarray(count / len(vertices), metric.diagonal.dtype)
-    return Curvature(jnp.asarray(vertices), make_blocks(metric, vertices), weight)
+    return Curvature(jnp.asarray(vertices), make_patch_laplacian(metric, vertices), weight)
 
 
-class Standing(eqx.Module):
+class JointState(eqx.Module):
     """Joint centres and orientations at rest, and the poses."""
 
     centres: Float[Array, "J 3"]
@@ -67,22 +67,22 @@ class Standing(eqx.Module):
     poses: Pose
 
 
-class JointProblem(AbstractProblem[Standing]):
+class JointProblem(AbstractProblem[JointState]):
     """Half of Q as a function of joints and poses, with user-defined energies (Adaptation, 3.2.2).
 
     The unknowns are the parameters of all poses and, for each joint below a root, its centre and, if the skin
     has twist axes, two parameters of its orientation (a roll about the twist axis has no effect). The bones
     of left and right `pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
     Q_sym` (eqs. 3.23 to 3.26). Anchors damp steps along directions of a centre that no motion determines, and
-    pull with a `strength`. They are not part of the objective.
+    pull with a `prior_strength`. They are not part of the objective.
     """
 
     body: Body
     targets: Float[Array, "F V 3"]
     metric: Conformance
     curvature: Curvature
-    anchors: Anchors | None = None
-    strength: float | Float[Array, ""] = 0.0
+    centre_prior: JointCentrePrior | None = None
+    prior_strength: float | Float[Array, ""] = 0.0
     terms: AbstractEnergy | None = None
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
@@ -90,12 +90,12 @@ class JointProblem(AbstractProblem[Standing]):
     def slots(self) -> tuple[int, ...]:
         return shared_slots(self.body)
 
-    def start(self, poses: Pose) -> Standing:
+    def start(self, poses: Pose) -> JointState:
         """Return the current joints and the given poses as a starting point."""
         skeleton = self.body.skeleton
-        return Standing(skeleton.centres, skeleton.orientations, poses)
+        return JointState(skeleton.centres, skeleton.orientations, poses)
 
-    def body_at(self, y: Standing, s: Float[Array, "S"] | None = None) -> Body:
+    def body_at(self, y: JointState, s: Float[Array, "S"] | None = None) -> Body:
         """Build the body at given joints, optionally moved along a tangent."""
         there = eqx.tree_at(
             lambda b: (b.skeleton.centres, b.skeleton.orientations), self.body, (y.centres, y.orientations)
@@ -106,29 +106,31 @@ class JointProblem(AbstractProblem[Standing]):
         joints = move_joints(there.skeleton, moved[:, :3], moved[:, 3:])
         return eqx.tree_at(lambda b: b.skeleton, there, joints)
 
-    def value(self, y: Standing) -> Float[Array, ""]:
+    def value(self, y: JointState) -> Float[Array, ""]:
         return 0.5 * objective(self.body_at(y), y.poses, self.targets, self.metric, self.terms)
 
-    def retract(self, y: Standing, d: Unknowns) -> Standing:
+    def retract(self, y: JointState, d: Unknowns) -> JointState:
         joints = self.body_at(y, d[1]).skeleton
         poses = jax.vmap(retract, (None, 0, 0))(self.body.skeleton, y.poses, d[0])
-        return Standing(joints.centres, joints.orientations, poses)
+        return JointState(joints.centres, joints.orientations, poses)
 
     def scales(self) -> Unknowns:
         dtype = self.targets.dtype
         shape = len(self.targets), self.body.skeleton.num_dofs
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
 
-    def constraint(self):
+    def describe_constraints(self):
         return "bones of equal length" if self.pairs else None
 
-    def information(self, y: Standing) -> ConstrainedInfo:
+    def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
         arrow, side = normal_equations(body, y.poses, self.targets, self.metric, self.curvature, slots)
-        if self.anchors is not None:
-            arrow, side = _anchored(arrow, side, body.skeleton, self.anchors, slots, self.strength)
+        if self.centre_prior is not None:
+            arrow, side = _add_centre_prior(
+                arrow, side, body.skeleton, self.centre_prior, slots, self.prior_strength
+            )
         if self.terms is not None:
-            arrow, side = _with_terms(arrow, side, self.terms, y, self)
+            arrow, side = _add_energies(arrow, side, self.terms, y, self)
         differences, by_centre = length_differences(body.skeleton, np.array(self.pairs, int).reshape(-1, 2))
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
@@ -157,18 +159,18 @@ def improve_joints(
     damping: float,
     value: float,
     steps: int = STEPS,
-    given: Given | None = None,
+    given_centres: GivenCentres | None = None,
     terms: AbstractEnergy | None = None,
 ) -> JointStep:
     """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
-    Components of a centre that no motion determines follow the `given` skeleton or else the cut between
+    Components of a centre that no motion determines follow the `given_centres` skeleton or else the cut between
     parts. If anchors that pull would raise Q, they only damp the motion of centres.
     """
     anchors = (
-        cut_anchors(body, poses, metric, value / targets.size)
-        if given is None
-        else given_anchors(body, poses, given)
+        boundary_centre_prior(body, poses, metric, value / targets.size)
+        if given_centres is None
+        else given_centre_prior(body, poses, given_centres)
     )
     mirrored = tuple(map(tuple, np.asarray(pairs, int).tolist()))
     shares = jnp.asarray(damping, targets.dtype)
@@ -178,19 +180,19 @@ def improve_joints(
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
             there = problem.body_at(y)
-            return JointStep(there, y.poses, float(left), max(float(shares), LEAST))
-    return JointStep(body, poses, value, max(float(shares), LEAST))
+            return JointStep(there, y.poses, float(left), max(float(shares), MIN_DAMPING))
+    return JointStep(body, poses, value, max(float(shares), MIN_DAMPING))
 
 
 @eqx.filter_jit
-def _descend(problem: JointProblem, start: Standing, damping: Float[Array, ""], steps: int):
+def _descend(problem: JointProblem, start: JointState, damping: Float[Array, ""], steps: int):
     solver = LevenbergMarquardt(rtol=RTOL, relative=True)
     found = minimise(problem, start, solver, steps, damping)
     return found.y, 2.0 * problem.value(found.y), found.damping
 
 
 def shared_slots(body: Body) -> tuple[int, ...]:
-    """Return the indices of unknowns in `joint_rates`: centres, and orientations without the roll."""
+    """Return the indices of unknowns in `joint_jacobian`: centres, and orientations without the roll."""
     numbers = [0, 1, 2, 4, 5] if isinstance(body.skin, SwingTwistSkin) else [0, 1, 2]
     below = [joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0]
     return tuple(6 * joint + number for joint in below for number in numbers)
@@ -216,9 +218,9 @@ def normal_equations(
     def of_frame(frame):
         pose, target = frame
         transforms = forward_kinematics(skeleton, pose)
-        rates = stack_rates(
-            pose_rates(skeleton, pose, transforms),
-            take_rates(joint_rates(skeleton, pose, transforms), chosen),
+        rates = concatenate_jacobians(
+            pose_jacobian(skeleton, pose, transforms),
+            select_parameters(joint_jacobian(skeleton, pose, transforms), chosen),
         )
         rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
         side = jnp.tensordot(apply(metric, target - pose_body(body, pose).vertices), rows, 2)
@@ -233,11 +235,11 @@ def normal_equations(
 
 
 @eqx.filter_jit
-def _anchored(
+def _add_centre_prior(
     arrow: BlockArrow,
     side: Unknowns,
     skeleton: Skeleton,
-    anchors: Anchors,
+    anchors: JointCentrePrior,
     slots: tuple[int, ...],
     strength: float | Float[Array, ""],
 ) -> tuple[BlockArrow, Unknowns]:
@@ -249,10 +251,10 @@ def _anchored(
     count, chosen = skeleton.num_joints, np.array(slots, int)
     known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
     total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
-    told = jnp.trace(anchors.told, axis1=1, axis2=2)
+    told = jnp.trace(anchors.information, axis1=1, axis2=2)
     measure = total / jnp.maximum(told, jnp.finfo(told.dtype).eps)
-    weights, hold = (measure[:, None, None] * some for some in (anchors.weights, anchors.hold))
-    pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.middles - skeleton.centres)
+    weights, hold = (measure[:, None, None] * some for some in (anchors.weights, anchors.damping))
+    pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.means - skeleton.centres)
     wide = jnp.zeros((count, 6, count, 6), weights.dtype)
     wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(hold).reshape(6 * count, 6 * count)
     shared = arrow.shared + wide[chosen][:, chosen]
@@ -260,8 +262,8 @@ def _anchored(
     return BlockArrow(arrow.frames, arrow.coupling, shared), (side[0], pulled)
 
 
-def _with_terms(
-    arrow: BlockArrow, side: Unknowns, terms: AbstractEnergy, y: Standing, problem: JointProblem
+def _add_energies(
+    arrow: BlockArrow, side: Unknowns, terms: AbstractEnergy, y: JointState, problem: JointProblem
 ) -> tuple[BlockArrow, Unknowns]:
     """Add the energies of every frame to the normal equations."""
     body, count = problem.body_at(y), len(problem.slots)
@@ -284,9 +286,13 @@ def _with_terms(
     return BlockArrow(frames, coupling, shared), sides
 
 
-def move_joints(skeleton: Skeleton, shifts: Float[Array, "J 3"], turns: Float[Array, "J 3"]) -> Skeleton:
+def move_joints(
+    skeleton: Skeleton, shifts: Float[Array, "J 3"], rotation_vectors: Float[Array, "J 3"]
+) -> Skeleton:
     """Shift the centres of a skeleton, metres, and right-multiply its orientations by rotations, radians."""
-    orientations = rotation.normalise(rotation.multiply(skeleton.orientations, rotation.exp(turns)))
+    orientations = rotation.normalise(
+        rotation.multiply(skeleton.orientations, rotation.exp(rotation_vectors))
+    )
     return eqx.tree_at(
         lambda s: (s.centres, s.orientations), skeleton, (skeleton.centres + shifts, orientations)
     )

@@ -11,24 +11,24 @@ from ...body.skeleton import Skeleton
 LENGTH, AREA = 0.25, 0.5
 #: the largest mean dissimilarity of a pair, and the factor by which that of any other match of either must be
 #: larger
-DOUBT, LEAD = 1.0, 1.5
+MAX_DISSIMILARITY, MIN_RIVAL_RATIO = 1.0, 1.5
 #: share of the area of two branches from which an unmatched branch counts fully
-LONELY = 0.1
+UNMATCHED_SHARE = 0.1
 #: dissimilarities below this are not distinguished
-CERTAIN = 0.1
+MIN_DISSIMILARITY = 0.1
 
 
 class _Match(NamedTuple):
     """The dissimilarity of two branches."""
 
     #: sum of squared dissimilarities over their joints, and the number of terms
-    doubt: float
-    terms: float
+    dissimilarity: float
+    num_terms: float
     pairs: tuple[tuple[int, int], ...]
 
     @property
     def mean(self) -> float:
-        return float(np.sqrt(self.doubt / self.terms))
+        return float(np.sqrt(self.dissimilarity / self.num_terms))
 
 
 def find_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndarray, "P 2"]:
@@ -65,14 +65,14 @@ def _siblings(branches: list[int], children, lengths, areas) -> list[tuple[int, 
     found = []
     taken: set[int] = set()
     for (a, b), match in sorted(matches.items(), key=lambda item: item[1].mean):
-        if match.mean > DOUBT or taken & {a, b}:
+        if match.mean > MAX_DISSIMILARITY or taken & {a, b}:
             continue
         rivals = [
             other.mean
             for pair, other in matches.items()
             if pair != (a, b) and {a, b} & set(pair) and not taken & set(pair)
         ]
-        if min(rivals, default=np.inf) < LEAD * max(match.mean, CERTAIN):
+        if min(rivals, default=np.inf) < MIN_RIVAL_RATIO * max(match.mean, MIN_DISSIMILARITY):
             continue
         taken |= {a, b}
         found += [(min(pair), max(pair)) for pair in match.pairs]
@@ -90,13 +90,13 @@ def _match(a: int, b: int, children, lengths, areas) -> _Match:
     while ours and theirs:
         options = [(_match(p, q, children, lengths, areas), p, q) for p in ours for q in theirs]
         best, p, q = min(options, key=lambda option: option[0].mean)
-        doubt, terms = doubt + best.doubt, terms + best.terms
+        doubt, terms = doubt + best.dissimilarity, terms + best.num_terms
         pairs += best.pairs
         ours.remove(p)
         theirs.remove(q)
     # an unmatched branch counts as one twice as large as its partner, unless it is a small share of the whole
     alone = sum(_whole(j, children, areas) for j in ours + theirs)
-    share = min(1.0, alone / (LONELY * (_whole(a, children, areas) + _whole(b, children, areas))))
+    share = min(1.0, alone / (UNMATCHED_SHARE * (_whole(a, children, areas) + _whole(b, children, areas))))
     lonely = share * (len(ours) + len(theirs))
     return _Match(doubt + lonely * 2 * (np.log(2) / LENGTH) ** 2, terms + 2 * lonely, tuple(pairs))
 

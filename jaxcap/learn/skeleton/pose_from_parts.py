@@ -11,12 +11,12 @@ from ...geometry import rotation
 from ...geometry.procrustes import Moments, nearest_rotation, rigid_motions
 
 #: the most sweeps over the joints, and the relative decrease of the error at which they end
-SWEEPS, SETTLED = 30, 1e-3
+SWEEPS, RTOL = 30, 1e-3
 
 _quaternions = jax.jit(rotation.from_matrix)
 
 
-def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
+def fit_poses(skeleton: Skeleton, moments: Moments) -> Pose:
     """Fit poses, stacked over F frames, in which the bones fit their points by least squares.
 
     Each joint in turn takes the optimal rotation for its whole subtree, in closed form by Procrustes
@@ -37,26 +37,29 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
         if moments.mass[j] <= 0 or j not in turning:
             rotations[j] = np.eye(3) if parents[j] < 0 else rotations[parents[j]]
     local = np.stack(
-        [rotations[j] if parents[j] < 0 else _back(rotations[parents[j]], rotations[j]) for j in range(count)]
+        [
+            rotations[j] if parents[j] < 0 else _relative_rotation(rotations[parents[j]], rotations[j])
+            for j in range(count)
+        ]
     )
     shifts = np.zeros((count, frames, 3))
-    descent = skeleton.descent
+    descent = skeleton.descendants
     # translate each root so that its whole tree is at its points
-    world_r, world_t = world_motions(centres, parents, local, shifts)
+    world_r, world_t = world_transforms(centres, parents, local, shifts)
     for j in free:
         below = np.flatnonzero(descent[j])
-        there, here, _ = _turned(moments.at(below), world_r[below], world_t[below])
+        there, here, _ = _transformed_sums(moments.at(below), world_r[below], world_t[below])
         shifts[j] = (there - here) / moments.mass[below].sum()
     least = np.inf
     for _ in range(SWEEPS):
-        world_r, world_t = world_motions(centres, parents, local, shifts)
+        world_r, world_t = world_transforms(centres, parents, local, shifts)
         for j in [*reversed(turning), *turning]:
             below = np.flatnonzero(descent[j] & (moments.mass > 0))
             if len(below) == 0:
                 continue
             # sums over points of x and x' about the joint, x' the current positions
             pivot = np.einsum("fab,b->fa", world_r[j], centres[j]) + world_t[j]
-            here, now, cross = _turned(moments.at(below), world_r[below], world_t[below])
+            here, now, cross = _transformed_sums(moments.at(below), world_r[below], world_t[below])
             mass = moments.mass[below].sum()
             if j in free:
                 place, was = here / mass, now / mass
@@ -69,11 +72,11 @@ def pose_moments(skeleton: Skeleton, moments: Moments) -> Pose:
             world_t[moved] = np.einsum("fab,dfb->dfa", turn, world_t[moved] - was) + place
             world_r[moved] = np.einsum("fab,dfbc->dfac", turn, world_r[moved])
         for j in range(count):
-            local[j] = world_r[j] if parents[j] < 0 else _back(world_r[parents[j]], world_r[j])
+            local[j] = world_r[j] if parents[j] < 0 else _relative_rotation(world_r[parents[j]], world_r[j])
             if j in free:
                 shifts[j] = np.einsum("fab,b->fa", world_r[j], centres[j]) + world_t[j] - centres[j]
         error = _error(moments, world_r, world_t)
-        if error > (1 - SETTLED) * least:
+        if error > (1 - RTOL) * least:
             break
         least = error
     dtype = skeleton.centres.dtype
@@ -102,11 +105,11 @@ def motion_moments(
     return Moments(mass, source, target, own, len(rotations) * own + shifted, cross)
 
 
-def _back(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
+def _relative_rotation(parent: np.ndarray, child: np.ndarray) -> np.ndarray:
     return np.einsum("fba,fbc->fac", parent, child)
 
 
-def world_motions(
+def world_transforms(
     centres: np.ndarray, parents: np.ndarray, local: np.ndarray, shifts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute world transforms of bones, (J, F, 3, 3) and (J, F, 3), from local rotations and shifts."""
@@ -121,7 +124,9 @@ def world_motions(
     return world_r, world_t
 
 
-def _turned(moments: Moments, r: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _transformed_sums(
+    moments: Moments, r: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sum x, x' and x x'^T over the points of several bones, with x' = r p + t: (F, 3), (F, 3), (F, 3, 3)."""
     now = np.einsum("dfab,db->dfa", r, moments.source) + moments.mass[:, None, None] * t
     cross = np.einsum("dfac,dfbc->fab", moments.cross, r) + np.einsum("dfa,dfb->fab", moments.target, t)

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import group_moments, nearest_rotation, rigid_motions
-from ..parts.surface import cut_patches, make_surface, membership
+from ..parts.surface import cut_patches, make_surface_graph, membership
 
 #: the number of patches whose rotations are compared
 PATCHES = 100
@@ -12,7 +12,7 @@ PATCHES = 100
 FRAMES = 200
 
 
-def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]) -> int:
+def choose_reference_mesh(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"]) -> int:
     """Return the index of the mesh nearest to all others: the medoid of the poses.
 
     The distance of two meshes is the root mean square rotation between their small patches, weighted by area,
@@ -21,7 +21,7 @@ def choose_rest(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndarray, "T 3"
     meshes = np.asarray(meshes)
     chosen = np.unique(np.linspace(0, len(meshes) - 1, min(len(meshes), FRAMES)).round().astype(int))
     first = np.asarray(meshes[0], float)
-    surface = make_surface(first, meshes, np.asarray(faces))
+    surface = make_surface_graph(first, meshes, np.asarray(faces))
     patches = cut_patches(surface, first, PATCHES)
     groups = membership(patches, surface.areas, int(patches.max()) + 1)
     paths = np.ascontiguousarray(meshes[chosen].transpose(1, 0, 2), float)

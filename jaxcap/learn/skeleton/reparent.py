@@ -11,34 +11,34 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.spanning_tree import spanning_tree
-from ..parts.surface import Surface
-from .centres import Seams, find_centres, find_seams
-from .pose_from_parts import world_motions
+from ..parts.surface import SurfaceGraph
+from .centres import PartBoundaries, find_boundaries, find_centres
+from .pose_from_parts import world_transforms
 
 #: distance, as a share of the body's diagonal, within which the centre of a joint with a new parent may move
-REACH = 0.03
+MAX_CENTRE_SHIFT = 0.03
 #: a new joint replaces an existing one if its gap is below this share of the existing gap
-CLEARLY = 0.8
+REPLACEMENT_RATIO = 0.8
 
 
-class Bones(NamedTuple):
+class BoneMotions(NamedTuple):
     """World motions of J bones in F frames, without the scale of the poses, which is one in learning."""
 
     rotations: Float[np.ndarray, "F J 3 3"]
     translations: Float[np.ndarray, "F J 3"]
 
 
-def bone_motions(skeleton: Skeleton, poses: Pose) -> Bones:
+def bone_motions(skeleton: Skeleton, poses: Pose) -> BoneMotions:
     """Compute the transforms of bones in every frame, in NumPy, to avoid compilation for each new tree."""
     local = np.asarray(_matrices(poses.rotations), float).swapaxes(0, 1)
     shifts = np.asarray(poses.translations, float).swapaxes(0, 1)
     centres = np.asarray(skeleton.centres, float)
-    found = world_motions(centres, np.array(skeleton.parents), local, shifts)
-    return Bones(*(part.swapaxes(0, 1) for part in found))
+    found = world_transforms(centres, np.array(skeleton.parents), local, shifts)
+    return BoneMotions(*(part.swapaxes(0, 1) for part in found))
 
 
-def hang_children(
-    skeleton: Skeleton, bones: Bones, joint: int, rest: Float[np.ndarray, "V 3"]
+def reparent_children(
+    skeleton: Skeleton, bones: BoneMotions, joint: int, rest: Float[np.ndarray, "V 3"]
 ) -> dict[int, tuple[int, Float[np.ndarray, "3"], float]]:
     """Choose the new parent and centre of each child of a removed joint, by the spanning tree of least gaps.
 
@@ -57,23 +57,23 @@ def hang_children(
             ends[a],
             ends[b],
             (places[a] + places[b]) / 2,
-            max(float(np.linalg.norm(places[a] - places[b])) / 2, REACH * size),
+            max(float(np.linalg.norm(places[a] - places[b])) / 2, MAX_CENTRE_SHIFT * size),
         )
         for a, b in picked
     ]
     points, gaps = common_points(rows, bones, size)
-    edges = spanning_tree(gaps, np.array(picked), len(ends))
+    edges = spanning_tree(gaps, np.array(picked), len(ends)).tolist()
     return {
         ends[child]: (ends[above], points[edge], float(gaps[edge]))
-        for child, above, edge in _outwards(edges, picked)
+        for child, above, edge in _directed_edges(edges, picked)
     }
 
 
-def hang_joint(
+def reparent_new_bone(
     skeleton: Skeleton,
-    bones: Bones,
+    bones: BoneMotions,
     labels: Int[np.ndarray, "V"],
-    surface: Surface,
+    surface: SurfaceGraph,
     rest: Float[np.ndarray, "V 3"],
 ) -> tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]:
     """Choose the parent of a new bone and the joints below it, as rows of joint, parent and centre.
@@ -84,29 +84,29 @@ def hang_joint(
     """
     count, size = skeleton.num_joints, float(np.linalg.norm(np.ptp(rest, axis=0)))
     centres = np.asarray(skeleton.centres, float)
-    reach = REACH * size
+    reach = MAX_CENTRE_SHIFT * size
     old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     rows = [(parent, joint, centres[joint], reach) for joint, parent in old]
     # bones without vertices have no boundary
     shown, places = np.unique(labels, return_inverse=True)
-    seams = find_seams(surface, places, rest, len(shown))
+    seams = find_boundaries(surface, places, rest, len(shown))
     rows += [
-        (int(shown[first]), count, seams.middles[row], seams.radii[row])
+        (int(shown[first]), count, seams.centroids[row], seams.radii[row])
         for row, (first, second) in enumerate(seams.pairs)
         if shown[second] == count
     ]
     points, gaps = common_points(rows, bones, size)
-    costs = np.where(np.arange(len(rows)) < len(old), CLEARLY * gaps, gaps)
-    edges = spanning_tree(costs, np.array([row[:2] for row in rows]), count + 1)
+    costs = np.where(np.arange(len(rows)) < len(old), REPLACEMENT_RATIO * gaps, gaps)
+    edges = spanning_tree(costs, np.array([row[:2] for row in rows]), count + 1).tolist()
     # a joint whose direction alone is reversed keeps its centre
     return tuple(
         (child, above, points[edge] if edge >= len(old) else rows[edge][2])
-        for child, above, edge in _outwards(edges, [row[:2] for row in rows])
+        for child, above, edge in _directed_edges(edges, [row[:2] for row in rows])
         if edge >= len(old) or skeleton.parents[child] != above
     )
 
 
-def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, int, int]]:
+def _directed_edges(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, int, int]]:
     """List child, parent and edge along a tree from node 0 outwards."""
     found, reached, seen = [], [0], {0}
     while reached:
@@ -121,12 +121,12 @@ def _outwards(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[int, i
     return found
 
 
-def common_points(rows: Sequence[tuple], bones: Bones, size: float) -> tuple[np.ndarray, np.ndarray]:
+def common_points(rows: Sequence[tuple], bones: BoneMotions, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Find the points that both bones of each row (bone, bone, prior centre, radius) move alike, and their
     gaps."""
     first, second, middles, radii = zip(*rows, strict=True)
     none = np.zeros(len(rows))
-    seams = Seams(np.stack([first, second], 1), np.stack(middles), np.array(radii), none, none)
+    seams = PartBoundaries(np.stack([first, second], 1), np.stack(middles), np.array(radii), none, none)
     found = find_centres(seams, bones.rotations, bones.translations, size)
     return found.points, found.residuals
 

@@ -11,7 +11,7 @@ from ...body.pose import Pose
 from ...fit.solvers.implicit import implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.laplacian import Conformance
-from .joints import Curvature, JointProblem, Standing
+from .joints import Curvature, JointProblem, JointState
 
 
 class JointSolution(eqx.Module):
@@ -41,7 +41,7 @@ def solve_joints(
     weights, rest vertices, targets and metric. No such derivative exists where the motion does not determine
     a joint. Left and right bones may differ in length.
     """
-    start = Standing(*jax.lax.stop_gradient((body.skeleton.centres, body.skeleton.orientations, poses)))
+    start = JointState(*jax.lax.stop_gradient((body.skeleton.centres, body.skeleton.orientations, poses)))
     problem = JointProblem(body, targets, metric, curvature)
     solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)
     found = implicit_minimum(problem, start, solver, max_steps)

@@ -12,19 +12,19 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.parts import Parts
-from ..parts.surface import make_surface
-from .centres import Centres, Seams, find_centres, find_seams
-from .pose_from_parts import motion_moments, pose_moments
+from ..parts.surface import make_surface_graph
+from .centres import Centres, PartBoundaries, find_boundaries, find_centres
+from .pose_from_parts import fit_poses, motion_moments
 
 #: cost of a short boundary, as a share of the error of the parts
-DOUBT = 0.5
+BOUNDARY_COST = 0.5
 #: frames used to connect the pieces of a mesh
 FRAMES = 16
 
 _shortest_arc = jax.jit(rotation.shortest_arc)
 
 
-class Tree(NamedTuple):
+class JointTree(NamedTuple):
     """A skeleton with its parts: bone `j` is part `j` of `parts`."""
 
     skeleton: Skeleton
@@ -36,7 +36,7 @@ class Tree(NamedTuple):
     areas: Float[np.ndarray, "J"]
 
 
-def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> Tree:
+def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> JointTree:
     """Connect rigid parts by joints at their common points, in the spanning tree with the least gaps.
 
     Adjacent parts are joined at the point that both move alike (`find_centres`). The skeleton is the spanning
@@ -51,27 +51,27 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
     count = parts.num_parts
     chosen = np.unique(np.linspace(0, len(parts.rotations) - 1, FRAMES).round().astype(int))
     moved = np.einsum("fvab,vb->fva", parts.rotations[chosen][:, parts.labels], rest)
-    surface = make_surface(rest, moved + parts.translations[chosen][:, parts.labels], faces)
+    surface = make_surface_graph(rest, moved + parts.translations[chosen][:, parts.labels], faces)
     areas = np.bincount(parts.labels, surface.areas, count)
     size = float(np.linalg.norm(np.ptp(rest, axis=0)))
     means = np.stack([np.bincount(parts.labels, surface.areas * rest[:, i], count) for i in range(3)], 1)
     means = means / areas[:, None]
     if count == 1:
-        return _hang(parts, [0], [-1], means, means, np.zeros(1), areas)
-    seams = find_seams(surface, parts.labels, rest, count)
+        return _make_tree(parts, [0], [-1], means, means, np.zeros(1), areas)
+    seams = find_boundaries(surface, parts.labels, rest, count)
     centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
-    joints = spanning_tree(_doubts(seams, centres, parts.error), seams.pairs, count).tolist()
+    joints = spanning_tree(_joint_costs(seams, centres, parts.error), seams.pairs, count).tolist()
     order, above, joint = _from_root(seams.pairs[joints], joints, areas)
     place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
     gaps = np.array([0.0 if j < 0 else centres.residuals[j] for j in joint])
-    return _hang(parts, order, above, np.array(place), means[order], gaps, areas[order])
+    return _make_tree(parts, order, above, np.array(place), means[order], gaps, areas[order])
 
 
 def pose_parts(skeleton: Skeleton, parts: Parts, rest: Float[np.ndarray, "V 3"]) -> Pose:
     """Fit poses, stacked over the frames, in which each bone follows the part of the same index."""
     rest = np.asarray(rest, float)
     moments = motion_moments(rest, parts.labels, np.ones(len(rest)), parts.rotations, parts.translations)
-    return pose_moments(skeleton, moments)
+    return fit_poses(skeleton, moments)
 
 
 def orient(
@@ -93,7 +93,7 @@ def orient(
     return np.asarray(_shortest_arc(jnp.broadcast_to(jnp.eye(3)[0], away.shape), jnp.asarray(away)))
 
 
-def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
+def _joint_costs(seams: PartBoundaries, centres: Centres, error: float) -> np.ndarray:
     """Compute the cost of each possible joint, metres: its gap, and a penalty for a short boundary.
 
     The boundary is compared with the longest one of either part.
@@ -102,7 +102,7 @@ def _doubts(seams: Seams, centres: Centres, error: float) -> np.ndarray:
     np.maximum.at(longest, seams.pairs.ravel(), np.repeat(seams.lengths, 2))
     either = longest[seams.pairs].min(1)
     share = seams.lengths / np.where(either > 0, either, 1.0)
-    return centres.residuals + DOUBT * error * (1 - share) + seams.gaps
+    return centres.residuals + BOUNDARY_COST * error * (1 - share) + seams.gaps
 
 
 def _from_root(
@@ -136,7 +136,7 @@ def _from_root(
     return order, above, joint
 
 
-def _hang(parts: Parts, order, above, centres, ends, residuals, areas) -> Tree:
+def _make_tree(parts: Parts, order, above, centres, ends, residuals, areas) -> JointTree:
     """Build the skeleton, and reorder the parts to match."""
     count = len(order)
     place = np.empty(count, int)
@@ -150,4 +150,4 @@ def _hang(parts: Parts, order, above, centres, ends, residuals, areas) -> Tree:
         translations=parts.translations[:, order],
         partners=place[parts.partners],
     )
-    return Tree(skeleton, sorted_parts, np.asarray(residuals), np.asarray(areas))
+    return JointTree(skeleton, sorted_parts, np.asarray(residuals), np.asarray(areas))

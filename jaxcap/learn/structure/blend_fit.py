@@ -6,16 +6,16 @@ from jaxtyping import Bool, Float
 
 from ...body.body import Body
 from ...geometry.laplacian import vertex_adjacency
-from ..skeleton.reparent import Bones
+from ..skeleton.reparent import BoneMotions
 from ..weights.simplex import simplex_least_squares
 
 #: problems per batch, and the multiple to which columns are padded; few shapes are compiled
 BATCH, WIDTH = 2048, 8
 
 
-def bones_around(body: Body) -> list[list[int]]:
+def neighbouring_bones(body: Body) -> list[list[int]]:
     """List for each bone the bones up to two joints away in the tree, and those adjacent on the surface."""
-    parents, labels = np.array(body.skeleton.parents), np.asarray(body.skin.parts())
+    parents, labels = np.array(body.skeleton.parents), np.asarray(body.skin.dominant_bones())
     near = np.eye(len(parents), dtype=bool)
     below = np.flatnonzero(parents >= 0)
     near[below, parents[below]] = near[parents[below], below] = True
@@ -27,33 +27,33 @@ def bones_around(body: Body) -> list[list[int]]:
 
 
 def blend_grams(
-    bones: Bones,
+    bones: BoneMotions,
     columns: list[int],
     rest: Float[np.ndarray, "C 3"],
-    goals: Float[np.ndarray, "F C 3"],
+    targets: Float[np.ndarray, "F C 3"],
     width: int,
 ) -> Float[np.ndarray, "C K K"]:
     """Compute Gram matrices, over bones, of the distances of each vertex from its goals; columns are padded
     to `width`."""
-    frames, count = len(goals), len(columns)
+    frames, count = len(targets), len(columns)
     flat = bones.rotations[:, columns].transpose(3, 1, 0, 2).reshape(3, -1)
     images = (rest @ flat).reshape(len(rest), count, frames, 3)
-    apart = images + (bones.translations[:, columns].swapaxes(0, 1) - goals.swapaxes(0, 1)[:, None])
+    apart = images + (bones.translations[:, columns].swapaxes(0, 1) - targets.swapaxes(0, 1)[:, None])
     apart = apart.reshape(len(rest), count, 3 * frames)
     room = width - count
     return np.pad(apart @ apart.swapaxes(1, 2), ((0, 0), (0, room), (0, room)))
 
 
 def fit_blends(
-    grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]
+    grams: Float[np.ndarray, "C K K"], mask: Bool[np.ndarray, "C K"]
 ) -> tuple[Float[np.ndarray, "C"], Float[np.ndarray, "C K"]]:
     """Solve least squares over the simplex for the real columns; returns the residuals and the weights."""
-    count, columns = real.shape
+    count, columns = mask.shape
     room = -columns % WIDTH
     wide = np.pad(grams, ((0, 0), (0, room), (0, room)))
-    real = np.pad(real, ((0, 0), (0, room)))
+    mask = np.pad(mask, ((0, 0), (0, room)))
     parts = [
-        _fit(wide[first : first + BATCH], real[first : first + BATCH]) for first in range(0, count, BATCH)
+        _fit(wide[first : first + BATCH], mask[first : first + BATCH]) for first in range(0, count, BATCH)
     ]
     weights = np.concatenate(parts)[:, :columns]
     return np.einsum("ck,ckl,cl->c", weights, grams, weights), weights

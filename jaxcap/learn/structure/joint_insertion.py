@@ -8,15 +8,15 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...geometry.procrustes import group_moments, rigid_motions
-from ..parts.surface import Surface, cut_patches, label_edges, make_surface, membership
-from ..skeleton.reparent import Bones, bone_motions, hang_joint
-from .blend_fit import blend_grams, bones_around, fit_blends
+from ..parts.surface import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
+from ..skeleton.reparent import BoneMotions, bone_motions, reparent_new_bone
+from .blend_fit import blend_grams, fit_blends, neighbouring_bones
 from .skeleton_edit import Split
 
 #: patches evaluated as seeds of a bone, and the number of seeds that are refined
 PATCHES, SEEDS = 256, 12
 #: the least number of vertices of a bone
-LEAST = 8
+MIN_VERTICES = 8
 #: rounds that alternate between the motion of a new bone and its vertices
 ROUNDS = 3
 #: weight of the new bone from which a vertex determines its motion; weight from which a vertex counts at all
@@ -26,7 +26,7 @@ CORE, TOUCHED = 0.5, 0.1
 class _Seed(NamedTuple):
     """A candidate bone: its motion, and the patches around it."""
 
-    motion: Bones
+    motion: BoneMotions
     patches: Int[np.ndarray, "N"]
 
 
@@ -43,14 +43,14 @@ class _Fit(NamedTuple):
 class _Scene(NamedTuple):
     rest: Float[np.ndarray, "V 3"]
     #: (F, V, 3)
-    goals: Float[np.ndarray, "F V 3"]
-    bones: Bones
+    targets: Float[np.ndarray, "F V 3"]
+    bones: BoneMotions
     labels: Int[np.ndarray, "V"]
-    around: list[list[int]]
-    surface: Surface
+    neighbours: list[list[int]]
+    surface: SurfaceGraph
     patches: Int[np.ndarray, "V"]
     #: (P, P) adjacency of patches, including each itself
-    touching: np.ndarray
+    patch_adjacency: np.ndarray
 
 
 def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
@@ -63,43 +63,43 @@ def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list
     determine its motion. A new bone is joined where its motion and that of another bone have a common point.
     """
     scene = _scene(body, poses, targets)
-    number = len(scene.touching)
+    number = len(scene.patch_adjacency)
     if number < 2:
         return []
     motions = _motions(scene, membership(scene.patches, np.ones(len(scene.rest)), number))
     seeds = [
-        _Seed(Bones(motions.rotations[:, [p]], motions.translations[:, [p]]), np.flatnonzero(near))
-        for p, near in enumerate(scene.touching)
+        _Seed(BoneMotions(motions.rotations[:, [p]], motions.translations[:, [p]]), np.flatnonzero(near))
+        for p, near in enumerate(scene.patch_adjacency)
     ]
     fits = _fits(scene, seeds)
     chosen: list[int] = []
     for patch in np.argsort([-fit.gain for fit in fits]):
-        if len(chosen) < SEEDS and not scene.touching[patch, chosen].any():
+        if len(chosen) < SEEDS and not scene.patch_adjacency[patch, chosen].any():
             chosen.append(int(patch))
-    wide = scene.touching @ scene.touching
+    wide = scene.patch_adjacency @ scene.patch_adjacency
     seeds = [seeds[patch]._replace(patches=np.flatnonzero(wide[patch])) for patch in chosen]
     for _ in range(ROUNDS):
         fits = _fits(scene, seeds)
-        seeds = [_follow_own(scene, seed, fit) for seed, fit in zip(seeds, fits, strict=True)]
+        seeds = [_update_seed(scene, seed, fit) for seed, fit in zip(seeds, fits, strict=True)]
     splits = [_split(body, scene, seed, fit) for seed, fit in zip(seeds, _fits(scene, seeds), strict=True)]
     return sorted((split for split in splits if split is not None), key=lambda split: -split.gain)
 
 
 def _scene(body: Body, poses: Pose, targets) -> _Scene:
     rest, goals = np.asarray(body.vertices, float), np.asarray(targets, float)
-    surface = make_surface(rest, rest[None], np.asarray(body.faces))
-    patches = cut_patches(surface, rest, max(1, min(PATCHES, len(rest) // LEAST)))
+    surface = make_surface_graph(rest, rest[None], np.asarray(body.faces))
+    patches = cut_patches(surface, rest, max(1, min(PATCHES, len(rest) // MIN_VERTICES)))
     number = int(patches.max()) + 1
     touching = np.eye(number, dtype=bool)
-    pairs = label_edges(surface, patches)[0]
+    pairs = boundary_edges(surface, patches)[0]
     touching[pairs[:, 0], pairs[:, 1]] = touching[pairs[:, 1], pairs[:, 0]] = True
-    bones, labels = bone_motions(body.skeleton, poses), np.asarray(body.skin.parts())
-    return _Scene(rest, goals, bones, labels, bones_around(body), surface, patches, touching)
+    bones, labels = bone_motions(body.skeleton, poses), np.asarray(body.skin.dominant_bones())
+    return _Scene(rest, goals, bones, labels, neighbouring_bones(body), surface, patches, touching)
 
 
-def _motions(scene: _Scene, groups) -> Bones:
-    rotations, translations = rigid_motions(group_moments(groups, scene.rest, scene.goals.swapaxes(0, 1)))
-    return Bones(rotations.swapaxes(0, 1), translations.swapaxes(0, 1))
+def _motions(scene: _Scene, groups) -> BoneMotions:
+    rotations, translations = rigid_motions(group_moments(groups, scene.rest, scene.targets.swapaxes(0, 1)))
+    return BoneMotions(rotations.swapaxes(0, 1), translations.swapaxes(0, 1))
 
 
 def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
@@ -109,10 +109,12 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     columns = []
     for own in places:
         owner = int(np.argmax(np.bincount(scene.labels[own])))
-        columns.append([count, *sorted({owner, *scene.around[owner], *scene.labels[own].tolist()})])
+        columns.append([count, *sorted({owner, *scene.neighbours[owner], *scene.labels[own].tolist()})])
     width = -(-max(len(row) for row in columns) // 4) * 4
     grams = [
-        blend_grams(_with(scene.bones, seed.motion), row, scene.rest[own], scene.goals[:, own], width)
+        blend_grams(
+            _append_motion(scene.bones, seed.motion), row, scene.rest[own], scene.targets[:, own], width
+        )
         for seed, row, own in zip(seeds, columns, places, strict=True)
     ]
     owner = np.repeat(np.arange(len(seeds)), [len(own) for own in places])
@@ -128,15 +130,15 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     ]
 
 
-def _with(bones: Bones, motion: Bones) -> Bones:
+def _append_motion(bones: BoneMotions, motion: BoneMotions) -> BoneMotions:
     both = zip(bones, motion, strict=True)
-    return Bones(*(np.concatenate(pair, 1) for pair in both))
+    return BoneMotions(*(np.concatenate(pair, 1) for pair in both))
 
 
-def _follow_own(scene: _Scene, seed: _Seed, fit: _Fit) -> _Seed:
+def _update_seed(scene: _Scene, seed: _Seed, fit: _Fit) -> _Seed:
     """Update the motion of a seed from the vertices that are mostly its own."""
     core = fit.weights[:, 0] > CORE
-    if core.sum() < LEAST:
+    if core.sum() < MIN_VERTICES:
         return seed
     weights = np.zeros((1, len(scene.rest)))
     weights[0, fit.vertices[core]] = fit.weights[core, 0]
@@ -146,7 +148,7 @@ def _follow_own(scene: _Scene, seed: _Seed, fit: _Fit) -> _Seed:
 def _split(body: Body, scene: _Scene, seed: _Seed, fit: _Fit) -> Split | None:
     touched = fit.weights[:, 0] > TOUCHED
     core = fit.vertices[fit.weights[:, 0] > CORE]
-    if len(core) < LEAST:
+    if len(core) < MIN_VERTICES:
         return None
     count = body.skeleton.num_joints
     shares = np.zeros((int(touched.sum()), count + 1))
@@ -156,10 +158,10 @@ def _split(body: Body, scene: _Scene, seed: _Seed, fit: _Fit) -> Split | None:
     # independent of the joints, which may be wrong
     sizes = np.bincount(labels, minlength=count + 1)
     free = _motions(scene, membership(labels, np.ones(len(labels)), count + 1))
-    bones = _with(scene.bones, seed.motion)
+    bones = _append_motion(scene.bones, seed.motion)
     for field, own in zip(bones, free, strict=True):
-        field[:, sizes >= LEAST] = own[:, sizes >= LEAST]
-    hung = hang_joint(body.skeleton, bones, labels, scene.surface, scene.rest)
+        field[:, sizes >= MIN_VERTICES] = own[:, sizes >= MIN_VERTICES]
+    hung = reparent_new_bone(body.skeleton, bones, labels, scene.surface, scene.rest)
     owner = int(np.argmax(np.bincount(scene.labels[core])))
     rotations, translations = (field[:, [owner, count]] for field in bones)
     return Split(owner, fit.gain, fit.vertices[touched], shares, rotations, translations, hung)

@@ -5,8 +5,8 @@ from jaxtyping import Array, Float
 
 from ...body.body import Body
 from ...body.pose import Pose
-from ..skeleton.reparent import Bones, bone_motions, hang_children
-from .blend_fit import blend_grams, bones_around, fit_blends
+from ..skeleton.reparent import BoneMotions, bone_motions, reparent_children
+from .blend_fit import blend_grams, fit_blends, neighbouring_bones
 from .skeleton_edit import Removal
 
 #: weight of a bone from which a vertex counts
@@ -21,11 +21,11 @@ def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> li
     of its children have gaps, these add to the cost by the number of vertices of the children.
     """
     skeleton = body.skeleton
-    influence = np.asarray(body.skin.influence(skeleton.num_joints), float)
+    influence = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
     rest, goals = np.asarray(body.vertices, float), np.asarray(targets, float)
     bones = bone_motions(skeleton, poses)
     joints = [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0]
-    near = bones_around(body)
+    near = neighbouring_bones(body)
     around = [near[joint] for joint in joints]
     chosen = [np.flatnonzero(influence[:, joint] > TOUCHED) for joint in joints]
     width = max((len(row) for row in around), default=0) + 1
@@ -53,12 +53,12 @@ def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> li
     )
 
 
-def _removal(body: Body, bones: Bones, rest, joint, others, own, weights, rise: float) -> Removal:
+def _removal(body: Body, bones: BoneMotions, rest, joint, others, own, weights, rise: float) -> Removal:
     skeleton = body.skeleton
     shares = np.zeros((len(own), skeleton.num_joints))
     shares[:, others] = weights[:, 1 : 1 + len(others)]
-    hung = hang_children(skeleton, bones, joint, rest)
-    counts = np.bincount(np.asarray(body.skin.parts()), minlength=skeleton.num_joints)
+    hung = reparent_children(skeleton, bones, joint, rest)
+    counts = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=skeleton.num_joints)
     frames = len(bones.rotations)
     gaps = sum(frames * float(counts[child]) * gap**2 for child, (_, _, gap) in hung.items())
     return Removal(joint, rise + gaps, own, shares)

@@ -12,9 +12,9 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from ...body.skin.swing_twist import on_best_base, with_base
-from ..skeleton.pose_from_parts import motion_moments, pose_moments
-from ..skeleton.reparent import Bones, bone_motions, hang_children
+from ...body.skin.swing_twist import add_base_weight, assign_bases
+from ..skeleton.pose_from_parts import fit_poses, motion_moments
+from ..skeleton.reparent import BoneMotions, bone_motions, reparent_children
 from ..skeleton.tree import orient
 
 #: mass of a bone's frame relative to a vertex, and its width as a share of the body's diagonal
@@ -30,12 +30,12 @@ class Split(NamedTuple):
     gain: float
     #: the vertices of the new bone, and their weights of all bones, the new one last
     vertices: Int[np.ndarray, "C"]
-    shares: Float[np.ndarray, "C I"]
+    weights: Float[np.ndarray, "C I"]
     #: world motions of the rest of that bone and of the new one
     rotations: Float[np.ndarray, "F 2 3 3"]
     translations: Float[np.ndarray, "F 2 3"]
     #: joint, parent and centre of the new bone and of all joints with a new parent
-    hung: tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]
+    reparented: tuple[tuple[int, int, Float[np.ndarray, "3"]], ...]
 
 
 class Removal(NamedTuple):
@@ -46,10 +46,10 @@ class Removal(NamedTuple):
     cost: float
     #: the vertices of the bone, and their weights of all bones without it
     vertices: Int[np.ndarray, "C"]
-    shares: Float[np.ndarray, "C J"]
+    weights: Float[np.ndarray, "C J"]
 
 
-class Graft(NamedTuple):
+class EditedBody(NamedTuple):
     """A body with another tree, its stacked poses, and the pairs of joints that are still valid."""
 
     body: Body
@@ -57,13 +57,13 @@ class Graft(NamedTuple):
     pairs: Int[np.ndarray, "P 2"]
 
 
-def with_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> Graft:
+def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> EditedBody:
     """Insert a "ball" joint with the motion of a split; all other bones keep their motion as far as the tree
     allows."""
     old = body.skeleton
     count = old.num_joints
     bones = bone_motions(old, poses)
-    moved = Bones(
+    moved = BoneMotions(
         np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
         np.concatenate([bones.translations, split.translations[:, 1:]], 1),
     )
@@ -73,29 +73,29 @@ def with_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Sp
     )
     parents = [*old.parents, -1]
     centres = np.concatenate([np.asarray(old.centres, float), np.zeros((1, 3))])
-    for joint, parent, centre in split.hung:
+    for joint, parent, centre in split.reparented:
         parents[joint], centres[joint] = parent, centre
     rest = np.asarray(body.vertices, float)
     ends = centres.copy()
-    ends[count] = np.average(rest[split.vertices], axis=0, weights=split.shares[:, -1])
+    ends[count] = np.average(rest[split.vertices], axis=0, weights=split.weights[:, -1])
     orientations = np.concatenate([np.asarray(old.orientations, float), orient(parents, centres, ends)[-1:]])
     names = [*old.names, _new_name(old.names)]
     keep = list(range(count + 1))
 
     def insert(shares: np.ndarray) -> np.ndarray:
-        return insert_share(shares, split)
+        return insert_weights(shares, split)
 
-    return _regrown(body, pairs, names, parents, centres, orientations, moved, keep, insert)
+    return _rebuild_body(body, pairs, names, parents, centres, orientations, moved, keep, insert)
 
 
-def insert_share(shares: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:
+def insert_weights(weights: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:
     """Append a column of weights for a new bone, and set the weights of the vertices of the split."""
-    wide = np.pad(shares, ((0, 0), (0, 1)))
-    wide[split.vertices] = split.shares
+    wide = np.pad(weights, ((0, 0), (0, 1)))
+    wide[split.vertices] = split.weights
     return wide
 
 
-def without_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removal: Removal) -> Graft:
+def remove_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removal: Removal) -> EditedBody:
     """Remove a joint that is no root; all other bones keep their motion as far as the tree allows.
 
     Its children are joined to its parent or to each other, at the point that both bones move most nearly
@@ -105,26 +105,28 @@ def without_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], remova
     bones = bone_motions(old, poses)
     rest = np.asarray(body.vertices, float)
     parents, centres = list(old.parents), np.array(old.centres, float)
-    for child, (parent, centre, _) in hang_children(old, bones, joint, rest).items():
+    for child, (parent, centre, _) in reparent_children(old, bones, joint, rest).items():
         parents[child], centres[child] = parent, centre
     keep = [j for j in range(old.num_joints) if j != joint]
 
     def dissolve(shares: np.ndarray) -> np.ndarray:
         shares = shares.copy()
-        shares[removal.vertices] = removal.shares
+        shares[removal.vertices] = removal.weights
         # small weights of other vertices go to the parent
         shares[:, old.parents[joint]] += shares[:, joint]
         return shares
 
     orientations = np.asarray(old.orientations, float)
-    return _regrown(body, pairs, list(old.names), parents, centres, orientations, bones, keep, dissolve)
+    return _rebuild_body(body, pairs, list(old.names), parents, centres, orientations, bones, keep, dissolve)
 
 
 def _new_name(names: Sequence[str]) -> str:
     return next(f"joint{k}" for k in range(1, len(names) + 2) if f"joint{k}" not in names)
 
 
-def _regrown(body: Body, pairs, names, parents, centres, orientations, bones: Bones, keep, change) -> Graft:
+def _rebuild_body(
+    body: Body, pairs, names, parents, centres, orientations, bones: BoneMotions, keep, change
+) -> EditedBody:
     """Rebuild the body with the joints `keep` and with weights modified by `change`."""
     place = {j: k for k, j in enumerate(keep)}
     above = [-1 if parents[j] < 0 else place[parents[j]] for j in keep]
@@ -137,13 +139,13 @@ def _regrown(body: Body, pairs, names, parents, centres, orientations, bones: Bo
     skeleton = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), skeleton)
     skin = _skin(body, skeleton, lambda shares: change(shares)[:, order])
     new = Body(skeleton, skin, body.vertices, body.faces)
-    moved = Bones(bones.rotations[:, order], bones.translations[:, order])
-    poses = _follow(skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.parts()))
+    moved = BoneMotions(bones.rotations[:, order], bones.translations[:, order])
+    poses = _fit_poses(skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.dominant_bones()))
     poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), poses)
-    return Graft(new, poses, _carry_pairs(pairs, body.skeleton, parents, order))
+    return EditedBody(new, poses, _renumber_pairs(pairs, body.skeleton, parents, order))
 
 
-def _carry_pairs(pairs, old: Skeleton, parents, order) -> Int[np.ndarray, "P 2"]:
+def _renumber_pairs(pairs, old: Skeleton, parents, order) -> Int[np.ndarray, "P 2"]:
     """Renumber pairs, without those where a joint is removed or has a new parent."""
     whole = [
         (order.index(left), order.index(right))
@@ -157,10 +159,11 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
     skin, dtype = body.skin, body.vertices.dtype
     if isinstance(skin, SwingTwistSkin):
         swing, twist = (
-            change(np.asarray(with_base(weights, skin.bases), float)) for weights in (skin.swing, skin.twist)
+            change(np.asarray(add_base_weight(weights, skin.bases), float))
+            for weights in (skin.swing, skin.twist)
         )
-        return on_best_base(swing, twist, skeleton, dtype)
-    shares = change(np.asarray(skin.influence(body.skeleton.num_joints), float))
+        return assign_bases(swing, twist, skeleton, dtype)
+    shares = change(np.asarray(skin.bone_weights(body.skeleton.num_joints), float))
     if isinstance(skin, LinearSkin):
         return LinearSkin(jnp.asarray(shares, dtype))
     if isinstance(skin, RigidSkin):
@@ -170,7 +173,7 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
     )
 
 
-def _follow(skeleton: Skeleton, bones: Bones, rest: np.ndarray, labels: np.ndarray) -> Pose:
+def _fit_poses(skeleton: Skeleton, bones: BoneMotions, rest: np.ndarray, labels: np.ndarray) -> Pose:
     """Fit poses to given bone motions; bones without vertices count by the frame at their centre."""
     centres = np.asarray(skeleton.centres, float)
     width = FRAME_WIDTH * float(np.linalg.norm(np.ptp(rest, axis=0)))
@@ -178,6 +181,4 @@ def _follow(skeleton: Skeleton, bones: Bones, rest: np.ndarray, labels: np.ndarr
     points = np.concatenate([rest, frames.reshape(-1, 3)])
     owners = np.concatenate([labels, np.repeat(np.arange(len(centres)), 6)])
     weights = np.where(np.arange(len(points)) < len(rest), 1.0, FRAME_MASS)
-    return pose_moments(
-        skeleton, motion_moments(points, owners, weights, bones.rotations, bones.translations)
-    )
+    return fit_poses(skeleton, motion_moments(points, owners, weights, bones.rotations, bones.translations))

@@ -12,38 +12,38 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ..state import LearnState
 from .joint_insertion import find_splits
 from .joint_removal import find_removals
-from .skeleton_edit import Graft, Removal, Split, with_joint, without_joint
+from .skeleton_edit import EditedBody, Removal, Split, insert_joint, remove_joint
 
 #: the share of a removal's cost that remains after all else has adapted
-LASTING = 0.1
+LASTING_COST_SHARE = 0.1
 #: the least gain predicted for a split, and the least decrease kept from an exchange, as shares of the error
-PROMISE, KEEP = 0.01, 0.005
+MIN_PREDICTED_GAIN, MIN_DECREASE = 0.01, 0.005
 #: with a free number of joints: the least gain of each further joint, as a share of Q; the largest cost of a
 #: removed joint with vertices of its own or without, as shares of the error
-WORTH, IDLE, BARE = 0.02, 0.02, 0.04
+MIN_GAIN_PER_JOINT, MAX_IDLE_COST, MAX_BARE_COST = 0.02, 0.02, 0.04
 #: the largest share of joints that are exchanged at once
 AT_ONCE = 0.2
 
 
-def exchange(
+def exchange_joints(
     state: LearnState,
     targets: Float[Array, "F V 3"],
-    improve: Callable[[LearnState, Graft], LearnState],
+    improve: Callable[[LearnState, EditedBody], LearnState],
     step: str = "exchange",
     tries: int = 3,
-    free: bool = False,
+    variable_count: bool = False,
 ) -> LearnState:
     """Exchange joints as long as Q falls.
 
     The joints with the largest predicted gain are inserted, and as many with the least cost are removed. The
-    result is improved, and kept if Q falls by more than a share `KEEP`; otherwise fewer joints are exchanged.
-    If the number is `free`, only joints with a small cost are removed, and each additional joint must gain
-    `WORTH`; finally, joints without which Q does not rise are removed. The history gets one entry of Q for
+    result is improved, and kept if Q falls by more than a share `MIN_DECREASE`; otherwise fewer joints are exchanged.
+    If the number is `variable_count`, only joints with a small cost are removed, and each additional joint must gain
+    `MIN_GAIN_PER_JOINT`; finally, joints without which Q does not rise are removed. The history gets one entry of Q for
     each trial, named `step`, and one if no trial is worthwhile.
 
     **Arguments:** `targets` are the meshes of the state's body; `improve` replaces the body of the state by
@@ -52,63 +52,65 @@ def exchange(
     Only trees of "ball" joints below one "free" root are changed; others are returned unchanged.
     """
     begun, most, splits = len(state.history), None, None
-    for _ in range(tries if exchangeable(state.body) else 0):
-        splits = worthwhile(state.body, state.motion.poses, targets) if splits is None else splits
+    for _ in range(tries if has_exchangeable_joints(state.body) else 0):
+        splits = select_splits(state.body, state.motion.poses, targets) if splits is None else splits
         splits = splits if most is None else splits[:most]
         if not splits:
             break
         before = state.history[-1][1]
-        made, trial = grown(state.body, state.motion.poses, state.pairs, splits), state
-        if free:
+        made, trial = insert_joints(state.body, state.motion.poses, state.pairs, splits), state
+        if variable_count:
             # after improvement, idle new bones can be recognised
             trial = improve(state, made)
-            made = Graft(trial.body, trial.motion.poses, trial.pairs)
-        removals = spare(made.body, made.poses, targets, len(splits), free)
+            made = EditedBody(trial.body, trial.motion.poses, trial.pairs)
+        removals = select_removals(made.body, made.poses, targets, len(splits), variable_count)
         more = len(splits) - len(removals)
-        if removals and (free or more == 0):
-            trial = improve(trial, pruned(*made, removals))
+        if removals and (variable_count or more == 0):
+            trial = improve(trial, remove_joints(*made, removals))
         after = trial.history[-1][1]
-        if (free or more == 0) and after < (1 - KEEP - WORTH * max(more, 0)) * before:
+        if (variable_count or more == 0) and after < (
+            1 - MIN_DECREASE - MIN_GAIN_PER_JOINT * max(more, 0)
+        ) * before:
             state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None
         else:
             state, most = state._replace(history=(*state.history, (step, before))), len(splits) // 3
-    if free and exchangeable(state.body):
-        state = _thin_out(state, targets, improve, step)
+    if variable_count and has_exchangeable_joints(state.body):
+        state = _remove_redundant_joints(state, targets, improve, step)
     if len(state.history) == begun:
         state = state._replace(history=(*state.history, (step, state.history[-1][1])))
     return state
 
 
-def _thin_out(
+def _remove_redundant_joints(
     state: LearnState,
     targets: Float[Array, "F V 3"],
-    improve: Callable[[LearnState, Graft], LearnState],
+    improve: Callable[[LearnState, EditedBody], LearnState],
     step: str,
 ) -> LearnState:
     """Remove joints without which Q does not rise after all else has adapted."""
     body, poses, before = state.body, state.motion.poses, state.history[-1][1]
     count = max(1, round(AT_ONCE / 2 * body.skeleton.num_joints))
-    removals = spare(body, poses, targets, count, idle=False)
+    removals = select_removals(body, poses, targets, count, only_idle=False)
     if not removals:
         return state
-    trial = improve(state, pruned(body, poses, state.pairs, removals))
+    trial = improve(state, remove_joints(body, poses, state.pairs, removals))
     after = trial.history[-1][1]
     history = (*state.history, (step, min(after, before)))
     return (trial if after <= before else state)._replace(history=history)
 
 
-def exchangeable(body: Body) -> bool:
+def has_exchangeable_joints(body: Body) -> bool:
     """Test whether a tree can be changed: "ball" joints below one "free" root."""
     kinds, parents = body.skeleton.kinds, body.skeleton.parents
     return kinds[0] == "free" and set(kinds[1:]) <= {"ball"} and parents.count(-1) == 1
 
 
-def worthwhile(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
+def select_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
     """Select the splits of largest gain that share no joint.
 
     As many are taken as gain more than the expected cost of as many removals.
     """
-    least = PROMISE * float(jnp.sum((targets - deform_all(body, poses)) ** 2))
+    least = MIN_PREDICTED_GAIN * float(jnp.sum((targets - posed_vertices(body, poses)) ** 2))
     splits, taken = [], set()
     for split in find_splits(body, poses, targets):
         if split.gain > least and not taken & _moved(split):
@@ -118,59 +120,67 @@ def worthwhile(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[
     costs = np.cumsum([removal.cost for removal in find_removals(body, poses, targets)])
     gains = np.cumsum([split.gain for split in splits])
     number = min(len(costs), len(gains))
-    paying = np.flatnonzero(gains[:number] > LASTING * costs[:number])
+    paying = np.flatnonzero(gains[:number] > LASTING_COST_SHARE * costs[:number])
     return splits[: paying.max() + 1] if len(paying) else []
 
 
-def spare(body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, idle: bool) -> list[Removal]:
+def select_removals(
+    body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, only_idle: bool
+) -> list[Removal]:
     """Select up to `count` removals of least cost, with no joint the parent of another.
 
-    With `idle`, only removals of small cost are selected.
+    With `only_idle`, only removals of small cost are selected.
     """
-    error = float(jnp.sum((targets - deform_all(body, poses)) ** 2))
+    error = float(jnp.sum((targets - posed_vertices(body, poses)) ** 2))
     parents = body.skeleton.parents
-    own = np.bincount(np.asarray(body.skin.parts()), minlength=len(parents))
+    own = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=len(parents))
     chosen: list[Removal] = []
     for removal in find_removals(body, poses, targets):
         beside = {parents[other.joint] for other in chosen} | {
             child for other in chosen for child, parent in enumerate(parents) if parent == other.joint
         }
-        allowed = np.inf if not idle else error * (IDLE if own[removal.joint] else BARE)
+        allowed = (
+            np.inf if not only_idle else error * (MAX_IDLE_COST if own[removal.joint] else MAX_BARE_COST)
+        )
         if len(chosen) < count and removal.joint not in beside and removal.cost < allowed:
             chosen.append(removal)
     return chosen
 
 
-def grown(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], splits: Sequence[Split]) -> Graft:
+def insert_joints(
+    body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], splits: Sequence[Split]
+) -> EditedBody:
     """Insert the joints of splits that share no joint."""
-    names, made = list(body.skeleton.names), Graft(body, poses, pairs)
+    names, made = list(body.skeleton.names), EditedBody(body, poses, pairs)
     for split in splits:
         skeleton = made.body.skeleton
         place = [skeleton.index(name) for name in names] + [skeleton.num_joints]
-        shares = np.zeros((len(split.shares), skeleton.num_joints + 1))
-        shares[:, place] = split.shares
-        hung = tuple((place[joint], place[parent], centre) for joint, parent, centre in split.hung)
-        made = with_joint(*made, split._replace(joint=place[split.joint], shares=shares, hung=hung))
+        shares = np.zeros((len(split.weights), skeleton.num_joints + 1))
+        shares[:, place] = split.weights
+        hung = tuple((place[joint], place[parent], centre) for joint, parent, centre in split.reparented)
+        made = insert_joint(*made, split._replace(joint=place[split.joint], shares=shares, reparented=hung))
     return made
 
 
-def pruned(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Sequence[Removal]) -> Graft:
+def remove_joints(
+    body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Sequence[Removal]
+) -> EditedBody:
     """Remove joints, none of which is the parent of another."""
-    old, made, gone = body.skeleton, Graft(body, poses, pairs), []
+    old, made, gone = body.skeleton, EditedBody(body, poses, pairs), []
     for removal in removals:
-        shares = np.array(removal.shares)
+        shares = np.array(removal.weights)
         # weights of removed bones go to their parents
         for joint in gone:
             shares[:, old.parents[joint]] += shares[:, joint]
         skeleton = made.body.skeleton
         columns = [old.index(name) for name in skeleton.names]
         here = removal._replace(joint=skeleton.index(old.names[removal.joint]), shares=shares[:, columns])
-        made = without_joint(*made, here)
+        made = remove_joint(*made, here)
         gone.append(removal.joint)
     return made
 
 
 def _moved(split: Split) -> set[int]:
     """Return the joints with a new parent in a split, and their parents, without the new joint."""
-    ends = {split.joint, *(end for joint, parent, _ in split.hung for end in (joint, parent))}
-    return ends - {split.shares.shape[1] - 1}
+    ends = {split.joint, *(end for joint, parent, _ in split.reparented for end in (joint, parent))}
+    return ends - {split.weights.shape[1] - 1}

@@ -9,42 +9,42 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ...geometry.laplacian import Conformance, laplacian
-from .linear_weights import Blends, Parts
-from .swing_twist_weights import LENDERS, Slides
+from .linear_weights import LinearWeightChooser, RigidWeightChooser
+from .swing_twist_weights import NUM_NEIGHBOURS, SwingTwistWeightChooser
 
 
-class Field(NamedTuple):
+class ErrorField(NamedTuple):
     """Errors of all vertices, and the Laplacians of the errors, metres, frames last."""
 
     errors: Float[Array, "V 3 F"]
-    rough: Float[Array, "V 3 F"]
+    laplacians: Float[Array, "V 3 F"]
 
 
 class SweepResult(NamedTuple):
     """Weights after a sweep, the matching error field, and the vertices that changed."""
 
     rows: Any
-    field: Field
+    field: ErrorField
     changed: Bool[Array, "V"]
 
 
 @eqx.filter_jit
-def error_field(body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance) -> Field:
+def error_field(body: Body, poses: Pose, targets: Float[Array, "F V 3"], metric: Conformance) -> ErrorField:
     """Compute the errors of a body in its poses, and their Laplacians."""
-    errors = jnp.transpose(targets - deform_all(body, poses), (1, 2, 0))
-    return Field(errors, laplacian(metric, errors.reshape(len(errors), -1)).reshape(errors.shape))
+    errors = jnp.transpose(targets - posed_vertices(body, poses), (1, 2, 0))
+    return ErrorField(errors, laplacian(metric, errors.reshape(len(errors), -1)).reshape(errors.shape))
 
 
 @jax.jit
-def field_energy(field: Field, metric: Conformance) -> Float[Array, ""]:
+def field_energy(field: ErrorField, metric: Conformance) -> Float[Array, ""]:
     """Compute Q (Adaptation, eq. 3.19), squared metres."""
-    return jnp.sum(field.errors**2) + metric.alpha * jnp.sum(field.rough**2)
+    return jnp.sum(field.errors**2) + metric.alpha * jnp.sum(field.laplacians**2)
 
 
-def soften(metric: Conformance, share: float) -> Conformance:
+def scale_alpha(metric: Conformance, share: float) -> Conformance:
     """Scale the weight of the Laplacian term in the metric."""
     softer = share * metric.alpha, 1.0 + share * (metric.diagonal - 1.0)
     return eqx.tree_at(lambda m: (m.alpha, m.diagonal), metric, softer)
@@ -52,26 +52,26 @@ def soften(metric: Conformance, share: float) -> Conformance:
 
 @functools.partial(jax.jit, donate_argnames="field")
 def sweep(
-    chooser: Slides | Blends | Parts,
+    chooser: SwingTwistWeightChooser | LinearWeightChooser | RigidWeightChooser,
     rows,
-    field: Field,
+    field: ErrorField,
     rest: Float[Array, "V 3"],
     metric: Conformance,
     blocks: Int[Array, "B C"],
-    slide: Float[Array, ""],
-    reach: Float[Array, ""],
-    count: Int[Array, ""],
-    turn: Int[Array, ""],
+    slide_length: Float[Array, ""],
+    relaxation: Float[Array, ""],
+    num_candidates: Int[Array, ""],
+    neighbour_offset: Int[Array, ""],
 ) -> SweepResult:
     """Update the weights of the vertices of every block, block after block.
 
     **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
-    vertices of which no two are coupled by the metric, padded with V; `slide`, `reach`, `count` as in
-    `Slides.choose`; `turn` selects the neighbours whose weights are tried. The buffer of `field` is donated.
+    vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`, `num_candidates` as in
+    `Slides.choose`; `neighbour_offset` selects the neighbours whose weights are tried. The buffer of `field` is donated.
     """
     total = len(rest)
     real = metric.neighbours != jnp.arange(total)[:, None]
-    shares = metric.shares[:, None, None]
+    shares = metric.inverse_degrees[:, None, None]
     slots = range(metric.neighbours.shape[1])
     # gains below this are rounding errors
     least = 100 * jnp.finfo(rest.dtype).eps
@@ -81,24 +81,28 @@ def sweep(
         here = jnp.minimum(block, total - 1)
         ring, own = metric.neighbours[here], real[here]
         inside = jnp.where(shares[here] > 0, 1.0, 0.0).astype(rest.dtype)
-        back = inside * field.rough[here]
+        back = inside * field.laplacians[here]
         for i in slots:
             near = ring[:, i]
-            back = back - jnp.where(own[:, i, None, None], shares[near] * field.rough[near], 0.0)
+            back = back - jnp.where(own[:, i, None, None], shares[near] * field.laplacians[near], 0.0)
         weight = metric.diagonal[here][:, None, None]
         aims = (field.errors[here] + metric.alpha * back) / weight
         take = lambda at: jax.tree.map(lambda row: row[at], rows)  # noqa: E731
-        lent = [take(jnp.take(ring, (turn + i) % len(slots), axis=1)) for i in range(LENDERS)]
-        new, shift, gain = chooser.choose(take(here), lent, rest[here], aims, slide, reach, count)
+        lent = [
+            take(jnp.take(ring, (neighbour_offset + i) % len(slots), axis=1)) for i in range(NUM_NEIGHBOURS)
+        ]
+        new, shift, gain = chooser.choose(
+            take(here), lent, rest[here], aims, slide_length, relaxation, num_candidates
+        )
         better = (block < total) & (gain > least * jnp.sum(aims**2, (1, 2)))
         put = jnp.where(better, block, total)
         rows = jax.tree.map(lambda row, fresh: row.at[put].set(fresh, mode="drop"), rows, new)
         errors = field.errors.at[put].add(-shift, mode="drop")
-        rough = field.rough.at[put].add(-inside * shift, mode="drop")
+        rough = field.laplacians.at[put].add(-inside * shift, mode="drop")
         for i in slots:
             near = jnp.where(better & own[:, i], ring[:, i], total)
             rough = rough.at[near].add(shares[ring[:, i]] * shift, mode="drop")
-        return (rows, Field(errors, rough), changed.at[put].set(True, mode="drop")), None
+        return (rows, ErrorField(errors, rough), changed.at[put].set(True, mode="drop")), None
 
     return SweepResult(*jax.lax.scan(visit, (rows, field, jnp.zeros(total, bool)), blocks)[0])
 

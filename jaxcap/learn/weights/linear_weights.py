@@ -11,7 +11,7 @@ from ...body.skeleton import Skeleton
 from .simplex import largest_weights, simplex_least_squares
 
 
-class Blends(eqx.Module):
+class LinearWeightChooser(eqx.Module):
     """Bone transforms, frames last, for the choice of linear weights by least squares."""
 
     rotations: Float[Array, "J 9 F"]
@@ -23,21 +23,21 @@ class Blends(eqx.Module):
     def choose(
         self,
         rows: Float[Array, "C J"],
-        lent: list[Float[Array, "C J"]],
+        neighbour_rows: list[Float[Array, "C J"]],
         rest: Float[Array, "C 3"],
-        aims: Float[Array, "C 3 F"],
-        slide: Float[Array, ""],
-        reach: Float[Array, ""],
-        count: Int[Array, ""],
+        target_offsets: Float[Array, "C 3 F"],
+        slide_length: Float[Array, ""],
+        relaxation: Float[Array, ""],
+        num_candidates: Int[Array, ""],
     ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
         """Solve for the best weights of each vertex; the interface of `Slides.choose`, without slides."""
-        del lent, slide, count
+        del neighbour_rows, slide_length, num_candidates
         images = self._images(rest)
         # differences from the current position keep precision for near bones next to far ones
         apart = images - jnp.einsum("cj,cjaf->caf", rows, images)[:, None]
         flat = apart.reshape(*rows.shape, -1)
         gram = jnp.einsum("cjf,ckf->cjk", flat, flat)
-        linear = jnp.einsum("cjf,cf->cj", flat, reach * aims.reshape(len(rows), -1))
+        linear = jnp.einsum("cjf,cf->cj", flat, relaxation * target_offsets.reshape(len(rows), -1))
         weights = simplex_least_squares(gram, linear, rows)
         if self.influences is not None:
             allowed = largest_weights(weights, self.influences)
@@ -45,7 +45,11 @@ class Blends(eqx.Module):
             kept = kept / jnp.sum(kept, 1, keepdims=True)
             weights = simplex_least_squares(gram, linear, kept, allowed)
         shift = jnp.einsum("cj,cjaf->caf", weights, apart)
-        return weights, shift, jnp.sum(aims**2, (1, 2)) - jnp.sum((aims - shift) ** 2, (1, 2))
+        return (
+            weights,
+            shift,
+            jnp.sum(target_offsets**2, (1, 2)) - jnp.sum((target_offsets - shift) ** 2, (1, 2)),
+        )
 
     def _images(self, rest: Float[Array, "C 3"]) -> Float[Array, "C J 3 F"]:
         axes = [
@@ -56,37 +60,39 @@ class Blends(eqx.Module):
         return jnp.stack(axes, 2)
 
 
-class Parts(eqx.Module):
+class RigidWeightChooser(eqx.Module):
     """Bone transforms, frames last, for the choice of the bone of a rigid skin."""
 
-    blends: Blends
+    linear: LinearWeightChooser
     num_candidates: int = eqx.field(static=True, default=1)
 
     def choose(
         self,
         rows: Int[Array, "C"],
-        lent: list[Int[Array, "C"]],
+        neighbour_rows: list[Int[Array, "C"]],
         rest: Float[Array, "C 3"],
-        aims: Float[Array, "C 3 F"],
-        slide: Float[Array, ""],
-        reach: Float[Array, ""],
-        count: Int[Array, ""],
+        target_offsets: Float[Array, "C 3 F"],
+        slide_length: Float[Array, ""],
+        relaxation: Float[Array, ""],
+        num_candidates: Int[Array, ""],
     ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
         """Choose the best bone of each vertex; the interface of `Slides.choose`, without slides."""
-        del lent, slide, reach, count
-        images = self.blends._images(rest)
+        del neighbour_rows, slide_length, relaxation, num_candidates
+        images = self.linear._images(rest)
         apart = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)
-        left = jnp.sum((aims[:, None] - apart) ** 2, (2, 3))
+        left = jnp.sum((target_offsets[:, None] - apart) ** 2, (2, 3))
         best = jnp.argmin(left, 1)
         shift = jnp.take_along_axis(apart, best[:, None, None, None], 1)[:, 0]
-        gain = jnp.sum(aims**2, (1, 2)) - jnp.take_along_axis(left, best[:, None], 1)[:, 0]
+        gain = jnp.sum(target_offsets**2, (1, 2)) - jnp.take_along_axis(left, best[:, None], 1)[:, 0]
         return best.astype(rows.dtype), shift, gain
 
 
 @eqx.filter_jit
-def make_blends(skeleton: Skeleton, poses: Pose, influences: int | None = None) -> Blends:
+def make_linear_chooser(
+    skeleton: Skeleton, poses: Pose, influences: int | None = None
+) -> LinearWeightChooser:
     """Compute the bone transforms in stacked poses."""
     bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
     frames, joints = bones.translations.shape[:2]
     last = lambda array: jnp.moveaxis(array.reshape(frames, joints, -1), 0, -1)  # noqa: E731
-    return Blends(last(bones.rotations), last(bones.translations), influences)
+    return LinearWeightChooser(last(bones.rotations), last(bones.translations), influences)

@@ -5,21 +5,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...body.body import Body, deform_all
+from ...body.body import Body, posed_vertices
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...fit.linear.chebyshev import chebyshev
 from ...fit.linear.conjugate_gradients import conjugate_gradients
 from ...geometry.laplacian import Conformance, apply
-from .simplex import eliminate
+from .simplex import gauss_jordan_solve
 
 #: the most steps of conjugate gradients, the degree of the preconditioner in each, and the least gap between
 #: the bounds of its eigenvalues
-STEPS, DEGREE, LITTLE = 30, 16, 1e-3
+STEPS, DEGREE, MIN_GAP = 30, 16, 1e-3
 
 
 @eqx.filter_jit
-def solve_vertices(
+def solve_rest_vertices(
     body: Body,
     poses: Pose,
     targets: Float[Array, "F V 3"],
@@ -35,11 +35,11 @@ def solve_vertices(
     stop at `tolerance` of the gradient.
     """
     slopes = _slopes(body, poses)
-    side = _pull(metric, slopes, targets - deform_all(body, poses))
+    side = _pull(metric, slopes, targets - posed_vertices(body, poses))
 
     def precondition(rest):
         # the eigenvalues of a uniform Laplacian are at most two
-        return chebyshev(lambda x: apply(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + LITTLE, DEGREE)
+        return chebyshev(lambda x: apply(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + MIN_GAP, DEGREE)
 
     step = conjugate_gradients(
         lambda rest: _curvature(metric, slopes, rest),
@@ -52,13 +52,13 @@ def solve_vertices(
 
 
 @eqx.filter_jit
-def carry_back(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
+def fit_rest_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
     """Solve for the rest position of each vertex independently, by least squares to its targets, metres."""
     slopes = _slopes(body, poses)
-    errors = targets - deform_all(body, poses)
+    errors = targets - posed_vertices(body, poses)
     normal = jnp.einsum("fvab,fvac->bcv", slopes, slopes)
     side = jnp.einsum("fvab,fva->bv", slopes, errors)
-    return body.vertices + eliminate(normal, side[:, None])[:, 0].T
+    return body.vertices + gauss_jordan_solve(normal, side[:, None])[:, 0].T
 
 
 def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:

@@ -66,11 +66,11 @@ def _active_set(gram, linear, start, free, sums):
             [jnp.where(support, linear, 0.0)[:, None], jnp.where(support[:, None], sums.T[:, :, None], 0.0)],
             1,
         )
-        solved = eliminate(matrix, sides)
+        solved = gauss_jordan_solve(matrix, sides)
         plain, reach = solved[:, 0], solved[:, 1:]
         surplus = jnp.einsum("gk,kn->gn", sums, plain) - 1.0
         # Lagrange multipliers of the sums, by the Schur complement
-        multipliers = eliminate(jnp.einsum("gk,khn->ghn", sums, reach), surplus[:, None])[:, 0]
+        multipliers = gauss_jordan_solve(jnp.einsum("gk,khn->ghn", sums, reach), surplus[:, None])[:, 0]
         goal = plain - jnp.einsum("kgn,gn->kn", reach, multipliers)
         # move towards the goal until a weight reaches zero
         falls = support & (goal < 0.0)
@@ -110,7 +110,7 @@ def _active_set(gram, linear, start, free, sums):
     return weights / (sums.T @ (sums @ weights))
 
 
-def eliminate(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
+def gauss_jordan_solve(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
     """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there."""
 
     def column(i, table):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ...body.joint_swing_twist import split_joints
+from ...body.joint_swing_twist import decompose_joints
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
@@ -23,10 +23,10 @@ from .simplex import simplex_least_squares
 #: candidates other than slides: the current twists, and two lengths of the Gauss-Newton step
 STEPS = (0.0, 1.0, 0.5)
 #: the number of surface neighbours whose twists are tried
-LENDERS = 2
+NUM_NEIGHBOURS = 2
 
 
-class SlideRows(eqx.Module):
+class SwingTwistRows(eqx.Module):
     """Sparse weights of vertices: slot `k` belongs to the `k`-th child of the base."""
 
     bases: Int[Array, "V"]
@@ -34,7 +34,7 @@ class SlideRows(eqx.Module):
     twist: Float[Array, "V K"]
 
 
-class Slides(eqx.Module):
+class SwingTwistWeightChooser(eqx.Module):
     """Tables of skeleton and poses for the choice of swing-twist weights, frames last."""
 
     #: children of each bone, padded with J
@@ -52,62 +52,62 @@ class Slides(eqx.Module):
 
     @property
     def num_candidates(self) -> int:
-        return len(STEPS) + LENDERS + 2 * self.children.shape[1] + self.passes.shape[1]
+        return len(STEPS) + NUM_NEIGHBOURS + 2 * self.children.shape[1] + self.passes.shape[1]
 
     def choose(
         self,
-        rows: SlideRows,
-        lent: list[SlideRows],
+        rows: SwingTwistRows,
+        neighbour_rows: list[SwingTwistRows],
         rest: Float[Array, "C 3"],
-        aims: Float[Array, "C 3 F"],
-        slide: Float[Array, ""],
-        reach: Float[Array, ""],
-        count: Int[Array, ""],
-    ) -> tuple[SlideRows, Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Choose the best of the first `count` candidates for each vertex.
+        target_offsets: Float[Array, "C 3 F"],
+        slide_length: Float[Array, ""],
+        relaxation: Float[Array, ""],
+        num_candidates: Int[Array, ""],
+    ) -> tuple[SwingTwistRows, Float[Array, "C 3 F"], Float[Array, "C"]]:
+        """Choose the best of the first `num_candidates` candidates for each vertex.
 
         Returns the weights, the displacement of the vertex, and the decrease of its squared distance to the
         aim.
 
-        **Arguments:** `lent` are the weights of neighbours; `rest` vertices, metres; `aims` are the
-        displacements from the current positions to the goals; `slide` is the length of slides; `reach` scales
+        **Arguments:** `neighbour_rows` are the weights of neighbours; `rest` vertices, metres; `target_offsets` are the
+        displacements from the current positions to the goals; `slide_length` is the length of slides; `relaxation` scales
         the aims when weights are solved for (over-relaxation). Candidates are compared by the unscaled aims.
         """
-        here = self._place(rows, rest)
-        goal, far = here + aims, here + reach * aims
-        bases, twists = self._candidates(rows, lent, rest, far, slide)
+        here = self._posed_positions(rows, rest)
+        goal, far = here + target_offsets, here + relaxation * target_offsets
+        bases, twists = self._candidates(rows, neighbour_rows, rest, far, slide_length)
 
         def compare(i, best):
             chosen, place, cost = best
-            tried = SlideRows(bases[i], jnp.zeros_like(rows.swing), twists[i])
+            tried = SwingTwistRows(bases[i], jnp.zeros_like(rows.swing), twists[i])
             tried, where, left = self._fit_swing(tried, rest, goal, far)
             better = left < cost
             pick = lambda a, b: jnp.where(better.reshape(-1, *(1,) * (a.ndim - 1)), a, b)  # noqa: E731
             return jax.tree.map(pick, tried, chosen), pick(where, place), jnp.where(better, left, cost)
 
-        before = jnp.sum(aims**2, (1, 2))
-        chosen, place, cost = jax.lax.fori_loop(0, count, compare, (rows, here, before))
-        return self._settle(chosen), place - here, before - cost
+        before = jnp.sum(target_offsets**2, (1, 2))
+        chosen, place, cost = jax.lax.fori_loop(0, num_candidates, compare, (rows, here, before))
+        return self._normalise_base(chosen), place - here, before - cost
 
-    def _fit_swing(self, rows: SlideRows, rest, goal, far):
+    def _fit_swing(self, rows: SwingTwistRows, rest, goal, far):
         """Solve for the swing weights that move the vertices nearest to `far`.
 
         Also returns the positions, and their squared distances to `goal`.
         """
         twisted, swung = self._images(rows, rest)
         gap = self._into_base(rows.bases, far) - twisted
-        swing = _nearest(swung, gap * self.scales**2, self.scales**2, self._real(rows.bases))
+        swing = _nearest(swung, gap * self.scales**2, self.scales**2, self._is_child(rows.bases))
         place = self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", swing, swung))
-        return SlideRows(rows.bases, swing, rows.twist), place, jnp.sum((goal - place) ** 2, (1, 2))
+        return SwingTwistRows(rows.bases, swing, rows.twist), place, jnp.sum((goal - place) ** 2, (1, 2))
 
-    def _candidates(self, rows: SlideRows, lent: list[SlideRows], rest, far, slide):
+    def _candidates(self, rows: SwingTwistRows, lent: list[SwingTwistRows], rest, far, slide):
         """Build candidate bases (N, C) and twist weights (N, C, K)."""
         step = self._newton(rows, rest, far) - rows.twist
         bases = [rows.bases] * len(STEPS) + [row.bases for row in lent]
         bases += [rows.bases] * (2 * self.children.shape[1])
         twists = [rows.twist + share * step for share in STEPS] + [row.twist for row in lent]
         slots = jnp.eye(self.children.shape[1], dtype=rows.twist.dtype)
-        real = self._real(rows.bases)
+        real = self._is_child(rows.bases)
         for slot in slots:
             towards = jnp.minimum(rows.twist + slide * slot, 1.0)
             others = jnp.sum(towards * (1 - slot), 1, keepdims=True)
@@ -123,7 +123,7 @@ class Slides(eqx.Module):
             twists.append(jnp.where(open_to[:, None], weight[:, None] * slots[slot], rows.twist))
         return jnp.stack(bases), jnp.stack(twists)
 
-    def _newton(self, rows: SlideRows, rest, far) -> Float[Array, "C K"]:
+    def _newton(self, rows: SwingTwistRows, rest, far) -> Float[Array, "C K"]:
         """Compute the twist weights after a Gauss-Newton step in swing and twist together."""
         twisted, swung = self._images(rows, rest)
         slopes = self._slopes(rows, rest)
@@ -137,7 +137,7 @@ class Slides(eqx.Module):
         now = jnp.concatenate([rows.twist, rows.swing], 1)
         columns = jnp.concatenate([slopes, swung], 1)
         gap = gap + jnp.einsum("ck,ckaf->caf", now, columns)
-        real = self._real(rows.bases)
+        real = self._is_child(rows.bases)
         count = real.shape[1]
         groups = tuple(i // count for i in range(2 * count))
         solved = _nearest(
@@ -145,7 +145,7 @@ class Slides(eqx.Module):
         )
         return solved[:, :count]
 
-    def _images(self, rows: SlideRows, rest):
+    def _images(self, rows: SwingTwistRows, rest):
         """Compute, in the base's rest frame, the twisted vertices and their displacement by each child's full
         swing.
 
@@ -163,7 +163,7 @@ class Slides(eqx.Module):
         )
         return twisted, swung
 
-    def _slopes(self, rows: SlideRows, rest) -> Float[Array, "C K 3 F"]:
+    def _slopes(self, rows: SwingTwistRows, rest) -> Float[Array, "C K 3 F"]:
         """Compute the derivatives of the twisted vertices by the twist weights."""
         blend, motions, still = self._blend(rows)
 
@@ -172,7 +172,7 @@ class Slides(eqx.Module):
 
         return jnp.stack([along(k) for k in range(motions.shape[1])], 1)
 
-    def _blend(self, rows: SlideRows):
+    def _blend(self, rows: SwingTwistRows):
         """Compute the weighted sum of twists (C, 8, F).
 
         Also returns the twists (C, K, 8, F) and the identity (C, 8, F), with their signs in the sum.
@@ -183,7 +183,7 @@ class Slides(eqx.Module):
         blend = jnp.einsum("ck,ckdf->cdf", rows.twist, motions) + neutral[:, None, None] * still
         return blend, motions, still
 
-    def _place(self, rows: SlideRows, rest):
+    def _posed_positions(self, rows: SwingTwistRows, rest):
         twisted, swung = self._images(rows, rest)
         return self._into_world(rows.bases, twisted + jnp.einsum("ck,ckaf->caf", rows.swing, swung))
 
@@ -196,39 +196,39 @@ class Slides(eqx.Module):
         r, away = self.rotations[bases], (points - self.translations[bases]) / self.scales**2
         return jnp.stack([sum(r[:, 3 * b + a] * away[:, b] for b in range(3)) for a in range(3)], 1)
 
-    def _real(self, bases):
+    def _is_child(self, bases):
         return self.children[bases] < len(self.children)
 
-    def _settle(self, rows: SlideRows) -> SlideRows:
+    def _normalise_base(self, rows: SwingTwistRows) -> SwingTwistRows:
         """Replace the base by a child that has all the weight."""
         whole = jnp.minimum(rows.swing, rows.twist) > 1.0 - 4 * jnp.finfo(rows.twist.dtype).eps
         passed = jnp.any(whole, 1)
         child = jnp.take_along_axis(self.children[rows.bases], jnp.argmax(whole, 1)[:, None], 1)[:, 0]
         keep = jnp.where(passed, 0.0, 1.0)[:, None].astype(rows.twist.dtype)
-        return SlideRows(jnp.where(passed, child, rows.bases), rows.swing * keep, rows.twist * keep)
+        return SwingTwistRows(jnp.where(passed, child, rows.bases), rows.swing * keep, rows.twist * keep)
 
 
-def make_slides(skeleton: Skeleton, poses: Pose) -> Slides:
+def make_swing_twist_chooser(skeleton: Skeleton, poses: Pose) -> SwingTwistWeightChooser:
     """Build the tables of a skeleton in stacked poses."""
     children, passes, upward = _tree(skeleton)
     motions = _motions(skeleton, poses)
-    return Slides(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
+    return SwingTwistWeightChooser(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
 
 
-def slide_rows(slides: Slides, skin: SwingTwistSkin) -> SlideRows:
+def skin_to_rows(chooser: SwingTwistWeightChooser, skin: SwingTwistSkin) -> SwingTwistRows:
     """Convert the weights of a skin to sparse rows."""
-    children = slides.children[skin.bases]
+    children = chooser.children[skin.bases]
     pick = lambda w: jnp.where(  # noqa: E731
         children < w.shape[1], jnp.take_along_axis(w, jnp.minimum(children, w.shape[1] - 1), 1), 0.0
     )
-    return SlideRows(skin.bases, pick(skin.swing), pick(skin.twist))
+    return SwingTwistRows(skin.bases, pick(skin.swing), pick(skin.twist))
 
 
-def slide_skin(slides: Slides, rows: SlideRows) -> SwingTwistSkin:
+def rows_to_skin(chooser: SwingTwistWeightChooser, rows: SwingTwistRows) -> SwingTwistSkin:
     """Convert sparse rows to a skin."""
-    children = slides.children[rows.bases]
+    children = chooser.children[rows.bases]
     lines = jnp.arange(len(children))[:, None]
-    wide = jnp.zeros((len(children), len(slides.children)), rows.swing.dtype)
+    wide = jnp.zeros((len(children), len(chooser.children)), rows.swing.dtype)
     spread = lambda w: wide.at[lines, children].set(w, mode="drop")  # noqa: E731
     return SwingTwistSkin(rows.bases, spread(rows.swing), spread(rows.twist))
 
@@ -250,7 +250,7 @@ def _tree(skeleton: Skeleton) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @eqx.filter_jit
 def _motions(skeleton: Skeleton, poses: Pose):
-    split = jax.vmap(lambda pose: split_joints(skeleton, pose))(poses)
+    split = jax.vmap(lambda pose: decompose_joints(skeleton, pose))(poses)
     bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
     frames, joints = bones.translations.shape[:2]
     still = jnp.zeros((1, 8, frames), split.twists.dtype).at[:, 0].set(1.0)

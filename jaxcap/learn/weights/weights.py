@@ -27,29 +27,34 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin, RigidSkin, SwingTwistSkin
 from ...geometry.laplacian import Conformance
-from .coordinate_descent import error_field, field_energy, make_blocks, soften, sweep
+from .coordinate_descent import error_field, field_energy, make_blocks, scale_alpha, sweep
 from .graph_colouring import colour_vertices, within_two_rings
-from .linear_weights import Parts, make_blends
-from .swing_twist_weights import LENDERS, STEPS, make_slides, slide_rows, slide_skin
+from .linear_weights import RigidWeightChooser, make_linear_chooser
+from .swing_twist_weights import NUM_NEIGHBOURS, STEPS, make_swing_twist_chooser, rows_to_skin, skin_to_rows
 
 
-class Turn(NamedTuple):
+class SweepSettings(NamedTuple):
     """The settings of a sweep.
 
     They are the share of alpha, the length of slides (zero: Gauss-Newton steps only), and the scale of aims
     for linear skins.
     """
 
-    share: float
-    slide: float
-    reach: float
+    alpha_share: float
+    slide_length: float
+    relaxation: float
 
 
-COARSE = (Turn(0.0, 0.25, 1.0), Turn(0.0, 0.05, 1.0), Turn(0.05, 0.2, 1.0), Turn(0.3, 0.0, 1.0))
+COARSE = (
+    SweepSettings(0.0, 0.25, 1.0),
+    SweepSettings(0.0, 0.05, 1.0),
+    SweepSettings(0.05, 0.2, 1.0),
+    SweepSettings(0.3, 0.0, 1.0),
+)
 #: repeated cyclically; over-relaxed (successive over-relaxation) after a first plain sweep
-FINE = tuple(Turn(1.0, slide, 1.5) for slide in (0.1, 0.0, 0.02, 0.0, 0.3, 0.0, 0.05, 0.0))
+FINE = tuple(SweepSettings(1.0, slide, 1.5) for slide in (0.1, 0.0, 0.02, 0.0, 0.3, 0.0, 0.05, 0.0))
 #: below this alpha, common errors do not converge slowly
-CREEPS = 3.0
+MIN_COARSE_ALPHA = 3.0
 
 
 class ImprovedWeights(NamedTuple):
@@ -84,12 +89,12 @@ def improve_weights(
     descent = _Descent(body, poses, targets, metric, influences)
     start, before = descent.rows, descent.energy()
     energies = [before]
-    if coarse and float(metric.alpha) > CREEPS:
+    if coarse and float(metric.alpha) > MIN_COARSE_ALPHA:
         for turn in (*COARSE, *(fine._replace(reach=1.0) for fine in FINE[:2])):
             descent.sweep(turn)
         energies.append(descent.energy())
         if energies[1] > before:
-            descent.begin(start)
+            descent.reset(start)
             energies = [before]
     for number in range(len(energies), sweeps + 1):
         if not descent.stale.any():
@@ -109,9 +114,9 @@ class _Descent:
         self._chooser, rows, self._restore = _chooser(body, poses, influences)
         self._colours = colour_vertices(metric)
         self._share, self._turns = 1.0, 0
-        self.begin(rows)
+        self.reset(rows)
 
-    def begin(self, rows) -> None:
+    def reset(self, rows) -> None:
         """Set the weights, and mark all vertices for an update."""
         self.rows = rows
         self._field = error_field(self.body(), self._poses, self._targets, self._metric)
@@ -123,10 +128,10 @@ class _Descent:
     def energy(self) -> float:
         return float(field_energy(self._field, self._metric))
 
-    def sweep(self, turn: Turn) -> None:
+    def sweep(self, settings: SweepSettings) -> None:
         """Update the weights of all vertices that may change."""
         slides = self._chooser.num_candidates > 1
-        every = turn.share != self._share or (slides and turn.slide > 0)
+        every = settings.alpha_share != self._share or (slides and settings.slide_length > 0)
         active = np.ones_like(self.stale) if every else self.stale
         bases = getattr(self.rows, "bases", None)
         # sorting vertices by base shares memory reads of its motion
@@ -136,28 +141,28 @@ class _Descent:
             self.rows,
             self._field,
             self._body.vertices,
-            soften(self._metric, turn.share),
+            scale_alpha(self._metric, settings.alpha_share),
             make_blocks(self._colours, active, order),
-            jnp.asarray(turn.slide, self._body.vertices.dtype),
-            jnp.asarray(1.0 if slides else turn.reach, self._body.vertices.dtype),
-            self._chooser.num_candidates if turn.slide > 0 else len(STEPS),
+            jnp.asarray(settings.slide_length, self._body.vertices.dtype),
+            jnp.asarray(1.0 if slides else settings.relaxation, self._body.vertices.dtype),
+            self._chooser.num_candidates if settings.slide_length > 0 else len(STEPS),
             self._turns,
         )
         self.stale = within_two_rings(self._metric, np.asarray(changed))
-        self._share, self._turns = turn.share, self._turns + LENDERS
+        self._share, self._turns = settings.alpha_share, self._turns + NUM_NEIGHBOURS
 
 
 def _chooser(body: Body, poses: Pose, influences: int | None):
     """Return the chooser of weights, the weights in its format, and the function back to a skin."""
     skin = body.skin
     if isinstance(skin, SwingTwistSkin):
-        slides = make_slides(body.skeleton, poses)
-        return slides, slide_rows(slides, skin), functools.partial(slide_skin, slides)
-    blends = make_blends(body.skeleton, poses, influences)
+        slides = make_swing_twist_chooser(body.skeleton, poses)
+        return slides, skin_to_rows(slides, skin), functools.partial(rows_to_skin, slides)
+    blends = make_linear_chooser(body.skeleton, poses, influences)
     if isinstance(skin, LinearSkin):
         return blends, skin.weights, LinearSkin
     if isinstance(skin, RigidSkin):
-        return Parts(blends), skin.bones, RigidSkin
+        return RigidWeightChooser(blends), skin.bones, RigidSkin
     raise ValueError(
         f"The body has a {type(skin).__name__}; expected a SwingTwistSkin, LinearSkin or RigidSkin."
     )

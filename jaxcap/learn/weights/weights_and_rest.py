@@ -12,46 +12,46 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .simplex import eliminate, simplex_least_squares
+from .simplex import gauss_jordan_solve, simplex_least_squares
 
 #: the relative decrease below which Gauss-Newton ends; the step lengths that are tried
 ENOUGH, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
 
 
-class Settled(NamedTuple):
+class OptimisedVertices(NamedTuple):
     """Optimised vertices."""
 
     #: weights of the bones near each vertex
     weights: Float[Array, "V K"]
     rest: Float[Array, "V 3"]
     #: squared residual of each vertex
-    squares: Float[Array, "V"]
+    squared_residuals: Float[Array, "V"]
 
 
-def settle(
+def optimise_vertices(
     weights: Float[Array, "V K"],
     rest: Float[Array, "V 3"],
-    near: Int[Array, "V K"],
+    candidates: Int[Array, "V K"],
     bones: Float[Array, "F J 3 4"],
-    aims: Float[Array, "V N"],
+    targets: Float[Array, "V N"],
     steps: int,
-) -> Settled:
-    """Optimise the weights of the bones `near` each vertex and its rest position, by Gauss-Newton on both.
+) -> OptimisedVertices:
+    """Optimise the weights of the bones `candidates` each vertex and its rest position, by Gauss-Newton on both.
 
     With the position eliminated, the weights are a least-squares problem over the simplex.
 
-    **Arguments:** `aims` are the target positions of each vertex in all frames, 3 F numbers; `steps` is the
+    **Arguments:** `targets` are the target positions of each vertex in all frames, 3 F numbers; `steps` is the
     most steps.
     """
     count, frames = len(rest), len(bones)
     turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(bones.shape[1], -1)
 
     def slopes_of(shares):
-        return (spread_weights(shares, near, len(turns)) @ turns).reshape(count, 3 * frames, 3)
+        return (expand_weights(shares, candidates, len(turns)) @ turns).reshape(count, 3 * frames, 3)
 
     def step(carry):
         weights, rest, _, left, number = carry
-        apart = images(bones, rest, near) - aims[:, None]
+        apart = bone_images(bones, rest, candidates) - targets[:, None]
         reduced, lift, slopes = _reduced(apart, slopes_of(weights))
         goal = simplex_least_squares(reduced @ jnp.swapaxes(reduced, 1, 2), jnp.zeros_like(weights), weights)
         change, shift = goal - weights, -jnp.einsum("vak,vk->va", lift, goal)
@@ -69,24 +69,24 @@ def settle(
 
     none = jnp.full(count, jnp.inf, rest.dtype)
     weights, rest, _, left, _ = jax.lax.while_loop(unfinished, step, (weights, rest, none, none, 0))
-    return Settled(weights / jnp.sum(weights, 1, keepdims=True), rest, left)
+    return OptimisedVertices(weights / jnp.sum(weights, 1, keepdims=True), rest, left)
 
 
-def promising_bones(
+def choose_candidate_bones(
     weights: Float[Array, "V J"],
     rest: Float[Array, "V 3"],
     bones: Float[Array, "F J 3 4"],
-    aims: Float[Array, "V N"],
-    real: Int[Array, ""],
-    count: int,
+    targets: Float[Array, "V N"],
+    num_real: Int[Array, ""],
+    num_candidates: int,
 ) -> Int[Array, "V K"]:
-    """Choose `count` candidate bones for each vertex.
+    """Choose `num_candidates` candidate bones for each vertex.
 
-    These are the bones that move it already and, of the first `real` bones, those whose weight would lower
+    These are the bones that move it already and, of the first `num_real` bones, those whose weight would lower
     its residual most, with the rest position adapted: as columns are priced in linear programming.
     """
     every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
-    apart = images(bones, rest, every) - aims[:, None]
+    apart = bone_images(bones, rest, every) - targets[:, None]
     turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(weights.shape[1], -1)
     reduced, _, _ = _reduced(apart, (weights @ turns).reshape(len(rest), -1, 3))
     errors = jnp.einsum("vj,vjn->vn", weights, reduced)
@@ -95,8 +95,8 @@ def promising_bones(
     squares = jnp.sum(towards**2, 2)
     tiny = jnp.finfo(falls.dtype).tiny
     gains = falls**2 / (squares + tiny) - 1e-6 * squares / (jnp.max(squares, 1, keepdims=True) + tiny)
-    gains = jnp.where(jnp.arange(weights.shape[1]) < real, gains, -jnp.inf)
-    return jnp.argsort(jnp.where(weights > 0, -jnp.inf, -gains), axis=1)[:, :count]
+    gains = jnp.where(jnp.arange(weights.shape[1]) < num_real, gains, -jnp.inf)
+    return jnp.argsort(jnp.where(weights > 0, -jnp.inf, -gains), axis=1)[:, :num_candidates]
 
 
 def _reduced(apart: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
@@ -105,21 +105,23 @@ def _reduced(apart: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
     Returns the reduced images, the adaptation of the position to each, and the slopes.
     """
     normal = jnp.einsum("vna,vnb->abv", slopes, slopes)
-    lift = jnp.moveaxis(eliminate(normal, jnp.einsum("vna,vkn->akv", slopes, apart)), -1, 0)
+    lift = jnp.moveaxis(gauss_jordan_solve(normal, jnp.einsum("vna,vkn->akv", slopes, apart)), -1, 0)
     return apart - jnp.einsum("vna,vak->vkn", slopes, lift), lift, slopes
 
 
-def spread_weights(weights: Float[Array, "V K"], near: Int[Array, "V K"], count: int) -> Float[Array, "V J"]:
+def expand_weights(
+    weights: Float[Array, "V K"], candidates: Int[Array, "V K"], count: int
+) -> Float[Array, "V J"]:
     """Expand weights of the bones near each vertex to all bones."""
     rows = jnp.arange(len(weights))[:, None]
-    return jnp.zeros((len(weights), count), weights.dtype).at[rows, near].add(weights)
+    return jnp.zeros((len(weights), count), weights.dtype).at[rows, candidates].add(weights)
 
 
-def images(
-    bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], near: Int[Array, "V K"]
+def bone_images(
+    bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], candidates: Int[Array, "V K"]
 ) -> Float[Array, "V K N"]:
     """Compute the positions of each vertex under the bones near it in all frames, 3 F numbers."""
     places = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
     count = bones.shape[1]
     every = (places @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
-    return jnp.take_along_axis(every, near[:, :, None], 1)
+    return jnp.take_along_axis(every, candidates[:, :, None], 1)

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...body.people.human import human
-from ...body.skin.interpolate import inside
-from .surface import HEIGHT, SurfaceMarkers, attach_markers
+from ...body.skin.interpolate import clamp_barycentric
+from .surface import MARKER_HEIGHT, SurfaceMarkers, attach_markers
 
 #: names without their side: the joint, and the offset from it, metres to the left, up and to the front. The
 #: first name is that in the ISB's recommendations (Wu et al. 2002, 2005), others are Plug-in Gait's
-SIDED = {
+LATERAL_LANDMARKS = {
     ("TEMP",): ("Head", (0.10, 0.05, 0.04)),
     ("FHD",): ("Head", (0.06, 0.08, 0.10)),
     ("BHD",): ("Head", (0.06, 0.08, -0.12)),
@@ -36,7 +36,7 @@ SIDED = {
     ("MFH1", "MT1"): ("LeftToeBase", (-0.06, 0.01, 0.02)),
     ("TOE",): ("LeftToeBase", (0.0, 0.06, 0.0)),
 }
-MIDDLE = {
+MIDLINE_LANDMARKS = {
     ("HV",): ("Head", (0.0, 0.25, 0.0)),
     ("SEL",): ("Head", (0.0, 0.05, 0.15)),
     ("OCC",): ("Head", (0.0, 0.03, -0.15)),
@@ -48,7 +48,7 @@ MIDDLE = {
 
 
 def anatomical_markers(
-    labels: Sequence[str], resolution: str = "full", height: float = HEIGHT
+    labels: Sequence[str], resolution: str = "full", height: float = MARKER_HEIGHT
 ) -> SurfaceMarkers:
     """Place the labelled markers that the table has on the human of a named resolution, for any shape.
 
@@ -58,7 +58,7 @@ def anatomical_markers(
     **Raises:** `ValueError` where no label is known.
     """
     body = human(resolution=resolution)  # pyright: ignore[reportArgumentType]
-    table = _table()
+    table = _landmark_table()
     known = [label for label in labels if label in table]
     if not known:
         raise ValueError(
@@ -68,15 +68,15 @@ def anatomical_markers(
     centres = dict(zip(body.skeleton.names, np.asarray(body.skeleton.centres, float), strict=True))
     near = np.array([centres[table[label][0]] + table[label][1] for label in known])
     on_skin = attach_markers(body, near, labels=known)
-    shares = jnp.asarray(inside(on_skin.shares), on_skin.shares.dtype)
+    shares = jnp.asarray(clamp_barycentric(on_skin.shares), on_skin.shares.dtype)
     return SurfaceMarkers(on_skin.corners, shares, jnp.full_like(on_skin.heights, height), on_skin.labels)
 
 
-def _table() -> dict[str, tuple[str, np.ndarray]]:
+def _landmark_table() -> dict[str, tuple[str, np.ndarray]]:
     table = {}
-    for names, (joint, away) in MIDDLE.items():
+    for names, (joint, away) in MIDLINE_LANDMARKS.items():
         table |= {name: (joint, np.array(away)) for name in names}
-    for names, (joint, away) in SIDED.items():
+    for names, (joint, away) in LATERAL_LANDMARKS.items():
         for name in names:
             table[f"L{name}"] = joint, np.array(away)
             table[f"R{name}"] = joint.replace("Left", "Right"), np.array(away) * [-1.0, 1.0, 1.0]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
-from ...body.people.human import body_of
+from ...body.people.human import human_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
@@ -23,11 +23,11 @@ from ...geometry import rotation
 from ...geometry.procrustes import rigid_fit
 from ...observe import MarkerFrames
 from .anatomical import anatomical_markers
-from .shape_search import HIGHEST, LOWEST, SPREAD, USUAL, Measured, search_shape
+from .shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS, Measurements, search_shape
 from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
 
 #: a trait is undetermined if its deviation is above this share of the prior's
-UNTOLD = 0.7
+UNDETERMINED_RATIO = 0.7
 
 
 class ShapeFit(NamedTuple):
@@ -43,7 +43,7 @@ class ShapeFit(NamedTuple):
     #: metres, NaN where never visible
     residuals: Float[np.ndarray, "M"]
     #: messages to the user, in sentences
-    told: tuple[str, ...]
+    messages: tuple[str, ...]
 
 
 def fit_shape(
@@ -52,11 +52,11 @@ def fit_shape(
     *,
     lengths: Mapping[tuple[str, str], float] | None = None,
     height: float | None = None,
-    given: Mapping[str, float] | None = None,
+    known_traits: Mapping[str, float] | None = None,
     resolution: str = "low",
     joints: str = "tracking",
     deviation: float = 0.015,
-    steps: int = 60,
+    max_steps: int = 60,
 ) -> ShapeFit:
     """Fit the embedded human to a static trial, bone lengths, or both.
 
@@ -64,7 +64,7 @@ def fit_shape(
     `markers`: their attachment to the human of this `resolution` ("full", "medium" or "low"), as
     `SurfaceMarkers` or as vertices by label; by default anatomical landmarks with their usual names.
     `lengths`, metres, between pairs of joints by name, such as the `bone_lengths` of a calibrated skeleton.
-    `height` in metres. `given`, known traits, such as `{"sex": 1.0, "age": 41}`. `deviation`, metres, of a
+    `height` in metres. `known_traits`, known traits, such as `{"sex": 1.0, "age": 41}`. `deviation`, metres, of a
     marker from its position, along each axis.
 
     **Raises:** `ValueError` with one sentence: neither frames nor lengths, fewer than 6 markers that are
@@ -74,8 +74,8 @@ def fit_shape(
         raise ValueError(
             "fit_shape has neither frames nor bone lengths; give frames of markers, bone lengths, or both."
         )
-    start, free = _known(given or {})
-    body = body_of(start, resolution, joints)
+    start, free = _initial_traits(known_traits or {})
+    body = human_from_traits(start, resolution, joints)
     pose, energy, held, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
     if frames is not None:
         if isinstance(markers, Mapping):
@@ -84,7 +84,7 @@ def fit_shape(
             held = markers
         else:
             held = anatomical_markers(frames.labels, resolution)
-        places = _static_places(frames, held.labels)
+        places = _static_positions(frames, held.labels)
         seen = np.asarray(np.isfinite(places).all(axis=1))
         if seen.sum() < 6:
             raise ValueError(
@@ -94,28 +94,30 @@ def fit_shape(
         dtype = body.vertices.dtype
         deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
         energy = surface_landmarks(held, places, seen, deviation) + RestPrior(deviations)
-        pose = _stood(body, held, places, seen)
-    measured = _measured(body.skeleton, lengths or {}, height)
+        pose = _align_rest_pose(body, held, places, seen)
+    measured = _check_measurements(body.skeleton, lengths or {}, height)
     numbers = np.array(start)
     if energy is not None:
         # the pose first: an unusual shape would compensate for a wrong one
-        pose = solve(energy, body, pose, max_steps=steps).pose
-    numbers, pose, covariance = search_shape(energy, measured, numbers, pose, free, body, resolution, steps)
+        pose = solve(energy, body, pose, max_steps=max_steps).pose
+    numbers, pose, covariance = search_shape(
+        energy, measured, numbers, pose, free, body, resolution, max_steps
+    )
     traits = Traits(*(float(x) for x in numbers))
-    body = body_of(traits, resolution, joints)
+    body = human_from_traits(traits, resolution, joints)
     spread = np.zeros(len(numbers))
     spread[list(free)] = np.sqrt(np.diag(covariance))
     residuals = np.zeros(0)
     if held is not None:
-        residuals = np.linalg.norm(np.asarray(_places(held, body, pose), float) - places, axis=1)
-    told = _told(traits, spread, free, residuals, () if held is None else held.labels)
+        residuals = np.linalg.norm(np.asarray(_marker_positions(held, body, pose), float) - places, axis=1)
+    told = _describe_fit(traits, spread, free, residuals, () if held is None else held.labels)
     return ShapeFit(body, pose, traits, Traits(*map(float, spread)), held, residuals, told)
 
 
-def bone_lengths(skeleton: Skeleton, shortest: float = 0.02) -> dict[tuple[str, str], float]:
+def bone_lengths(skeleton: Skeleton, min_length: float = 0.02) -> dict[tuple[str, str], float]:
     """Compute the distance of each joint from its parent, metres, by both names.
 
-    Bones below `shortest` are left out.
+    Bones below `min_length` are left out.
     """
     centres = np.asarray(skeleton.centres, float)
     pairs = [(p, j) for j, p in enumerate(skeleton.parents) if p >= 0]
@@ -123,10 +125,12 @@ def bone_lengths(skeleton: Skeleton, shortest: float = 0.02) -> dict[tuple[str, 
         (skeleton.names[p], skeleton.names[j]): float(np.linalg.norm(centres[j] - centres[p]))
         for p, j in pairs
     }
-    return {pair: length for pair, length in lengths.items() if length >= shortest}
+    return {pair: length for pair, length in lengths.items() if length >= min_length}
 
 
-def _measured(skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], height: float | None) -> Measured:
+def _check_measurements(
+    skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], height: float | None
+) -> Measurements:
     for name in (name for pair in lengths for name in pair):
         if name not in skeleton.names:
             raise ValueError(f"The human has no joint '{name}'; expected one of {', '.join(skeleton.names)}.")
@@ -134,37 +138,37 @@ def _measured(skeleton: Skeleton, lengths: Mapping[tuple[str, str], float], heig
         if not 0 < value < 3:
             raise ValueError(f"The length of {what} is {value} m; expected metres, above 0 and below 3.")
     pairs = np.array([[skeleton.index(a), skeleton.index(b)] for a, b in lengths], int).reshape(-1, 2)
-    return Measured(pairs, np.array(list(lengths.values()), float), height)
+    return Measurements(pairs, np.array(list(lengths.values()), float), height)
 
 
-def _known(given: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
+def _initial_traits(known_traits: Mapping[str, float]) -> tuple[Traits, tuple[int, ...]]:
     """Return the initial traits and the indices of the free ones."""
-    for name, value in given.items():
+    for name, value in known_traits.items():
         if name not in Traits._fields:
             raise ValueError(f"There is no trait '{name}'; expected one of {', '.join(Traits._fields)}.")
-        low, high = getattr(LOWEST, name), getattr(HIGHEST, name)
+        low, high = getattr(MIN_TRAITS, name), getattr(MAX_TRAITS, name)
         if not low <= value <= high:
             raise ValueError(f"The {name} of a human is {value}; give a number from {low:g} to {high:g}.")
-    start = USUAL._replace(**{name: float(value) for name, value in given.items()})
-    return start, tuple(i for i, name in enumerate(Traits._fields) if name not in given)
+    start = MEAN_TRAITS._replace(**{name: float(value) for name, value in known_traits.items()})
+    return start, tuple(i for i, name in enumerate(Traits._fields) if name not in known_traits)
 
 
-def _static_places(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
+def _static_positions(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
     """Compute the median position (M, 3) of each marker over the frames with it, NaN where there are none."""
     places = np.full((len(labels), 3), np.nan)
     for number, label in enumerate(labels):
         if label in frames.labels:
             column = frames.labels.index(label)
-            seen = np.asarray(frames.seen)[:, column]
+            seen = np.asarray(frames.visible)[:, column]
             if seen.any():
-                places[number] = np.median(np.asarray(frames.places, float)[seen, column], axis=0)
+                places[number] = np.median(np.asarray(frames.positions, float)[seen, column], axis=0)
     return places
 
 
-def _stood(body: Body, held: SurfaceMarkers, places: np.ndarray, seen: np.ndarray) -> Pose:
+def _align_rest_pose(body: Body, markers: SurfaceMarkers, positions: np.ndarray, seen: np.ndarray) -> Pose:
     """Align the rest pose rigidly to the markers (Kabsch 1976)."""
     pose = rest_pose(body.skeleton)
-    source, target = np.asarray(_places(held, body, pose), float)[seen], places[seen]
+    source, target = np.asarray(_marker_positions(markers, body, pose), float)[seen], positions[seen]
     turn, shift = rigid_fit(source, target)
     root = np.asarray(body.skeleton.centres[0], float)
     shift = turn @ root + shift - root
@@ -176,16 +180,18 @@ def _stood(body: Body, held: SurfaceMarkers, places: np.ndarray, seen: np.ndarra
     )
 
 
-def _told(traits: Traits, spread: np.ndarray, free, residuals: np.ndarray, labels) -> tuple[str, ...]:
+def _describe_fit(
+    traits: Traits, deviations: np.ndarray, free, residuals: np.ndarray, labels
+) -> tuple[str, ...]:
     said = []
     for number in free:
         name, value = Traits._fields[number], traits[number]
-        if spread[number] > UNTOLD * SPREAD[number]:
+        if deviations[number] > UNDETERMINED_RATIO * TRAIT_DEVIATIONS[number]:
             said.append(
-                f"The {name} is poorly determined ({value:.2f}, standard deviation {spread[number]:.2f}); "
+                f"The {name} is poorly determined ({value:.2f}, standard deviation {deviations[number]:.2f}); "
                 "it is close to the mean of the prior."
             )
-        if value in (LOWEST[number], HIGHEST[number]):
+        if value in (MIN_TRAITS[number], MAX_TRAITS[number]):
             said.append(
                 f"The {name} is at the limit of its range, {value:g}; the person may be beyond the range of "
                 "the model."
@@ -202,5 +208,5 @@ def _told(traits: Traits, spread: np.ndarray, free, residuals: np.ndarray, label
 
 
 @eqx.filter_jit
-def _places(markers: SurfaceMarkers, body: Body, pose: Pose) -> Float[Array, "M 3"]:
-    return markers.places(pose_body(body, pose))
+def _marker_positions(markers: SurfaceMarkers, body: Body, pose: Pose) -> Float[Array, "M 3"]:
+    return markers.positions(pose_body(body, pose))

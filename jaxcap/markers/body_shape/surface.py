@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body, Posed, pose_body
-from ...body.decimate import attach
+from ...body.decimate import attach_points
 from ...body.pose import Pose, rest_pose
 from ...energy.data.surface import SurfaceLandmarks, surface_points
 
 #: a marker farther from the surface is not on this body, or the body is in another pose, metres
-REACH = 0.3
+MAX_DISTANCE = 0.3
 #: distance of a usual marker's centre from the skin, metres
-HEIGHT = 0.0095
+MARKER_HEIGHT = 0.0095
 
 
 class SurfaceMarkers(eqx.Module):
@@ -36,51 +36,51 @@ class SurfaceMarkers(eqx.Module):
         """The number of markers, M."""
         return len(self.labels)
 
-    def places(self, posed: Posed) -> Float[Array, "M 3"]:
+    def positions(self, posed: Posed) -> Float[Array, "M 3"]:
         """Compute the marker positions on a posed body, metres."""
         return surface_points(posed, self.corners, self.shares, self.heights)
 
 
 def attach_markers(
-    body: Body, places, pose: Pose | None = None, labels: Sequence[str] | None = None
+    body: Body, positions, pose: Pose | None = None, labels: Sequence[str] | None = None
 ) -> SurfaceMarkers:
     """Attach markers to the nearest triangles of a body in a pose, by default at rest.
 
     `places (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
 
-    **Raises:** `ValueError` with one sentence where a position is not finite, or farther than `REACH` from
+    **Raises:** `ValueError` with one sentence where a position is not finite, or farther than `MAX_DISTANCE` from
     the surface, as with a wrong pose or unit.
     """
-    places = np.asarray(places, float)
-    if places.ndim != 2 or places.shape[1] != 3:
+    positions = np.asarray(positions, float)
+    if positions.ndim != 2 or positions.shape[1] != 3:
         raise ValueError(
-            f"The marker positions have the shape {places.shape}; expected (M, 3), one row for each marker."
+            f"The marker positions have the shape {positions.shape}; expected (M, 3), one row for each marker."
         )
-    names = _labels(labels, len(places))
-    for name, place in zip(names, places, strict=True):
+    names = _check_labels(labels, len(positions))
+    for name, place in zip(names, positions, strict=True):
         if not np.isfinite(place).all():
             raise ValueError(f"The position of marker '{name}' is not finite; attach visible markers only.")
     pose = rest_pose(body.skeleton) if pose is None else pose
-    vertices = np.asarray(_vertices(body, pose), float)
-    hold = attach(places, vertices, np.asarray(body.faces))
-    far = np.abs(hold.heights) > REACH
+    vertices = np.asarray(_posed_vertices(body, pose), float)
+    hold = attach_points(positions, vertices, np.asarray(body.faces))
+    far = np.abs(hold.heights) > MAX_DISTANCE
     if far.any():
         worst = int(np.argmax(np.abs(hold.heights)))
         raise ValueError(
             f"Marker '{names[worst]}' is {abs(hold.heights[worst]):.2f} m from the surface, and "
-            f"{int(far.sum())} of {len(places)} markers are more than {REACH} m from it; pose the body as "
+            f"{int(far.sum())} of {len(positions)} markers are more than {MAX_DISTANCE} m from it; pose the body as "
             "in the recording of the markers, and check the unit."
         )
     dtype = body.vertices.dtype
     return SurfaceMarkers(
         jnp.asarray(hold.corners, jnp.int32),
-        jnp.asarray(hold.shares, dtype),
+        jnp.asarray(hold.barycentric, dtype),
         jnp.asarray(hold.heights, dtype),
         names,
     )
 
 
-def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIGHT) -> SurfaceMarkers:
+def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = MARKER_HEIGHT) -> SurfaceMarkers:
     """Attach markers to vertices of a body, by their labels, `height` metres above the skin.
 
     **Raises:** `ValueError` for a vertex that the body does not have, or that is in no triangle.
@@ -102,13 +102,13 @@ def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = HEIG
         jnp.asarray(np.reshape(corners, (-1, 3)), jnp.int32),
         jnp.asarray(np.reshape(shares, (-1, 3)), dtype),
         jnp.full(len(corners), height, dtype),
-        _labels(list(vertices), len(corners)),
+        _check_labels(list(vertices), len(corners)),
     )
 
 
 def surface_landmarks(
     markers: SurfaceMarkers,
-    places: Float[Array, "M 3"] | Float[np.ndarray, "M 3"],
+    positions: Float[Array, "M 3"] | Float[np.ndarray, "M 3"],
     seen: Bool[Array, "M"] | Bool[np.ndarray, "M"] | None = None,
     deviation: float = 1.0,
 ) -> SurfaceLandmarks:
@@ -119,12 +119,12 @@ def surface_landmarks(
     dtype = markers.shares.dtype
     there = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
     # positions of markers that are not visible may be anything, NaN too
-    targets = jnp.where(there[:, None], jnp.asarray(places, dtype), 0.0)
+    targets = jnp.where(there[:, None], jnp.asarray(positions, dtype), 0.0)
     weights = there.astype(dtype) / deviation**2
     return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)
 
 
-def _labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
+def _check_labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
     names = tuple(f"marker{number}" for number in range(count)) if labels is None else tuple(labels)
     if len(names) != count:
         raise ValueError(
@@ -137,5 +137,5 @@ def _labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
 
 
 @eqx.filter_jit
-def _vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
+def _posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
     return pose_body(body, pose).vertices

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...arguments import checked
-from ...body.body import Body, deform_all, take_vertices
+from ...body.body import Body, posed_vertices, take_vertices
 from ...body.pose import Motion
 from ...observe import MarkerFrames, make_markers
 
@@ -25,5 +25,5 @@ def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: S
     if joints != body.skeleton.num_joints:
         raise ValueError(f"The motion has {joints} joints, but the body has {body.skeleton.num_joints}.")
     chosen = jnp.asarray(vertices, int)
-    places = deform_all(take_vertices(body, chosen), motion.poses)
+    places = posed_vertices(take_vertices(body, chosen), motion.poses)
     return make_markers(np.asarray(places), labels, motion.rate)

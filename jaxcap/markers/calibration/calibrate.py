@@ -12,25 +12,30 @@ from threadpoolctl import threadpool_limits
 
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
-from ...body.symmetry import bones_of
-from ...energy.check import OwnTerms, own_terms
+from ...body.symmetry import bone_pairs
+from ...energy.check import UserTerms, sum_user_terms
 from ...observe import MarkerFrames
 from ..motion.inverse_kinematics import solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
-from .bundle_adjustment import Fit, adjust
-from .calibration_parameters import Trust, solved_joints
+from .bundle_adjustment import AdjustmentResult, bundle_adjust
+from .calibration_parameters import TemplatePrior, solved_joints
 from .frame_selection import choose_frames
-from .observability import Hardly, describe_precision, hardly_known, shared_covariance
+from .observability import (
+    ImpreciseDirection,
+    describe_precision,
+    find_imprecise_directions,
+    shared_covariance,
+)
 from .problem import make_calibration_problem
 from .soft_tissue import shift_variances
 
 _LOG = logging.getLogger(__name__)
 
 #: robust weight, of one, below which a marker in a frame is an outlier
-FAR = 0.05
+MIN_INLIER_WEIGHT = 0.05
 #: sliding of a marker above which it is reported, metres
-SLIDING = 0.005
+MIN_REPORTED_SLIDING = 0.005
 
 
 class Calibration(NamedTuple):
@@ -49,15 +54,15 @@ class Calibration(NamedTuple):
     #: root mean square sliding of each marker on its bone as joints rotate, metres
     slides: Float[np.ndarray, "M"]
     #: directions in which centres are imprecise, or determined by the template alone
-    hardly: tuple[Hardly, ...]
+    imprecise_directions: tuple[ImpreciseDirection, ...]
     #: messages on what the data determine badly or not at all, in sentences
-    told: tuple[str, ...]
+    messages: tuple[str, ...]
     #: robust cost after every step, in squared standard deviations; it rises when variances are updated
     history: tuple[float, ...]
     #: the joints with solved centres, in the order of `s`
     joints: tuple[int, ...]
     #: indices of the frames that the subject was calibrated with
-    frames: Float[np.ndarray, "C"]
+    frame_indices: Float[np.ndarray, "C"]
     converged: bool
 
 
@@ -70,10 +75,10 @@ def calibrate(
     robust: bool = True,
     skin: bool = True,
     symmetry: Sequence[tuple[str, str]] = (),
-    count: int = 100,
-    trust: Trust = Trust(),
-    steps: int = 240,
-    terms: OwnTerms = (),
+    num_frames: int = 100,
+    template_prior: TemplatePrior = TemplatePrior(),
+    max_steps: int = 240,
+    terms: UserTerms = (),
 ) -> Calibration:
     """Calibrate the performer's skeleton and the marker positions on it, starting from a template.
 
@@ -81,8 +86,8 @@ def calibrate(
     be a tenth too long or short, and its markers off by centimetres; `motion` of the template through the
     frames, by default solved for; `robust`: outliers have low weights; `skin`: markers may slide on their
     bones as joints rotate, where residuals show it; `symmetry`, pairs of joint names with bones of exactly
-    equal length; `count` frames are chosen, as different as possible, and at the end all frames are solved;
-    `trust` in the template, the prior of what the frames do not determine; `steps` at most; `terms`,
+    equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
+    `template_prior` in the template, the prior of what the frames do not determine; `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
 
@@ -91,11 +96,15 @@ def calibrate(
     """
     # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
-        return _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms)
+        return _calibrate(
+            frames, subject, motion, robust, skin, symmetry, num_frames, template_prior, max_steps, terms
+        )
 
 
-def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, steps, terms) -> Calibration:
-    own_terms("calibrate", terms, marker_body(subject))
+def _calibrate(
+    frames, subject, motion, robust, skin, symmetry, num_frames, template_prior, max_steps, terms
+) -> Calibration:
+    sum_user_terms("calibrate", terms, marker_body(subject))
     matched = match_markers(subject, frames)
     used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
     if used.any(0).sum() < 3:
@@ -103,35 +112,46 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
             f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and "
             "several on each bone."
         )
-    template, pairs = subject, _pairs(subject, symmetry)
+    template, pairs = subject, _symmetric_bones(subject, symmetry)
     usable, explained = used.sum(1) >= 3, used
     if motion is None:
-        motion, usable, explained = _followed(template, frames, used)
+        motion, usable, explained = _solve_motion(template, frames, used)
     while True:
-        chosen = choose_frames(subject, motion.poses, explained, usable, count)
+        chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
-        places, seen = matched.places[chosen], jnp.asarray(explained[chosen])
+        places, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
         # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
-            template, places, seen, joints, pairs, trust, robust=robust, terms=terms
+            template, places, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
-        fit = adjust(problem, subject, take_poses(motion.poses, chosen), skin=skin, steps=steps, rough=again)
+        fit = bundle_adjust(
+            problem,
+            subject,
+            take_poses(motion.poses, chosen),
+            allow_sliding=skin,
+            max_steps=max_steps,
+            rough=again,
+        )
         subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
         if not again:
             break
         # the subject is known better now, and so are the swapped labels
-        motion, usable, explained = _followed(_measured(fit), frames, used)
+        motion, usable, explained = _solve_motion(_subject_with_sliding_variance(fit), frames, used)
     _LOG.info("computing the covariance of the subject")
     known = shared_covariance(fit.problem, fit.estimate)
-    best = _measured(fit)
-    slid = _slid(fit)
+    best = _subject_with_sliding_variance(fit)
+    slid = _sliding_variances(fit)
     solved = solve_markers(best, frames, terms=terms)
-    hardly = hardly_known(best, known, joints)
-    told = (*describe_precision(best, known, poses, joints, hardly), *_on_skin(best, slid), *solved.told)
+    hardly = find_imprecise_directions(best, known, joints)
+    told = (
+        *describe_precision(best, known, poses, joints, hardly),
+        *_describe_sliding(best, slid),
+        *solved.messages,
+    )
     if not fit.converged:
-        told += (f"The fit did not converge in {steps} steps; allow more steps.",)
+        told += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
     return Calibration(
         best,
         solved.motion,
@@ -147,41 +167,43 @@ def _calibrate(frames, subject, motion, robust, skin, symmetry, count, trust, st
     )
 
 
-def _on_skin(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
+def _describe_sliding(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:
     """Describe the markers with the most skin sliding in a sentence."""
     far = 3.0 * np.sqrt(3.0 * variances)
-    most = [marker for marker in np.argsort(-far)[:5] if far[marker] > SLIDING]
+    most = [marker for marker in np.argsort(-far)[:5] if far[marker] > MIN_REPORTED_SLIDING]
     if not most:
         return []
     each = ", ".join(f"{subject.labels[marker]} ({1000 * far[marker]:.0f} mm)" for marker in most)
     return [f"Skin slides on its bones as the joints rotate; the markers with the most sliding are {each}."]
 
 
-def _followed(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):
+def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):
     """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
 
-    Markers with a weight below `FAR`, most likely with swapped labels, are outliers.
+    Markers with a weight below `MIN_INLIER_WEIGHT`, most likely with swapped labels, are outliers.
     """
     solved = solve_markers(subject, frames)
-    return solved.motion, ~solved.lost, used & ((solved.weights >= FAR) | solved.lost[:, None])
+    return solved.motion, ~solved.lost, used & ((solved.weights >= MIN_INLIER_WEIGHT) | solved.lost[:, None])
 
 
-def _slid(fit: Fit) -> Float[np.ndarray, "M"]:
-    return shift_variances(np.asarray(fit.problem.features, float), np.asarray(fit.estimate.slides, float))
+def _sliding_variances(fit: AdjustmentResult) -> Float[np.ndarray, "M"]:
+    return shift_variances(
+        np.asarray(fit.problem.skin_features, float), np.asarray(fit.estimate.slides, float)
+    )
 
 
-def _measured(fit: Fit) -> Subject:
+def _subject_with_sliding_variance(fit: AdjustmentResult) -> Subject:
     """Return the fitted subject, with the variance of skin sliding added to the markers' variances.
 
     The sliding of skin in other frames is unknown.
     """
-    variances = _slid(fit)
+    variances = _sliding_variances(fit)
     found = fit.problem.deviations
     deviations = jnp.sqrt(found**2 + jnp.asarray(variances, found.dtype))
     return eqx.tree_at(lambda s: s.deviations, fit.problem.subject(fit.estimate), deviations)
 
 
-def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:
+def _symmetric_bones(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple[int, int], ...]:
     """Keep the pairs of bones with both ends determined by motion."""
     skeleton = subject.skeleton
     for name in (name for pair in symmetry for name in pair):
@@ -191,7 +213,7 @@ def _pairs(subject: Subject, symmetry: Sequence[tuple[str, str]]) -> tuple[tuple
                 f"{', '.join(skeleton.names)}."
             )
     pairs = [(skeleton.index(left), skeleton.index(right)) for left, right in symmetry]
-    kept = bones_of(skeleton, np.array(pairs, int).reshape(-1, 2))
+    kept = bone_pairs(skeleton, np.array(pairs, int).reshape(-1, 2))
     # the centre of a joint that does not rotate is undetermined along its line
     stiff = np.isin(np.array(skeleton.kinds), ["fixed", "translate"])
     ends = np.array([stiff[j] or stiff[skeleton.parents[j]] for j in range(skeleton.num_joints)])

@@ -15,7 +15,7 @@ from ...body.symmetry import length_differences
 from ..subject import Subject
 
 
-class Trust(eqx.Module):
+class TemplatePrior(eqx.Module):
     """Uncertainty of a template, as standard deviations of a normal prior."""
 
     #: of each coordinate of a bone, as a share of its length
@@ -32,7 +32,7 @@ def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, .
     They rotate, and have used markers both below and elsewhere.
     """
     skeleton = subject.skeleton
-    below = (skeleton.descent[:, np.asarray(subject.bones)] & np.asarray(used)).sum(1)
+    below = (skeleton.descendants[:, np.asarray(subject.bones)] & np.asarray(used)).sum(1)
     return tuple(
         joint
         for joint, (parent, kind) in enumerate(zip(skeleton.parents, skeleton.kinds, strict=True))
@@ -40,7 +40,7 @@ def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, .
     )
 
 
-def followers(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, "J K"]:
+def centre_jacobian(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, "J K"]:
     """Map each centre to the solved joint that it moves with: itself, or the nearest ancestor; a root is
     fixed."""
     rows = np.zeros((skeleton.num_joints, len(joints)))
@@ -55,13 +55,13 @@ def followers(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, 
 def shift_subject(subject: Subject, joints: tuple[int, ...], shared: Float[Array, "S"]) -> Subject:
     """Shift the subject's centres and rest positions by `shared`."""
     skeleton, count = subject.skeleton, 3 * len(joints)
-    rows = jnp.asarray(followers(skeleton, joints), shared.dtype)
+    rows = jnp.asarray(centre_jacobian(skeleton, joints), shared.dtype)
     centres = skeleton.centres + rows @ shared[:count].reshape(-1, 3)
     offsets = subject.offsets + shared[count:].reshape(-1, 3)
     return eqx.tree_at(lambda s: (s.skeleton.centres, s.offsets), subject, (centres, offsets))
 
 
-def shared_between(template: Subject, subject: Subject, joints: tuple[int, ...]) -> Float[Array, "S"]:
+def shared_parameters(template: Subject, subject: Subject, joints: tuple[int, ...]) -> Float[Array, "S"]:
     """Compute the `s` that maps the template to the subject."""
     shifts = (subject.skeleton.centres - template.skeleton.centres)[np.array(joints, int)]
     return jnp.concatenate([shifts.ravel(), (subject.offsets - template.offsets).ravel()])
@@ -70,7 +70,7 @@ def shared_between(template: Subject, subject: Subject, joints: tuple[int, ...])
 def prior_precision(
     template: Subject,
     joints: tuple[int, ...],
-    trust: Trust = Trust(),
+    template_prior: TemplatePrior = TemplatePrior(),
 ) -> Float[np.ndarray, "S S"]:
     """Compute the inverse covariance of `s`.
 
@@ -79,24 +79,25 @@ def prior_precision(
     """
     skeleton = template.skeleton
     centres = np.asarray(skeleton.centres, float)
-    rows = followers(skeleton, joints)
+    rows = centre_jacobian(skeleton, joints)
     parents = np.array([skeleton.parents[joint] for joint in joints], int)
     lengths = np.linalg.norm(centres[list(joints)] - centres[parents], axis=1)
     bones = rows[list(joints)] - rows[parents]
     by_joint = np.hstack([bones, np.zeros((len(joints), template.num_markers))])
     by_marker = np.hstack([-rows[np.asarray(template.bones)], np.eye(template.num_markers)])
     deviations = np.append(
-        trust.lengths * lengths + trust.joints, np.full(template.num_markers, trust.placements)
+        template_prior.lengths * lengths + template_prior.joints,
+        np.full(template.num_markers, template_prior.placements),
     )
     scaled = np.vstack([by_joint, by_marker]) / deviations[:, None]
     return np.kron(scaled.T @ scaled, np.eye(3))
 
 
-def constraint_rows(
+def equal_length_constraints(
     subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
 ) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:
     """Compute the rows over `s` that keep paired bones equally long, and their right sides."""
     differences, slopes = length_differences(subject.skeleton, np.array(pairs, int).reshape(-1, 2))
-    by_centre = jnp.einsum("bja,jk->bka", slopes, followers(subject.skeleton, joints))
+    by_centre = jnp.einsum("bja,jk->bka", slopes, centre_jacobian(subject.skeleton, joints))
     rows = jnp.pad(by_centre.reshape(len(slopes), -1), ((0, 0), (0, 3 * subject.num_markers)))
     return rows, -differences

@@ -13,9 +13,9 @@ def choose_frames(
     poses: Pose,
     used: Bool[np.ndarray, "F M"],
     usable: Bool[np.ndarray, "F"],
-    count: int,
+    num_frames: int,
 ) -> np.ndarray:
-    """Choose at most `count` frames, in order, by farthest point sampling (Gonzalez 1985).
+    """Choose at most `num_frames` frames, in order, by farthest point sampling (Gonzalez 1985).
 
     The distance of two poses is the sum of the squared differences between their joints' quaternions. A
     joint without visible markers counts as at its mean. Frames with fewer than half of the median number of
@@ -30,26 +30,26 @@ def choose_frames(
             "template."
         )
     frames = np.flatnonzero(usable)
-    if len(frames) <= count:
+    if len(frames) <= num_frames:
         return frames
     shown = used[frames].sum(1)
     full = shown >= 0.5 * np.median(shown)
-    if full.sum() >= count:
+    if full.sum() >= num_frames:
         frames = frames[full]
-    features = _features(subject, poses, used, frames)
+    features = _pose_features(subject, poses, used, frames)
     # start with the most typical pose, so that the choice does not depend on the order
     middle = np.sum((features - np.median(features, 0)) ** 2, 1)
     chosen = [int(np.argmin(middle))]
     distance = np.sum((features - features[chosen[0]]) ** 2, 1)
     # a pose that is far from all others is more probably wrong than rare
     distance[middle > 30 * max(float(np.median(middle)), 1e-12)] = 0.0
-    while len(chosen) < count:
+    while len(chosen) < num_frames:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.sum((features - features[chosen[-1]]) ** 2, 1))
     return np.sort(frames[np.unique(chosen)])
 
 
-def _features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, "C N"]:
+def _pose_features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, "C N"]:
     """Compute quaternions of the joints except roots, on one hemisphere, minus their means.
 
     They are zero where no marker below the joint is visible.
@@ -57,7 +57,7 @@ def _features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, 
     skeleton = subject.skeleton
     inner = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and skeleton.kinds[j] != "fixed"]
     rotations = np.asarray(poses.rotations, float)[frames][:, inner]
-    below = skeleton.descent[:, np.asarray(subject.bones)].T.astype(float)[:, inner]
+    below = skeleton.descendants[:, np.asarray(subject.bones)].T.astype(float)[:, inner]
     told = used[frames].astype(float) @ below > 0
     means = mean_rotations(rotations)
     signs = np.sign(np.einsum("fja,ja->fj", rotations, means))[..., None]

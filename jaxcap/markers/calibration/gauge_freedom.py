@@ -19,7 +19,7 @@ def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndar
     second below, a fixed one to each other, as the axes are fixed at rest.
     """
     skeleton = subject.skeleton
-    turns = _allowed(subject).reshape(-1, skeleton.num_joints, 3)
+    turns = _allowed_rotations(subject).reshape(-1, skeleton.num_joints, 3)
     centres, offsets = np.asarray(skeleton.centres, float), np.asarray(subject.offsets, float)
     bones = np.asarray(subject.bones)
     shifts = np.zeros_like(turns)
@@ -29,12 +29,12 @@ def gauge_directions(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndar
             shifts[:, joint] = shifts[:, parent] + np.cross(turns[:, parent], arm)
     moved = shifts[:, bones] + np.cross(turns[:, bones], offsets - centres[bones])
     if skeleton.kinds[0] in ("free", "translate"):
-        shifts, moved = (np.concatenate([x, _along_axes(x.shape[1])]) for x in (shifts, moved))
+        shifts, moved = (np.concatenate([x, _unit_translations(x.shape[1])]) for x in (shifts, moved))
     count = len(shifts)
     return np.concatenate([shifts[:, list(joints)].reshape(count, -1), moved.reshape(count, -1)], 1).T
 
 
-def gauge_rows(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "G S"]:
+def gauge_constraints(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "G S"]:
     """Compute rows that vanish for an `s` without rotation or translation of any bone's markers on the whole.
 
     Where a bone has too few markers, its ends replace them.
@@ -44,11 +44,11 @@ def gauge_rows(subject: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "
     return gauge.T * weights
 
 
-def _along_axes(count: int) -> Float[np.ndarray, "3 N 3"]:
+def _unit_translations(count: int) -> Float[np.ndarray, "3 N 3"]:
     return np.broadcast_to(np.eye(3)[:, None], (3, count, 3))
 
 
-def _allowed(subject: Subject) -> Float[np.ndarray, "N J3"]:
+def _allowed_rotations(subject: Subject) -> Float[np.ndarray, "N J3"]:
     """Compute a basis of the rotations `w (J, 3)` that the kinds of all joints allow."""
     skeleton, count = subject.skeleton, subject.skeleton.num_joints
     axes = np.asarray(skeleton.axes, float)
@@ -76,7 +76,7 @@ def _allowed(subject: Subject) -> Float[np.ndarray, "N J3"]:
     return basis[rank:]
 
 
-def without_gauge(
+def remove_gauge(
     subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
 ) -> Float[np.ndarray, "S S"]:
     """Remove the undetermined changes from a covariance of `s` (Baarda's S-transformation).
@@ -84,6 +84,6 @@ def without_gauge(
     The result is in the frame of the markers: by least squares the markers of every bone do not rotate or
     translate. Centres have small weights, as their covariance is the result.
     """
-    gauge, rows = gauge_directions(subject, joints), gauge_rows(subject, joints)
+    gauge, rows = gauge_directions(subject, joints), gauge_constraints(subject, joints)
     kept = np.eye(len(covariance)) - gauge @ np.linalg.pinv(rows @ gauge, 1e-9) @ rows
     return kept @ covariance @ kept.T

@@ -9,32 +9,32 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose
-from ...fit.linear.precision import in_double
+from ...fit.linear.precision import in_float64
 from ..subject import Subject
-from .calibration_parameters import constraint_rows, followers
-from .gauge_freedom import without_gauge
+from .calibration_parameters import centre_jacobian, equal_length_constraints
+from .gauge_freedom import remove_gauge
 from .problem import CalibrationEstimate, CalibrationProblem
-from .robust import BOUND
+from .robust import OUTLIER_BOUND
 
 #: a direction is imprecise with a larger standard deviation, metres
-HARDLY = 0.01
+IMPRECISE_DEVIATION = 0.01
 #: and determined by the template more than by the data where its deviation rises by this factor when the
 #: template's deviations are doubled; the factor is two at most
-UNTOLD = 1.4
+PRIOR_DOMINATED_RATIO = 1.4
 #: smaller deviations are not reported, metres
-SMALL = 0.003
+MIN_REPORTED_DEVIATION = 0.003
 
 
-class Known(NamedTuple):
+class SharedCovariances(NamedTuple):
     """Covariances of `s` (`jaxcap.markers.calibration.calibration_parameters`), metres squared."""
 
     #: with the data and the template's prior
     covariance: Float[np.ndarray, "S S"]
     #: with the deviations of the template's prior doubled
-    loose: Float[np.ndarray, "S S"]
+    with_weak_prior: Float[np.ndarray, "S S"]
 
 
-class Hardly(NamedTuple):
+class ImpreciseDirection(NamedTuple):
     """A direction, at rest, along which a joint's centre is imprecise."""
 
     joint: int
@@ -42,26 +42,28 @@ class Hardly(NamedTuple):
     #: metres
     deviation: float
     #: true if the data determine it more than the template
-    told: bool
+    is_determined_by_data: bool
 
 
-def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate) -> Known:
+def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate) -> SharedCovariances:
     """Compute the covariance of `s` at a fitted subject.
 
     It is the inverse of the Schur complement of all poses, with the template's prior. Bones of equal length
     have no variance in their difference.
     """
     # outliers are weighted by this kernel, also where the fit was not robust
-    problem = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(BOUND, problem.bound.dtype))
-    both, loose = (np.asarray(part, float) for part in in_double(_covariances, problem, estimate))
+    problem = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(OUTLIER_BOUND, problem.outlier_bound.dtype))
+    both, loose = (np.asarray(part, float) for part in in_float64(_compute_covariances, problem, estimate))
     if problem.pairs:
-        rows = np.asarray(constraint_rows(problem.subject(estimate), problem.joints, problem.pairs)[0], float)
-        both, loose = (_given(covariance, rows) for covariance in (both, loose))
-    return Known(both, loose)
+        rows = np.asarray(
+            equal_length_constraints(problem.subject(estimate), problem.joints, problem.pairs)[0], float
+        )
+        both, loose = (_condition_on(covariance, rows) for covariance in (both, loose))
+    return SharedCovariances(both, loose)
 
 
 @eqx.filter_jit
-def _covariances(
+def _compute_covariances(
     problem: CalibrationProblem, estimate: CalibrationEstimate
 ) -> tuple[Float[Array, "S S"], Float[Array, "S S"]]:
     """Compute the covariance with the whole prior, and with a quarter of it."""
@@ -74,13 +76,15 @@ def _covariances(
     return (both + both.T) / 2, (loose + loose.T) / 2
 
 
-def _given(covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]) -> Float[np.ndarray, "S S"]:
+def _condition_on(
+    covariance: Float[np.ndarray, "S S"], rows: Float[np.ndarray, "C S"]
+) -> Float[np.ndarray, "S S"]:
     """Condition a covariance on exact linear constraints."""
     across = covariance @ rows.T
     return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
 
 
-def length_deviations(
+def bone_length_deviations(
     subject: Subject, joints: tuple[int, ...], covariance: Float[np.ndarray, "S S"]
 ) -> Float[np.ndarray, "J"]:
     """Compute the standard deviation of the length of the bone from each joint's parent to it, metres.
@@ -89,7 +93,7 @@ def length_deviations(
     arbitrary centre.
     """
     skeleton = subject.skeleton
-    rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
+    rows, centres = centre_jacobian(skeleton, joints), np.asarray(skeleton.centres, float)
     result = np.full(skeleton.num_joints, np.nan)
     size = 3 * len(joints)
     for joint in joints:
@@ -111,7 +115,7 @@ def centre_covariances(
     If that bone has no markers, the nearest ancestor with markers replaces it. Metres squared, along the
     axes of the world at rest.
     """
-    free = without_gauge(subject, joints, covariance)
+    free = remove_gauge(subject, joints, covariance)
     skeleton, bones = subject.skeleton, np.asarray(subject.bones)
     weights = np.asarray(subject.weights) > 0
     count = len(joints) + subject.num_markers
@@ -129,22 +133,28 @@ def centre_covariances(
     return result
 
 
-def hardly_known(subject: Subject, known: Known, joints: tuple[int, ...]) -> list[Hardly]:
-    """List the directions of centres with a deviation of at least `HARDLY`, or determined by the template."""
+def find_imprecise_directions(
+    subject: Subject, shared_covariances: SharedCovariances, joints: tuple[int, ...]
+) -> list[ImpreciseDirection]:
+    """List the directions of centres with a deviation of at least `IMPRECISE_DEVIATION`, or determined by the template."""
     found = []
-    covariances = (centre_covariances(subject, joints, each) for each in known)
+    covariances = (centre_covariances(subject, joints, each) for each in shared_covariances)
     for joint, covariance, loose in zip(joints, *covariances, strict=True):
         values, vectors = np.linalg.eigh(covariance)
         for value, direction in zip(values[::-1], vectors.T[::-1], strict=True):
             deviation = float(np.sqrt(max(value, 0.0)))
-            told = float(np.sqrt(direction @ loose @ direction)) < UNTOLD * deviation
-            if deviation >= HARDLY or (not told and deviation > SMALL):
-                found.append(Hardly(joint, direction, deviation, told))
+            told = float(np.sqrt(direction @ loose @ direction)) < PRIOR_DOMINATED_RATIO * deviation
+            if deviation >= IMPRECISE_DEVIATION or (not told and deviation > MIN_REPORTED_DEVIATION):
+                found.append(ImpreciseDirection(joint, direction, deviation, told))
     return found
 
 
 def describe_precision(
-    subject: Subject, known: Known, poses: Pose, joints: tuple[int, ...], hardly: Sequence[Hardly]
+    subject: Subject,
+    shared_covariances: SharedCovariances,
+    poses: Pose,
+    joints: tuple[int, ...],
+    imprecise_directions: Sequence[ImpreciseDirection],
 ) -> list[str]:
     """Describe each imprecise direction in a sentence: of joints' centres, and of the overall size."""
     skeleton = subject.skeleton
@@ -159,8 +169,8 @@ def describe_precision(
             f"No markers determine the centres of {', '.join(silent)}; their bones keep the lengths of the "
             "template."
         )
-    for joint, direction, deviation, told in hardly:
-        where = _in_words(subject, poses, joint, direction)
+    for joint, direction, deviation, told in imprecise_directions:
+        where = _describe_direction(subject, poses, joint, direction)
         if told:
             said.append(
                 f"{where}, the centre of {skeleton.names[joint]} has a standard deviation of "
@@ -171,7 +181,7 @@ def describe_precision(
                 f"{where}, the data do not determine the centre of {skeleton.names[joint]}: it is that of "
                 f"the template, with a standard deviation of {1000 * deviation:.0f} mm."
             )
-    size = _size_deviation(subject, joints, known.covariance)
+    size = _size_deviation(subject, joints, shared_covariances.covariance)
     if size > 0.01:
         said.append(
             f"The overall size of the skeleton has a standard deviation of {100 * size:.1f} %: longer "
@@ -180,7 +190,7 @@ def describe_precision(
     return said
 
 
-def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) -> str:
+def _describe_direction(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) -> str:
     """Describe a direction at rest: the joint's axis of rotation, its bone, or numbers."""
     skeleton = subject.skeleton
     q = np.asarray(poses.rotations[:, joint], float)
@@ -206,7 +216,7 @@ def _in_words(subject: Subject, poses: Pose, joint: int, direction: np.ndarray) 
 def _size_deviation(subject: Subject, joints: tuple[int, ...], covariance) -> float:
     """Compute the relative standard deviation of the sum of all solved bones' lengths."""
     skeleton = subject.skeleton
-    rows, centres = followers(skeleton, joints), np.asarray(skeleton.centres, float)
+    rows, centres = centre_jacobian(skeleton, joints), np.asarray(skeleton.centres, float)
     inner = [joint for joint in joints if skeleton.parents[joint] in joints]
     if not inner:
         return 0.0

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.body import pose_body
 from ...body.pose import Pose, retract
-from ...energy.check import OwnTerms, own_terms
+from ...energy.check import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
@@ -19,16 +19,21 @@ from ...fit.linearise import BodyTangent, body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, Constraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractNestedProblem
-from ..subject import Subject, marker_body, shifted
-from .calibration_parameters import Trust, constraint_rows, prior_precision, shift_subject
-from .residuals import linearise, marker_residuals
-from .robust import BOUND, UNBOUNDED, kernel
-from .rotation_prior import Turning, free_turning, turning_equations, turning_square
+from ..subject import Subject, marker_body, shift_markers
+from .calibration_parameters import TemplatePrior, equal_length_constraints, prior_precision, shift_subject
+from .residuals import linearise_residuals, marker_residuals
+from .robust import OUTLIER_BOUND, UNBOUNDED, robust_kernel
+from .rotation_prior import (
+    RotationPrior,
+    free_rotation_prior,
+    rotation_prior_equations,
+    rotation_prior_square,
+)
 
 #: information on every number of a pose, 1/radian² and 1/metre²: undetermined ones keep their values
 RIDGE = 1.0
 #: number of frames that are linearised at once
-BATCH = 5
+BATCH_SIZE = 5
 
 
 class CalibrationEstimate(eqx.Module):
@@ -49,8 +54,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     All frames share `s` of `jaxcap.markers.calibration.calibration_parameters`, then the slides. A marker's
     rest position is in its own residuals only, so that its columns are 3 x 3 blocks.
 
-    - `deviations (M,)` of markers, metres; residuals beyond `bound` squared deviations have lower weights.
-    - `turning` is the prior of rotations about axes that joints hardly rotate about.
+    - `deviations (M,)` of markers, metres; residuals beyond `outlier_bound` squared deviations have lower weights.
+    - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
     - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
       deviation of all slides, metres a radian.
     - `features (F, M, K)`, radians, that the skin slides with.
@@ -60,14 +65,14 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     """
 
     template: Subject
-    places: Float[Array, "F M 3"]
+    positions: Float[Array, "F M 3"]
     seen: Bool[Array, "F M"]
     deviations: Float[Array, "M"]
-    turning: Turning
+    rotation_prior: RotationPrior
     prior: Float[Array, "S S"]
-    features: Float[Array, "F M K"]
+    skin_features: Float[Array, "F M K"]
     slide_deviation: Float[Array, ""]
-    bound: Float[Array, ""]
+    outlier_bound: Float[Array, ""]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
     pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
@@ -77,8 +82,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return shift_subject(self.template, self.joints, y.shared)
 
     def value(self, y):
-        return self._shared_value(y) + jnp.sum(
-            jax.lax.map(self._of_frame(y), self._frames(y), batch_size=BATCH)
+        return self._prior_value(y) + jnp.sum(
+            jax.lax.map(self._frame_cost(y), self._frame_inputs(y), batch_size=BATCH_SIZE)
         )
 
     def retract(self, y, d: Unknowns):
@@ -89,28 +94,31 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return CalibrationEstimate(poses, y.shared + shared[:count], slides)
 
     def scales(self) -> Unknowns:
-        dtype, size = self.places.dtype, len(self.prior) + 3 * self.features.shape[1] * self.features.shape[2]
-        return jnp.ones((len(self.places), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
+        dtype, size = (
+            self.positions.dtype,
+            len(self.prior) + 3 * self.skin_features.shape[1] * self.skin_features.shape[2],
+        )
+        return jnp.ones((len(self.positions), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
 
-    def constraint(self):
+    def describe_constraints(self):
         return "bones of equal length" if self.pairs else None
 
     def information(self, y):
         value, gradient, hessian = self.normal_equations(y)
         equalities = None
         if self.pairs:
-            rows, violation = constraint_rows(self.subject(y), self.joints, self.pairs)
+            rows, violation = equal_length_constraints(self.subject(y), self.joints, self.pairs)
             equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
         constraints = Constraints(equalities=equalities)
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
-    def nested(self, y):
+    def improve_nested(self, y):
         """Take a step of each frame's pose by itself, where it lowers the energy.
 
         Valleys are curved, and steps along them become longer this way (Jeong and others, Pushing the
         Envelope of Modern Methods for Bundle Adjustment, 2012).
         """
-        of_frame = self._of_frame(y)
+        of_frame = self._frame_cost(y)
         matrices, sides = self.pose_equations(y)
         steps = BlockBanded(matrices[:, None]).factorise().solve(-sides)
 
@@ -120,8 +128,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             better = of_frame((moved, *frame[1:])) < of_frame(frame)
             return jax.tree.map(lambda new, old: jnp.where(better, new, old), moved, pose)
 
-        frames = self._frames(y)
-        poses = jax.lax.map(lambda x: improve(*x), (frames, steps), batch_size=BATCH)
+        frames = self._frame_inputs(y)
+        poses = jax.lax.map(lambda x: improve(*x), (frames, steps), batch_size=BATCH_SIZE)
         return CalibrationEstimate(poses, y.shared, y.slides)
 
     def pose_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, "F D D"], Float[Array, "F D"]]:
@@ -131,10 +139,10 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
 
         def of_frame(frame):
             pose, place, there, phi = frame
-            rows = linearise(slid(subject, y.slides, phi), pose, place)
-            root, _ = self.weigh(rows.residual, there)
+            rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
+            root, _ = self.root_weights_and_cost(rows.residual, there)
             flat = (rows.by_pose * root[:, None, None]).reshape(-1, rows.by_pose.shape[2])
-            matrix, side = turning_equations(subject.skeleton, self.turning, pose)
+            matrix, side = rotation_prior_equations(subject.skeleton, self.rotation_prior, pose)
             matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
             side = side + flat.T @ (rows.residual * root[:, None]).reshape(-1)
             if self.terms is not None:
@@ -142,19 +150,19 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
                 matrix, side = matrix + own_matrix, side + own_side
             return matrix, side
 
-        return jax.lax.map(of_frame, self._frames(y), batch_size=BATCH)
+        return jax.lax.map(of_frame, self._frame_inputs(y), batch_size=BATCH_SIZE)
 
     def normal_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
         """Sum `|r|^2 / 2`, `J^T r` and `J^T J` over batches of frames."""
-        subject, markers, kinds = self.subject(y), self.template.num_markers, 1 + self.features.shape[2]
+        subject, markers, kinds = self.subject(y), self.template.num_markers, 1 + self.skin_features.shape[2]
         skeleton = subject.skeleton
         dofs, centres = skeleton.num_dofs, 3 * len(self.joints)
         tangent = self._term_tangent(y)
 
         def of_frame(frame):
             pose, place, there, phi = frame
-            rows = linearise(slid(subject, y.slides, phi), pose, place, self.joints)
-            root, cost = self.weigh(rows.residual, there)
+            rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place, self.joints)
+            root, cost = self.root_weights_and_cost(rows.residual, there)
             r, ends = rows.residual * root[:, None], rows.by_offset * root[:, None, None]
             wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root[:, None, None]
             shares = jnp.concatenate([jnp.ones((markers, 1), phi.dtype), phi], 1)
@@ -166,10 +174,10 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             squares = jnp.einsum("mra,mrb,mt,mu->tumab", ends, ends, shares, shares)
             by_own = jnp.einsum("mra,mr,mt->tma", ends, r, shares).reshape(-1)
             pull = flat.T @ r.reshape(-1)
-            matrix, side = turning_equations(skeleton, self.turning, pose)
+            matrix, side = rotation_prior_equations(skeleton, self.rotation_prior, pose)
             frame_matrix = gram[:dofs, :dofs] + matrix + RIDGE * jnp.eye(dofs, dtype=r.dtype)
             frame_side, coupling = pull[:dofs] + side, jnp.concatenate([gram[:dofs, dofs:], across[:dofs]], 1)
-            value = cost + 0.5 * turning_square(self.turning, pose)
+            value = cost + 0.5 * rotation_prior_square(self.rotation_prior, pose)
             summed = value, gram[dofs:, dofs:], across[dofs:], squares, jnp.append(pull[dofs:], by_own)
             return (frame_matrix, coupling, frame_side), summed
 
@@ -177,7 +185,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             own, summed = jax.vmap(of_frame)(frames)
             return jax.tree.map(lambda a, b: a + jnp.sum(b, 0), total, summed), own
 
-        dtype, size = self.places.dtype, centres + 3 * markers * kinds
+        dtype, size = self.positions.dtype, centres + 3 * markers * kinds
         none = (
             jnp.zeros((), dtype),
             jnp.zeros((centres, centres), dtype),
@@ -186,7 +194,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             jnp.zeros(size, dtype),
         )
         with jax.default_matmul_precision("highest"):
-            total, own = _scan_batches(add, none, self._frames(y))
+            total, own = _scan_batches(add, none, self._frame_inputs(y))
             value, corner, across, squares, side = total
             blocks, coupling, sides = own
             marker = jnp.arange(markers)
@@ -208,31 +216,33 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         firm = jnp.zeros_like(arrow.shared).at[:count, :count].set(self.prior)
         firm = firm + jnp.diag(jnp.where(jnp.arange(len(firm)) < count, 0.0, stiff))
         shared = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + firm)
-        return value + self._shared_value(y), (gradient[0], gradient[1] + pull), shared
+        return value + self._prior_value(y), (gradient[0], gradient[1] + pull), shared
 
-    def _shared_value(self, y: CalibrationEstimate) -> Float[Array, ""]:
+    def _prior_value(self, y: CalibrationEstimate) -> Float[Array, ""]:
         away = y.shared
         return 0.5 * (away @ self.prior @ away + jnp.sum((y.slides / self.slide_deviation) ** 2))
 
-    def _frames(self, y: CalibrationEstimate):
-        return y.poses, self.places, self.seen, self.features
+    def _frame_inputs(self, y: CalibrationEstimate):
+        return y.poses, self.positions, self.seen, self.skin_features
 
-    def weigh(self, residual: Float[Array, "M 3"], there: Bool[Array, "M"]):
+    def root_weights_and_cost(self, residual: Float[Array, "M 3"], seen: Bool[Array, "M"]):
         """Compute the square root of each marker's weight, and half of the robust cost of all."""
-        information = jnp.where(there, self.template.weights / self.deviations**2, 0.0)
-        costs, slopes = kernel(jnp.sum(residual**2, 1) * information, self.bound)
+        information = jnp.where(seen, self.template.weights / self.deviations**2, 0.0)
+        costs, slopes = robust_kernel(jnp.sum(residual**2, 1) * information, self.outlier_bound)
         positive = information > 0
         root = jnp.where(positive, jnp.sqrt(jnp.where(positive, slopes * information, 1.0)), 0.0)
-        return root, 0.5 * jnp.sum(jnp.where(there, costs, 0.0))
+        return root, 0.5 * jnp.sum(jnp.where(seen, costs, 0.0))
 
-    def _of_frame(self, y: CalibrationEstimate):
+    def _frame_cost(self, y: CalibrationEstimate):
         subject = self.subject(y)
         body = marker_body(subject)
 
         def cost(frame):
             pose, place, there, phi = frame
-            value = self.weigh(marker_residuals(slid(subject, y.slides, phi), pose, place), there)[1]
-            value = value + 0.5 * turning_square(self.turning, pose)
+            value = self.root_weights_and_cost(
+                marker_residuals(apply_sliding(subject, y.slides, phi), pose, place), there
+            )[1]
+            value = value + 0.5 * rotation_prior_square(self.rotation_prior, pose)
             if self.terms is None:
                 return value
             r = self.terms.residual(pose_body(body, pose))
@@ -243,9 +253,11 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     def _term_tangent(self, y: CalibrationEstimate) -> BodyTangent | None:
         if self.terms is None:
             return None
-        return body_tangent(self._body_at(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size)
+        return body_tangent(
+            self._body_function(y), marker_body(self.subject(y)), len(self.prior) + y.slides.size
+        )
 
-    def _body_at(self, y: CalibrationEstimate):
+    def _body_function(self, y: CalibrationEstimate):
         return lambda s: marker_body(
             shift_subject(self.template, self.joints, y.shared + s[: len(self.prior)])
         )
@@ -255,7 +267,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         dofs, body = self.template.skeleton.num_dofs, marker_body(self.subject(y))
 
         def of_frame(total, pose):
-            value, side, matrix = frame_equations(terms, body, pose, self._body_at(y), tangent)
+            value, side, matrix = frame_equations(terms, body, pose, self._body_function(y), tangent)
             total = jax.tree.map(jnp.add, total, (value, side[dofs:], matrix[dofs:, dofs:]))
             return total, (matrix[:dofs, :dofs], matrix[:dofs, dofs:], side[:dofs])
 
@@ -272,42 +284,42 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
 @checked
 def make_calibration_problem(
     template: Subject,
-    places: Float[Array, "F M 3"],
+    positions: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
     joints: tuple[int, ...],
     pairs: tuple[tuple[int, int], ...] = (),
-    trust: Trust = Trust(),
+    template_prior: TemplatePrior = TemplatePrior(),
     *,
     robust: bool = True,
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
 ) -> CalibrationProblem:
     """Build a problem about a template, with its deviations, free rotations and skin that does not slide."""
-    dtype = places.dtype
+    dtype = positions.dtype
     return CalibrationProblem(
         template,
-        places,
+        positions,
         seen,
         template.deviations,
-        free_turning(template.skeleton),
-        jnp.asarray(prior_precision(template, joints, trust), dtype),
+        free_rotation_prior(template.skeleton),
+        jnp.asarray(prior_precision(template, joints, template_prior), dtype),
         jnp.zeros((*seen.shape, 0), dtype),
         jnp.ones((), dtype),
-        jnp.asarray(BOUND if robust else UNBOUNDED, dtype),
-        own_terms("make_calibration_problem", terms, marker_body(template)),
+        jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
+        sum_user_terms("make_calibration_problem", terms, marker_body(template)),
         joints,
         pairs,
     )
 
 
-def slid(subject: Subject, slides: Float[Array, "K M 3"], phi: Float[Array, "M K"]) -> Subject:
+def apply_sliding(subject: Subject, slides: Float[Array, "K M 3"], phi: Float[Array, "M K"]) -> Subject:
     """Shift the markers of a subject by the skin sliding of one frame."""
-    return shifted(subject, jnp.einsum("mk,kma->ma", phi, slides))
+    return shift_markers(subject, jnp.einsum("mk,kma->ma", phi, slides))
 
 
-def _scan_batches(add, none, frames):
+def _scan_batches(add, initial, frames):
     """Scan over batches of frames with the largest size that divides their number."""
     count = jax.tree.leaves(frames)[0].shape[0]
-    size = max(number for number in range(1, BATCH + 1) if count % number == 0)
+    size = max(number for number in range(1, BATCH_SIZE + 1) if count % number == 0)
     batches = jax.tree.map(lambda leaf: leaf.reshape(count // size, size, *leaf.shape[1:]), frames)
-    total, own = jax.lax.scan(add, none, batches)
+    total, own = jax.lax.scan(add, initial, batches)
     return total, jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[2:]), own)

@@ -13,14 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...body.geometric_jacobian import Rates, bones_below, field_rows, joint_rates, pose_rates, take_rates
+from ...body.geometric_jacobian import (
+    GeometricJacobian,
+    descendant_matrix,
+    joint_jacobian,
+    pose_jacobian,
+    project_velocities,
+    select_parameters,
+)
 from ...body.kinematics import Transforms, forward_kinematics
 from ...body.pose import Pose
 from ...geometry import rotation
 from ..subject import Subject
 
 
-class Linearised(NamedTuple):
+class LinearisedResiduals(NamedTuple):
     """Residuals of M markers in one frame, metres, with derivatives. Numbers that a model lacks are zero."""
 
     residual: Float[Array, "M 3"]
@@ -31,7 +38,7 @@ class Linearised(NamedTuple):
     by_offset: Float[Array, "M 3 3"]
 
 
-class _Slopes(NamedTuple):
+class _ResidualDerivatives(NamedTuple):
     """Derivatives of a marker's residual by `l`, `o`, its bone's centre and its bone's end."""
 
     local: Float[Array, "M 3 3"]
@@ -40,23 +47,23 @@ class _Slopes(NamedTuple):
     end: Float[Array, "M 3 3"]
 
 
-def marker_residuals(subject: Subject, pose: Pose, places: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
+def marker_residuals(subject: Subject, pose: Pose, positions: Float[Array, "M 3"]) -> Float[Array, "M 3"]:
     """Compute the residuals of all markers in one frame, metres at rest."""
-    local = rest_places(subject, pose, forward_kinematics(subject.skeleton, pose), places)
-    return _model(subject, local)[0]
+    local = rest_positions(subject, pose, forward_kinematics(subject.skeleton, pose), positions)
+    return _model_residuals(subject, local)[0]
 
 
-def rest_places(
-    subject: Subject, pose: Pose, transforms: Transforms, places: Float[Array, "M 3"]
+def rest_positions(
+    subject: Subject, pose: Pose, transforms: Transforms, positions: Float[Array, "M 3"]
 ) -> Float[Array, "M 3"]:
     """Transform marker positions to the rest frames of their bones."""
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
-    return jnp.einsum("mba,mb->ma", r, places - t) / pose.scale**2
+    return jnp.einsum("mba,mb->ma", r, positions - t) / pose.scale**2
 
 
-def linearise(
-    subject: Subject, pose: Pose, places: Float[Array, "M 3"], joints: tuple[int, ...] = ()
-) -> Linearised:
+def linearise_residuals(
+    subject: Subject, pose: Pose, positions: Float[Array, "M 3"], joints: tuple[int, ...] = ()
+) -> LinearisedResiduals:
     """Compute residuals and their derivatives.
 
     The derivatives are by the tangent of the pose, by the rest centres of `joints` and by the markers' own
@@ -64,33 +71,35 @@ def linearise(
     """
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
-    residual, slopes = _model(subject, rest_places(subject, pose, transforms, places))
+    residual, slopes = _model_residuals(subject, rest_positions(subject, pose, transforms, positions))
     back = jnp.swapaxes(transforms.rotations[subject.bones], 1, 2) / pose.scale**2
     # the bone moves and the observation is fixed, so it moves the opposite way in the bone's frame
-    directions = -back if _rigid(subject) else -slopes.local @ back
-    by_pose = _rows(subject, places, directions, pose_rates(skeleton, pose, transforms))
+    directions = -back if _all_rigid(subject) else -slopes.local @ back
+    by_pose = _residual_jacobian(subject, positions, directions, pose_jacobian(skeleton, pose, transforms))
     slots = np.array([6 * joint + axis for joint in joints for axis in range(3)], int)
-    rates = take_rates(joint_rates(skeleton, pose, transforms), slots)
-    by_centres = _rows(subject, places, directions, rates)
-    if joints and not _rigid(subject):
+    rates = select_parameters(joint_jacobian(skeleton, pose, transforms), slots)
+    by_centres = _residual_jacobian(subject, positions, directions, rates)
+    if joints and not _all_rigid(subject):
         own = subject.bones[:, None] == np.array(joints)
-        ends = _ends(skeleton)[subject.bones][:, None] == np.array(joints)
+        ends = _first_children(skeleton)[subject.bones][:, None] == np.array(joints)
         for slope, at in ((slopes.centre, own), (slopes.end, ends)):
             wide = slope[:, :, None, :] * at[:, None, :, None]
             by_centres = by_centres + wide.reshape(by_centres.shape)
-    return Linearised(residual, by_pose, by_centres, slopes.offset)
+    return LinearisedResiduals(residual, by_pose, by_centres, slopes.offset)
 
 
-def _rows(subject: Subject, places, directions, rates: Rates) -> Float[Array, "M 3 N"]:
-    below = bones_below(subject.skeleton, rates)[subject.bones]
-    return field_rows(places, directions, rates) * below[:, None]
+def _residual_jacobian(
+    subject: Subject, positions, directions, rates: GeometricJacobian
+) -> Float[Array, "M 3 N"]:
+    below = descendant_matrix(subject.skeleton, rates)[subject.bones]
+    return project_velocities(positions, directions, rates) * below[:, None]
 
 
-def _rigid(subject: Subject) -> bool:
+def _all_rigid(subject: Subject) -> bool:
     return all(model == "rigid" for model in subject.models)
 
 
-def _ends(skeleton) -> Array:
+def _first_children(skeleton) -> Array:
     """Find the first child of every joint (J,), the joint itself where it has none."""
     ends = np.arange(skeleton.num_joints)
     for joint in reversed(range(skeleton.num_joints)):
@@ -99,47 +108,49 @@ def _ends(skeleton) -> Array:
     return jnp.asarray(ends)
 
 
-def _model(subject: Subject, local: Float[Array, "M 3"]) -> tuple[Float[Array, "M 3"], _Slopes]:
+def _model_residuals(
+    subject: Subject, local: Float[Array, "M 3"]
+) -> tuple[Float[Array, "M 3"], _ResidualDerivatives]:
     """Compute the residual of each marker's model, and its derivatives."""
     offsets, dtype = subject.offsets, local.dtype
     one = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (len(offsets), 3, 3))
     none = jnp.zeros_like(one)
-    residual, slopes = local - offsets, _Slopes(one, -one, none, none)
-    for name, model in (("circle", _circle), ("sphere", _sphere)):
+    residual, slopes = local - offsets, _ResidualDerivatives(one, -one, none, none)
+    for name, model in (("circle", _circle_residuals), ("sphere", _sphere_residuals)):
         held = np.array([kind == name for kind in subject.models])
         if held.any():
             other, others = model(subject, local)
             residual = jnp.where(held[:, None], other, residual)
             pairs = zip(others, slopes, strict=True)
-            slopes = _Slopes(*(jnp.where(held[:, None, None], a, b) for a, b in pairs))
+            slopes = _ResidualDerivatives(*(jnp.where(held[:, None, None], a, b) for a, b in pairs))
     return residual, slopes
 
 
-def _sphere(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
+def _sphere_residuals(subject: Subject, local) -> tuple[Float[Array, "M 3"], _ResidualDerivatives]:
     """Compute `|l - c| - |o - c|`."""
     centres = subject.skeleton.centres[subject.bones]
-    radius, out = _polar(local - centres)
-    own_radius, own_out = _polar(subject.offsets - centres)
+    radius, out = _length_and_direction(local - centres)
+    own_radius, own_out = _length_and_direction(subject.offsets - centres)
     none = jnp.zeros((len(local), 3, 3), local.dtype)
     row = lambda x: none.at[:, 0].set(x)  # noqa: E731
     return (
         jnp.zeros_like(local).at[:, 0].set(radius - own_radius),
-        _Slopes(row(out), row(-own_out), row(own_out - out), none),
+        _ResidualDerivatives(row(out), row(-own_out), row(own_out - out), none),
     )
 
 
-def _circle(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
+def _circle_residuals(subject: Subject, local) -> tuple[Float[Array, "M 3"], _ResidualDerivatives]:
     """Compute the residual along the bone's line `c + s u`, and that of the distance from it."""
     skeleton, bones = subject.skeleton, subject.bones
-    centres, ends = skeleton.centres[bones], _ends(skeleton)[bones]
+    centres, ends = skeleton.centres[bones], _first_children(skeleton)[bones]
     ahead = jnp.broadcast_to(jnp.array([1.0, 0.0, 0.0], local.dtype), local.shape)
     twist = rotation.rotate(skeleton.orientations[bones], ahead)
-    length, line = _polar(skeleton.centres[ends] - centres)
+    length, line = _length_and_direction(skeleton.centres[ends] - centres)
     # the direction of a bone without an end, or with zero length, is its joint's twist axis
     known = length > 1e-6
     line = jnp.where(known[:, None], line, twist)
-    along, radius, out = _cylindrical(local - centres, line)
-    own_along, own_radius, own_out = _cylindrical(subject.offsets - centres, line)
+    along, radius, out = _cylindrical_coordinates(local - centres, line)
+    own_along, own_radius, own_out = _cylindrical_coordinates(subject.offsets - centres, line)
     # derivatives of both numbers by the line: (l - o) . du, and -along out . du + own_along own_out . du
     turned = jnp.stack([local - subject.offsets, own_along[:, None] * own_out - along[:, None] * out], 1)
     across = jnp.eye(3, dtype=local.dtype) - line[:, :, None] * line[:, None, :]
@@ -148,16 +159,16 @@ def _circle(subject: Subject, local) -> tuple[Float[Array, "M 3"], _Slopes]:
     by_centre = jnp.stack([jnp.zeros_like(out), own_out - out], 1) - by_end
     residual = jnp.stack([along - own_along, radius - own_radius, jnp.zeros_like(radius)], 1)
     slopes = jnp.stack([line, out], 1), -jnp.stack([line, own_out], 1), by_centre, by_end
-    return residual, _Slopes(*map(pad, slopes))
+    return residual, _ResidualDerivatives(*map(pad, slopes))
 
 
-def _cylindrical(x: Float[Array, "M 3"], line: Float[Array, "M 3"]):
-    along = jnp.sum(x * line, 1)
-    radius, out = _polar(x - along[:, None] * line)
+def _cylindrical_coordinates(x: Float[Array, "M 3"], axis: Float[Array, "M 3"]):
+    along = jnp.sum(x * axis, 1)
+    radius, out = _length_and_direction(x - along[:, None] * axis)
     return along, radius, out
 
 
-def _polar(x: Float[Array, "M 3"]) -> tuple[Float[Array, "M"], Float[Array, "M 3"]]:
+def _length_and_direction(x: Float[Array, "M 3"]) -> tuple[Float[Array, "M"], Float[Array, "M 3"]]:
     """Compute length and direction; a zero vector has the direction zero."""
     squared = jnp.sum(x * x, 1)
     there = squared > 1e-16

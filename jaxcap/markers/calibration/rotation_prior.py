@@ -18,16 +18,16 @@ from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 
 #: least noise deviation of a rotation, radians
-STIFFEST = 1e-3
+MIN_ROTATION_NOISE = 1e-3
 #: a rotation with more than this multiple of its noise variance is free
-MUCH = 2.0
+FREE_VARIANCE_RATIO = 2.0
 #: prior variance of rotations about all other axes, in units of the noise variance
-STIFF = 1e-3
+STIFF_VARIANCE_RATIO = 1e-3
 #: a frame counts if its variance is at most this multiple of the median
-CLEAR = 3.0
+MAX_VARIANCE_RATIO = 3.0
 
 
-class Turning(eqx.Module):
+class RotationPrior(eqx.Module):
     """Mean rotations of T ball joints, and inverse covariances of the rotations about them."""
 
     means: Float[Array, "T 4"]
@@ -35,70 +35,74 @@ class Turning(eqx.Module):
     joints: tuple[int, ...] = eqx.field(static=True)
 
 
-def free_turning(skeleton: Skeleton) -> Turning:
+def free_rotation_prior(skeleton: Skeleton) -> RotationPrior:
     """Build a prior without information."""
     kinds = zip(skeleton.parents, skeleton.kinds, strict=True)
     joints = tuple(j for j, (parent, kind) in enumerate(kinds) if parent >= 0 and kind == "ball")
     dtype = skeleton.centres.dtype
     means = jnp.tile(jnp.array([1.0, 0, 0, 0], dtype), (len(joints), 1))
-    return Turning(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
+    return RotationPrior(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
 
 
-def mean_turns(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
+def rotation_vectors_from_mean(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
     """Compute rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
-    return np.asarray(_turns(jnp.asarray(mean_rotations(q)), jnp.asarray(q)), float)
+    return np.asarray(_rotation_vectors(jnp.asarray(mean_rotations(q)), jnp.asarray(q)), float)
 
 
-def turning_of(skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]) -> Turning:
+def estimate_rotation_prior(
+    skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]
+) -> RotationPrior:
     """Estimate the prior from poses that were solved without it, and from their covariances.
 
-    It compares the variance of the poses with that due to noise. Axes with more than `MUCH` times the noise
+    It compares the variance of the poses with that due to noise. Axes with more than `FREE_VARIANCE_RATIO` times the noise
     variance are free, as rotations are not normal and those of several joints are correlated.
     """
-    free = free_turning(skeleton)
+    free = free_rotation_prior(skeleton)
     slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
     q = np.asarray(poses.rotations, float)[:, list(free.joints)]
     means = mean_rotations(q)
-    turns = np.asarray(_turns(jnp.asarray(means), jnp.asarray(q)), float)
+    turns = np.asarray(_rotation_vectors(jnp.asarray(means), jnp.asarray(q)), float)
     each = np.asarray(covariances, float)[:, slots[:, :, None], slots[:, None, :]]
     # frames with an uncertain bone are no evidence on its rotation
     doubt = np.trace(each, axis1=2, axis2=3)
-    shown = (doubt <= CLEAR * np.median(doubt, 0)).astype(float)
+    shown = (doubt <= MAX_VARIANCE_RATIO * np.median(doubt, 0)).astype(float)
     shown /= shown.sum(0)
     second = np.einsum("fj,fja,fjb->jab", shown, turns, turns)
-    noise = np.einsum("fj,fjab->jab", shown, each) + STIFFEST**2 * np.eye(3)
+    noise = np.einsum("fj,fjab->jab", shown, each) + MIN_ROTATION_NOISE**2 * np.eye(3)
     precision = np.zeros_like(second)
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
         # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
-        precision[joint] = (vectors * np.where(values > MUCH, 0.0, 1.0 / STIFF)) @ vectors.T
+        precision[joint] = (
+            vectors * np.where(values > FREE_VARIANCE_RATIO, 0.0, 1.0 / STIFF_VARIANCE_RATIO)
+        ) @ vectors.T
     dtype = skeleton.centres.dtype
-    return Turning(jnp.asarray(means, dtype), jnp.asarray(precision, dtype), free.joints)
+    return RotationPrior(jnp.asarray(means, dtype), jnp.asarray(precision, dtype), free.joints)
 
 
-def turning_square(turning: Turning, pose: Pose) -> Float[Array, ""]:
+def rotation_prior_square(prior: RotationPrior, pose: Pose) -> Float[Array, ""]:
     """Compute the squared deviation of a pose's rotations from the means, in standard deviations."""
-    turns = _turns(turning.means, pose.rotations[np.array(turning.joints, int)])
-    return jnp.einsum("ja,jab,jb->", turns, turning.precision, turns)
+    turns = _rotation_vectors(prior.means, pose.rotations[np.array(prior.joints, int)])
+    return jnp.einsum("ja,jab,jb->", turns, prior.precision, turns)
 
 
-def turning_equations(
-    skeleton: Skeleton, turning: Turning, pose: Pose
+def rotation_prior_equations(
+    skeleton: Skeleton, prior: RotationPrior, pose: Pose
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
     """Compute `J^T P J` and `J^T P t` of a pose's rotations `t` about the means, by its tangent."""
-    joints = np.array(turning.joints, int)
+    joints = np.array(prior.joints, int)
     slots = dof_layout(skeleton).rotations[joints]
     q = pose.rotations[joints]
 
     def turned(w):
-        t = _turns(turning.means, rotation.multiply(q, rotation.exp(w)))
+        t = _rotation_vectors(prior.means, rotation.multiply(q, rotation.exp(w)))
         return jnp.sum(t, 0), t
 
     # each joint's rotation vector depends on its own numbers only
     slope, turns = jax.jacfwd(turned, has_aux=True)(jnp.zeros((len(joints), 3), q.dtype))
     slope = jnp.swapaxes(slope, 0, 1)
-    pull = jnp.einsum("jab,jb->ja", turning.precision, turns)
-    blocks = jnp.einsum("jba,jbc,jcd->jad", slope, turning.precision, slope)
+    pull = jnp.einsum("jab,jb->ja", prior.precision, turns)
+    blocks = jnp.einsum("jba,jbc,jcd->jad", slope, prior.precision, slope)
     dofs = skeleton.num_dofs
     matrix = jnp.zeros((dofs, dofs), q.dtype).at[slots[:, :, None], slots[:, None, :]].add(blocks)
     return matrix, jnp.zeros(dofs, q.dtype).at[slots].add(jnp.einsum("jba,jb->ja", slope, pull))
@@ -109,7 +113,7 @@ def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:
     return np.linalg.eigh(np.einsum("fja,fjb->jab", q, q))[1][..., -1]
 
 
-def _turns(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
+def _rotation_vectors(means: Float[Array, "T 4"], q: Float[Array, "*F T 4"]) -> Float[Array, "*F T 3"]:
     """Compute rotation vectors from the means, in the bones' own frames."""
     back = jnp.broadcast_to(rotation.conjugate(means), q.shape)
     return rotation.log(rotation.multiply(back, q))

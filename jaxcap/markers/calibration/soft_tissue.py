@@ -16,16 +16,16 @@ from jaxtyping import Bool, Float
 
 from ...body.pose import Pose
 from ..subject import Subject
-from .rotation_prior import mean_turns
+from .rotation_prior import rotation_vectors_from_mean
 
 #: number of directions: more would attribute to skin what the segments lack in joints
-DIRECTIONS = 2
+NUM_DIRECTIONS = 2
 #: rotations have to explain this multiple of what chance explains of the residuals
-TELLING = 6.0
+MIN_EXPLAINED_RATIO = 6.0
 #: lower and upper limit of skin sliding, metres a radian
-LEAST, MOST = 2e-4, 0.05
+MIN_SLIDING, MAX_SLIDING = 2e-4, 0.05
 #: approximate distance of markers from the centroid of their bone's markers, metres
-LEVER = 0.05
+MARKER_LEVER = 0.05
 
 
 def skin_shifts(
@@ -42,13 +42,13 @@ def shift_variances(
     return np.mean(skin_shifts(features, slides) ** 2, (0, 2))
 
 
-def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
+def skin_features(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
     """Compute the features of every marker: rotations of the joints at both ends of its bone, radians."""
     skeleton, bones = subject.skeleton, np.asarray(subject.bones)
     rotations = np.asarray(poses.rotations, float)
     angles = 2 * np.arccos(np.clip(np.abs(rotations[..., :1]), 0, 1))
-    turns = np.concatenate([mean_turns(rotations), angles], 2)
-    features = np.zeros((len(turns), len(bones), DIRECTIONS))
+    turns = np.concatenate([rotation_vectors_from_mean(rotations), angles], 2)
+    features = np.zeros((len(turns), len(bones), NUM_DIRECTIONS))
     for bone in np.unique(bones):
         ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
         beside = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
@@ -57,15 +57,15 @@ def sliding(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
         wide = turns[:, beside].reshape(len(turns), -1)
         wide = wide - wide.mean(0)
         _, _, directions = np.linalg.svd(wide, full_matrices=False)
-        found = wide @ directions[:DIRECTIONS].T
+        found = wide @ directions[:NUM_DIRECTIONS].T
         features[:, bones == bone, : found.shape[1]] = found[:, None]
     return features
 
 
-def find_skin(
+def initial_slide_deviation(
     features: Float[np.ndarray, "F M K"],
     residuals: Float[np.ndarray, "F M 3"],
-    counted: Bool[np.ndarray, "F M"],
+    seen: Bool[np.ndarray, "F M"],
 ) -> float | None:
     """Estimate the standard deviation of every number of `d`, metres a radian.
 
@@ -73,7 +73,7 @@ def find_skin(
     """
     explained = whole = chance = squares = 0.0
     for marker in range(residuals.shape[1]):
-        some = counted[:, marker]
+        some = seen[:, marker]
         phi, left = features[some, marker], residuals[some, marker]
         phi = phi[:, (phi**2).sum(0) > 1e-9]
         if len(left) <= 2 * phi.shape[1] or not phi.size:
@@ -83,12 +83,12 @@ def find_skin(
         explained, whole = explained + told, whole + float(np.sum(left**2))
         chance += phi.shape[1] / len(left) * float(np.sum(left**2))
         squares += float(np.sum(phi**2)) * 3
-    if whole == 0.0 or explained < TELLING * chance:
+    if whole == 0.0 or explained < MIN_EXPLAINED_RATIO * chance:
         return None
-    return float(np.clip(np.sqrt(explained / squares), LEAST, MOST))
+    return float(np.clip(np.sqrt(explained / squares), MIN_SLIDING, MAX_SLIDING))
 
 
-def slide_deviation(
+def estimate_slide_deviation(
     subject: Subject, features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
 ) -> float:
     """Estimate the standard deviation of the slides that move the markers of a bone relative to each other.
@@ -103,10 +103,10 @@ def slide_deviation(
         arms = offsets[own] - offsets[own].mean(0)
         turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1)
         shifts = np.tile(np.eye(3), (1, len(own)))
-        _, sizes, basis = np.linalg.svd(np.concatenate([turns / LEVER, shifts]), full_matrices=False)
+        _, sizes, basis = np.linalg.svd(np.concatenate([turns / MARKER_LEVER, shifts]), full_matrices=False)
         rigid = basis[sizes > 1e-3]
         for each, phi in zip(slides[:, own].reshape(-1, 3 * len(own)), features[:, own[0]].T, strict=True):
             if phi.any():
                 squares += float(each @ each - np.sum((rigid @ each) ** 2))
                 numbers += each.size - len(rigid)
-    return float(np.clip(np.sqrt(squares / max(numbers, 1.0)), LEAST, MOST))
+    return float(np.clip(np.sqrt(squares / max(numbers, 1.0)), MIN_SLIDING, MAX_SLIDING))

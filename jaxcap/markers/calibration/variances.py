@@ -6,20 +6,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...fit.linear.cholesky import factorise
-from .problem import BATCH, RIDGE, CalibrationEstimate, CalibrationProblem, slid
-from .residuals import linearise
-from .robust import kernel
-from .rotation_prior import turning_equations
+from .problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
+from .residuals import linearise_residuals
+from .robust import robust_kernel
+from .rotation_prior import rotation_prior_equations
 
 #: lower limit of deviations, metres
-EXACT = 2e-5
+MIN_DEVIATION = 2e-5
 #: weight of the variance of all markers in that of one, as a number of observed coordinates
-LEAN = 10.0
+SHRINKAGE_WEIGHT = 10.0
 
 
 @eqx.filter_jit
 def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Float[Array, "M"]:
-    """Estimate the standard deviation of every marker from its own residuals, metres, not below `EXACT`.
+    """Estimate the standard deviation of every marker from its own residuals, metres, not below `MIN_DEVIATION`.
 
     Residuals are smaller than the noise, as poses adapt to it. So the degrees of freedom of a marker, three
     a frame, are reduced by its leverage on the frame's pose, and by three for its own position. With few
@@ -32,19 +32,21 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
 
     def of_frame(frame):
         pose, place, there, phi = frame
-        rows = linearise(slid(subject, y.slides, phi), pose, place)
+        rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
         squared = jnp.sum(rows.residual**2, 1)
-        slopes = jnp.where(there, kernel(squared * information, problem.bound)[1], 0.0)
+        slopes = jnp.where(there, robust_kernel(squared * information, problem.outlier_bound)[1], 0.0)
         flat = (rows.by_pose * jnp.sqrt(slopes * information)[:, None, None]).reshape(-1, dofs)
-        gram = flat.T @ flat + turning_equations(subject.skeleton, problem.turning, pose)[0]
+        gram = flat.T @ flat + rotation_prior_equations(subject.skeleton, problem.rotation_prior, pose)[0]
         gram = gram + RIDGE * jnp.eye(dofs, dtype=gram.dtype)
         leverage = jnp.sum((flat * factorise(gram).solve(flat.T).T).reshape(len(slopes), -1), 1)
         left = jnp.maximum(3.0 * slopes - leverage, 0.0)
         return slopes * squared, left
 
-    frames = y.poses, problem.places, used, problem.features
-    squares, left = (jnp.sum(each, 0) for each in jax.lax.map(of_frame, frames, batch_size=BATCH))
+    frames = y.poses, problem.positions, used, problem.skin_features
+    squares, left = (jnp.sum(each, 0) for each in jax.lax.map(of_frame, frames, batch_size=BATCH_SIZE))
     left = jnp.maximum(left - 3.0, 0.0)
     common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
-    variance = jnp.clip((squares + LEAN * common) / (left + LEAN), common / 9.0, common * 100.0)
-    return jnp.maximum(jnp.sqrt(variance), EXACT)
+    variance = jnp.clip(
+        (squares + SHRINKAGE_WEIGHT * common) / (left + SHRINKAGE_WEIGHT), common / 9.0, common * 100.0
+    )
+    return jnp.maximum(jnp.sqrt(variance), MIN_DEVIATION)

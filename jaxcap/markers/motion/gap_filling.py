@@ -11,7 +11,7 @@ from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 from ...observe import MarkerFrames
-from ..calibration.residuals import rest_places
+from ..calibration.residuals import rest_positions
 from ..subject import Subject
 from .label_matching import match_markers
 
@@ -21,7 +21,7 @@ def joint_frames(
     skeleton: Skeleton, motion: Motion, lost: Bool[np.ndarray, "F"] | None = None
 ) -> MarkerFrames:
     """Compute the joint centres of every frame as markers with the joints' names; none in `lost` frames."""
-    places = np.asarray(_centres(skeleton, motion.poses))
+    places = np.asarray(_joint_centres(skeleton, motion.poses))
     seen = np.ones(places.shape[:2], bool)
     if lost is not None:
         seen &= ~np.asarray(lost)[:, None]
@@ -48,8 +48,8 @@ def fill_gaps(
     and for markers with the subject's weight 0, nothing is filled.
     """
     matched = match_markers(subject, frames)
-    places, seen = np.asarray(matched.places, float), np.asarray(matched.seen)
-    local = np.asarray(_carried_back(subject, motion.poses, matched.places), float)
+    places, seen = np.asarray(matched.positions, float), np.asarray(matched.seen)
+    local = np.asarray(_to_rest_frames(subject, motion.poses, matched.positions), float)
     trusted = seen if weights is None else seen & (np.asarray(weights) >= 0.5)
     filled = np.tile(np.asarray(subject.offsets, float), (len(places), 1, 1))
     at = np.arange(len(places))
@@ -61,34 +61,36 @@ def fill_gaps(
     gap = ~trusted & on_bones
     if lost is not None:
         gap &= ~np.asarray(lost)[:, None]
-    carried = np.asarray(_carried(subject, motion.poses, jnp.asarray(filled, matched.places.dtype)), float)
+    carried = np.asarray(
+        _to_world(subject, motion.poses, jnp.asarray(filled, matched.positions.dtype)), float
+    )
     whole = np.where(gap[..., None], carried, places)
-    dtype = np.asarray(frames.places).dtype
+    dtype = np.asarray(frames.positions).dtype
     return MarkerFrames(whole.astype(dtype), seen | gap, subject.labels, frames.rate)
 
 
-def expected_places(subject: Subject, motion: Motion) -> Float[Array, "F M 3"]:
+def predicted_positions(subject: Subject, motion: Motion) -> Float[Array, "F M 3"]:
     """Predict the marker positions of a motion, metres; circle and sphere markers as if rigid."""
     local = jnp.broadcast_to(subject.offsets, (len(motion), *subject.offsets.shape))
-    return _carried(subject, motion.poses, local)
+    return _to_world(subject, motion.poses, local)
 
 
 @eqx.filter_jit
-def _centres(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
+def _joint_centres(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
     return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)
 
 
 @eqx.filter_jit
-def _carried_back(subject: Subject, poses: Pose, places: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
+def _to_rest_frames(subject: Subject, poses: Pose, positions: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
     def of_frame(frame):
         pose, there = frame
-        return rest_places(subject, pose, forward_kinematics(subject.skeleton, pose), there)
+        return rest_positions(subject, pose, forward_kinematics(subject.skeleton, pose), there)
 
-    return jax.lax.map(of_frame, (poses, places))
+    return jax.lax.map(of_frame, (poses, positions))
 
 
 @eqx.filter_jit
-def _carried(subject: Subject, poses: Pose, local: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
+def _to_world(subject: Subject, poses: Pose, local: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
     def of_frame(frame):
         pose, here = frame
         transforms = forward_kinematics(subject.skeleton, pose)

@@ -13,12 +13,14 @@ from ...geometry.procrustes import nearest_rotation
 from ..subject import Subject
 
 #: weights of a descendant bone's markers, by the number of joints between
-SHARES = (1.0, 0.3, 0.05)
+DESCENDANT_WEIGHTS = (1.0, 0.3, 0.05)
 #: weight of the prior that a bone keeps the parent's rotation, metres squared
-HOLD = 1e-3
+PARENT_PRIOR_WEIGHT = 1e-3
 
 
-def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Array, "F M"]) -> Pose:
+def estimate_initial_poses(
+    subject: Subject, positions: Float[Array, "F M 3"], seen: Bool[Array, "F M"]
+) -> Pose:
     """Estimate an initial pose of every frame independently.
 
     The bone of the root is aligned to its own markers and those of the next bones. Then, from joint to joint
@@ -28,18 +30,18 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
 
     In a frame with fewer than three markers about the root, the root keeps its previous pose.
     """
-    skeleton, count = subject.skeleton, len(places)
+    skeleton, count = subject.skeleton, len(positions)
     centres, offsets = np.asarray(skeleton.centres, float), np.asarray(subject.offsets, float)
-    targets, bones = np.asarray(places, float), np.asarray(subject.bones)
+    targets, bones = np.asarray(positions, float), np.asarray(subject.bones)
     weights = np.asarray(seen, float) * np.asarray(subject.weights, float)
-    depths, descent = skeleton.depths, skeleton.descent
+    depths, descent = skeleton.depths, skeleton.descendants
     rotations = np.zeros((count, skeleton.num_joints, 3, 3))
     origins = np.zeros((count, skeleton.num_joints, 3))
     for joint, parent in enumerate(skeleton.parents):
-        steps = np.where(descent[joint][bones], depths[bones] - depths[joint], len(SHARES))
-        share = weights * np.array([*SHARES, 0.0])[np.minimum(steps, len(SHARES))]
+        steps = np.where(descent[joint][bones], depths[bones] - depths[joint], len(DESCENDANT_WEIGHTS))
+        share = weights * np.array([*DESCENDANT_WEIGHTS, 0.0])[np.minimum(steps, len(DESCENDANT_WEIGHTS))]
         if parent < 0:
-            share, source, target, origin = _root(share, weights, offsets, targets, centres[joint])
+            share, source, target, origin = _root_alignment(share, weights, offsets, targets, centres[joint])
             above = np.broadcast_to(np.eye(3), (count, 3, 3))
         else:
             above = rotations[:, parent]
@@ -50,7 +52,7 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
             rotations[:, joint], origins[:, joint] = above, origin
             continue
         cross = np.einsum("fm,fma,fmb->fab", share, target, source)
-        rotations[:, joint] = nearest_rotation(cross + HOLD * above)
+        rotations[:, joint] = nearest_rotation(cross + PARENT_PRIOR_WEIGHT * above)
         origins[:, joint] = origin
         if parent < 0:
             # so far the origin is the position of the source's centroid
@@ -58,12 +60,12 @@ def guess_poses(subject: Subject, places: Float[Array, "F M 3"], seen: Bool[Arra
             shifts = np.einsum("fab,fb->fa", rotations[:, joint], centres[joint] - middle)
             origins[:, joint] += shifts
             known = (share > 0).sum(1) >= 3
-            _hold(known, rotations[:, joint], origins[:, joint])
+            _fill_unknown_frames(known, rotations[:, joint], origins[:, joint])
     dtype = skeleton.centres.dtype
-    return _poses(skeleton, jnp.asarray(rotations, dtype), jnp.asarray(origins, dtype))
+    return _poses_from_frames(skeleton, jnp.asarray(rotations, dtype), jnp.asarray(origins, dtype))
 
 
-def _root(share, weights, offsets, targets, centre):
+def _root_alignment(share, weights, offsets, targets, centre):
     """Centre sources and targets at their weighted means.
 
     All markers are used where the root's own and the next bones' markers are fewer than three.
@@ -75,7 +77,7 @@ def _root(share, weights, offsets, targets, centre):
     return share, offsets[None] - middle[:, None], targets - origin[:, None], origin
 
 
-def _hold(known, rotations, origins) -> None:
+def _fill_unknown_frames(known, rotations, origins) -> None:
     """Replace unknown frames by the last known frame, or by the first known one at the start."""
     if not known.any():
         rotations[:], origins[:] = np.eye(3), 0.0
@@ -86,7 +88,9 @@ def _hold(known, rotations, origins) -> None:
 
 
 @eqx.filter_jit
-def _poses(skeleton: Skeleton, rotations: Float[Array, "F J 3 3"], origins: Float[Array, "F J 3"]) -> Pose:
+def _poses_from_frames(
+    skeleton: Skeleton, rotations: Float[Array, "F J 3 3"], origins: Float[Array, "F J 3"]
+) -> Pose:
     parents = np.array(skeleton.parents)
     top = (parents < 0)[:, None, None]
     above = jnp.where(top, jnp.eye(3, dtype=rotations.dtype), rotations[:, np.maximum(parents, 0)])

@@ -11,26 +11,26 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...energy.check import OwnTerms, own_terms
+from ...energy.check import UserTerms, sum_user_terms
 from ...geometry.stacking import concatenate
 from ...observe import MarkerFrames
 from ...parallel import parallel_map
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body
-from .initial_pose import guess_poses
+from .initial_pose import estimate_initial_poses
 from .label_matching import match_markers
-from .solve_frame import Search, SolvedFrame, solve_frame
+from .solve_frame import SearchCriteria, SolvedFrame, solve_frame
 
 _LOG = logging.getLogger(__name__)
 
 #: least number of visible markers in a frame; with fewer the pose of the whole body is undetermined
-LEAST = 3
+MIN_MARKERS = 3
 #: a frame with a median residual above this many deviations is solved again from an initial guess
-DOUBT = 3.0
+MAX_RESIDUAL_SCALE = 3.0
 #: number of frames solved in sequence in one call; sequences are padded to multiples of it
-CHUNK = 256
+CHUNK_SIZE = 256
 #: search of a frame from an initial guess
-FAR = Search(iterations=40, tolerance=1e-4)
+INITIAL_SEARCH = SearchCriteria(max_iterations=40, tolerance=1e-4)
 
 
 class MarkerSolution(NamedTuple):
@@ -44,16 +44,16 @@ class MarkerSolution(NamedTuple):
     #: frames with too few markers or without a pose that fits; they keep the last pose
     lost: Bool[np.ndarray, "F"]
     #: messages to the user, in sentences
-    told: tuple[str, ...]
+    messages: tuple[str, ...]
 
 
 @checked
 def solve_markers(
     subject: Subject,
     frames: MarkerFrames,
-    search: Search = Search(),
+    search: SearchCriteria = SearchCriteria(),
     *,
-    terms: OwnTerms = (),
+    terms: UserTerms = (),
 ) -> MarkerSolution:
     """Solve the pose of every frame, starting from the pose of the previous frame.
 
@@ -61,75 +61,85 @@ def solve_markers(
     and missing ones are never visible. `search`: the stopping criteria in each frame. `terms`: energies of
     your own, in units of a log-likelihood, which see the subject's skeleton with its markers as vertices.
 
-    Joints that the markers do not determine stay as in the previous frame. A frame with fewer than `LEAST`
+    Joints that the markers do not determine stay as in the previous frame. A frame with fewer than `MIN_MARKERS`
     visible markers keeps the last pose and is marked `lost`, as is a frame without a pose that fits; the
     frames after it are solved.
 
     **Raises:** `ValueError` where frames and subject share no label.
     """
     matched = match_markers(subject, frames)
-    places, seen = matched.places, np.asarray(matched.seen)
+    places, seen = matched.positions, np.asarray(matched.seen)
     used = seen & (np.asarray(subject.weights) > 0)
-    enough = used.sum(1) >= LEAST
+    enough = used.sum(1) >= MIN_MARKERS
     _LOG.info("solving %d frames", len(places))
-    energy = own_terms("solve_markers", terms, marker_body(subject))
-    solved = _in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
+    energy = sum_user_terms("solve_markers", terms, marker_body(subject))
+    solved = _solve_in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
     _LOG.info("solving poorly fitted frames again")
-    solved = _again(subject, places, used, enough, solved, energy)
-    lost = ~enough | ~np.isfinite(np.asarray(solved.residuals)).all(1) | _unexplained(subject, used, solved)
-    residuals = np.where(seen, np.asarray(_lengths(subject, solved.pose, places)), np.nan)
-    told = _sentences(subject, frames, seen, lost)
+    solved = _solve_doubtful_frames(subject, places, used, enough, solved, energy)
+    lost = (
+        ~enough
+        | ~np.isfinite(np.asarray(solved.residuals)).all(1)
+        | _poorly_fitted_frames(subject, used, solved)
+    )
+    residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, places)), np.nan)
+    told = _describe_solution(subject, frames, seen, lost)
     weights = np.asarray(solved.weights) * ~lost[:, None]
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, told)
 
 
-def _in_chunks(subject: Subject, places, seen, search: Search, energy) -> SolvedFrame:
+def _solve_in_chunks(subject: Subject, positions, seen, search: SearchCriteria, energy) -> SolvedFrame:
     """Solve chunks of frames in parallel threads, each from an initial guess of its first frame.
 
     While one chunk is computed, Python is free for the next.
     """
-    count = len(places)
-    size = CHUNK if count > CHUNK else max(8, 1 << (count - 1).bit_length())
+    count = len(positions)
+    size = CHUNK_SIZE if count > CHUNK_SIZE else max(8, 1 << (count - 1).bit_length())
     chunks = -(-count // size)
     extra = chunks * size - count
-    places = jnp.pad(places, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
+    positions = jnp.pad(positions, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
     # frames of the padding have no visible markers and cost next to nothing
     seen = jnp.pad(seen, ((0, extra), (0, 0))).reshape(chunks, size, -1)
-    first = np.asarray(jnp.argmax(seen.sum(2) >= LEAST, 1))
+    first = np.asarray(jnp.argmax(seen.sum(2) >= MIN_MARKERS, 1))
     rows = np.arange(chunks)
-    starts = guess_poses(subject, places[rows, first], seen[rows, first])
+    starts = estimate_initial_poses(subject, positions[rows, first], seen[rows, first])
 
     def run(chunk: int) -> SolvedFrame:
         start = jax.tree.map(lambda leaf: leaf[chunk], starts)
-        return jax.block_until_ready(_solve_chunk(subject, start, places[chunk], seen[chunk], search, energy))
+        return jax.block_until_ready(
+            _solve_chunk(subject, start, positions[chunk], seen[chunk], search, energy)
+        )
 
     parts = parallel_map(run, range(chunks))
     return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
 
 
 @eqx.filter_jit
-def _solve_chunk(subject: Subject, start: Pose, places, seen, search: Search, energy) -> SolvedFrame:
-    far = solve_frame(subject, start, places[0], seen[0], FAR, energy)
+def _solve_chunk(
+    subject: Subject, start: Pose, positions, seen, search: SearchCriteria, energy
+) -> SolvedFrame:
+    far = solve_frame(subject, start, positions[0], seen[0], INITIAL_SEARCH, energy)
 
     def follow(pose, frame):
         solved = solve_frame(subject, pose, frame[0], frame[1], search, energy)
         kept = jax.tree.map(lambda new, old: jnp.where(frame[1].any(), new, old), solved.pose, pose)
         return kept, solved._replace(pose=kept)
 
-    return jax.lax.scan(follow, far.pose, (places, seen))[1]
+    return jax.lax.scan(follow, far.pose, (positions, seen))[1]
 
 
-def _again(subject: Subject, places, used, enough, solved: SolvedFrame, energy) -> SolvedFrame:
+def _solve_doubtful_frames(
+    subject: Subject, positions, used, enough, solved: SolvedFrame, energy
+) -> SolvedFrame:
     """Solve doubtful frames again from an initial guess, and keep the better of both solutions."""
-    doubtful = np.flatnonzero(enough & ~(np.asarray(solved.spread) < DOUBT))
+    doubtful = np.flatnonzero(enough & ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE))
     if not len(doubtful):
         return solved
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
-    starts = guess_poses(subject, places[padded], jnp.asarray(used[padded]))
-    other = _solve_each(subject, starts, places[padded], jnp.asarray(used[padded]), energy)
+    starts = estimate_initial_poses(subject, positions[padded], jnp.asarray(used[padded]))
+    other = _solve_each(subject, starts, positions[padded], jnp.asarray(used[padded]), energy)
     better = np.flatnonzero(
-        ~(np.asarray(solved.spread)[doubtful] <= np.asarray(other.spread)[: len(doubtful)])
+        ~(np.asarray(solved.residual_scale)[doubtful] <= np.asarray(other.residual_scale)[: len(doubtful)])
     )
     if not len(better):
         return solved
@@ -137,21 +147,22 @@ def _again(subject: Subject, places, used, enough, solved: SolvedFrame, energy) 
 
 
 @eqx.filter_jit
-def _solve_each(subject: Subject, starts: Pose, places, seen, energy) -> SolvedFrame:
+def _solve_each(subject: Subject, starts: Pose, positions, seen, energy) -> SolvedFrame:
     return jax.lax.map(
-        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], FAR, energy), (starts, places, seen)
+        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], INITIAL_SEARCH, energy),
+        (starts, positions, seen),
     )
 
 
 @eqx.filter_jit
-def _lengths(subject: Subject, poses: Pose, places) -> Float[Array, "F M"]:
+def _residual_lengths(subject: Subject, poses: Pose, positions) -> Float[Array, "F M"]:
     def of_frame(frame):
         return jnp.linalg.norm(marker_residuals(subject, *frame), axis=1)
 
-    return jax.lax.map(of_frame, (poses, places))
+    return jax.lax.map(of_frame, (poses, positions))
 
 
-def _unexplained(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:
+def _poorly_fitted_frames(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:
     """Find frames with a median residual above a decimetre: no pose of this subject fits."""
     lengths = np.where(used, np.asarray(solved.residuals), np.nan)
     middle = np.zeros(len(used))
@@ -160,7 +171,7 @@ def _unexplained(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:
     return middle > 0.1
 
 
-def _sentences(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
+def _describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
     said = []
     never = [label for label, there in zip(subject.labels, seen.any(0), strict=True) if not there]
     if never:
@@ -173,7 +184,7 @@ def _sentences(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str,
     if lost.any():
         numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
         said.append(
-            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {LEAST} markers, or no pose fits) "
+            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {MIN_MARKERS} markers, or no pose fits) "
             f"and keep the previous pose: {numbers}."
         )
     return tuple(said)

@@ -10,14 +10,14 @@ from ...observe import MarkerFrames
 from ..subject import Subject
 
 
-class Matched(NamedTuple):
+class MatchedMarkers(NamedTuple):
     """Frames with the M markers of a subject. The position of a marker that is not visible is zero."""
 
-    places: Float[Array, "F M 3"]
+    positions: Float[Array, "F M 3"]
     seen: Bool[Array, "F M"]
 
 
-def match_markers(subject: Subject, frames: MarkerFrames) -> Matched:
+def match_markers(subject: Subject, frames: MarkerFrames) -> MatchedMarkers:
     """Match the markers of frames to those of a subject, by label.
 
     Other markers are ignored, and markers that the frames do not have are never visible. A marker with a
@@ -34,7 +34,7 @@ def match_markers(subject: Subject, frames: MarkerFrames) -> Matched:
         )
     if len(frames) == 0:
         raise ValueError("There are no frames to solve; give at least one.")
-    places = np.asarray(frames.places)[:, chosen]
-    seen = np.asarray(frames.seen)[:, chosen] & (chosen >= 0) & np.isfinite(places).all(2)
+    places = np.asarray(frames.positions)[:, chosen]
+    seen = np.asarray(frames.visible)[:, chosen] & (chosen >= 0) & np.isfinite(places).all(2)
     dtype = subject.offsets.dtype
-    return Matched(jnp.asarray(np.where(seen[..., None], places, 0.0), dtype), jnp.asarray(seen))
+    return MatchedMarkers(jnp.asarray(np.where(seen[..., None], places, 0.0), dtype), jnp.asarray(seen))

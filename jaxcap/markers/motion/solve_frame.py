@@ -9,27 +9,27 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import pose_body
 from ...body.pose import Pose, retract
 from ...energy.energy import AbstractEnergy
-from ...fit.alternate import reweigh
+from ...fit.alternate import reweighted_least_squares
 from ...fit.frame_equations import frame_equations
-from ...fit.linear.dense import Dense
+from ...fit.linear.dense import DenseMatrix
 from ...fit.solvers.descent import ConstrainedInfo
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.problem import AbstractProblem
-from ..calibration.residuals import linearise, marker_residuals
-from ..calibration.robust import kernel, spread
+from ..calibration.residuals import linearise_residuals, marker_residuals
+from ..calibration.robust import robust_kernel, variance_ratio
 from ..subject import Subject, marker_body
 
 #: information below which a pose coordinate is undetermined: that of a marker with a deviation of a metre, a
 #: metre from the joint
-UNTOLD = 1.0
+MIN_INFORMATION = 1.0
 #: number of steps between two updates of the deviations' scale
-STEPS = 3
+STEPS_PER_ROUND = 3
 
 
-class Search(eqx.Module):
+class SearchCriteria(eqx.Module):
     """Stopping criteria of the search for a pose."""
 
-    iterations: int = eqx.field(static=True, default=12)
+    max_iterations: int = eqx.field(static=True, default=12)
     #: largest coordinate of the last step, radians and metres
     tolerance: float = eqx.field(static=True, default=1e-3)
 
@@ -43,7 +43,7 @@ class SolvedFrame(NamedTuple):
     #: robust weights at the solution, 0 to 1; zero where not visible
     weights: Float[Array, "M"]
     #: median residual in standard deviations, at least one
-    spread: Float[Array, ""]
+    residual_scale: Float[Array, ""]
     iterations: Int[Array, ""]
 
 
@@ -54,23 +54,23 @@ class FrameProblem(AbstractProblem[Pose]):
     """
 
     subject: Subject
-    places: Float[Array, "M 3"]
+    positions: Float[Array, "M 3"]
     #: inverse variances, zero where not visible
     precision: Float[Array, "M"]
     #: energies of a user's own, which see the markers as vertices
     terms: AbstractEnergy | None = None
 
     def value(self, y):
-        residual = marker_residuals(self.subject, y, self.places)
-        value = 0.5 * jnp.sum(kernel(jnp.sum(residual**2, 1) * self.precision)[0])
+        residual = marker_residuals(self.subject, y, self.positions)
+        value = 0.5 * jnp.sum(robust_kernel(jnp.sum(residual**2, 1) * self.precision)[0])
         if self.terms is None:
             return value
         r = self.terms.residual(pose_body(marker_body(self.subject), y))
         return value + 0.5 * (r @ r)
 
     def information(self, y):
-        rows = linearise(self.subject, y, self.places)
-        costs, slopes = kernel(jnp.sum(rows.residual**2, 1) * self.precision)
+        rows = linearise_residuals(self.subject, y, self.positions)
+        costs, slopes = robust_kernel(jnp.sum(rows.residual**2, 1) * self.precision)
         flat = rows.by_pose.reshape(-1, rows.by_pose.shape[2])
         weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
         value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
@@ -78,22 +78,22 @@ class FrameProblem(AbstractProblem[Pose]):
             own = frame_equations(self.terms, marker_body(self.subject), y)
             value, side, matrix = value + own[0], side + own[1], matrix + own[2]
         # undetermined coordinates stay
-        told = jnp.diagonal(matrix) > UNTOLD
-        return ConstrainedInfo(value, jnp.where(told, side, 0.0), Dense(matrix).among(told))  # pyright: ignore[reportCallIssue]
+        told = jnp.diagonal(matrix) > MIN_INFORMATION
+        return ConstrainedInfo(value, jnp.where(told, side, 0.0), DenseMatrix(matrix).restricted(told))  # pyright: ignore[reportCallIssue]
 
     def retract(self, y, d):
         return retract(self.subject.skeleton, y, d)
 
     def scales(self):
-        return jnp.ones(self.subject.skeleton.num_dofs, self.places.dtype)
+        return jnp.ones(self.subject.skeleton.num_dofs, self.positions.dtype)
 
 
 def solve_frame(
     subject: Subject,
     start: Pose,
-    places: Float[Array, "M 3"],
+    positions: Float[Array, "M 3"],
     seen: Bool[Array, "M"],
-    search: Search = Search(),
+    search: SearchCriteria = SearchCriteria(),
     terms: AbstractEnergy | None = None,
 ) -> SolvedFrame:
     """Find the pose that minimises robust distances to the visible markers, in standard deviations.
@@ -106,20 +106,22 @@ def solve_frame(
     counted = precision > 0
 
     def left(pose):
-        squared = jnp.sum(marker_residuals(subject, pose, places) ** 2, 1)
-        return squared, spread(squared * precision, counted)
+        squared = jnp.sum(marker_residuals(subject, pose, positions) ** 2, 1)
+        return squared, variance_ratio(squared * precision, counted)
 
     def remake(pose):
-        return FrameProblem(subject, places, precision / left(pose)[1], terms)
+        return FrameProblem(subject, positions, precision / left(pose)[1], terms)
 
     solver = LevenbergMarquardt(0.0, search.tolerance, damping=1e-6, relative=True)
-    rounds = -(-search.iterations // STEPS)
-    pose, count = reweigh(remake, start, solver, rounds=rounds, steps=STEPS, enough=search.tolerance)
+    rounds = -(-search.max_iterations // STEPS_PER_ROUND)
+    pose, count = reweighted_least_squares(
+        remake, start, solver, rounds=rounds, steps=STEPS_PER_ROUND, step_tolerance=search.tolerance
+    )
     squared, wide = left(pose)
     return SolvedFrame(
         pose,
         jnp.where(seen, jnp.sqrt(squared), 0.0),
-        jnp.where(counted, kernel(squared * precision / wide)[1], 0.0),
+        jnp.where(counted, robust_kernel(squared * precision / wide)[1], 0.0),
         jnp.sqrt(wide),
         count,
     )

@@ -5,15 +5,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .centre_estimate import ROUNDS, robust_weights
+from .centre_estimate import MAX_REWEIGHTINGS, geman_mcclure_weights
 
 #: a joint is a hinge if the rotation off the axis is below this share of that about it, both root mean
 #: square
-SHARE = 0.18
+MAX_WOBBLE_RATIO = 0.18
 #: and below this, radians
-WOBBLE = np.radians(7.0)
+MAX_WOBBLE = np.radians(7.0)
 #: and the rotation about it is above this, root mean square, radians: less is possible at any joint
-LEAST_TURN = np.radians(8.0)
+MIN_ROTATION = np.radians(8.0)
 
 
 class Hinge(NamedTuple):
@@ -25,16 +25,19 @@ class Hinge(NamedTuple):
     #: root mean square angle between the axis in the two segments, radians
     wobble: float
     #: root mean square rotation about the axis from its mean, radians
-    turn: float
+    rotation_deviation: float
     #: range of the rotation about the axis, radians
-    swept: float
+    swept_angle: float
     #: the two least singular values of SCoRE's matrix per frame; the least is zero, rank 5, at a hinge
-    singular: tuple[float, float]
+    singular_values: tuple[float, float]
 
     @property
     def is_hinge(self) -> bool:
         """True if all but a small share of the rotation is about the axis."""
-        return bool(self.turn > LEAST_TURN and self.wobble < min(WOBBLE, SHARE * self.turn))
+        return bool(
+            self.rotation_deviation > MIN_ROTATION
+            and self.wobble < min(MAX_WOBBLE, MAX_WOBBLE_RATIO * self.rotation_deviation)
+        )
 
 
 def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hinge:
@@ -48,7 +51,7 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
     weights = np.ones(len(rotations))
     parent = child = np.zeros(3)
     values = np.zeros(6)
-    for _ in range(ROUNDS if robust else 1):
+    for _ in range(MAX_REWEIGHTINGS if robust else 1):
         mean = np.einsum("f,fab->ab", weights, rotations) / weights.sum()
         matrix = np.block([[np.eye(3), -mean], [-mean.T, np.eye(3)]])
         values, vectors = np.linalg.eigh(matrix)
@@ -61,24 +64,24 @@ def find_hinge(rotations: Float[np.ndarray, "F 3 3"], robust: bool = True) -> Hi
         if np.abs(parent - last).max() < 1e-12:
             break
         if robust:
-            weights = robust_weights(np.linalg.norm(rotations @ child - parent, axis=1))
+            weights = geman_mcclure_weights(np.linalg.norm(rotations @ child - parent, axis=1))
     off = np.linalg.norm(rotations @ child - parent, axis=1)
     # a period with another axis is no outlier; the worst 5 % of the frames may be
     kept = np.sort(off)[: max(1, round(0.95 * len(off)))] if robust else off
     wobble = 2 * np.arcsin(np.clip(0.5 * np.sqrt(np.mean(kept**2)), 0, 1))
-    angles = turn_angles(rotations, parent)
+    angles = rotation_angles(rotations, parent)
     singular = np.sqrt(np.maximum(values[:2], 0.0))
     return Hinge(
         parent,
         child,
         float(wobble),
         float(np.std(angles)),
-        _range(angles),
+        _angle_range(angles),
         (float(singular[0]), float(singular[1])),
     )
 
 
-def turn_angles(
+def rotation_angles(
     rotations: Float[np.ndarray, "F 3 3"], axis: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "F"]:
     """Compute the angle about an axis of the parent relative to the first frame, radians, unwrapped."""
@@ -97,6 +100,6 @@ def turn_angles(
     return np.unwrap(2 * np.arctan2(skew @ axis, scalar))
 
 
-def _range(angles: np.ndarray) -> float:
+def _angle_range(angles: np.ndarray) -> float:
     low, high = np.quantile(angles, [0.01, 0.99])
     return float(min(high - low, 2 * np.pi))

@@ -9,13 +9,13 @@ from jaxtyping import Float
 State = TypeVar("State", bound=tuple)
 
 #: maximal number of reweightings
-ROUNDS = 12
+MAX_REWEIGHTINGS = 12
 #: least weight of the prior relative to the information of the frames: it determines what exact data leave
 #: open, and moves the rest by no more than rounding errors
-LEAST = 1e-10
+MIN_PRIOR_WEIGHT = 1e-10
 
 
-class Centre(NamedTuple):
+class CentreEstimate(NamedTuple):
     """A centre of rotation as one method estimates it."""
 
     in_parent: Float[np.ndarray, "3"]
@@ -25,24 +25,28 @@ class Centre(NamedTuple):
     covariance: Float[np.ndarray, "3 3"]
 
 
-def settle(
-    step: Callable[[State], State], start: State, rounds: int, tolerance: float, least: int = 1
+def iterate_until_converged(
+    step: Callable[[State], State],
+    start: State,
+    max_iterations: int,
+    tolerance: float,
+    min_iterations: int = 1,
 ) -> State:
     """Iterate a `step` of reweighted least squares until the estimate, the first entry of the state,
     converges.
 
-    It converges when it moves by less than `tolerance`, after more than `least` and at most `rounds`
+    It converges when it moves by less than `tolerance`, after more than `min_iterations` and at most `max_iterations`
     iterations.
     """
     state = start
-    for turn in range(rounds):
+    for turn in range(max_iterations):
         old, state = state, step(state)
-        if turn >= least and np.abs(state[0] - old[0]).max() < tolerance:
+        if turn >= min_iterations and np.abs(state[0] - old[0]).max() < tolerance:
             break
     return state
 
 
-def robust_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+def geman_mcclure_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
     """Compute Geman-McClure weights of residuals with three times the median as scale.
 
     The weights are one where all residuals are exact.
@@ -51,9 +55,13 @@ def robust_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
     return 1 / (1 + (distances / max(scale, 1e-9)) ** 2) ** 2
 
 
-def prior_weight(information: float, variance: float, share: float, spread: float) -> float:
+def prior_weight(
+    information: float, variance: float, independent_fraction: float, prior_deviation: float
+) -> float:
     """Compute the prior's weight in normal equations of unit rows.
 
     The frames are weighted by the share of them that is independent.
     """
-    return max(variance / (max(share, 1e-12) * spread**2), LEAST * information)
+    return max(
+        variance / (max(independent_fraction, 1e-12) * prior_deviation**2), MIN_PRIOR_WEIGHT * information
+    )

@@ -5,22 +5,28 @@ from typing import NamedTuple
 import numpy as np
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..segments.relative_motion import Relative
-from .centre_estimate import ROUNDS, Centre, prior_weight, robust_weights, settle
-from .precision import independent_share
+from ..segments.relative_motion import RelativeMotion
+from .centre_estimate import (
+    MAX_REWEIGHTINGS,
+    CentreEstimate,
+    geman_mcclure_weights,
+    iterate_until_converged,
+    prior_weight,
+)
+from .precision import independent_frame_fraction
 
 
-class _Fit(NamedTuple):
+class _ScoreState(NamedTuple):
     """A centre in both frames, and the weights of frames and prior for the next iteration."""
 
-    found: np.ndarray
+    centres: np.ndarray
     weights: np.ndarray
     variance: float
-    share: float
-    held: float
+    independent_fraction: float
+    ridge: float
 
 
-def score_centre(relative: Relative, robust: bool = True) -> Centre:
+def score_centre(motion: RelativeMotion, robust: bool = True) -> CentreEstimate:
     """Estimate the centre that is fixed in both segments.
 
     It minimises the sum over frames of `|R c + t - p|^2` over its positions `p` in the parent and `c` in the
@@ -31,70 +37,80 @@ def score_centre(relative: Relative, robust: bool = True) -> Centre:
 
     **Raises:** `ValueError` where the child's frame is not known.
     """
-    if relative.rotations is None or relative.translations is None:
+    if motion.rotations is None or motion.translations is None:
         raise ValueError(
             "SCoRE needs the frames of both segments, but the child has fewer than three markers."
         )
-    r, t = relative.rotations, relative.translations
+    r, t = motion.rotations, motion.translations
     count = len(r)
-    middle_child = np.median(np.einsum("fba,fb->fa", r, relative.middle - t), axis=0)
-    prior = np.concatenate([relative.middle, middle_child])
+    middle_child = np.median(np.einsum("fba,fb->fa", r, motion.prior_centre - t), axis=0)
+    prior = np.concatenate([motion.prior_centre, middle_child])
     # relative to the prior, so that rounding errors and the prior's pull are small
     aside = np.einsum("fab,b->fa", r, prior[3:]) + t - prior[:3]
 
-    def step(fit: _Fit) -> _Fit:
+    def step(fit: _ScoreState) -> _ScoreState:
         weights = fit.weights
         side = np.concatenate([weights @ aside, -np.einsum("f,fba,fb->a", weights, r, aside)])
-        found = prior + solve_symmetric(_normal(r, weights) + fit.held * np.eye(6), side)
+        found = prior + solve_symmetric(_normal_matrix(r, weights) + fit.ridge * np.eye(6), side)
         off = np.einsum("fab,b->fa", r, found[3:]) + t - found[:3]
         distances = np.linalg.norm(off, axis=1)
         if robust:
-            weights = robust_weights(distances)
+            weights = geman_mcclure_weights(distances)
         variance = float(weights @ distances**2) / (3 * weights.sum())
-        share = independent_share(off)
-        held = prior_weight(float(weights.sum()), variance, share, relative.spread)
-        return _Fit(found, weights, variance, share, held)
+        share = independent_frame_fraction(off)
+        held = prior_weight(float(weights.sum()), variance, share, motion.prior_deviation)
+        return _ScoreState(found, weights, variance, share, held)
 
-    held = prior_weight(float(count), 0.0, 1.0, relative.spread)
-    fit = settle(step, _Fit(prior, np.ones(count), 0.0, 1.0, held), ROUNDS, 1e-9)
-    covariance = fit.variance / fit.share * inverse_symmetric(_normal(r, fit.weights) + fit.held * np.eye(6))
-    found = _unbiased(fit.found, relative, fit.weights)
-    return Centre(found[:3], found[3:], _widen(covariance[:3, :3], r, fit.weights, relative.spread))
+    held = prior_weight(float(count), 0.0, 1.0, motion.prior_deviation)
+    fit = iterate_until_converged(
+        step, _ScoreState(prior, np.ones(count), 0.0, 1.0, held), MAX_REWEIGHTINGS, 1e-9
+    )
+    covariance = (
+        fit.variance
+        / fit.independent_fraction
+        * inverse_symmetric(_normal_matrix(r, fit.weights) + fit.ridge * np.eye(6))
+    )
+    found = _remove_bias(fit.centres, motion, fit.weights)
+    return CentreEstimate(
+        found[:3], found[3:], _add_prior_variance(covariance[:3, :3], r, fit.weights, motion.prior_deviation)
+    )
 
 
-def _unbiased(found: np.ndarray, relative: Relative, weights: np.ndarray) -> np.ndarray:
+def _remove_bias(centres: np.ndarray, motion: RelativeMotion, weights: np.ndarray) -> np.ndarray:
     """Remove the bias of the centre due to noise in the rotations.
 
     Noise of variance `n` about any axis adds `2 n` to `1 - R R^T`, with R the mean rotation, as if the joint
     also rotated about that segment's origin.
     """
-    r, t = relative.rotations, relative.translations
+    r, t = motion.rotations, motion.translations
     assert r is not None and t is not None
-    of_parent, of_child = (2 * noise for noise in relative.turn_noise)
+    of_parent, of_child = (2 * noise for noise in motion.rotation_noise)
     if of_parent + of_child == 0:
-        return found
+        return centres
     share = weights / weights.sum()
     mean, origin = np.einsum("f,fab->ab", share, r), share @ t
-    pull = of_parent * found[:3] + of_child * (found[:3] - origin)
+    pull = of_parent * centres[:3] + of_child * (centres[:3] - origin)
     values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
     # no correction where most of the rotation is noise
     left = values - of_parent - of_child
     gains = np.where(left > 0.5 * values, 1 / np.maximum(left, 1e-300), 0.0)
     shift = vectors @ (gains * (vectors.T @ pull))
     # the position in the child follows from that in the parent: its rows of the normal equations
-    return np.concatenate([found[:3] + shift, found[3:] + mean.T @ shift])
+    return np.concatenate([centres[:3] + shift, centres[3:] + mean.T @ shift])
 
 
-def _normal(r: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _normal_matrix(r: np.ndarray, weights: np.ndarray) -> np.ndarray:
     mean = np.einsum("f,fab->ab", weights, r)
     whole = weights.sum() * np.eye(6)
     whole[:3, 3:], whole[3:, :3] = -mean, -mean.T
     return whole
 
 
-def _widen(covariance: np.ndarray, r: np.ndarray, weights: np.ndarray, spread: float) -> np.ndarray:
+def _add_prior_variance(
+    covariance: np.ndarray, r: np.ndarray, weights: np.ndarray, prior_deviation: float
+) -> np.ndarray:
     """Add the prior's variance along directions that no frame determines, up to rounding."""
     mean = np.einsum("f,fab->ab", weights / weights.sum(), r)
     values, vectors = np.linalg.eigh(np.eye(3) - mean @ mean.T)
     blind = vectors[:, values < 1e-8]
-    return covariance + spread**2 * blind @ blind.T
+    return covariance + prior_deviation**2 * blind @ blind.T

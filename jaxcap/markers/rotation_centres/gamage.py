@@ -6,22 +6,29 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..segments.relative_motion import Relative
-from .centre_estimate import LEAST, ROUNDS, Centre, prior_weight, robust_weights, settle
-from .precision import independent_share
+from ..segments.relative_motion import RelativeMotion
+from .centre_estimate import (
+    MAX_REWEIGHTINGS,
+    MIN_PRIOR_WEIGHT,
+    CentreEstimate,
+    geman_mcclure_weights,
+    iterate_until_converged,
+    prior_weight,
+)
+from .precision import independent_frame_fraction
 
 
-class _Fit(NamedTuple):
+class _ConcentricState(NamedTuple):
     """A centre and its covariance, with the weights and the noise variance for the next iteration."""
 
-    found: np.ndarray
+    centre: np.ndarray
     covariance: np.ndarray
     weights: np.ndarray
     noise: float
-    held: float
+    ridge: float
 
 
-def gamage_centre(relative: Relative, robust: bool = True, unbiased: bool = True) -> Centre:
+def gamage_centre(motion: RelativeMotion, robust: bool = True, unbiased: bool = True) -> CentreEstimate:
     """Estimate the common centre of the spheres of the child's markers in the parent's frame.
 
     The sum over markers of the variance of `|v - c|^2` (Gamage and Lasenby 2002, eq. 5) has a minimum that
@@ -29,40 +36,40 @@ def gamage_centre(relative: Relative, robust: bool = True, unbiased: bool = True
     each marker and `2 s^2` times its mean to the right side. Both are subtracted, with `s` from the
     residual, until convergence (Halvorsen 2003). Only the parent's frame has to be known.
     """
-    c, covariance = concentric(
-        relative.tracks,
-        relative.tracked,
-        relative.weights,
-        relative.middle,
-        relative.spread,
+    c, covariance = concentric_centre(
+        motion.child_markers,
+        motion.child_visible,
+        motion.child_weights,
+        motion.prior_centre,
+        motion.prior_deviation,
         robust,
         unbiased,
     )
     in_child = None
-    if relative.rotations is not None and relative.translations is not None:
-        there = np.einsum("fba,fb->fa", relative.rotations, c - relative.translations)
+    if motion.rotations is not None and motion.translations is not None:
+        there = np.einsum("fba,fb->fa", motion.rotations, c - motion.translations)
         in_child = np.median(there, axis=0)
-    return Centre(c, in_child, covariance)
+    return CentreEstimate(c, in_child, covariance)
 
 
-def concentric(
+def concentric_centre(
     tracks: Float[np.ndarray, "F N 3"],
-    tracked: Bool[np.ndarray, "F N"],
+    visible: Bool[np.ndarray, "F N"],
     marker_weights: Float[np.ndarray, "N"],
-    middle: Float[np.ndarray, "3"],
-    spread: float,
+    prior_centre: Float[np.ndarray, "3"],
+    prior_deviation: float,
     robust: bool = True,
     unbiased: bool = True,
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Estimate the common centre and its covariance from trajectories of N markers."""
-    v = np.where(tracked[..., None], tracks - middle, 0.0)
+    v = np.where(visible[..., None], tracks - prior_centre, 0.0)
     squares = np.sum(v * v, -1)
 
-    def step(fit: _Fit) -> _Fit:
+    def step(fit: _ConcentricState) -> _ConcentricState:
         weights, noise = fit.weights, fit.noise
         mass = np.maximum(weights.sum(0), 1e-300)
         mean = np.einsum("fn,fna->na", weights, v) / mass[:, None]
-        centred = np.where(tracked[..., None], v - mean, 0.0)
+        centred = np.where(visible[..., None], v - mean, 0.0)
         matrix = np.einsum("fn,fna,fnb->ab", weights, centred, centred)
         side = 0.5 * np.einsum("fn,fna,fn->a", weights, centred, squares)
         if unbiased:
@@ -70,25 +77,25 @@ def concentric(
             matrix = matrix - noise * weights.sum() * np.eye(3)
             side = side - noise * np.einsum("fn,na->a", weights, mean)
         # with hardly any rotation all the variance may be noise: the prior then determines the centre
-        lift = max(0.0, -np.linalg.eigvalsh(matrix)[0]) + LEAST * np.trace(matrix)
-        c = solve_symmetric(matrix + (fit.held + lift) * np.eye(3), side)
+        lift = max(0.0, -np.linalg.eigvalsh(matrix)[0]) + MIN_PRIOR_WEIGHT * np.trace(matrix)
+        c = solve_symmetric(matrix + (fit.ridge + lift) * np.eye(3), side)
         distances = np.linalg.norm(v - c, axis=-1)
         radius = np.einsum("fn,fn->n", weights, distances) / mass
-        off = np.where(tracked, distances - radius, 0.0)
+        off = np.where(visible, distances - radius, 0.0)
         if robust:
             away = np.abs(off)
-            some = np.where(tracked, away, np.median(away[tracked]))
-            weights = tracked * marker_weights * robust_weights(some.ravel()).reshape(off.shape)
-        noise, share = float((weights * off**2).sum() / weights.sum()), independent_share(off)
+            some = np.where(visible, away, np.median(away[visible]))
+            weights = visible * marker_weights * geman_mcclure_weights(some.ravel()).reshape(off.shape)
+        noise, share = float((weights * off**2).sum() / weights.sum()), independent_frame_fraction(off)
         # per unit of the radius, as the rows are radii times distances
         held = prior_weight(
-            abs(float(np.trace(matrix)) / 3), noise * float((radius**2).mean()), share, spread
+            abs(float(np.trace(matrix)) / 3), noise * float((radius**2).mean()), share, prior_deviation
         )
         # a row of the equation is radius times the deviation of the distance
         mean_square = float((weights.sum(0) @ radius**2) / weights.sum())
         covariance = noise * mean_square / share * inverse_symmetric(matrix + (held + lift) * np.eye(3))
-        return _Fit(c, covariance, weights, noise, held)
+        return _ConcentricState(c, covariance, weights, noise, held)
 
-    start = _Fit(np.zeros(3), np.eye(3), tracked * marker_weights, 0.0, 0.0)
-    fit = settle(step, start, 3 * ROUNDS, 1e-10, least=4)
-    return middle + fit.found, fit.covariance
+    start = _ConcentricState(np.zeros(3), np.eye(3), visible * marker_weights, 0.0, 0.0)
+    fit = iterate_until_converged(step, start, 3 * MAX_REWEIGHTINGS, 1e-10, min_iterations=4)
+    return prior_centre + fit.centre, fit.covariance

@@ -5,13 +5,15 @@ import numpy as np
 from .joint import Joint
 
 #: number of passes, as hinges can be neighbours
-PASSES = 2
+NUM_PASSES = 2
 #: least standard deviation of a neighbour's evidence on the position along the axis, metres: limbs are not
 #: quite flat
-APART = 0.02
+MIN_LEVEL_DEVIATION = 0.02
 
 
-def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) -> tuple[Joint | None, ...]:
+def align_hinge_centres(
+    parents: tuple[int, ...], joints: tuple[Joint | None, ...]
+) -> tuple[Joint | None, ...]:
     """Move the centres of hinges along their axes to the level of the neighbouring joints.
 
     The motion of a limb does not determine the position of a hinge along its axis (Ehrig 2007); a knee's
@@ -20,7 +22,7 @@ def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) ->
     positions along the axis. The weights are the inverse variances along it.
     """
     settled = list(joints)
-    for _ in range(PASSES):
+    for _ in range(NUM_PASSES):
         for child, joint in enumerate(settled):
             if joint is None or joint.axis_in_parent is None or joint.axis_in_child is None:
                 continue
@@ -29,16 +31,16 @@ def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) ->
             above = settled[joint.parent]
             if above is not None and np.isfinite(above.in_child).all():
                 places.append((above.in_child - joint.in_parent) @ joint.axis_in_parent)
-                variances.append(_variance(above))
+                variances.append(_max_variance(above))
             for other, parent in enumerate(parents):
                 below = settled[other]
                 if parent == child and below is not None:
                     places.append((below.in_parent - joint.in_child) @ joint.axis_in_child)
                     along = below.directions @ joint.axis_in_child
-                    variances.append(float(np.sum((along * below.precision) ** 2)))
-            own = float(joint.precision[-1]) ** 2
-            weights = 1 / (APART**2 + np.array(variances)) if places else np.zeros(0)
-            total = weights.sum() + 1 / max(own, APART**2)
+                    variances.append(float(np.sum((along * below.deviations) ** 2)))
+            own = float(joint.deviations[-1]) ** 2
+            weights = 1 / (MIN_LEVEL_DEVIATION**2 + np.array(variances)) if places else np.zeros(0)
+            total = weights.sum() + 1 / max(own, MIN_LEVEL_DEVIATION**2)
             shift = float(weights @ np.array(places)) / total if places else 0.0
             settled[child] = joint._replace(
                 in_parent=joint.in_parent + shift * joint.axis_in_parent,
@@ -47,6 +49,6 @@ def settle_hinges(parents: tuple[int, ...], joints: tuple[Joint | None, ...]) ->
     return tuple(settled)
 
 
-def _variance(joint: Joint) -> float:
+def _max_variance(joint: Joint) -> float:
     """Take the greatest variance of a joint that has its directions in another frame."""
-    return float(joint.precision[-1]) ** 2
+    return float(joint.deviations[-1]) ** 2

@@ -23,13 +23,13 @@ class Joint(NamedTuple):
     #: root mean square distance between the centre as the two segments carry it, metres
     residual: float
     #: standard deviations of the centre along `directions`, metres, ascending
-    precision: Float[np.ndarray, "3"]
+    deviations: Float[np.ndarray, "3"]
     #: unit directions in the parent's frame, one a row
     directions: Float[np.ndarray, "3 3"]
     #: bound on the precision from the swept arc, metres (Silaghi et al. 1998)
-    bound: float
+    arc_bound: float
     #: the largest arc about the centre, radians
-    swept: float
+    swept_angle: float
     method: str
 
     def flipped(self, rotation: Float[np.ndarray, "3 3"]) -> "Joint":

@@ -6,7 +6,7 @@ from jaxtyping import Float
 #: number of frames that arcs are measured on
 ARC_FRAMES = 150
 #: share of a trajectory's extremes that is ignored
-TAIL = 0.01
+TRIMMED_FRACTION = 0.01
 
 
 def swept_arc(track: Float[np.ndarray, "F 3"], centre: Float[np.ndarray, "3"]) -> float:
@@ -22,8 +22,8 @@ def swept_arc(track: Float[np.ndarray, "F 3"], centre: Float[np.ndarray, "3"]) -
         return 0.0
     # from the chord, which is accurate at small angles; the cosine is not
     chords = np.linalg.norm(away[:, None] - away[None], axis=-1)
-    reach = np.sort(chords, axis=1)[:, -max(1, round(TAIL * len(away)))]
-    return 2 * float(np.arcsin(np.clip(0.5 * np.quantile(reach, 1 - TAIL), 0, 1)))
+    reach = np.sort(chords, axis=1)[:, -max(1, round(TRIMMED_FRACTION * len(away)))]
+    return 2 * float(np.arcsin(np.clip(0.5 * np.quantile(reach, 1 - TRIMMED_FRACTION), 0, 1)))
 
 
 def arc_bound(distances: Float[np.ndarray, "F"], swept: float) -> float:
@@ -38,7 +38,7 @@ def arc_bound(distances: Float[np.ndarray, "F"], swept: float) -> float:
     return half / max(1 - np.cos(0.5 * min(swept, np.pi)), 1e-12)
 
 
-def independent_share(residuals: Float[np.ndarray, "F D"]) -> float:
+def independent_frame_fraction(residuals: Float[np.ndarray, "F D"]) -> float:
     """Estimate the share of independent frames from the autocorrelation of their residuals.
 
     Skin slides alike in similar poses, so that consecutive frames have similar errors. Method: initial
@@ -56,7 +56,7 @@ def independent_share(residuals: Float[np.ndarray, "F D"]) -> float:
     return float(np.clip(1 / (1 + 2 * max(pairs[:stop].sum(), 0.0)), 6 / count, 1.0))
 
 
-def principal(
+def principal_deviations(
     covariance: Float[np.ndarray, "3 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Compute standard deviations, ascending, and their directions, one a row."""

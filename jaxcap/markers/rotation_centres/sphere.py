@@ -7,21 +7,21 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from ...geometry import linear
-from ..segments.relative_motion import Relative
-from .centre_estimate import ROUNDS, Centre, robust_weights, settle
-from .precision import independent_share
+from ..segments.relative_motion import RelativeMotion
+from .centre_estimate import MAX_REWEIGHTINGS, CentreEstimate, geman_mcclure_weights, iterate_until_converged
+from .precision import independent_frame_fraction
 
 #: number of grid cells along the longest side of a trajectory's bounding box, for densities
-BOXES = 6
+NUM_CELLS = 6
 #: a trajectory is flat if its third singular value is below this share of its second
-FLAT = 0.12
+FLATNESS_RATIO = 0.12
 #: lower limit of a trajectory's residual deviation, metres
-EXACT = 1e-5
+MIN_DEVIATION = 1e-5
 #: relative tolerance of a fit: as near to the minimum as rounding allows
-EXACTLY = 1e-15
+FIT_TOLERANCE = 1e-15
 
 
-class Ball(NamedTuple):
+class FittedSphere(NamedTuple):
     """A sphere, or a circle with the normal of its plane, fitted to a trajectory."""
 
     centre: Float[np.ndarray, "3"]
@@ -34,14 +34,14 @@ class Ball(NamedTuple):
     information: Float[np.ndarray, "3 3"]
 
 
-class _Fit(NamedTuple):
+class _SphereState(NamedTuple):
     """A sphere's centre and radius, and the weights of positions and prior for the next iteration."""
 
-    found: np.ndarray
+    parameters: np.ndarray
     weights: np.ndarray
     variance: float
-    share: float
-    hold: float
+    independent_fraction: float
+    ridge: float
 
 
 def density_weights(track: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
@@ -51,8 +51,8 @@ def density_weights(track: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
     """
     low, size = track.min(0), np.ptp(track, axis=0)
     # cells are cubes, so that a flat trajectory is not divided along its noise
-    edge = max(float(size.max()) / BOXES, 1e-12)
-    cells = np.minimum(((track - low) / edge).astype(int), BOXES - 1)
+    edge = max(float(size.max()) / NUM_CELLS, 1e-12)
+    cells = np.minimum(((track - low) / edge).astype(int), NUM_CELLS - 1)
     _, place, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     weights = 1.0 / counts[place.ravel()]
     return weights / weights.mean()
@@ -61,14 +61,14 @@ def density_weights(track: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
 def fit_sphere(
     track: Float[np.ndarray, "F 3"],
     weights: Float[np.ndarray, "F"],
-    middle: Float[np.ndarray, "3"],
-    spread: float,
+    prior_centre: Float[np.ndarray, "3"],
+    prior_deviation: float,
     robust: bool = True,
-) -> Ball:
+) -> FittedSphere:
     """Fit a sphere by minimising the sum of `(|v - c| - r)^2`.
 
     The fit is geometric, so it lacks the bias of the algebraic fit. Levenberg-Marquardt (MINPACK) starts
-    from `middle`, which with `spread` is also a weak prior of the centre. The weights of outliers and of the
+    from `prior_centre`, which with `prior_deviation` is also a weak prior of the centre. The weights of outliers and of the
     prior are updated until convergence.
     """
 
@@ -80,37 +80,45 @@ def fit_sphere(
         units = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
         return np.concatenate([-units, -np.ones((len(track), 1))], 1)
 
-    def step(fit: _Fit) -> _Fit:
-        root, held = np.sqrt(fit.weights), np.sqrt(fit.hold)
+    def step(fit: _SphereState) -> _SphereState:
+        root, held = np.sqrt(fit.weights), np.sqrt(fit.ridge)
         found = least_squares(
-            lambda x: np.append(root * offsets(x), held * (x[:3] - middle)),
-            fit.found,
+            lambda x: np.append(root * offsets(x), held * (x[:3] - prior_centre)),
+            fit.parameters,
             lambda x: np.concatenate([root[:, None] * slopes(x), held * np.eye(3, 4)]),  # pyright: ignore[reportArgumentType]
             method="lm",
-            xtol=EXACTLY,
-            ftol=EXACTLY,
-            gtol=EXACTLY,
+            xtol=FIT_TOLERANCE,
+            ftol=FIT_TOLERANCE,
+            gtol=FIT_TOLERANCE,
         ).x
         off = offsets(found)
-        own = weights * robust_weights(np.abs(off)) if robust else weights
-        variance, share = float(own @ off**2 / own.sum()), independent_share(off[:, None])
-        hold = max(variance / (share * spread**2), 1e-10 * own.sum())
-        return _Fit(found, own, variance, share, hold)
+        own = weights * geman_mcclure_weights(np.abs(off)) if robust else weights
+        variance, share = float(own @ off**2 / own.sum()), independent_frame_fraction(off[:, None])
+        hold = max(variance / (share * prior_deviation**2), 1e-10 * own.sum())
+        return _SphereState(found, own, variance, share, hold)
 
-    radius = weights @ np.linalg.norm(track - middle, axis=1) / weights.sum()
-    fit = settle(step, _Fit(np.append(middle, radius), weights, spread**2, 1.0, 0.0), ROUNDS, 1e-9)
-    rows, off = slopes(fit.found), offsets(fit.found)
+    radius = weights @ np.linalg.norm(track - prior_centre, axis=1) / weights.sum()
+    fit = iterate_until_converged(
+        step,
+        _SphereState(np.append(prior_centre, radius), weights, prior_deviation**2, 1.0, 0.0),
+        MAX_REWEIGHTINGS,
+        1e-9,
+    )
+    rows, off = slopes(fit.parameters), offsets(fit.parameters)
     matrix = np.einsum("f,fa,fb->ab", fit.weights, rows, rows)
     # the radius is unknown, too
     normal = matrix[:3, :3] - np.outer(matrix[:3, 3], matrix[3, :3]) / matrix[3, 3]
     residual = float(np.sqrt(weights @ off**2 / weights.sum()))
-    information = fit.share * normal / max(fit.variance, EXACT**2)
-    return Ball(fit.found[:3], float(fit.found[3]), None, residual, information)
+    information = fit.independent_fraction * normal / max(fit.variance, MIN_DEVIATION**2)
+    return FittedSphere(fit.parameters[:3], float(fit.parameters[3]), None, residual, information)
 
 
 def fit_circle(
-    track: Float[np.ndarray, "F 3"], weights: Float[np.ndarray, "F"], spread: float, robust: bool = True
-) -> Ball:
+    track: Float[np.ndarray, "F 3"],
+    weights: Float[np.ndarray, "F"],
+    prior_deviation: float,
+    robust: bool = True,
+) -> FittedSphere:
     """Fit a circle geometrically in the trajectory's best plane (least squares of the distances to it).
 
     Its centre is a point of the axis. It does not determine the position of the joint along the axis.
@@ -124,9 +132,9 @@ def fit_circle(
     start = linear.least_squares(rows * root[:, None], np.sum(flat**2, 1) * root)
     start = np.array([*start[:2], 0.0])
     reach = np.linalg.norm(start)
-    if reach > 4 * spread:
-        start *= 4 * spread / reach
-    ball = fit_sphere(flat, weights, start, spread, robust)
+    if reach > 4 * prior_deviation:
+        start *= 4 * prior_deviation / reach
+    ball = fit_sphere(flat, weights, start, prior_deviation, robust)
     out = (track - mean) @ axes[2]
     frame = axes.copy()
     information = ball.information.copy()
@@ -134,32 +142,32 @@ def fit_circle(
     information[2], information[:, 2] = 0.0, 0.0
     residual = float(np.hypot(ball.residual, np.sqrt(weights @ out**2 / weights.sum())))
     centre = mean + ball.centre[0] * axes[0] + ball.centre[1] * axes[1]
-    return Ball(centre, ball.radius, axes[2], residual, frame.T @ information @ frame)
+    return FittedSphere(centre, ball.radius, axes[2], residual, frame.T @ information @ frame)
 
 
-def fit_ball(
+def fit_sphere_or_circle(
     track: Float[np.ndarray, "F 3"],
-    middle: Float[np.ndarray, "3"],
-    spread: float,
+    prior_centre: Float[np.ndarray, "3"],
+    prior_deviation: float,
     robust: bool = True,
-) -> Ball:
+) -> FittedSphere:
     """Fit a circle where the trajectory is flat, otherwise a sphere, with inverse-density weights."""
     weights = density_weights(track)
     values = np.linalg.svd(track - track.mean(0), compute_uv=False)
-    flat = values[2] < FLAT * values[1] or values[2] < 1e-9
+    flat = values[2] < FLATNESS_RATIO * values[1] or values[2] < 1e-9
     return (
-        fit_circle(track, weights, spread, robust)
+        fit_circle(track, weights, prior_deviation, robust)
         if flat
-        else fit_sphere(track, weights, middle, spread, robust)
+        else fit_sphere(track, weights, prior_centre, prior_deviation, robust)
     )
 
 
-def combine(
-    balls: list[Ball],
+def combine_centres(
+    spheres: list[FittedSphere],
     weights: Float[np.ndarray, "N"],
-    middle: Float[np.ndarray, "3"],
-    spread: float,
-    by: Literal["information", "radius"] = "information",
+    prior_centre: Float[np.ndarray, "3"],
+    prior_deviation: float,
+    weighting: Literal["information", "radius"] = "information",
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
     """Combine centre estimates by their information matrices (1/m²).
 
@@ -167,40 +175,44 @@ def combine(
     lost, and a single weight cannot express that a short arc determines one direction only. So by default
     each centre has its own information matrix, times the marker's weight.
     """
-    if by == "radius":
-        shares = weights / np.array([max(ball.radius, 1e-9) for ball in balls])
+    if weighting == "radius":
+        shares = weights / np.array([max(ball.radius, 1e-9) for ball in spheres])
         shares = shares / shares.sum()
-        centre = shares @ np.stack([ball.centre for ball in balls])
-        return centre, sum((ball.information for ball in balls), np.eye(3) / spread**2)
-    total, side = np.eye(3) / spread**2, middle / spread**2
-    for ball, weight in zip(balls, weights, strict=True):
+        centre = shares @ np.stack([ball.centre for ball in spheres])
+        return centre, sum((ball.information for ball in spheres), np.eye(3) / prior_deviation**2)
+    total, side = np.eye(3) / prior_deviation**2, prior_centre / prior_deviation**2
+    for ball, weight in zip(spheres, weights, strict=True):
         total = total + weight * ball.information
         side = side + weight * ball.information @ ball.centre
     return linear.solve_symmetric(total, side), total
 
 
 def sphere_centre(
-    relative: Relative, robust: bool = True, by: Literal["information", "radius"] = "information"
-) -> Centre:
+    motion: RelativeMotion, robust: bool = True, weighting: Literal["information", "radius"] = "information"
+) -> CentreEstimate:
     """Estimate the paper's centre from spheres of the child's markers in the parent's frame.
 
     Where the child's frame is known, spheres of the parent's markers in it are added (Silaghi et al. 1998).
     """
-    centre, known = _one_side(relative, robust, by)
-    if relative.rotations is None or relative.translations is None:
-        return Centre(centre, None, linear.inverse_symmetric(known))
-    r, t = relative.rotations, relative.translations
-    other, its = _one_side(relative.flipped(), robust, by)
+    centre, known = _centre_in_frame(motion, robust, weighting)
+    if motion.rotations is None or motion.translations is None:
+        return CentreEstimate(centre, None, linear.inverse_symmetric(known))
+    r, t = motion.rotations, motion.translations
+    other, its = _centre_in_frame(motion.flipped(), robust, weighting)
     carried = np.median(np.einsum("fab,b->fa", r, other) + t, axis=0)
     its = np.mean(r @ its @ r.swapaxes(-1, -2), axis=0)
     centre = centre + linear.solve_symmetric(known + its, its @ (carried - centre))
     back = np.einsum("fba,fb->fa", r, centre - t)
-    return Centre(centre, np.median(back, axis=0), linear.inverse_symmetric(known + its))
+    return CentreEstimate(centre, np.median(back, axis=0), linear.inverse_symmetric(known + its))
 
 
-def _one_side(relative: Relative, robust: bool, by) -> tuple[np.ndarray, np.ndarray]:
+def _centre_in_frame(motion: RelativeMotion, robust: bool, weighting) -> tuple[np.ndarray, np.ndarray]:
     balls = [
-        fit_ball(relative.tracks[seen, n], relative.middle, relative.spread, robust)
-        for n, seen in enumerate(relative.tracked.T)
+        fit_sphere_or_circle(
+            motion.child_markers[seen, n], motion.prior_centre, motion.prior_deviation, robust
+        )
+        for n, seen in enumerate(motion.child_visible.T)
     ]
-    return combine(balls, relative.weights, relative.middle, relative.spread, by)
+    return combine_centres(
+        balls, motion.child_weights, motion.prior_centre, motion.prior_deviation, weighting
+    )

@@ -16,68 +16,68 @@ from ...geometry.procrustes import rigid_fit
 from ...observe import MarkerFrames
 
 #: number of markers that carry another through a gap, and of frames compared to choose them
-CARRIERS, COMPARED = 6, 50
+NUM_PREDICTORS, FRAMES_COMPARED = 6, 50
 #: highest speed of a marker to be considered as another's continuation, metres a second
-FASTEST = 10.0
+MAX_SPEED = 10.0
 #: uncertainty of a marker position, metres
-NOISE = 0.002
+POSITION_NOISE = 0.002
 #: largest movement of any marker in a static take, metres
-STILL = 1e-6
+STATIC_TOLERANCE = 1e-6
 
 
-class Gaps(NamedTuple):
+class GapStatistics(NamedTuple):
     """Gap statistics of each marker. A gap is a run of frames without the marker, also at the ends."""
 
     #: fraction of the frames with the marker visible
-    seen: Float[np.ndarray, "M"]
-    count: Int[np.ndarray, "M"]
+    visible_fraction: Float[np.ndarray, "M"]
+    num_gaps: Int[np.ndarray, "M"]
     #: number of frames of the longest gap
-    longest: Int[np.ndarray, "M"]
+    longest_gap: Int[np.ndarray, "M"]
 
 
-def gap_statistics(frames: MarkerFrames) -> Gaps:
+def gap_statistics(frames: MarkerFrames) -> GapStatistics:
     """Compute the visible fraction, the number of gaps and the longest gap of each marker."""
-    seen = np.asarray(frames.seen)
-    lengths = [[end - begin for begin, end in runs(~column)] for column in seen.T]
-    return Gaps(
+    seen = np.asarray(frames.visible)
+    lengths = [[end - begin for begin, end in find_runs(~column)] for column in seen.T]
+    return GapStatistics(
         seen.mean(0),
         np.array([len(some) for some in lengths], int),
         np.array([max(some, default=0) for some in lengths], int),
     )
 
 
-def runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
+def find_runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
     """Find the runs of true values as `(begin, end)`, the end exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def never_seen(frames: MarkerFrames) -> tuple[str, ...]:
+def never_visible(frames: MarkerFrames) -> tuple[str, ...]:
     """List the labels of markers that are visible in no frame."""
-    seen = np.any(np.asarray(frames.seen), axis=0)
+    seen = np.any(np.asarray(frames.visible), axis=0)
     return tuple(label for i, label in enumerate(frames.labels) if not seen[i])
 
 
-def is_still(frames: MarkerFrames) -> bool:
+def is_static(frames: MarkerFrames) -> bool:
     """Test if all frames are equal: no marker moves by more than a micrometre."""
-    seen = np.asarray(frames.seen)[..., None]
-    places = np.asarray(frames.places, float)
+    seen = np.asarray(frames.visible)[..., None]
+    places = np.asarray(frames.positions, float)
     spread = np.where(seen, places, -np.inf).max(0) - np.where(seen, places, np.inf).min(0)
-    return bool(np.all(spread <= STILL))
+    return bool(np.all(spread <= STATIC_TOLERANCE))
 
 
-def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
+def describe_problems(frames: MarkerFrames) -> tuple[str, ...]:
     """Describe the problems of a marker recording, one sentence each.
 
     The problems are: no visible marker, markers that are never visible, equal frames, empty frames, and
     fragmented trajectories.
     """
-    seen, told = np.asarray(frames.seen), []
+    seen, told = np.asarray(frames.visible), []
     if not seen.any():
         return ("No marker is visible in any frame.",)
-    if lost := never_seen(frames):
-        told.append(f"{_listed(lost)} never visible; leave out markers that were not worn.")
-    if len(frames) > 1 and is_still(frames):
+    if lost := never_visible(frames):
+        told.append(f"{_format_labels(lost)} never visible; leave out markers that were not worn.")
+    if len(frames) > 1 and is_static(frames):
         told.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be determined.")
     if empty := int((~seen.any(1)).sum()):
         told.append(f"{empty} of {len(frames)} frames have no visible marker.")
@@ -91,19 +91,19 @@ def describe_gaps(frames: MarkerFrames) -> tuple[str, ...]:
 
 
 def find_pieces(
-    frames: MarkerFrames, within: float = 2.0, reach: float = 0.04
+    frames: MarkerFrames, max_gap: float = 2.0, max_error: float = 0.04
 ) -> tuple[tuple[int, ...], ...]:
     """Find chains of markers that look like one fragmented trajectory, each in the order of time.
 
-    A marker can follow another if it begins after the other's end, by at most `within` seconds, and less
-    than `reach` metres from the predicted position. Each has at most one successor. The matching minimises
+    A marker can follow another if it begins after the other's end, by at most `max_gap` seconds, and less
+    than `max_error` metres from the predicted position. Each has at most one successor. The matching minimises
     the total cost (linear assignment).
     """
-    seen, places = np.array(frames.seen), np.array(frames.places, float)
+    seen, places = np.array(frames.visible), np.array(frames.positions, float)
     chains: dict[int, tuple[int, ...]] = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
     # joined trajectories can carry others through gaps that their pieces could not
     while follows := _successors(
-        places, seen, list(chains), within * frames.rate, FASTEST / frames.rate, reach
+        places, seen, list(chains), max_gap * frames.rate, MAX_SPEED / frames.rate, max_error
     ):
         for head in [i for i in chains if i in follows and i not in follows.values()]:
             piece = head
@@ -125,7 +125,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
     frame.
     """
     chains = find_pieces(frames) if chains is None else chains
-    seen, places = np.array(frames.seen), np.array(frames.places)
+    seen, places = np.array(frames.visible), np.array(frames.positions)
     labels, used, gone = list(frames.labels), set(), set()
     for chain in chains:
         if used & set(chain) or len(set(chain)) < len(chain):
@@ -157,10 +157,10 @@ def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
     sequence. Such a name does not identify a marker across a gap. `join_pieces` joins the pieces that belong
     together.
     """
-    seen, places = np.asarray(frames.seen), np.asarray(frames.places)
+    seen, places = np.asarray(frames.visible), np.asarray(frames.positions)
     columns: list[tuple[str, int, np.ndarray]] = []
     for i, label in enumerate(frames.labels):
-        pieces = runs(seen[:, i])
+        pieces = find_runs(seen[:, i])
         if not label.startswith("*") or len(pieces) < 2:
             columns.append((label, i, seen[:, i]))
             continue
@@ -174,90 +174,108 @@ def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
 
 
 def _successors(
-    places: Float[np.ndarray, "F M 3"],
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     markers: list[int],
-    within: float,
-    speed: float,
-    reach: float,
+    max_gap: float,
+    max_speed: float,
+    max_error: float,
 ) -> dict[int, int]:
-    """Match markers to their successors; `within` in frames, `speed` in metres a frame."""
+    """Match markers to their successors; `max_gap` in frames, `max_speed` in metres a frame."""
     there = np.asarray(markers)
     first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
     # rows are ends, columns beginnings
     between = first[None, there] - last[there, None]
     cost = np.full(between.shape, np.inf)
-    for row, column in np.argwhere((between > 0) & (between <= within)):
+    for row, column in np.argwhere((between > 0) & (between <= max_gap)):
         end, begin, gap = int(there[row]), int(there[column]), between[row, column]
-        if np.linalg.norm(places[last[end], end] - places[first[begin], begin]) > reach + speed * gap:
+        if (
+            np.linalg.norm(positions[last[end], end] - positions[first[begin], begin])
+            > max_error + max_speed * gap
+        ):
             continue
-        miss = _miss(places, seen, end, begin, int(last[end]), int(first[begin]))
-        if miss < reach:
+        miss = _prediction_error(positions, seen, end, begin, int(last[end]), int(first[begin]))
+        if miss < max_error:
             # prefer the shorter gap where two fit equally well
-            cost[row, column] = miss / reach + 0.5 * gap / within
-    return {int(there[row]): int(there[column]) for row, column in _assign(cost).items()}
+            cost[row, column] = miss / max_error + 0.5 * gap / max_gap
+    return {int(there[row]): int(there[column]) for row, column in _minimum_cost_matching(cost).items()}
 
 
-def _miss(
-    places: Float[np.ndarray, "F M 3"],
+def _prediction_error(
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     end: int,
     begin: int,
-    last: int,
-    first: int,
+    last_frame: int,
+    first_frame: int,
 ) -> float:
     """Compute the mean of the forward and backward prediction errors across a gap, metres.
 
     Forward, `end` is predicted at the first frame of `begin`. Backward, `begin` is predicted at the last
     frame of `end`.
     """
-    there = _carried(places, seen, end, last, first)
-    back = _carried(places, seen, begin, first, last)
-    ahead = _coasted(places, seen, end, last, first) if there is None else there
-    behind = _coasted(places, seen, begin, first, last) if back is None else back
-    misses = np.linalg.norm(ahead - places[first, begin]), np.linalg.norm(behind - places[last, end])
+    there = _predict_rigidly(positions, seen, end, last_frame, first_frame)
+    back = _predict_rigidly(positions, seen, begin, first_frame, last_frame)
+    ahead = _extrapolate(positions, seen, end, last_frame, first_frame) if there is None else there
+    behind = _extrapolate(positions, seen, begin, first_frame, last_frame) if back is None else back
+    misses = (
+        np.linalg.norm(ahead - positions[first_frame, begin]),
+        np.linalg.norm(behind - positions[last_frame, end]),
+    )
     # without surrounding markers on both sides, take the smaller error
     return float(np.mean(misses) if there is not None and back is not None else np.min(misses))
 
 
-def _carried(
-    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
+def _predict_rigidly(
+    positions: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    marker: int,
+    source_frame: int,
+    target_frame: int,
 ) -> Float[np.ndarray, "3"] | None:
-    """Predict a marker at frame `new` by the rigid motion of its neighbours since frame `old`.
+    """Predict a marker at frame `target_frame` by the rigid motion of its neighbours since frame `source_frame`.
 
     None where fewer than three neighbours are visible in both.
     """
-    both = seen[old] & seen[new]
+    both = seen[source_frame] & seen[target_frame]
     both[marker] = False
     others = np.flatnonzero(both)
     if len(others) < 3:
         return None
     shown = np.flatnonzero(seen[:, marker])
-    shown = shown[np.linspace(0, len(shown) - 1, min(COMPARED, len(shown))).astype(int)]
-    away = np.linalg.norm(places[shown][:, others] - places[shown, marker][:, None], axis=2)
+    shown = shown[np.linspace(0, len(shown) - 1, min(FRAMES_COMPARED, len(shown))).astype(int)]
+    away = np.linalg.norm(positions[shown][:, others] - positions[shown, marker][:, None], axis=2)
     away[~seen[shown][:, others]] = np.nan
-    spread = np.sqrt(np.nanmean((away - away[shown == old]) ** 2, axis=0))
-    near = np.linalg.norm(places[old, others] - places[old, marker], axis=1)
+    spread = np.sqrt(np.nanmean((away - away[shown == source_frame]) ** 2, axis=0))
+    near = np.linalg.norm(positions[source_frame, others] - positions[source_frame, marker], axis=1)
     # short pieces show little variation; then the nearest markers are most probably on the same bone
-    doubt = spread**2 + (0.02 * near) ** 2 + NOISE**2
-    chosen = np.argsort(doubt)[:CARRIERS]
+    doubt = spread**2 + (0.02 * near) ** 2 + POSITION_NOISE**2
+    chosen = np.argsort(doubt)[:NUM_PREDICTORS]
     weights = 1 / doubt[chosen] ** 2
     weights /= weights.sum()
-    turn, shift = rigid_fit(places[old, others[chosen]], places[new, others[chosen]], weights)
-    return turn @ places[old, marker] + shift
+    turn, shift = rigid_fit(
+        positions[source_frame, others[chosen]], positions[target_frame, others[chosen]], weights
+    )
+    return turn @ positions[source_frame, marker] + shift
 
 
-def _coasted(
-    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], marker: int, old: int, new: int
+def _extrapolate(
+    positions: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    marker: int,
+    source_frame: int,
+    target_frame: int,
 ) -> Float[np.ndarray, "3"]:
-    """Extrapolate a marker at constant velocity from frame `old` to frame `new`."""
-    earlier = old - 1 if new > old else old + 1
+    """Extrapolate a marker at constant velocity from frame `source_frame` to frame `target_frame`."""
+    earlier = source_frame - 1 if target_frame > source_frame else source_frame + 1
     if not (0 <= earlier < len(seen) and seen[earlier, marker]):
-        return places[old, marker]
-    return places[old, marker] + (places[old, marker] - places[earlier, marker]) * abs(new - old)
+        return positions[source_frame, marker]
+    return positions[source_frame, marker] + (
+        positions[source_frame, marker] - positions[earlier, marker]
+    ) * abs(target_frame - source_frame)
 
 
-def _assign(cost: Float[np.ndarray, "R R"]) -> dict[int, int]:
+def _minimum_cost_matching(cost: Float[np.ndarray, "R R"]) -> dict[int, int]:
     """Match rows to columns with the most links, and among these the lowest cost; infinite costs are
     excluded."""
     none = 1.0 + 2.0 * len(cost)
@@ -265,6 +283,6 @@ def _assign(cost: Float[np.ndarray, "R R"]) -> dict[int, int]:
     return {int(r): int(c) for r, c in zip(rows, columns, strict=True) if np.isfinite(cost[r, c])}
 
 
-def _listed(labels: tuple[str, ...]) -> str:
+def _format_labels(labels: tuple[str, ...]) -> str:
     some = ", ".join(labels[:8]) + (f" and {len(labels) - 8} more" if len(labels) > 8 else "")
     return f"Marker {some} is" if len(labels) == 1 else f"Markers {some} are"

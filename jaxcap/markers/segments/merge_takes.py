@@ -9,7 +9,7 @@ from ...observe import MarkerFrames
 
 
 @checked
-def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
+def merge_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
     """Concatenate the frames of several takes, matching markers by label.
 
     A marker that a take does not have is not visible in it. Labels are in the order of their first
@@ -23,21 +23,21 @@ def unite_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
     for number, take in enumerate(takes):
         if number and not set(take.labels) & set(labels):
             raise ValueError(
-                f"Take {number + 1} has no marker ({_some(take.labels)}) in common with the previous takes "
-                f"({_some(tuple(labels))}); merge takes of the same markers only."
+                f"Take {number + 1} has no marker ({_format_labels(take.labels)}) in common with the previous takes "
+                f"({_format_labels(tuple(labels))}); merge takes of the same markers only."
             )
         for label in take.labels:
             labels.setdefault(label, len(labels))
     count = sum(len(take) for take in takes)
-    dtype = np.result_type(*(np.asarray(take.places).dtype for take in takes))
+    dtype = np.result_type(*(np.asarray(take.positions).dtype for take in takes))
     places, seen = np.zeros((count, len(labels), 3), dtype), np.zeros((count, len(labels)), bool)
     begin = 0
     for take in takes:
         rows, columns = slice(begin, begin + len(take)), [labels[label] for label in take.labels]
-        places[rows, columns], seen[rows, columns] = np.asarray(take.places), np.asarray(take.seen)
+        places[rows, columns], seen[rows, columns] = np.asarray(take.positions), np.asarray(take.visible)
         begin += len(take)
     return MarkerFrames(places, seen, tuple(labels), takes[0].rate)
 
 
-def _some(labels: tuple[str, ...]) -> str:
+def _format_labels(labels: tuple[str, ...]) -> str:
     return ", ".join(labels[:4]) + (", ..." if len(labels) > 4 else "")

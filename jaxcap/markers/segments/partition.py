@@ -7,20 +7,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...arguments import checked
-from .maximal_cliques import maximal_sets
-from .pair_distances import TAIL, median_distances, pair_deviations
+from .maximal_cliques import maximal_cliques
+from .pair_distances import TRIMMED_FRACTION, median_distances, pair_distance_ranges
 from .segment import Segments, make_segments
 
 #: description cost of a segment of 1, 2, 3 or more markers, against a marker's squared deviation in units of
 #: the usual one: a lone marker explains nothing, so it costs as much as a pair
-COSTS = np.array([0.0, 2.5, 2.5, 3.0])
+SEGMENT_COSTS = np.array([0.0, 2.5, 2.5, 3.0])
 #: number of thresholds that are tried
-TRIED = 24
+NUM_THRESHOLDS = 24
 #: least deviation from skin movement, as a share of the body's size: when one joint is exercised most limbs
 #: are at rest, and a smaller unit would make all markers of the moving limb loose
-SKIN = 0.006
+SKIN_DEVIATION = 0.006
 #: largest deviation between markers on one limb, as a share of the body's size
-ADRIFT = 0.1
+MAX_DEVIATION = 0.1
 
 
 class Partition(NamedTuple):
@@ -32,12 +32,12 @@ class Partition(NamedTuple):
     #: (M, M) range of every pair's distance, metres; NaN for pairs that are never visible together
     deviations: Float[np.ndarray, "M M"]
     #: the cover: all maximal rigid sets, which overlap, the largest first
-    cover: tuple[tuple[int, ...], ...]
+    rigid_sets: tuple[tuple[int, ...], ...]
 
 
 @checked
 def find_partition(
-    places: Float[np.ndarray, "F M 3"],
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     threshold: float | None = None,
     *,
@@ -57,7 +57,7 @@ def find_partition(
     **Raises:** `ValueError` where no two markers keep their distance or are ever visible together, or where
     the threshold is not above zero.
     """
-    deviations = pair_deviations(places, seen, TAIL if robust else 0)
+    deviations = pair_distance_ranges(positions, seen, TRIMMED_FRACTION if robust else 0)
     known = np.where(np.isnan(deviations), np.inf, deviations)
     if not np.isfinite(known[np.triu_indices(len(known), 1)]).any():
         raise ValueError("No two markers are ever visible together, so no segment can be found.")
@@ -66,20 +66,20 @@ def find_partition(
             raise ValueError(f"The threshold is {threshold}; expected a distance above zero, in metres.")
         options, unit = [float(threshold)], 0.6 * float(threshold)
     else:
-        size = float(np.nanmax(median_distances(places, seen)))
-        unit = usual_deviation(known, size)
-        if unit > ADRIFT * size:
+        size = float(np.nanmax(median_distances(positions, seen)))
+        unit = typical_deviation(known, size)
+        if unit > MAX_DEVIATION * size:
             raise ValueError(
                 "No markers move together: for most markers the distances to all others vary by more than "
                 f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; "
                 "if so, give a threshold."
             )
-        options = np.geomspace(0.5 * unit, 3.0 * unit, TRIED).tolist()
+        options = np.geomspace(0.5 * unit, 3.0 * unit, NUM_THRESHOLDS).tolist()
     best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
     for option in options:
-        cover = maximal_sets(known < option, known)
-        parts = _settled(_biggest_first(cover), known, option, unit)
-        length = _length(parts, known, unit)
+        cover = maximal_cliques(known < option, known)
+        parts = _reassign_markers(_greedy_partition(cover), known, option, unit)
+        length = _description_length(parts, known, unit)
         if best is None or length < best[0] - 1e-9:
             best = length, option, parts, cover
     assert best is not None
@@ -95,33 +95,33 @@ def find_partition(
     return Partition(make_segments(members, len(known), weights), chosen, deviations, tuple(cover))
 
 
-def usual_deviation(known: Float[np.ndarray, "M M"], size: float) -> float:
+def typical_deviation(deviations: Float[np.ndarray, "M M"], body_size: float) -> float:
     """Estimate the usual deviation of markers within a segment, metres.
 
     It is 1.5 times the 80 % quantile of the deviations from the second most rigid partner, and at least a
     share of the body's size.
     """
-    near = np.sort(known, axis=1)[:, 1:3]
+    near = np.sort(deviations, axis=1)[:, 1:3]
     second = np.where(np.isfinite(near[:, -1]), near[:, -1], near[:, 0])
     second = second[np.isfinite(second)]
-    return max(1.5 * float(np.quantile(second, 0.8)), SKIN * size)
+    return max(1.5 * float(np.quantile(second, 0.8)), SKIN_DEVIATION * body_size)
 
 
-def attachment_weights(members, known: Float[np.ndarray, "M M"], unit: float) -> Float[np.ndarray, "M"]:
+def attachment_weights(members, deviations: Float[np.ndarray, "M M"], scale: float) -> Float[np.ndarray, "M"]:
     """Compute the rigidity of each marker, 0 to 1.
 
     It is 1 for the most rigid marker and falls with the square of a marker's mean deviation from the others
     of its segment, in units of the usual one.
     """
-    weights = np.zeros(len(known))
+    weights = np.zeros(len(deviations))
     for some in members:
-        inside = known[np.ix_(some, some)]
-        weights[list(some)] = 1 / (1 + _mean_squares(inside) / unit**2)
+        inside = deviations[np.ix_(some, some)]
+        weights[list(some)] = 1 / (1 + _mean_square_deviations(inside) / scale**2)
     top = weights.max()
     return weights / top if top > 0 else weights
 
 
-def correct(
+def apply_corrections(
     segments: Segments, labels: tuple[str, ...], corrections: Mapping[str, tuple[str, float]]
 ) -> Segments:
     """Apply a user's corrections, marker -> (segment, weight), to segments.
@@ -148,8 +148,8 @@ def correct(
     return make_segments(kept.values(), len(labels), weights, tuple(kept))
 
 
-def _biggest_first(cover: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    left = [set(some) for some in cover]
+def _greedy_partition(rigid_sets: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    left = [set(some) for some in rigid_sets]
     parts = []
     while left:
         # the cover's order breaks ties
@@ -160,24 +160,28 @@ def _biggest_first(cover: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
     return parts
 
 
-def _settled(
-    parts: list[tuple[int, ...]], known: np.ndarray, threshold: float, unit: float
+def _reassign_markers(
+    parts: list[tuple[int, ...]], deviations: np.ndarray, threshold: float, scale: float
 ) -> list[tuple[int, ...]]:
     """Move markers one by one while this shortens the description."""
-    count = len(known)
+    count = len(deviations)
     sets = [list(part) for part in parts]
     for _ in range(4 * count):
-        costs = [_cost(some, known, unit) for some in sets]
+        costs = [_segment_cost(some, deviations, scale) for some in sets]
         best, move = -1e-9, None
         for a, some in enumerate(sets):
             for marker in some:
                 left = [m for m in some if m != marker]
-                gain = _cost(left, known, unit) - costs[a]
+                gain = _segment_cost(left, deviations, scale) - costs[a]
                 for b in range(len(sets) + 1):
                     other = sets[b] if b < len(sets) else []
-                    if b == a or (other and known[marker, other].max() >= threshold):
+                    if b == a or (other and deviations[marker, other].max() >= threshold):
                         continue
-                    change = gain + _cost([*other, marker], known, unit) - (costs[b] if other else 0.0)
+                    change = (
+                        gain
+                        + _segment_cost([*other, marker], deviations, scale)
+                        - (costs[b] if other else 0.0)
+                    )
                     if change < best:
                         best, move = change, (a, b, marker)
         if move is None:
@@ -191,17 +195,17 @@ def _settled(
     return [tuple(sorted(some)) for some in sets]
 
 
-def _cost(some: list[int], known: np.ndarray, unit: float) -> float:
-    cost = float(COSTS[min(len(some), 3)])
-    if len(some) > 1:
-        cost += float(_mean_squares(known[np.ix_(some, some)]).sum()) / unit**2
+def _segment_cost(members: list[int], deviations: np.ndarray, scale: float) -> float:
+    cost = float(SEGMENT_COSTS[min(len(members), 3)])
+    if len(members) > 1:
+        cost += float(_mean_square_deviations(deviations[np.ix_(members, members)]).sum()) / scale**2
     return cost
 
 
-def _length(parts: list[tuple[int, ...]], known: np.ndarray, unit: float) -> float:
-    return sum(_cost(list(part), known, unit) for part in parts)
+def _description_length(parts: list[tuple[int, ...]], deviations: np.ndarray, scale: float) -> float:
+    return sum(_segment_cost(list(part), deviations, scale) for part in parts)
 
 
-def _mean_squares(inside: np.ndarray) -> np.ndarray:
+def _mean_square_deviations(deviations: np.ndarray) -> np.ndarray:
     """Compute the mean square deviation of each marker from the others."""
-    return (inside**2).sum(1) / max(len(inside) - 1, 1)
+    return (deviations**2).sum(1) / max(len(deviations) - 1, 1)

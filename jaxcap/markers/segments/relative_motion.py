@@ -9,86 +9,88 @@ from .segment import Segments
 from .segment_frames import SegmentFrames
 
 #: number of frames that a joint is estimated from, evenly over the known ones
-FRAMES = 600
+MAX_FRAMES = 600
 
 
-class Relative(NamedTuple):
-    """Two segments over the F frames in which the parent is known, and also the child if `turns`."""
+class RelativeMotion(NamedTuple):
+    """Two segments over the F frames in which the parent is known, and also the child if `has_child_frame`."""
 
     #: the child's frame in the parent's, `p = rotations c + translations`; None where no frame of the child
     #: is known
     rotations: Float[np.ndarray, "F 3 3"] | None
     translations: Float[np.ndarray, "F 3"] | None
     #: the child's markers in the parent's frame
-    tracks: Float[np.ndarray, "F N 3"]
-    tracked: Bool[np.ndarray, "F N"]
-    weights: Float[np.ndarray, "N"]
+    child_markers: Float[np.ndarray, "F N 3"]
+    child_visible: Bool[np.ndarray, "F N"]
+    child_weights: Float[np.ndarray, "N"]
     #: the parent's markers in their own frame
-    base: Float[np.ndarray, "B 3"]
-    base_weights: Float[np.ndarray, "B"]
+    parent_markers: Float[np.ndarray, "B 3"]
+    parent_weights: Float[np.ndarray, "B"]
     #: prior of the centre: its mean between the nearest markers, and its standard deviation, metres
-    middle: Float[np.ndarray, "3"]
-    spread: float
+    prior_centre: Float[np.ndarray, "3"]
+    prior_deviation: float
     #: effect of noise: variances of the rotation of the parent's and of the child's frame about an axis,
     #: radians squared, and of the tracks, metres squared a coordinate
-    turn_noise: tuple[float, float] = (0.0, 0.0)
-    track_noise: float = 0.0
+    rotation_noise: tuple[float, float] = (0.0, 0.0)
+    marker_noise: float = 0.0
 
     @property
-    def turns(self) -> bool:
+    def has_child_frame(self) -> bool:
         """True if both frames are known."""
         return self.rotations is not None
 
-    def flipped(self) -> "Relative":
+    def flipped(self) -> "RelativeMotion":
         """Exchange parent and child. Both frames have to be known."""
         assert self.rotations is not None and self.translations is not None
         back = self.rotations.swapaxes(-1, -2)
         shift = -np.einsum("fab,fb->fa", back, self.translations)
-        tracks = np.einsum("fab,nb->fna", back, self.base) + shift[:, None]
-        own = np.einsum("fab,fnb->fna", back, self.tracks) + shift[:, None]
-        shape = np.stack([np.median(own[s, n], axis=0) for n, s in enumerate(self.tracked.T)])
-        return Relative(
+        tracks = np.einsum("fab,nb->fna", back, self.parent_markers) + shift[:, None]
+        own = np.einsum("fab,fnb->fna", back, self.child_markers) + shift[:, None]
+        shape = np.stack([np.median(own[s, n], axis=0) for n, s in enumerate(self.child_visible.T)])
+        return RelativeMotion(
             back,
             shift,
             tracks,
             np.ones(tracks.shape[:2], bool),
-            self.base_weights,
+            self.parent_weights,
             shape,
-            self.weights,
-            np.median(np.einsum("fab,b->fa", back, self.middle) + shift, axis=0),
-            self.spread,
-            (self.turn_noise[1], self.turn_noise[0]),
-            self.track_noise,
+            self.child_weights,
+            np.median(np.einsum("fab,b->fa", back, self.prior_centre) + shift, axis=0),
+            self.prior_deviation,
+            (self.rotation_noise[1], self.rotation_noise[0]),
+            self.marker_noise,
         )
 
 
-def relative(
-    places: Float[np.ndarray, "F M 3"],
+def relative_motion(
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     segments: Segments,
     frames: SegmentFrames,
     parent: int,
     child: int,
     noise: tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]] | None = None,
-    fewest: int = 10,
-) -> Relative | None:
-    """Compute the motion of `child` relative to `parent`; None with fewer than `fewest` common frames.
+    min_frames: int = 10,
+) -> RelativeMotion | None:
+    """Compute the motion of `child` relative to `parent`; None with fewer than `min_frames` common frames.
 
     `noise` is that of `frames` (`SegmentFrames.noise`); pass it to avoid its computation for every pair.
     """
-    own, turn = frames.noise(places, seen, segments) if noise is None else noise
+    own, turn = frames.noise(positions, seen, segments) if noise is None else noise
     members, base = list(segments.members[child]), list(segments.members[parent])
     both = frames.known[:, parent] & frames.known[:, child]
-    turns = both.sum() >= fewest
+    turns = both.sum() >= min_frames
     usable = both if turns else frames.known[:, parent] & seen[:, members].any(1)
     chosen = np.flatnonzero(usable)
-    if len(chosen) < fewest:
+    if len(chosen) < min_frames:
         return None
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(FRAMES, len(chosen))).round().astype(int))]
+    chosen = chosen[
+        np.unique(np.linspace(0, len(chosen) - 1, min(MAX_FRAMES, len(chosen))).round().astype(int))
+    ]
     r, o = frames.rotations[chosen, parent], frames.origins[chosen, parent]
-    tracks = np.einsum("fba,fnb->fna", r, places[chosen][:, members] - o[:, None])
+    tracks = np.einsum("fba,fnb->fna", r, positions[chosen][:, members] - o[:, None])
     tracked = seen[chosen][:, members]
-    alive = tracked.sum(0) >= fewest
+    alive = tracked.sum(0) >= min_frames
     if not alive.any():
         return None
     tracks, tracked = tracks[:, alive], tracked[:, alive]
@@ -97,10 +99,10 @@ def relative(
     if turns:
         rotations = r.swapaxes(-1, -2) @ frames.rotations[chosen, child]
         translations = np.einsum("fba,fb->fa", r, frames.origins[chosen, child] - o)
-    template = frames.template[base]
-    middle, spread = _between(tracks, tracked, template)
+    template = frames.local_positions[base]
+    middle, spread = _estimate_prior(tracks, tracked, template)
     lever = float(np.mean(np.sum(tracks[tracked] ** 2, -1)))
-    return Relative(
+    return RelativeMotion(
         rotations,
         translations,
         tracks,
@@ -115,19 +117,21 @@ def relative(
     )
 
 
-def _between(tracks: np.ndarray, tracked: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, float]:
+def _estimate_prior(
+    child_markers: np.ndarray, child_visible: np.ndarray, parent_markers: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Average the midpoints of all pairs across, with most weight on the nearest pairs.
 
     Return also the weighted mean distance of the pairs.
     """
-    usual = np.stack([np.median(tracks[s, n], axis=0) for n, s in enumerate(tracked.T)])
+    usual = np.stack([np.median(child_markers[s, n], axis=0) for n, s in enumerate(child_visible.T)])
     gaps = np.stack(
         [
-            np.median(np.linalg.norm(tracks[s, n][:, None] - base, axis=-1), axis=0)
-            for n, s in enumerate(tracked.T)
+            np.median(np.linalg.norm(child_markers[s, n][:, None] - parent_markers, axis=-1), axis=0)
+            for n, s in enumerate(child_visible.T)
         ]
     )
     shares = 1 / np.maximum(gaps, 1e-6) ** 4
-    middles = 0.5 * (usual[:, None] + base[None])
+    middles = 0.5 * (usual[:, None] + parent_markers[None])
     shares = shares / shares.sum()
     return np.einsum("nb,nba->a", shares, middles), float((shares * gaps).sum())

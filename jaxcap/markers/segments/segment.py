@@ -23,7 +23,7 @@ class Segments(NamedTuple):
         return len(self.members)
 
     @property
-    def of_marker(self) -> Int[np.ndarray, "M"]:
+    def marker_segments(self) -> Int[np.ndarray, "M"]:
         """The segment of each marker, -1 where it is loose."""
         owner = np.full(len(self.weights), -1)
         for segment, members in enumerate(self.members):
@@ -31,9 +31,9 @@ class Segments(NamedTuple):
         return owner
 
     @property
-    def loose(self) -> Bool[np.ndarray, "M"]:
+    def is_loose(self) -> Bool[np.ndarray, "M"]:
         """Mask of markers that belong to no segment."""
-        return self.of_marker < 0
+        return self.marker_segments < 0
 
 
 @checked

@@ -6,15 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.procrustes import nearest_rotation
-from ..rotation_centres.centre_estimate import robust_weights
+from ..rotation_centres.centre_estimate import geman_mcclure_weights
 from .segment import Segments
 
 #: maximal number of iterations for the shape of a segment
-SWEEPS = 8
+MAX_ITERATIONS = 8
 #: number of frames that a shape is estimated from, evenly over the take
-SHAPE_FRAMES = 400
+MAX_SHAPE_FRAMES = 400
 #: a segment is a line where its second singular value is below this share of its first
-LINE = 0.05
+COLLINEAR_RATIO = 0.05
 
 
 class SegmentFrames(NamedTuple):
@@ -25,26 +25,26 @@ class SegmentFrames(NamedTuple):
     #: true where three markers that span a plane were visible
     known: Bool[np.ndarray, "F K"]
     #: position of each marker in its segment's frame, metres; zero where it has none
-    template: Float[np.ndarray, "M 3"]
+    local_positions: Float[np.ndarray, "M 3"]
 
     def residuals(
-        self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
+        self, positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
     ) -> Float[np.ndarray, "F M"]:
         """Compute the distance of each marker from its predicted position, metres; NaN where not known."""
-        owner = segments.of_marker
+        owner = segments.marker_segments
         r, o = self.rotations[:, owner], self.origins[:, owner]
-        away = np.linalg.norm(np.einsum("fmab,mb->fma", r, self.template) + o - places, axis=-1)
+        away = np.linalg.norm(np.einsum("fmab,mb->fma", r, self.local_positions) + o - positions, axis=-1)
         return np.where(seen & self.known[:, owner] & (owner >= 0), away, np.nan)
 
     def noise(
-        self, places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
+        self, positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], segments: Segments
     ) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
         """Estimate the noise of each segment.
 
         Return the variance of its markers about their positions, metres squared a coordinate, and the
         resulting variance of its rotation about an axis, radians squared.
         """
-        off = self.residuals(places, seen, segments)
+        off = self.residuals(positions, seen, segments)
         own, turn = np.zeros(segments.num_segments), np.zeros(segments.num_segments)
         for k, members in enumerate(segments.members):
             if not self.known[:, k].any():
@@ -53,15 +53,15 @@ class SegmentFrames(NamedTuple):
             # 2.37; six of 3N numbers are fitted by the frame
             square = float(np.nanmedian(off[:, list(members)] ** 2)) / 2.37
             own[k] = square * len(members) / max(len(members) - 2, 1)
-            p = self.template[list(members)]
+            p = self.local_positions[list(members)]
             p = p - p.mean(0)
             inertia = np.sum(p * p) * np.eye(3) - p.T @ p
             turn[k] = own[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
         return own, turn
 
 
-def fit_frames(
-    places: Float[np.ndarray, "F M 3"],
+def fit_segment_frames(
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     segments: Segments,
     method: Literal["procrustes", "axes"] = "procrustes",
@@ -75,15 +75,15 @@ def fit_frames(
     visible markers: at least three, weighted, and robustly from four on. Segments with fewer than three
     markers, or with markers on a line, are known in no frame.
     """
-    count, number = len(places), segments.num_segments
+    count, number = len(positions), segments.num_segments
     rotations = np.tile(np.eye(3), (count, number, 1, 1))
     origins = np.zeros((count, number, 3))
     known = np.zeros((count, number), bool)
-    template = np.zeros((places.shape[1], 3))
+    template = np.zeros((positions.shape[1], 3))
     for k, members in enumerate(segments.members):
         chosen = list(members)
         weights = segments.weights[chosen]
-        x, s = places[:, chosen], seen[:, chosen]
+        x, s = positions[:, chosen], seen[:, chosen]
         shape = mean_shape(x, s, weights)
         if shape is None:
             continue
@@ -93,9 +93,9 @@ def fit_frames(
         if method == "axes":
             known[:, k] = s.all(1)
             origins[:, k] = np.einsum("fma,m->fa", x, weights) / weights.sum()
-            rotations[:, k] = _axes(x[:, far] - origins[:, k], x[:, off] - origins[:, k])
+            rotations[:, k] = _axes_from_directions(x[:, far] - origins[:, k], x[:, off] - origins[:, k])
         else:
-            rotations[:, k], origins[:, k], known[:, k] = lay(shape, x, s, weights)
+            rotations[:, k], origins[:, k], known[:, k] = align_shape(shape, x, s, weights)
     return SegmentFrames(rotations, origins, known, template)
 
 
@@ -108,7 +108,7 @@ def shape_axes(
     far = int(np.argmax(np.linalg.norm(away, axis=1) * weights))
     x = away[far] / np.linalg.norm(away[far])
     off = int(np.argmax(np.linalg.norm(away - np.outer(away @ x, x), axis=1) * weights))
-    return _axes(away[None, far], away[None, off])[0], origin, (far, off)
+    return _axes_from_directions(away[None, far], away[None, off])[0], origin, (far, off)
 
 
 def mean_shape(
@@ -120,7 +120,7 @@ def mean_shape(
     """
     if x.shape[1] < 3 or not (seen.sum(1) >= 3).any():
         return None
-    some = np.unique(np.linspace(0, len(x) - 1, min(SHAPE_FRAMES, len(x))).round().astype(int))
+    some = np.unique(np.linspace(0, len(x) - 1, min(MAX_SHAPE_FRAMES, len(x))).round().astype(int))
     if (np.asarray(seen[some].sum(1)) == seen.sum(1).max()).any():
         x, seen = x[some], seen[some]
     counts = np.asarray(seen.sum(1))
@@ -132,8 +132,8 @@ def mean_shape(
     off = np.zeros(len(full)) if usual is None else np.abs(distances - usual).sum((1, 2))
     start = full[int(np.argmin(off))]
     shape, have = x[start].copy(), seen[start].copy()
-    for _ in range(SWEEPS):
-        r, o, ok = lay(shape, x, seen & have, weights, rounds=2)
+    for _ in range(MAX_ITERATIONS):
+        r, o, ok = align_shape(shape, x, seen & have, weights, rounds=2)
         if not ok.any():
             return None
         back = np.einsum("fba,fnb->fna", r[ok], x[ok] - o[ok, None])
@@ -146,7 +146,9 @@ def mean_shape(
             mine = back[s[:, n], n]
             about = shape[n] if had[n] else mine.mean(0)
             for _ in range(3):
-                about = np.average(mine, axis=0, weights=robust_weights(np.linalg.norm(mine - about, axis=1)))
+                about = np.average(
+                    mine, axis=0, weights=geman_mcclure_weights(np.linalg.norm(mine - about, axis=1))
+                )
             new[n] = about
         moved = np.abs(new - shape).max()
         shape = new
@@ -155,10 +157,10 @@ def mean_shape(
     if not have.all():
         # a marker that is never visible with three others has no position in the shape
         return None
-    return shape if spans(shape[None], np.ones((1, len(shape)), bool))[0] else None
+    return shape if spans_plane(shape[None], np.ones((1, len(shape)), bool))[0] else None
 
 
-def lay(
+def align_shape(
     shape: Float[np.ndarray, "N 3"],
     x: Float[np.ndarray, "F N 3"],
     seen: Bool[np.ndarray, "F N"],
@@ -168,8 +170,8 @@ def lay(
     """Fit a shape to its visible markers in every frame; return rotations, origins and a mask of known
     frames."""
     w = weights * seen
-    known = (seen.sum(1) >= 3) & spans(np.broadcast_to(shape, x.shape), seen)
-    r, o = _procrustes(shape, x, w)
+    known = (seen.sum(1) >= 3) & spans_plane(np.broadcast_to(shape, x.shape), seen)
+    r, o = _weighted_procrustes(shape, x, w)
     if len(shape) >= 4:
         for _ in range(rounds):
             off = np.linalg.norm(np.einsum("fab,nb->fna", r, shape) + o[:, None] - x, axis=-1)
@@ -177,11 +179,11 @@ def lay(
             if inside.size == 0:
                 break
             scale = max(3.0 * float(np.median(inside)), 1e-6)
-            r, o = _procrustes(shape, x, w / (1 + (off / scale) ** 2) ** 2)
+            r, o = _weighted_procrustes(shape, x, w / (1 + (off / scale) ** 2) ** 2)
     return r, o, known
 
 
-def spans(shape: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"]) -> Bool[np.ndarray, "F"]:
+def spans_plane(shape: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"]) -> Bool[np.ndarray, "F"]:
     """Test in each frame if the visible markers span a plane."""
     patterns, place = np.unique(seen, axis=0, return_inverse=True)
     extents = np.zeros(len(patterns), bool)
@@ -189,11 +191,11 @@ def spans(shape: Float[np.ndarray, "F N 3"], seen: Bool[np.ndarray, "F N"]) -> B
         if pattern.sum() >= 3:
             some = shape[np.argmax(place.ravel() == i)][pattern]
             values = np.linalg.svd(some - some.mean(0), compute_uv=False)
-            extents[i] = values[1] > LINE * values[0]
+            extents[i] = values[1] > COLLINEAR_RATIO * values[0]
     return extents[place.ravel()]
 
 
-def pair_frames(
+def two_marker_frames(
     first: Float[np.ndarray, "F 3"],
     second: Float[np.ndarray, "F 3"],
     base: Float[np.ndarray, "F 3"],
@@ -206,25 +208,27 @@ def pair_frames(
     """
     along, aside = second - first, base - first
     high = np.linalg.norm(np.cross(along, aside), axis=-1)
-    flat = high > LINE * np.linalg.norm(along, axis=-1) * np.linalg.norm(aside, axis=-1)
-    return _axes(along, aside), 0.5 * (first + second), seen & flat
+    flat = high > COLLINEAR_RATIO * np.linalg.norm(along, axis=-1) * np.linalg.norm(aside, axis=-1)
+    return _axes_from_directions(along, aside), 0.5 * (first + second), seen & flat
 
 
-def _axes(along: np.ndarray, aside: np.ndarray) -> np.ndarray:
+def _axes_from_directions(x_direction: np.ndarray, plane_direction: np.ndarray) -> np.ndarray:
     """Build rotations (F, 3, 3) with x along the first direction and the xy plane through the second.
 
     The columns are the axes.
     """
-    x = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
-    z = np.cross(x, aside)
+    x = x_direction / np.maximum(np.linalg.norm(x_direction, axis=-1, keepdims=True), 1e-300)
+    z = np.cross(x, plane_direction)
     z = z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-300)
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def _procrustes(shape: np.ndarray, x: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    mass = np.maximum(w.sum(1), 1e-300)
-    here = w @ shape / mass[:, None]
-    there = np.einsum("fn,fna->fa", w, x) / mass[:, None]
-    cross = np.einsum("fn,fna,fnb->fab", w, x - there[:, None], shape[None] - here[:, None])
+def _weighted_procrustes(
+    shape: np.ndarray, x: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    mass = np.maximum(weights.sum(1), 1e-300)
+    here = weights @ shape / mass[:, None]
+    there = np.einsum("fn,fna->fa", weights, x) / mass[:, None]
+    cross = np.einsum("fn,fna,fnb->fab", weights, x - there[:, None], shape[None] - here[:, None])
     r = nearest_rotation(cross)
     return r, there - np.einsum("fab,fb->fa", r, here)

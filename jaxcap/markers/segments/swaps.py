@@ -5,34 +5,34 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .gaps import runs
-from .pair_distances import median_distances, pair_deviations
+from .gaps import find_runs
+from .pair_distances import median_distances, pair_distance_ranges
 
 #: number of partners that check a marker: those with the most constant distance from it
-PARTNERS = 6
+NUM_PARTNERS = 6
 #: a distance is wrong if it is off by more than this multiple of its usual range, and than this, metres
-RANGES, LEAST = 3.0, 0.015
+MAX_RANGE_RATIO, MIN_DISTANCE_ERROR = 3.0, 0.015
 #: a swap has to reduce the error to less than this share
-MENDED = 0.4
+MAX_REMAINING_ERROR = 0.4
 #: two markers that jump onto each other are swapped if they jump back within this many frames
-LONGEST = 100
+MAX_SWAP_FRAMES = 100
 #: and if their jump is this multiple of their usual step
-STEPS = 8.0
+MIN_JUMP_RATIO = 8.0
 
 
-class Mended(NamedTuple):
+class CorrectedMarkers(NamedTuple):
     """Markers with swaps undone."""
 
-    places: Float[np.ndarray, "F M 3"]
+    positions: Float[np.ndarray, "F M 3"]
     seen: Bool[np.ndarray, "F M"]
     #: (frame, marker, marker) of each swap undone
-    exchanges: tuple[tuple[int, int, int], ...]
-    told: tuple[str, ...]
+    swaps: tuple[tuple[int, int, int], ...]
+    messages: tuple[str, ...]
 
 
-def mend_swaps(
-    places: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], labels: tuple[str, ...]
-) -> Mended:
+def correct_swaps(
+    positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], labels: tuple[str, ...]
+) -> CorrectedMarkers:
     """Undo swaps of two labels, frame by frame.
 
     A marker is an outlier in a frame if its distances from its usual partners are wrong. If two are
@@ -40,19 +40,19 @@ def mend_swaps(
     distances, as in a pair, are found by their jumps onto each other and back. A swap that lasts half of the
     take is not undone, as the labels then are a matter of convention.
     """
-    places, seen = np.array(places, float), np.array(seen)
-    undone = _by_distance(places, seen) + _by_jumps(places, seen)
-    return Mended(places, seen, tuple(sorted(undone)), tuple(_sentences(undone, labels)))
+    positions, seen = np.array(positions, float), np.array(seen)
+    undone = _correct_by_distance(positions, seen) + _correct_by_jumps(positions, seen)
+    return CorrectedMarkers(positions, seen, tuple(sorted(undone)), tuple(_describe_swaps(undone, labels)))
 
 
-def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]]:
-    medians, deviations = median_distances(places, seen), pair_deviations(places, seen, 0.05)
+def _correct_by_distance(positions: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]]:
+    medians, deviations = median_distances(positions, seen), pair_distance_ranges(positions, seen, 0.05)
     usual = np.where(np.isnan(deviations) | np.eye(len(deviations), dtype=bool), np.inf, deviations)
-    partners = np.argsort(usual, axis=1, kind="stable")[:, :PARTNERS]
+    partners = np.argsort(usual, axis=1, kind="stable")[:, :NUM_PARTNERS]
     rows = np.arange(len(usual))[:, None]
     # partners on another segment are no evidence
-    trusted = usual[rows, partners] < np.maximum(4 * usual.min(1, keepdims=True), 2 * LEAST)
-    ranges = np.maximum(RANGES * usual[rows, partners], LEAST)
+    trusted = usual[rows, partners] < np.maximum(4 * usual.min(1, keepdims=True), 2 * MIN_DISTANCE_ERROR)
+    ranges = np.maximum(MAX_RANGE_RATIO * usual[rows, partners], MIN_DISTANCE_ERROR)
     expected = medians[rows, partners]
 
     def wrong(frame: int, marker: int, at: np.ndarray, shown: np.ndarray) -> float:
@@ -64,15 +64,15 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
         distances = np.linalg.norm(at[mine] - at[marker], axis=1)
         return float(np.median(np.abs(distances - expected[marker, where]) / ranges[marker, where]))
 
-    distances = np.linalg.norm(places[:, :, None] - places[:, partners], axis=-1)
+    distances = np.linalg.norm(positions[:, :, None] - positions[:, partners], axis=-1)
     vouched = seen[:, :, None] & seen[:, partners] & trusted
     off = np.where(vouched, np.abs(distances - expected) / np.where(trusted, ranges, 1.0), np.nan)
-    scores = _median(off)
+    scores = _nan_median(off)
     undone = []
     for frame in np.flatnonzero(((scores > 1) & seen).sum(1) >= 2).tolist():
         left = np.flatnonzero((scores[frame] > 1) & seen[frame]).tolist()
         while len(left) >= 2:
-            at, shown = places[frame], seen[frame]
+            at, shown = positions[frame], seen[frame]
             now = {i: wrong(frame, i, at, shown) for i in left}
             best, pair = np.inf, None
             for n, i in enumerate(left):
@@ -81,49 +81,53 @@ def _by_distance(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, i
                     exchanged[[i, j]] = at[[j, i]]
                     after = [wrong(frame, k, exchanged, shown) for k in (i, j)]
                     before = [now[i], now[j]]
-                    if max(after) < 1 and sum(after) < MENDED * sum(before) and sum(after) < best:
+                    if (
+                        max(after) < 1
+                        and sum(after) < MAX_REMAINING_ERROR * sum(before)
+                        and sum(after) < best
+                    ):
                         best, pair = sum(after), (i, j)
             if pair is None:
                 break
-            places[frame, list(pair)] = places[frame, list(pair[::-1])]
+            positions[frame, list(pair)] = positions[frame, list(pair[::-1])]
             undone.append((frame, *pair))
-            left = [i for i in left if i not in pair and wrong(frame, i, places[frame], shown) > 1]
+            left = [i for i in left if i not in pair and wrong(frame, i, positions[frame], shown) > 1]
     return undone
 
 
-def _by_jumps(places: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]]:
+def _correct_by_jumps(positions: np.ndarray, seen: np.ndarray) -> list[tuple[int, int, int]]:
     """Find and undo swaps between two jumps of a pair onto each other."""
     both = seen[1:] & seen[:-1]
-    steps = np.where(both, np.linalg.norm(np.diff(places, axis=0), axis=-1), 0.0)
+    steps = np.where(both, np.linalg.norm(np.diff(positions, axis=0), axis=-1), 0.0)
     with np.errstate(invalid="ignore"):
         usual = np.array(
             [np.median(column[ok]) if ok.any() else 0.0 for column, ok in zip(steps.T, both.T, strict=True)]
         )
-    large = (steps > np.maximum(STEPS * usual, 0.5 * LEAST)) & both
+    large = (steps > np.maximum(MIN_JUMP_RATIO * usual, 0.5 * MIN_DISTANCE_ERROR)) & both
     jumps: dict[tuple[int, int], list[int]] = {}
     for frame in np.flatnonzero(large.sum(1) >= 2):
         some = np.flatnonzero(large[frame]).tolist()
         for n, i in enumerate(some):
             for j in some[n + 1 :]:
-                here, there = places[frame, [i, j]], places[frame + 1, [j, i]]
+                here, there = positions[frame, [i, j]], positions[frame + 1, [j, i]]
                 crossed = np.linalg.norm(there - here, axis=1)
-                if (crossed < MENDED * steps[frame, [i, j]]).all():
+                if (crossed < MAX_REMAINING_ERROR * steps[frame, [i, j]]).all():
                     jumps.setdefault((i, j), []).append(int(frame) + 1)
     undone = []
     for (i, j), frames in jumps.items():
         while len(frames) >= 2:
             begin, end = frames[:2]
-            if end - begin > min(LONGEST, len(places) // 2):
+            if end - begin > min(MAX_SWAP_FRAMES, len(positions) // 2):
                 frames = frames[1:]
                 continue
-            places[begin:end, [i, j]] = places[begin:end, [j, i]]
+            positions[begin:end, [i, j]] = positions[begin:end, [j, i]]
             seen[begin:end, [i, j]] = seen[begin:end, [j, i]]
             undone += [(frame, i, j) for frame in range(begin, end)]
             frames = frames[2:]
     return undone
 
 
-def _median(values: np.ndarray) -> np.ndarray:
+def _nan_median(values: np.ndarray) -> np.ndarray:
     """Compute the median over the last axis without NaN; zero where all are NaN."""
     count = (~np.isnan(values)).sum(-1)
     ordered = np.sort(values, axis=-1)
@@ -132,15 +136,15 @@ def _median(values: np.ndarray) -> np.ndarray:
     return np.where(count > 0, 0.5 * (low + high), 0.0)
 
 
-def _sentences(undone: list[tuple[int, int, int]], labels: tuple[str, ...]) -> list[str]:
+def _describe_swaps(swaps: list[tuple[int, int, int]], labels: tuple[str, ...]) -> list[str]:
     frames: dict[tuple[int, int], list[int]] = {}
-    for frame, i, j in undone:
+    for frame, i, j in swaps:
         frames.setdefault((min(i, j), max(i, j)), []).append(frame)
     told = []
     for (i, j), some in sorted(frames.items(), key=lambda item: -len(item[1])):
         mask = np.zeros(max(some) + 1, bool)
         mask[some] = True
-        spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in runs(mask)]
+        spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in find_runs(mask)]
         shown = ", ".join(spans[:6]) + (", ..." if len(spans) > 6 else "")
         told.append(
             f"The labels '{labels[i]}' and '{labels[j]}' were swapped in {len(some)} "

@@ -7,51 +7,51 @@ from jaxtyping import Bool, Float
 
 from ..rotation_centres.joint import Joint
 from .segment import Segments
-from .segment_frames import SegmentFrames, fit_frames, pair_frames
+from .segment_frames import SegmentFrames, fit_segment_frames, two_marker_frames
 
 #: weight of a joint against a marker when a frame is fitted
-WEIGHT = 0.5
+VIRTUAL_MARKER_WEIGHT = 0.5
 
 
-class Augmented(NamedTuple):
+class AugmentedMarkers(NamedTuple):
     """Markers, followed by virtual markers at joints for segments with too few markers."""
 
-    places: Float[np.ndarray, "F N 3"]
+    positions: Float[np.ndarray, "F N 3"]
     seen: Bool[np.ndarray, "F N"]
     segments: Segments
     frames: SegmentFrames
 
 
-def augment(
-    places: Float[np.ndarray, "F M 3"],
+def add_virtual_markers(
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     segments: Segments,
     frames: SegmentFrames,
     links: list[tuple[int, Joint]],
-) -> Augmented:
+) -> AugmentedMarkers:
     """Add the centres of joints as virtual markers to the segments that need them.
 
     **Arguments:** `links` are pairs of a segment and a joint. The frame of the joint's parent is known and
     carries the centre.
     """
-    columns, shown = [places], [seen]
+    columns, shown = [positions], [seen]
     members = [list(some) for some in segments.members]
-    count = places.shape[1]
+    count = positions.shape[1]
     for segment, joint in links:
         r, o = frames.rotations[:, joint.parent], frames.origins[:, joint.parent]
         columns.append((r @ joint.in_parent + o)[:, None])
         shown.append(frames.known[:, joint.parent, None])
         members[segment].append(count)
         count += 1
-    weights = np.concatenate([segments.weights, np.full(len(links), WEIGHT)])
+    weights = np.concatenate([segments.weights, np.full(len(links), VIRTUAL_MARKER_WEIGHT)])
     wide = Segments(tuple(map(tuple, members)), weights, segments.names)
     all_places, all_seen = np.concatenate(columns, 1), np.concatenate(shown, 1)
     needed = {segment for segment, _ in links}
     only = Segments(
         tuple(some if k in needed else () for k, some in enumerate(wide.members)), weights, wide.names
     )
-    fitted = fit_frames(all_places, all_seen, only)
-    template = np.concatenate([frames.template, np.zeros((len(links), 3))])
+    fitted = fit_segment_frames(all_places, all_seen, only)
+    template = np.concatenate([frames.local_positions, np.zeros((len(links), 3))])
     new = frames._replace(
         rotations=frames.rotations.copy(),
         origins=frames.origins.copy(),
@@ -61,32 +61,34 @@ def augment(
     for k in needed:
         new.rotations[:, k], new.origins[:, k] = fitted.rotations[:, k], fitted.origins[:, k]
         new.known[:, k] = fitted.known[:, k]
-        new.template[list(wide.members[k])] = fitted.template[list(wide.members[k])]
-    return Augmented(all_places, all_seen, wide, new)
+        new.local_positions[list(wide.members[k])] = fitted.local_positions[list(wide.members[k])]
+    return AugmentedMarkers(all_places, all_seen, wide, new)
 
 
-def hinge_assumed(now: Augmented, segment: int, base: int) -> Augmented:
+def assume_hinge(augmented: AugmentedMarkers, segment: int, base: int) -> AugmentedMarkers:
     """Compute frames of a segment of two markers, assuming as in the paper a hinge between it and `base`.
 
     The plane of its markers contains the nearest marker of the base segment.
     """
-    first, second = now.segments.members[segment][:2]
+    first, second = augmented.segments.members[segment][:2]
     usual = [
-        np.median(np.linalg.norm(now.places[:, m] - now.places[:, first], axis=1))
-        + np.median(np.linalg.norm(now.places[:, m] - now.places[:, second], axis=1))
-        for m in now.segments.members[base]
+        np.median(np.linalg.norm(augmented.positions[:, m] - augmented.positions[:, first], axis=1))
+        + np.median(np.linalg.norm(augmented.positions[:, m] - augmented.positions[:, second], axis=1))
+        for m in augmented.segments.members[base]
     ]
-    marker = now.segments.members[base][int(np.argmin(usual))]
-    shown = now.seen[:, first] & now.seen[:, second] & now.seen[:, marker]
-    r, o, known = pair_frames(now.places[:, first], now.places[:, second], now.places[:, marker], shown)
-    frames = now.frames._replace(
-        rotations=now.frames.rotations.copy(),
-        origins=now.frames.origins.copy(),
-        known=now.frames.known.copy(),
-        template=now.frames.template.copy(),
+    marker = augmented.segments.members[base][int(np.argmin(usual))]
+    shown = augmented.seen[:, first] & augmented.seen[:, second] & augmented.seen[:, marker]
+    r, o, known = two_marker_frames(
+        augmented.positions[:, first], augmented.positions[:, second], augmented.positions[:, marker], shown
+    )
+    frames = augmented.frames._replace(
+        rotations=augmented.frames.rotations.copy(),
+        origins=augmented.frames.origins.copy(),
+        known=augmented.frames.known.copy(),
+        template=augmented.frames.local_positions.copy(),
     )
     frames.rotations[:, segment], frames.origins[:, segment], frames.known[:, segment] = r, o, known
     for m in (first, second):
-        own = np.einsum("fba,fb->fa", r[known], now.places[known, m] - o[known])
-        frames.template[m] = np.median(own, axis=0) if known.any() else 0.0
-    return now._replace(frames=frames)
+        own = np.einsum("fba,fb->fa", r[known], augmented.positions[known, m] - o[known])
+        frames.local_positions[m] = np.median(own, axis=0) if known.any() else 0.0
+    return augmented._replace(frames=frames)

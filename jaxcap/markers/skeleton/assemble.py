@@ -12,32 +12,34 @@ from ...body.pose import Pose, project
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation
-from .tree import Tree
+from .tree import SegmentTree
 
 
-class Assembled(NamedTuple):
+class AssembledSkeleton(NamedTuple):
     """A skeleton in which bone `j` is the segment `order[j]`."""
 
     skeleton: Skeleton
-    order: tuple[int, ...]
+    bone_segments: tuple[int, ...]
     #: (M,) bone of each marker, -1 where it is on no bone
     bones: Int[np.ndarray, "M"]
     #: (M, 3) position of each marker in the world at rest, metres
     offsets: Float[np.ndarray, "M 3"]
     #: (J, 3, 3) and (J, 3): rotations and origins of the segments' frames at rest
-    turns: Float[np.ndarray, "J 3 3"]
-    origins: Float[np.ndarray, "J 3"]
+    rest_rotations: Float[np.ndarray, "J 3 3"]
+    rest_origins: Float[np.ndarray, "J 3"]
 
 
-def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, int], float]) -> Assembled:
+def assemble_skeleton(
+    tree: SegmentTree, root: int, num_markers: int, lengths: dict[tuple[int, int], float]
+) -> AssembledSkeleton:
     """Build the skeleton below one root. Its rest pose is that of the most typical frame.
 
     Joint centres are fixed in the frames of their parents. Bones in `lengths` are scaled to these lengths.
     The root is "free", a joint with an axis "revolute", any other joint "ball".
     """
-    order = _below(tree, root)
-    frames = tree.markers.frames
-    turns, origin = _rest(tree, order)
+    order = _usable_segments(tree, root)
+    frames = tree.augmented.frames
+    turns, origin = _choose_rest_frame(tree, order)
     origins = {root: origin}
     inner: dict[int, np.ndarray] = {}
     centres, axes, kinds = [], [], []
@@ -68,57 +70,59 @@ def assemble(tree: Tree, root: int, num_markers: int, lengths: dict[tuple[int, i
         kinds.append(kind)
     bones, offsets = np.full(num_markers, -1), np.zeros((num_markers, 3))
     for bone, segment in enumerate(order):
-        for marker in tree.markers.segments.members[segment]:
+        for marker in tree.augmented.segments.members[segment]:
             if marker < num_markers:
                 bones[marker] = bone
-                offsets[marker] = turns[segment] @ frames.template[marker] + origins[segment]
+                offsets[marker] = turns[segment] @ frames.local_positions[marker] + origins[segment]
     parents = [order.index(tree.parents[k]) if k != root else -1 for k in order]
-    names = [tree.markers.segments.names[k] for k in order]
-    ends = np.array([_end(bone, parents, centres, bones, offsets) for bone in range(len(order))])
+    names = [tree.augmented.segments.names[k] for k in order]
+    ends = np.array([_bone_end(bone, parents, centres, bones, offsets) for bone in range(len(order))])
     skeleton = make_skeleton(
-        names, parents, kinds, np.array(centres), _towards(np.array(centres), ends), np.array(axes)
+        names, parents, kinds, np.array(centres), _bone_orientations(np.array(centres), ends), np.array(axes)
     )
     rest = np.stack([turns[k] for k in order]), np.stack([origins[k] for k in order])
-    return Assembled(skeleton, tuple(order), bones, offsets, *rest)
+    return AssembledSkeleton(skeleton, tuple(order), bones, offsets, *rest)
 
 
-def pose_segments(made: Assembled, tree: Tree) -> Pose:
+def segment_poses(assembled: AssembledSkeleton, tree: SegmentTree) -> Pose:
     """Compute the poses of all frames from the segments' rotations and the position of the root segment.
 
     A segment without a known frame takes its rotation relative to the parent from the nearest frame in which
     it is known.
     """
-    frames, skeleton = tree.markers.frames, made.skeleton
+    frames, skeleton = tree.augmented.frames, assembled.skeleton
     count = len(frames.known)
-    local = np.zeros((count, len(made.order), 3, 3))
-    shifts = np.zeros((count, len(made.order), 3))
-    for bone, segment in enumerate(made.order):
-        turned = frames.rotations[:, segment] @ made.turns[bone].T
+    local = np.zeros((count, len(assembled.bone_segments), 3, 3))
+    shifts = np.zeros((count, len(assembled.bone_segments), 3))
+    for bone, segment in enumerate(assembled.bone_segments):
+        turned = frames.rotations[:, segment] @ assembled.rest_rotations[bone].T
         known = frames.known[:, segment]
         parent = skeleton.parents[bone]
         if parent >= 0:
-            above = made.order[parent]
+            above = assembled.bone_segments[parent]
             known = known & frames.known[:, above]
-            turned = (frames.rotations[:, above] @ made.turns[parent].T).swapaxes(-1, -2) @ turned
-        nearest = _nearest(known)
+            turned = (frames.rotations[:, above] @ assembled.rest_rotations[parent].T).swapaxes(
+                -1, -2
+            ) @ turned
+        nearest = _nearest_known_frames(known)
         local[:, bone] = turned[nearest] if known.any() else np.eye(3)
         if parent < 0:
             centre = np.asarray(skeleton.centres[bone], float)
-            moved = np.einsum("fab,b->fa", local[:, bone], made.origins[bone] - centre)
+            moved = np.einsum("fab,b->fa", local[:, bone], assembled.rest_origins[bone] - centre)
             shifts[:, bone] = (frames.origins[:, segment] - centre)[nearest] - moved
     dtype = skeleton.centres.dtype
     poses = Pose(
         jnp.asarray(shifts, dtype), rotation.from_matrix(jnp.asarray(local, dtype)), jnp.ones(count, dtype)
     )
-    return _project(skeleton, poses)
+    return _project_poses(skeleton, poses)
 
 
 @eqx.filter_jit
-def _project(skeleton: Skeleton, poses: Pose) -> Pose:
+def _project_poses(skeleton: Skeleton, poses: Pose) -> Pose:
     return jax.vmap(project, (None, 0))(skeleton, poses)
 
 
-def _nearest(known: np.ndarray) -> np.ndarray:
+def _nearest_known_frames(known: np.ndarray) -> np.ndarray:
     """Find the nearest known frame of each frame."""
     there = np.flatnonzero(known)
     if len(there) == 0:
@@ -129,9 +133,9 @@ def _nearest(known: np.ndarray) -> np.ndarray:
     return np.where(np.abs(there[before] - now) < np.abs(there[after] - now), there[before], there[after])
 
 
-def _below(tree: Tree, root: int) -> list[int]:
+def _usable_segments(tree: SegmentTree, root: int) -> list[int]:
     """List the segments with known frames, parents first, without the descendants of unknown segments."""
-    usable = tree.markers.frames.known.any(0)
+    usable = tree.augmented.frames.known.any(0)
     order, open_ = [], [root]
     while open_:
         segment = open_.pop(0)
@@ -144,13 +148,13 @@ def _below(tree: Tree, root: int) -> list[int]:
     return order
 
 
-def _rest(tree: Tree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarray]:
+def _choose_rest_frame(tree: SegmentTree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarray]:
     """Choose the frame with the most typical joint rotations. Return its rotations and the root's origin.
 
     World rotations; the root is known in this frame. A segment that is not known in it takes its mean
     rotation relative to the parent.
     """
-    frames, root = tree.markers.frames, order[0]
+    frames, root = tree.augmented.frames, order[0]
     off = np.where(frames.known[:, root], 0.0, np.inf)
     usual: dict[int, np.ndarray] = {}
     for k in order[1:]:
@@ -168,14 +172,14 @@ def _rest(tree: Tree, order: list[int]) -> tuple[dict[int, np.ndarray], np.ndarr
     return turns, frames.origins[frame, root]
 
 
-def _end(bone: int, parents, centres, bones: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+def _bone_end(bone: int, parents, centres, bones: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Compute the end of a bone: the mean of its child joints, otherwise the mean of its markers."""
     children = [centres[k] for k, parent in enumerate(parents) if parent == bone]
     own = offsets[bones == bone]
     return np.mean(children, axis=0) if children else (own.mean(0) if len(own) else centres[bone])
 
 
-def _towards(centres: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def _bone_orientations(centres: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Compute the quaternions that rotate the x axis to the directions of the bones."""
     away = ends - centres
     lengths = np.linalg.norm(away, axis=1, keepdims=True)

@@ -6,30 +6,30 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..rotation_centres.centre_estimate import settle
-from .tree import Tree
+from ..rotation_centres.centre_estimate import iterate_until_converged
+from .tree import SegmentTree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
 #: maximal number of iterations over directions and lengths
-ROUNDS = 40
+MAX_ITERATIONS = 40
 #: factor on the variance of a joint in frames where it is not known
-UNKNOWN = 1e6
+UNKNOWN_VARIANCE_FACTOR = 1e6
 
 
-class _Fit(NamedTuple):
+class _LengthState(NamedTuple):
     """Lengths by group, and the joints of a skeleton with fixed lengths."""
 
     lengths: np.ndarray
     joints: np.ndarray
 
 
-def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
+def joint_trajectories(tree: SegmentTree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarray, "F K"]]:
     """Compute the position of each segment's joint with its parent in every frame, metres.
 
     Return also a mask of known positions. A position is the mean of the two segments' predictions, or that
     of the segment with a known frame.
     """
-    frames = tree.markers.frames
+    frames = tree.augmented.frames
     count, number = frames.known.shape
     places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
     for k, joint in enumerate(tree.joints):
@@ -48,7 +48,7 @@ def joint_places(tree: Tree) -> tuple[Float[np.ndarray, "F K 3"], Bool[np.ndarra
     return places, known
 
 
-def bones(tree: Tree) -> list[tuple[int, int]]:
+def list_bones(tree: SegmentTree) -> list[tuple[int, int]]:
     """List the bones between two joints as `(segment, child segment)`.
 
     A bone goes from a segment's joint with its parent to the joint with its child. A root has no joint of
@@ -57,13 +57,13 @@ def bones(tree: Tree) -> list[tuple[int, int]]:
     return [(p, k) for k, p in enumerate(tree.parents) if p >= 0 and tree.parents[p] >= 0]
 
 
-def bone_lengths(
-    places: Float[np.ndarray, "F K 3"],
+def estimate_bone_lengths(
+    positions: Float[np.ndarray, "F K 3"],
     known: Bool[np.ndarray, "F K"],
-    between: list[tuple[int, int]],
+    joint_pairs: list[tuple[int, int]],
     method: LengthMethod = "global",
     *,
-    same: list[tuple[int, int]] | None = None,
+    equal_pairs: list[tuple[int, int]] | None = None,
     deviations: Float[np.ndarray, "K"] | None = None,
 ) -> Float[np.ndarray, "B"]:
     """Estimate the length of each bone, metres; NaN for a bone with ends that are never known together.
@@ -76,7 +76,7 @@ def bone_lengths(
       For given directions the lengths are the generalised least squares solution. Directions and lengths
       alternate until convergence.
 
-    **Arguments:** `between` the joints at the ends of each of B bones, a forest; `same` pairs of left and
+    **Arguments:** `joint_pairs` the joints at the ends of each of B bones, a forest; `equal_pairs` pairs of left and
     right bones with equal length; `deviations` of the joints, metres, by default all equal.
 
     **Raises:** `ValueError` for a method that does not exist.
@@ -85,12 +85,12 @@ def bone_lengths(
         raise ValueError(
             f"There is no method '{method}' for lengths; expected mean, least_squares or global."
         )
-    if not between:
+    if not joint_pairs:
         return np.zeros(0)
-    a, b = (np.array(side) for side in zip(*between, strict=True))
+    a, b = (np.array(side) for side in zip(*joint_pairs, strict=True))
     both = known[:, a] & known[:, b]
-    away = places[:, b] - places[:, a]
-    group = _groups(len(between), same or [])
+    away = positions[:, b] - positions[:, a]
+    group = _group_bones(len(joint_pairs), equal_pairs or [])
     spread = np.eye(int(group.max()) + 1)[group]
     distances = np.where(both, np.linalg.norm(away, axis=-1), 0.0)
     counts = spread.T @ both.sum(0)
@@ -101,19 +101,19 @@ def bone_lengths(
         return (mean if method == "mean" else square)[group]
     seen = both.any(1)
     usable = np.flatnonzero(counts > 0)
-    places, known, both = places[seen], known[seen], both[seen]
-    variances = np.ones(places.shape[1]) if deviations is None else np.asarray(deviations, float) ** 2
-    spans = np.where(known, variances, UNKNOWN * variances.max())
-    number = np.arange(len(between))
+    positions, known, both = positions[seen], known[seen], both[seen]
+    variances = np.ones(positions.shape[1]) if deviations is None else np.asarray(deviations, float) ** 2
+    spans = np.where(known, variances, UNKNOWN_VARIANCE_FACTOR * variances.max())
+    number = np.arange(len(joint_pairs))
 
-    def step(fit: _Fit) -> _Fit:
+    def step(fit: _LengthState) -> _LengthState:
         along = fit.joints[:, b] - fit.joints[:, a]
         units = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
-        rows = np.zeros((len(places), len(between), places.shape[1], 3))
+        rows = np.zeros((len(positions), len(joint_pairs), positions.shape[1], 3))
         rows[:, number, b] += units
         rows[:, number, a] -= units
         # distances of the data along the directions, and their covariance
-        measured = np.einsum("fbkd,fkd->fb", rows, places)
+        measured = np.einsum("fbkd,fkd->fb", rows, positions)
         weighted = rows * spans[:, None, :, None]
         shared = np.einsum("fbkd,fckd->fbc", weighted, rows)
         inverse = inverse_symmetric(shared + 1e-12 * spans.max() * np.eye(len(b)))
@@ -122,15 +122,15 @@ def bone_lengths(
         new = fit.lengths.copy()
         new[usable] = solve_symmetric(total[np.ix_(usable, usable)], side[usable])
         multipliers = np.einsum("fbc,fc->fb", inverse, measured - new[group])
-        return _Fit(new, places - np.einsum("fb,fbkd->fkd", multipliers, weighted))
+        return _LengthState(new, positions - np.einsum("fb,fbkd->fkd", multipliers, weighted))
 
-    start = _Fit(np.where(np.isnan(mean), 0.1, mean), places)
-    lengths = settle(step, start, ROUNDS, 1e-9, least=0).lengths
+    start = _LengthState(np.where(np.isnan(mean), 0.1, mean), positions)
+    lengths = iterate_until_converged(step, start, MAX_ITERATIONS, 1e-9, min_iterations=0).lengths
     return np.where(counts[group] > 0, lengths[group], np.nan)
 
 
-def _groups(count: int, same: list[tuple[int, int]]) -> np.ndarray:
+def _group_bones(count: int, equal_pairs: list[tuple[int, int]]) -> np.ndarray:
     group = np.arange(count)
-    for one, other in same:
+    for one, other in equal_pairs:
         group[group == group[other]] = group[one]
     return np.unique(group, return_inverse=True)[1].ravel()

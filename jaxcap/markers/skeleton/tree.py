@@ -8,30 +8,30 @@ from jaxtyping import Bool, Float
 
 from ...body.skeleton import Skeleton
 from ...geometry.spanning_tree import spanning_tree
-from ..rotation_centres.centres import Method, find_joint
-from ..rotation_centres.hinge_centres import settle_hinges
+from ..rotation_centres.centres import CentreMethod, find_joint
+from ..rotation_centres.hinge_centres import align_hinge_centres
 from ..rotation_centres.joint import Joint
-from ..segments.relative_motion import Relative, relative
+from ..segments.relative_motion import RelativeMotion, relative_motion
 from ..segments.segment import Segments
-from ..segments.segment_frames import fit_frames
-from ..segments.virtual_markers import Augmented, augment, hinge_assumed
+from ..segments.segment_frames import fit_segment_frames
+from ..segments.virtual_markers import AugmentedMarkers, add_virtual_markers, assume_hinge
 
 #: cost per metre between a centre and the nearest marker of either segment, against a metre of residual: two
 #: segments that hardly rotate against each other share any centre, joined ones have it near their markers
-FAR = 0.03
+DISTANCE_COST = 0.03
 #: a joint is rejected where its cost is above this share of the markers' median distance, and above this
 #: multiple of the median joint's cost: the segments are then of different bodies
-BREAK, TIMES = 0.08, 3.0
+MAX_RELATIVE_COST, MAX_COST_RATIO = 0.08, 3.0
 #: segments with few markers get their frames in rounds, each with the joints of at most this multiple of the
 #: round's lowest cost
-SURE = 2.0
+ROUND_COST_RATIO = 2.0
 
 
 #: joint and cost, metres, of each pair of segments that was examined, the smaller index first
-Found = dict[tuple[int, int], tuple[Joint, float]]
+CandidateJoints = dict[tuple[int, int], tuple[Joint, float]]
 
 
-class Tree(NamedTuple):
+class SegmentTree(NamedTuple):
     """Segments joined to a tree, or to a forest where some are not connected."""
 
     #: parent of each segment, -1 at roots
@@ -41,7 +41,7 @@ class Tree(NamedTuple):
     #: cost of each joint, metres; zero at roots
     costs: Float[np.ndarray, "K"]
     #: markers and virtual markers at joints, with the frames of all segments
-    markers: Augmented
+    augmented: AugmentedMarkers
 
     @property
     def roots(self) -> tuple[int, ...]:
@@ -50,12 +50,12 @@ class Tree(NamedTuple):
 
 
 def find_tree(
-    places: Float[np.ndarray, "F M 3"],
+    positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     segments: Segments,
-    method: Method = "score",
+    method: CentreMethod = "score",
     pairs: list[tuple[int, int]] | None = None,
-) -> Tree:
+) -> SegmentTree:
     """Find the minimum spanning tree over the costs of joints between segments (Kirk, O'Brien, Forsyth 2005).
 
     The cost of a joint is its residual plus a share of its distances from the markers of both segments.
@@ -66,19 +66,21 @@ def find_tree(
 
     **Arguments:** `pairs` of joined segments, where known (`template_pairs`).
     """
-    frames = fit_frames(places, seen, segments)
-    now = Augmented(places, seen, segments, frames)
-    found: Found = {}
-    used: Found = {}
+    frames = fit_segment_frames(positions, seen, segments)
+    now = AugmentedMarkers(positions, seen, segments, frames)
+    found: CandidateJoints = {}
+    used: CandidateJoints = {}
     for _ in range(2 * segments.num_segments):
-        _look(now, found, used, pairs, "score")
-        bare = _bare(now)
+        _find_missing_joints(now, found, used, pairs, "score")
+        bare = _segments_without_frame(now)
         links: dict[int, Joint] = {}
         open_ = [
-            p for p in _cheapest_pairs(found, segments.num_segments) if found[p][0].child in bare and p not in used
+            p
+            for p in _cheapest_pairs(found, segments.num_segments)
+            if found[p][0].child in bare and p not in used
         ]
         # a distant neighbour may be the nearest one with a frame so far: the lowest costs first
-        most = SURE * min((found[pair][1] for pair in open_), default=0.0)
+        most = ROUND_COST_RATIO * min((found[pair][1] for pair in open_), default=0.0)
         for pair in open_:
             joint = found[pair][0]
             if found[pair][1] <= most and joint.child not in links:
@@ -86,23 +88,23 @@ def find_tree(
                 used[pair] = found[pair]
         if not links:
             break
-        now = augment(now.places, now.seen, now.segments, now.frames, list(links.items()))
-        settled = bare - _bare(now)
+        now = add_virtual_markers(now.positions, now.seen, now.segments, now.frames, list(links.items()))
+        settled = bare - _segments_without_frame(now)
         found = {pair: some for pair, some in found.items() if not settled & set(pair)}
-    for segment in sorted(_bare(now)):
+    for segment in sorted(_segments_without_frame(now)):
         base = [pair for pair in _cheapest_pairs(found, segments.num_segments) if segment in pair]
         if base and len(segments.members[segment]) >= 2:
-            now = hinge_assumed(now, segment, found[base[0]][0].parent)
+            now = assume_hinge(now, segment, found[base[0]][0].parent)
             found = {pair: some for pair, some in found.items() if segment not in pair}
-            _look(now, found, used, pairs, "score")
+            _find_missing_joints(now, found, used, pairs, "score")
     if method != "score":
         kept, found = _cheapest_pairs(found, segments.num_segments), {}
-        _look(now, found, used, kept, method)
+        _find_missing_joints(now, found, used, kept, method)
     chosen = _cheapest_pairs(found, segments.num_segments)
-    limit = BREAK * _usual_distance(places, seen)
+    limit = MAX_RELATIVE_COST * _median_distance(positions, seen)
     usual = float(np.median([found[pair][1] for pair in chosen])) if chosen else 0.0
-    held = [pair for pair in chosen if found[pair][1] <= max(limit, TIMES * usual)]
-    return _rooted(now, held, found)
+    held = [pair for pair in chosen if found[pair][1] <= max(limit, MAX_COST_RATIO * usual)]
+    return _root_tree(now, held, found)
 
 
 def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, str]) -> list[tuple[int, int]]:
@@ -136,24 +138,29 @@ def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, s
     return pairs
 
 
-def joint_cost(joint: Joint, between: Relative) -> float:
+def joint_cost(joint: Joint, motion: RelativeMotion) -> float:
     """Compute the cost of a joint, metres: its residual and a share of its distances from the markers."""
-    to_base = np.linalg.norm(between.base - joint.in_parent, axis=1).min()
-    tracks = [between.tracks[s, n] for n, s in enumerate(between.tracked.T)]
+    to_base = np.linalg.norm(motion.parent_markers - joint.in_parent, axis=1).min()
+    tracks = [motion.child_markers[s, n] for n, s in enumerate(motion.child_visible.T)]
     to_child = min(float(np.median(np.linalg.norm(track - joint.in_parent, axis=1))) for track in tracks)
-    return joint.residual + FAR * (float(to_base) + to_child)
+    return joint.residual + DISTANCE_COST * (float(to_base) + to_child)
 
 
-def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> None:
+def _find_missing_joints(
+    augmented: AugmentedMarkers, found: CandidateJoints, used: CandidateJoints, pairs, method: CentreMethod
+) -> None:
     """Find the joints that are still missing.
 
     A joint that gave a segment its frame (`used`) is no evidence for itself. It keeps its position, its
     precision and its cost.
     """
-    noise = now.frames.noise(now.places, now.seen, now.segments)
-    known = np.asarray(now.frames.known.any(0))
-    count = now.segments.num_segments
-    size = [float(np.sum(now.frames.template[list(some)] ** 2)) for some in now.segments.members]
+    noise = augmented.frames.noise(augmented.positions, augmented.seen, augmented.segments)
+    known = np.asarray(augmented.frames.known.any(0))
+    count = augmented.segments.num_segments
+    size = [
+        float(np.sum(augmented.frames.local_positions[list(some)] ** 2))
+        for some in augmented.segments.members
+    ]
     asked = pairs if pairs is not None else [(a, b) for a in range(count) for b in range(a + 1, count)]
     for a, b in asked:
         key = (min(a, b), max(a, b))
@@ -165,20 +172,24 @@ def _look(now: Augmented, found: Found, used: Found, pairs, method: Method) -> N
             parent, child = used[key][0].parent, used[key][0].child
         if key in found or not known[parent]:
             continue
-        between = relative(now.places, now.seen, now.segments, now.frames, parent, child, noise)
+        between = relative_motion(
+            augmented.positions, augmented.seen, augmented.segments, augmented.frames, parent, child, noise
+        )
         if between is None:
             continue
         joint, old = find_joint(between, parent, child, method), used.get(key)
         found[key] = (
-            (joint, joint_cost(joint, between)) if old is None else (_kept(old[0], joint, between), old[1])
+            (joint, joint_cost(joint, between))
+            if old is None
+            else (_add_child_frame(old[0], joint, between), old[1])
         )
 
 
-def _kept(old: Joint, new: Joint, between: Relative) -> Joint:
+def _add_child_frame(old: Joint, new: Joint, motion: RelativeMotion) -> Joint:
     """Keep a joint from before the child had a frame, and add its position and axis in the child."""
-    if between.rotations is None or between.translations is None:
+    if motion.rotations is None or motion.translations is None:
         return old
-    back = np.einsum("fba,fb->fa", between.rotations, old.in_parent - between.translations)
+    back = np.einsum("fba,fb->fa", motion.rotations, old.in_parent - motion.translations)
     return old._replace(
         in_child=np.median(back, axis=0),
         axis_in_parent=new.axis_in_parent,
@@ -186,8 +197,8 @@ def _kept(old: Joint, new: Joint, between: Relative) -> Joint:
     )
 
 
-def _bare(now: Augmented) -> set[int]:
-    return set(np.flatnonzero(~now.frames.known.any(0)).tolist())
+def _segments_without_frame(augmented: AugmentedMarkers) -> set[int]:
+    return set(np.flatnonzero(~augmented.frames.known.any(0)).tolist())
 
 
 def _cheapest_pairs(found, count: int) -> list[tuple[int, int]]:
@@ -197,16 +208,16 @@ def _cheapest_pairs(found, count: int) -> list[tuple[int, int]]:
     return [pairs[edge] for edge in edges]
 
 
-def _usual_distance(places: np.ndarray, seen: np.ndarray) -> float:
+def _median_distance(positions: np.ndarray, seen: np.ndarray) -> float:
     frame = int(np.argmax(seen.sum(1)))
-    some = places[frame, seen[frame]]
+    some = positions[frame, seen[frame]]
     return float(np.median(np.linalg.norm(some[:, None] - some[None], axis=-1)))
 
 
-def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
+def _root_tree(augmented: AugmentedMarkers, pairs: list[tuple[int, int]], found) -> SegmentTree:
     """Root each connected component at the segment that balances the markers around it."""
-    count = now.segments.num_segments
-    size = np.array([len(some) for some in now.segments.members], float)
+    count = augmented.segments.num_segments
+    size = np.array([len(some) for some in augmented.segments.members], float)
     around: list[list[int]] = [[] for _ in range(count)]
     for a, b in pairs:
         around[a].append(b)
@@ -221,7 +232,7 @@ def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
     joints: list[Joint | None] = [None] * count
     parents, costs = [-2] * count, np.zeros(count)
     for root in sorted(range(count), key=lambda k: (heaviest[k], -len(around[k]))):
-        if parents[root] != -2 or not _is_middle(root, around, heaviest):
+        if parents[root] != -2 or not _is_component_root(root, around, heaviest):
             continue
         parents[root] = -1
         stack = [root]
@@ -232,23 +243,23 @@ def _rooted(now: Augmented, pairs: list[tuple[int, int]], found) -> Tree:
                     continue
                 joint, cost = found[min(above, segment), max(above, segment)]
                 parents[segment], costs[segment] = above, cost
-                joints[segment] = joint if joint.parent == above else _turned(now, joint)
+                joints[segment] = joint if joint.parent == above else _flip_joint(augmented, joint)
                 stack.append(segment)
-    return Tree(tuple(parents), settle_hinges(tuple(parents), tuple(joints)), costs, now)
+    return SegmentTree(tuple(parents), align_hinge_centres(tuple(parents), tuple(joints)), costs, augmented)
 
 
-def _is_middle(root: int, around: list[list[int]], heaviest: list[float]) -> bool:
+def _is_component_root(root: int, neighbours: list[list[int]], branch_weights: list[float]) -> bool:
     piece, stack = {root}, [root]
     while stack:
-        for other in around[stack.pop()]:
+        for other in neighbours[stack.pop()]:
             if other not in piece:
                 piece.add(other)
                 stack.append(other)
-    return heaviest[root] == min(heaviest[k] for k in piece)
+    return branch_weights[root] == min(branch_weights[k] for k in piece)
 
 
-def _turned(now: Augmented, joint: Joint) -> Joint:
-    both = now.frames.known[:, joint.parent] & now.frames.known[:, joint.child]
+def _flip_joint(augmented: AugmentedMarkers, joint: Joint) -> Joint:
+    both = augmented.frames.known[:, joint.parent] & augmented.frames.known[:, joint.child]
     frame = int(np.argmax(both))
-    r = now.frames.rotations[frame]
+    r = augmented.frames.rotations[frame]
     return joint.flipped(r[joint.child].T @ r[joint.parent])

@@ -7,23 +7,23 @@ import numpy as np
 from jaxtyping import Float
 
 from ...body.pose import Motion
-from ...io.system.atomic import replacing
-from ...markers.motion.gap_filling import expected_places, joint_frames
+from ...io.system.atomic import atomic_path
+from ...markers.motion.gap_filling import joint_frames, predicted_positions
 from ...markers.motion.label_matching import match_markers
 from ...markers.subject import Subject
 from ...observe import MarkerFrames
-from ..pictures import new_figure, nice
-from ..render import INK, PAPER, distinct_colours, frame
+from ..pictures import new_figure, round_up
+from ..render import INK, PAPER, distinct_colours, set_frame
 
 #: frames in a picture; largest number of columns for frames; largest number of labelled markers
-SHOWN, COLUMNS, LABELLED = 3, 1200, 150
+NUM_FRAMES, MAX_COLUMNS, MAX_LABELS = 3, 1200, 150
 #: colours of a marker on no bone, and of missing observations
-LOOSE, NOTHING = "#9aa5b1", (0.80, 0.80, 0.80)
+LOOSE_COLOUR, MISSING_COLOUR = "#9aa5b1", (0.80, 0.80, 0.80)
 #: columns of the legend of bones
-NAMED = 8
-HEAT = ("#12355b", "#1c7293", "#4fb286", "#f2c14e", "#f2803c", "#c81d25")
+LEGEND_COLUMNS = 8
+RESIDUAL_COLOURS = ("#12355b", "#1c7293", "#4fb286", "#f2c14e", "#f2803c", "#c81d25")
 #: z is up if this share of the longest side or more lies along it, as in most laboratories
-ALIKE = 0.8
+MIN_UP_SHARE = 0.8
 
 
 def draw_skeleton(
@@ -42,17 +42,17 @@ def draw_skeleton(
     **Raises:** `InputError` if the file cannot be written.
     """
     matched = match_markers(subject, frames)
-    seen, places = np.asarray(matched.seen), np.asarray(matched.places, float)
-    shown = _chosen(seen, residuals)
-    some = Motion(_take(motion.poses, shown), motion.rate)
-    joints = np.asarray(joint_frames(subject.skeleton, some).places, float)
-    expected = np.asarray(expected_places(subject, some), float)
+    seen, places = np.asarray(matched.seen), np.asarray(matched.positions, float)
+    shown = _choose_frames(seen, residuals)
+    some = Motion(_take_poses(motion.poses, shown), motion.rate)
+    joints = np.asarray(joint_frames(subject.skeleton, some).positions, float)
+    expected = np.asarray(predicted_positions(subject, some), float)
     held, bones = np.asarray(subject.weights) > 0, np.asarray(subject.bones)
     palette = distinct_colours(subject.skeleton.num_joints)
-    axes = upright(places[shown], seen[shown])
-    middles = [_middle(places[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
+    axes = upright_view(places[shown], seen[shown])
+    middles = [_centre(places[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
     views = [axes, np.array([-axes[2], axes[1], axes[0]])]
-    legend = 0.2 * -(-subject.skeleton.num_joints // NAMED)
+    legend = 0.2 * -(-subject.skeleton.num_joints // LEGEND_COLUMNS)
     canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6 + legend)
     plots = figure.subplots(len(views), len(shown), squeeze=False)
     for row, view in enumerate(views):
@@ -65,15 +65,15 @@ def draw_skeleton(
             at = lambda x, c=column, v=view: ((x - middles[c]) @ v.T)[..., :2]  # noqa: E731
             _draw_bones(plot, subject, at(joints[column]), at(expected[column]), palette)
             there = seen[f]
-            colours = np.where(held[:, None], palette[bones], _rgb(LOOSE))
+            colours = np.where(held[:, None], palette[bones], _rgb(LOOSE_COLOUR))
             xy = at(places[f])
             plot.scatter(*xy[there].T, s=17, c=colours[there], edgecolors=INK, linewidths=0.35, zorder=4)
             cross = at(expected[column])[held]
             plot.scatter(*cross.T, s=11, c=INK, marker="+", linewidths=0.5, zorder=5)
             own = residuals[f][np.isfinite(residuals[f])]
             off = f", {1e3 * np.sqrt(np.mean(own**2)):.1f} mm rms" if len(own) else ""
-            frame(plot, low, high, f"frame {f}{off}" if row == 0 else "")
-    figure.suptitle(_plain(title), fontsize=12, color=INK, y=0.985)
+            set_frame(plot, low, high, f"frame {f}{off}" if row == 0 else "")
+    figure.suptitle(_escape_dollars(title), fontsize=12, color=INK, y=0.985)
     figure.text(
         0.5,
         0.1 / (9.6 + legend),
@@ -84,10 +84,10 @@ def draw_skeleton(
         color=INK,
         wrap=True,
     )
-    _name_bones(figure, subject, palette, 0.3 / (9.6 + legend))
+    _add_bone_legend(figure, subject, palette, 0.3 / (9.6 + legend))
     bottom = (0.45 + legend) / (9.6 + legend)
     figure.subplots_adjust(left=0.01, right=0.99, top=0.92, bottom=bottom, wspace=0.02, hspace=0.04)
-    with replacing(path) as beside:
+    with atomic_path(path) as beside:
         canvas.print_png(beside)
 
 
@@ -110,13 +110,13 @@ def draw_residuals(
     bones = np.asarray(subject.bones)
     order = held[np.argsort(bones[held], kind="stable")]
     values = 1e3 * residuals[:, order]
-    count, rows = len(order), min(max(len(order), 4), LABELLED)
+    count, rows = len(order), min(max(len(order), 4), MAX_LABELS)
     figures = values[np.isfinite(values)]
-    top = nice(float(np.quantile(figures, 0.99))) if len(figures) else 1.0
-    heat, scale = LinearSegmentedColormap.from_list("residual", HEAT), Normalize(0.0, top)
-    parts = np.linspace(0, len(values), min(COLUMNS, len(values)) + 1).astype(int)[:-1]
+    top = round_up(float(np.quantile(figures, 0.99))) if len(figures) else 1.0
+    heat, scale = LinearSegmentedColormap.from_list("residual", RESIDUAL_COLOURS), Normalize(0.0, top)
+    parts = np.linspace(0, len(values), min(MAX_COLUMNS, len(values)) + 1).astype(int)[:-1]
     worst = np.maximum.reduceat(np.where(np.isfinite(values), values, -1.0), parts, axis=0).T
-    paint = np.where(worst[..., None] < 0, NOTHING, heat(scale(worst))[..., :3])
+    paint = np.where(worst[..., None] < 0, MISSING_COLOUR, heat(scale(worst))[..., :3])
     canvas, figure = new_figure(12.5, 0.155 * rows + 1.6)
     height = figure.get_figheight()
     bottom, tall = 1.15 / height, (0.155 * rows) / height
@@ -124,9 +124,10 @@ def draw_residuals(
     if count:
         plot.imshow(paint, aspect="auto", interpolation="nearest",
                     extent=(0, len(residuals) / rate, count - 0.5, -0.5))  # fmt: skip
-    step = max(-(-count // LABELLED), 1)
+    step = max(-(-count // MAX_LABELS), 1)
     labels = [
-        f"{_plain(subject.labels[m])}  ({_plain(subject.skeleton.names[bones[m]])})" for m in order[::step]
+        f"{_escape_dollars(subject.labels[m])}  ({_escape_dollars(subject.skeleton.names[bones[m]])})"
+        for m in order[::step]
     ]
     plot.set_yticks(range(0, count, step), labels, fontsize=6, color=INK)
     for edge in np.flatnonzero(np.diff(bones[order])) + 0.5:
@@ -155,20 +156,20 @@ def draw_residuals(
         if len(figures)
         else ""
     )
-    figure.suptitle(f"{_plain(title)}{whole}", fontsize=11, color=INK, y=1 - 0.12 / height)
-    with replacing(path) as beside:
+    figure.suptitle(f"{_escape_dollars(title)}{whole}", fontsize=11, color=INK, y=1 - 0.12 / height)
+    with atomic_path(path) as beside:
         canvas.print_png(beside)
 
 
-def upright(places: Float[np.ndarray, "F M 3"], seen: np.ndarray) -> Float[np.ndarray, "3 3"]:
+def upright_view(positions: Float[np.ndarray, "F M 3"], seen: np.ndarray) -> Float[np.ndarray, "3 3"]:
     """Choose a view of a body from its front or back: rows are right, up and towards the eye.
 
     Up is the axis of the markers' largest extent in a frame, or z if its extent is hardly less. Right is the
     horizontal direction of the markers' largest variance.
     """
-    sides = np.median([np.ptp(x[s], axis=0) for x, s in zip(places, seen, strict=True) if s.any()], axis=0)
-    up = 2 if sides[2] > ALIKE * sides.max() else int(np.argmax(sides))
-    flat = np.concatenate([x[s] - x[s].mean(0) for x, s in zip(places, seen, strict=True) if s.any()])
+    sides = np.median([np.ptp(x[s], axis=0) for x, s in zip(positions, seen, strict=True) if s.any()], axis=0)
+    up = 2 if sides[2] > MIN_UP_SHARE * sides.max() else int(np.argmax(sides))
+    flat = np.concatenate([x[s] - x[s].mean(0) for x, s in zip(positions, seen, strict=True) if s.any()])
     flat[:, up] = 0.0
     right = np.linalg.eigh(flat.T @ flat)[1][:, -1]
     right *= np.sign(right[np.argmax(np.abs(right))])
@@ -198,37 +199,37 @@ def _draw_bones(
     plot.scatter(*joints.T, s=30, c="white", edgecolors=INK, linewidths=1.0, zorder=3)
 
 
-def _name_bones(figure: Any, subject: Subject, palette: np.ndarray, bottom: float) -> None:
+def _add_bone_legend(figure: Any, subject: Subject, palette: np.ndarray, bottom: float) -> None:
     """Add a legend of the colour of each bone below the views."""
     from matplotlib.lines import Line2D
 
     names = subject.skeleton.names
     lines = [
-        Line2D([], [], color=colour, linewidth=3.2, label=_plain(name))
+        Line2D([], [], color=colour, linewidth=3.2, label=_escape_dollars(name))
         for name, colour in zip(names, palette, strict=True)
     ]
     figure.legend(
-        handles=lines, loc="lower center", bbox_to_anchor=(0.5, bottom), ncols=min(NAMED, len(names)),
+        handles=lines, loc="lower center", bbox_to_anchor=(0.5, bottom), ncols=min(LEGEND_COLUMNS, len(names)),
         fontsize=7, labelcolor=INK, frameon=False, handlelength=1.4, borderpad=0, labelspacing=0.3,
     )  # fmt: skip
 
 
-def _chosen(seen: np.ndarray, residuals: np.ndarray) -> list[int]:
+def _choose_frames(seen: np.ndarray, residuals: np.ndarray) -> list[int]:
     """Choose the frames with most markers in each third, the middle one of equals."""
     told = np.isfinite(residuals).sum(1)
     shown = told if told.any() else seen.sum(1)
     chosen = []
-    for part in np.array_split(np.arange(len(seen)), min(SHOWN, len(seen))):
+    for part in np.array_split(np.arange(len(seen)), min(NUM_FRAMES, len(seen))):
         best = part[shown[part] == shown[part].max()]
         chosen.append(int(best[len(best) // 2]))
     return chosen
 
 
-def _take(poses, rows: list[int]):
+def _take_poses(poses, rows: list[int]):
     return type(poses)(*(leaf[np.array(rows)] for leaf in (poses.translations, poses.rotations, poses.scale)))
 
 
-def _middle(places: np.ndarray, joints: np.ndarray) -> np.ndarray:
+def _centre(places: np.ndarray, joints: np.ndarray) -> np.ndarray:
     both = np.concatenate([places, joints]) if len(places) else joints
     return 0.5 * (both.min(0) + both.max(0))
 
@@ -237,6 +238,6 @@ def _rgb(colour: str) -> np.ndarray:
     return np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)]) / 255
 
 
-def _plain(text: str) -> str:
+def _escape_dollars(text: str) -> str:
     """Escape dollar signs, which would begin a formula."""
     return text.replace("$", r"\$")

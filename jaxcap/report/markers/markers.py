@@ -55,7 +55,7 @@ def score_markers(
     return tuple(scores)
 
 
-def held_residuals(
+def assigned_residuals(
     subject: Subject, residuals: Float[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"] | None = None
 ) -> Float[np.ndarray, "F M"]:
     """Mask residuals with NaN for markers on no bone, and in `lost` frames."""
@@ -63,7 +63,7 @@ def held_residuals(
     return kept if lost is None else np.where(np.asarray(lost)[:, None], np.nan, kept)
 
 
-def total_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
+def summarise_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
     """Summarise the residuals over all frames and markers, metres; NaN if there are none."""
     some = residuals[np.isfinite(residuals)]
     if not len(some):
@@ -76,7 +76,7 @@ def total_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]:
     }
 
 
-def bones_between(skeleton: Skeleton) -> tuple[Bone, ...]:
+def list_bones(skeleton: Skeleton) -> tuple[Bone, ...]:
     """List the bones between two joints that are not roots, as a root's centre may be anywhere."""
     centres = np.asarray(skeleton.centres, float)
     return tuple(
@@ -98,19 +98,19 @@ def report_markers(
     residuals: Float[np.ndarray, "F M"],
     *,
     title: str,
-    told: Sequence[str] = (),
+    notes: Sequence[str] = (),
     lost: Bool[np.ndarray, "F"] | None = None,
-    more: Mapping[str, object] | None = None,
+    extra: Mapping[str, object] | None = None,
 ) -> list[Path]:
     """Write `report.json`, `skeleton.png` and `residuals.png` into an existing folder; return the pictures.
 
     **Arguments:** `motion` of the subject through `frames`; `residuals` in the subject's order of markers;
-    `told`, sentences for the user; `more`, further entries of the report.
+    `notes`, sentences for the user; `extra`, further entries of the report.
 
     **Raises:** `InputError` if a file cannot be written.
     """
     folder, skeleton = Path(folder), subject.skeleton
-    kept = held_residuals(subject, residuals, lost)
+    kept = assigned_residuals(subject, residuals, lost)
     pictures = [folder / "skeleton.png", folder / "residuals.png"]
     draw_skeleton(pictures[0], subject, motion, frames, kept, title)
     draw_residuals(pictures[1], subject, kept, frames.rate, title)
@@ -124,7 +124,7 @@ def report_markers(
             "frames": len(frames),
             "rate": frames.rate,
             "lost_frames": [] if lost is None else np.flatnonzero(lost).tolist(),
-            "residuals": total_residuals(kept),
+            "residuals": summarise_residuals(kept),
             "markers": [dict(zip(names, score, strict=True)) for score in scores],
             "joints": {
                 "names": list(skeleton.names),
@@ -132,9 +132,9 @@ def report_markers(
                 "kinds": list(skeleton.kinds),
                 "centres": np.asarray(skeleton.centres, float).tolist(),
             },
-            "bones": [bone._asdict() for bone in bones_between(skeleton)],
-            "told": list(told),
-            **(more or {}),
+            "bones": [bone._asdict() for bone in list_bones(skeleton)],
+            "told": list(notes),
+            **(extra or {}),
         },
     )
     return pictures

@@ -15,10 +15,10 @@ DIRECTIONS = {
     TOP: (0.0, 1.0, 1e-3),
 }
 #: share of the image that is filled
-FILLED = 0.88
+FILL_SHARE = 0.88
 
 
-def place_eye(
+def place_camera(
     box: Float[np.ndarray, "2 3"],
     name: str = BEGIN,
     width: float = 900.0,
@@ -37,6 +37,6 @@ def place_eye(
     corners = np.stack(np.meshgrid(*box.T, indexing="ij"), -1).reshape(-1, 3)
     middle = box.mean(0)
     across, up, near = axes @ (corners - middle).T
-    slope = FILLED * np.tan(0.5 * field)
+    slope = FILL_SHARE * np.tan(0.5 * field)
     away = np.max(near + np.maximum(np.abs(across) * height / width, np.abs(up)) / slope)
     return middle + max(away, 1e-3) * back, middle

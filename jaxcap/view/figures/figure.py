@@ -28,9 +28,9 @@ Colour = tuple[int, int, int]
 #: default colour of a body
 CLAY: Colour = (176, 186, 200)
 #: opacity of a body whose bones are shown
-GLASS = 0.45
+TRANSLUCENT_OPACITY = 0.45
 #: one degenerate triangle, as a mesh must have one
-NOTHING = np.zeros((1, 3), np.uint32)
+DEGENERATE_FACE = np.zeros((1, 3), np.uint32)
 
 
 class BodyFigure:
@@ -53,7 +53,7 @@ class BodyFigure:
         self._scene, self._colour = scene, colour
         self._faces = np.asarray(body.faces, np.uint32)
         self._vertices = np.asarray(body.vertices, np.float32)
-        self._parts: list[_Part] = []
+        self._parts: list[_ColourPart] = []
         self._classes: np.ndarray | None = None
         self._palette: np.ndarray | None = None
         self._translucent = False
@@ -62,7 +62,7 @@ class BodyFigure:
     def show(self, vertices: Float[Array, "V 3"] | Float[np.ndarray, "V 3"]) -> None:
         """Move the vertices, metres. A hidden figure sends them when it is shown again."""
         self._vertices = np.asarray(vertices, np.float32)
-        self._group.changed()
+        self._group.send_if_visible()
 
     def colours(
         self, classes: Int[np.ndarray, "V"] | None, palette: UInt8[np.ndarray, "K 3"] | None = None
@@ -75,7 +75,7 @@ class BodyFigure:
             self._classes = self._palette = None
         else:
             self._classes, self._palette = np.asarray(classes), np.asarray(palette)
-        self._group.changed()
+        self._group.send_if_visible()
 
     @property
     def visible(self) -> bool:
@@ -94,7 +94,7 @@ class BodyFigure:
     def translucent(self, translucent: bool) -> None:
         self._translucent = translucent
         if len(self._faces):
-            self._whole.opacity = GLASS if translucent else None
+            self._whole.opacity = TRANSLUCENT_OPACITY if translucent else None
             for part in self._parts:
                 part.translucent(translucent)
 
@@ -126,7 +126,7 @@ class BodyFigure:
     def _send_parts(self, classes: np.ndarray, palette: np.ndarray) -> None:
         triangles = np.sort(classes[self._faces], axis=1)[:, 1]
         while len(self._parts) < len(palette):
-            self._parts.append(_Part(self._scene, f"{self.name}/colour{len(self._parts)}"))
+            self._parts.append(_ColourPart(self._scene, f"{self.name}/colour{len(self._parts)}"))
         for number, part in enumerate(self._parts):
             chosen = triangles == number
             if number < len(palette) and chosen.any():
@@ -136,11 +136,11 @@ class BodyFigure:
                 part.hide()
 
 
-class _Part:
+class _ColourPart:
     """The triangles of one colour, with only the vertices that they use."""
 
     def __init__(self, scene: SceneApi, name: str):
-        self._mesh = _surface(scene, name, np.zeros((1, 3), np.float32), NOTHING, CLAY)
+        self._mesh = _surface(scene, name, np.zeros((1, 3), np.float32), DEGENERATE_FACE, CLAY)
         self._mesh.visible = False
         self._chosen = np.zeros(0, bool)
         self._kept = np.zeros(0, int)
@@ -164,7 +164,7 @@ class _Part:
         self._mesh.visible = True
 
     def translucent(self, translucent: bool) -> None:
-        self._mesh.opacity = GLASS if translucent else None
+        self._mesh.opacity = TRANSLUCENT_OPACITY if translucent else None
 
     def hide(self) -> None:
         self._mesh.visible = False

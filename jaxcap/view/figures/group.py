@@ -29,7 +29,7 @@ class Group:
             self._send()
         self._node.visible = visible
 
-    def changed(self) -> None:
+    def send_if_visible(self) -> None:
         """Send the figure, now or when it is shown again."""
         if self._node.visible:
             self._send()

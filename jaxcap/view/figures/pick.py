@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 #: radius of a click around a joint, or around a vertex without triangles, as a share of the body's size
-NEAR = 0.02
+PICK_RADIUS = 0.02
 
 
 def pick_point(
@@ -27,37 +27,39 @@ def pick_point(
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
     size = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
     if joints is not None and len(joints):
-        near = NEAR * max(size, float(np.ptp(joints, axis=0).max()))
+        near = PICK_RADIUS * max(size, float(np.ptp(joints, axis=0).max()))
         joint = _nearest_to_ray(joints, origin, direction, near)
         if joint is not None:
             return names[joint]
     if not len(vertices):
         return None
     if not len(faces):
-        return _nearest_to_ray(vertices, origin, direction, NEAR * size)
+        return _nearest_to_ray(vertices, origin, direction, PICK_RADIUS * size)
     return _nearest_corner(vertices, faces, origin, direction)
 
 
-def nearest_handle(
-    places: Float[np.ndarray, "N 3"],
+def pick_sphere(
+    centres: Float[np.ndarray, "N 3"],
     origin: Float[np.ndarray, "3"],
     direction: Float[np.ndarray, "3"],
     radius: float,
 ) -> int | None:
-    """Find the first sphere of `radius` metres around `places` that a ray hits; None if it hits none."""
+    """Find the first sphere of `radius` metres around `centres` that a ray hits; None if it hits none."""
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
-    along = (places - origin) @ direction
-    beside = np.linalg.norm(places - origin - along[:, None] * direction, axis=1)
+    along = (centres - origin) @ direction
+    beside = np.linalg.norm(centres - origin - along[:, None] * direction, axis=1)
     met = np.flatnonzero((beside <= radius) & (along > 0))
     return int(met[np.argmin(along[met])]) if len(met) else None
 
 
-def _nearest_to_ray(points: np.ndarray, origin: np.ndarray, direction: np.ndarray, near: float) -> int | None:
+def _nearest_to_ray(
+    points: np.ndarray, origin: np.ndarray, direction: np.ndarray, max_distance: float
+) -> int | None:
     along = (points - origin) @ direction
     beside = np.linalg.norm(points - origin - along[:, None] * direction, axis=1)
     beside = np.where(along > 0, beside, np.inf)
     best = int(np.argmin(beside))
-    return best if beside[best] <= near else None
+    return best if beside[best] <= max_distance else None
 
 
 def _nearest_corner(

@@ -14,10 +14,10 @@ else:
     SceneApi = Any
 
 #: colours of a scan and of markers
-SAND: Colour = (214, 160, 74)
-MARKER: Colour = (66, 138, 219)
+SCAN_COLOUR: Colour = (214, 160, 74)
+MARKER_COLOUR: Colour = (66, 138, 219)
 #: diameter, metres
-DOT = 0.008
+POINT_SIZE = 0.008
 
 
 class PointFigure:
@@ -26,7 +26,7 @@ class PointFigure:
     **Arguments:** `scene` and `name` as of `BodyFigure`; `colour`; `size` of a point, metres.
     """
 
-    def __init__(self, scene: SceneApi, name: str, colour: Colour = SAND, size: float = DOT):
+    def __init__(self, scene: SceneApi, name: str, colour: Colour = SCAN_COLOUR, size: float = POINT_SIZE):
         self._colour = np.array(colour, np.uint8)
         self.node = scene.add_point_cloud(
             name, np.zeros((1, 3), np.float32), colour, point_size=size, point_shape="circle",
@@ -53,7 +53,12 @@ class LabelledPoints:
     """Points with optional name labels; a point that is not observed has neither dot nor label."""
 
     def __init__(
-        self, scene: SceneApi, name: str, labels: Sequence[str], colour: Colour = MARKER, size: float = 0.016
+        self,
+        scene: SceneApi,
+        name: str,
+        labels: Sequence[str],
+        colour: Colour = MARKER_COLOUR,
+        size: float = 0.016,
     ):
         self._scene, self._name, self._labels = scene, name, tuple(labels)
         self._points = PointFigure(scene, f"{name}/points", colour, size)

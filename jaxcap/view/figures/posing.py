@@ -17,9 +17,9 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 
 #: frames that are posed in one call
-CHUNK = 32
+CHUNK_FRAMES = 32
 #: size of the cache of posed vertices of each motion, bytes
-KEPT = 256 * 2**20
+CACHE_BYTES = 256 * 2**20
 
 
 class PosedFrame(NamedTuple):
@@ -41,8 +41,8 @@ class PosedMotion:
     def __init__(self, skeleton: Skeleton, body: Body | None, poses: Pose):
         self.skeleton, self.body = skeleton, body
         self._poses = [np.asarray(leaf) for leaf in (poses.translations, poses.rotations, poses.scale)]
-        size = 4 * 3 * CHUNK * max(1, 0 if body is None else len(body.vertices))
-        self._most = max(3, KEPT // size)
+        size = 4 * 3 * CHUNK_FRAMES * max(1, 0 if body is None else len(body.vertices))
+        self._most = max(3, CACHE_BYTES // size)
         #: counter that increases with every change of the frames
         self.version = 0
         self._chunks: OrderedDict[int, tuple[int, Future]] = OrderedDict()
@@ -74,9 +74,9 @@ class PosedMotion:
         """Return one frame once it is posed, and start to pose the next chunk."""
         with self._lock:
             # the motion may have become shorter since the caller read its length
-            chunk, row = divmod(min(number, len(self) - 1), CHUNK)
+            chunk, row = divmod(min(number, len(self) - 1), CHUNK_FRAMES)
             posed = self._chunk(chunk, row)
-            if (chunk + 1) * CHUNK < len(self):
+            if (chunk + 1) * CHUNK_FRAMES < len(self):
                 self._chunk(chunk + 1, 0)
         return PosedFrame(*(values[row] for values in posed.result()))
 
@@ -84,10 +84,10 @@ class PosedMotion:
         """Return a chunk that contains `row`, posed or scheduled."""
         there = self._chunks.get(chunk)
         if there is None or there[0] <= row:
-            start, end = chunk * CHUNK, min((chunk + 1) * CHUNK, len(self))
-            rows = np.minimum(np.arange(start, start + CHUNK), end - 1)
+            start, end = chunk * CHUNK_FRAMES, min((chunk + 1) * CHUNK_FRAMES, len(self))
+            rows = np.minimum(np.arange(start, start + CHUNK_FRAMES), end - 1)
             poses = Pose(*(jnp.asarray(values[rows]) for values in self._poses))
-            there = (end - start, self._worker.submit(_host, self.skeleton, self.body, poses))
+            there = (end - start, self._worker.submit(_pose_to_numpy, self.skeleton, self.body, poses))
             self._chunks[chunk] = there
         self._chunks.move_to_end(chunk)
         while len(self._chunks) > self._most:
@@ -95,12 +95,12 @@ class PosedMotion:
         return there[1]
 
 
-def _host(skeleton: Skeleton, body: Body | None, poses: Pose) -> tuple[np.ndarray, ...]:
-    return tuple(np.asarray(values) for values in _posed(skeleton, body, poses))
+def _pose_to_numpy(skeleton: Skeleton, body: Body | None, poses: Pose) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(values) for values in _pose_chunk(skeleton, body, poses))
 
 
 @eqx.filter_jit
-def _posed(skeleton: Skeleton, body: Body | None, poses: Pose):
+def _pose_chunk(skeleton: Skeleton, body: Body | None, poses: Pose):
     def one(pose: Pose):
         transforms = forward_kinematics(skeleton, pose)
         vertices = (

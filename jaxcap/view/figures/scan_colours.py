@@ -15,18 +15,18 @@ from ...geometry.closest import nearest_on_surface
 from ...geometry.mesh import vertex_normals
 from ...geometry.normals import estimate_normals
 from ...observe import Cloud, ordered_cloud, unit_normals
-from ...report.pictures import HEAT
+from ...report.pictures import HEAT_COLOURS
 from ...report.render import distinct_colours
-from .clouds import SeenCloud, some_rows
+from .clouds import DisplayCloud, sample_rows
 
 #: number of colours of a heat map: bands that a viewer can distinguish
-BANDS = 12
+NUM_BANDS = 12
 #: number of points that get distances and posteriors; more would not look different
-JUDGED = 4_000
+MAX_MEASURED_POINTS = 4_000
 #: default standard deviation, metres, if a run's statistics have none
-SIGMA = 0.02
+DEFAULT_SIGMA = 0.02
 #: colour of a vertex that is nearest to no scan point
-UNSEEN = (158, 163, 168)
+UNSEEN_COLOUR = (158, 163, 168)
 
 
 class ScanHeat(NamedTuple):
@@ -44,8 +44,10 @@ def heat_palette() -> UInt8[np.ndarray, "13 3"]:
     """Return the bands of the reports' heat maps, and last the colour of unobserved vertices; read-only."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    bands = LinearSegmentedColormap.from_list("heat", HEAT)((np.arange(BANDS) + 0.5) / BANDS)[:, :3]
-    palette = _with_unseen(bands)
+    bands = LinearSegmentedColormap.from_list("heat", HEAT_COLOURS)((np.arange(NUM_BANDS) + 0.5) / NUM_BANDS)[
+        :, :3
+    ]
+    palette = _append_unseen_colour(bands)
     palette.flags.writeable = False
     return palette
 
@@ -54,18 +56,18 @@ def heat_classes(heat: Float[np.ndarray, "N"], limit: float) -> Int[np.ndarray, 
     """Map each distance to its row of `heat_palette`. The last band begins `limit / 12` below `limit`, in the
     same unit, and includes everything beyond. NaN maps to the colour of unobserved vertices."""
     known = np.isfinite(heat)
-    bands = np.minimum(np.where(known, heat, 0.0) * (BANDS / limit), BANDS - 1).astype(int)
-    return np.where(known, bands, BANDS)
+    bands = np.minimum(np.where(known, heat, 0.0) * (NUM_BANDS / limit), NUM_BANDS - 1).astype(int)
+    return np.where(known, bands, NUM_BANDS)
 
 
 def scan_heat(
-    cloud: SeenCloud, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    cloud: DisplayCloud, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> ScanHeat:
     """Measure exact distances of a scan to a surface, at its points and averaged at their nearest vertices.
 
     Without faces the distances are to the vertices.
     """
-    points = cloud.points[some_rows(len(cloud.points), JUDGED)]
+    points = cloud.points[sample_rows(len(cloud.points), MAX_MEASURED_POINTS)]
     sums = np.zeros((len(vertices), 2))
     if len(faces):
         found = nearest_on_surface(points, vertices, faces)
@@ -81,11 +83,12 @@ def scan_heat(
 
 def heat_legend(limit: float) -> str:
     """Format a colour bar as HTML, with `limit` in metres."""
-    colours = [f"rgb{tuple(int(value) for value in row)}" for row in heat_palette()[:BANDS]]
+    colours = [f"rgb{tuple(int(value) for value in row)}" for row in heat_palette()[:NUM_BANDS]]
     stops = ", ".join(
-        f"{colour} {100 * i / BANDS:.1f}% {100 * (i + 1) / BANDS:.1f}%" for i, colour in enumerate(colours)
+        f"{colour} {100 * i / NUM_BANDS:.1f}% {100 * (i + 1) / NUM_BANDS:.1f}%"
+        for i, colour in enumerate(colours)
     )
-    grey = f"rgb{UNSEEN}"
+    grey = f"rgb{UNSEEN_COLOUR}"
     return (
         f'<div style="padding: 0 0.75em 0.5em; font-size: 0.8em">'
         f'<div style="height: 0.9em; background: linear-gradient(90deg, {stops})"></div>'
@@ -106,22 +109,25 @@ class PartColours(eqx.Module):
     @property
     def vertices(self) -> Int[np.ndarray, "V"]:
         """The part of every vertex."""
-        return np.asarray(self.body.skin.parts())
+        return np.asarray(self.body.skin.dominant_bones())
 
 
 def make_part_colours(body: Body) -> PartColours:
     """Assign a colour to each part of a body, the same as in the reports' figures."""
     count = body.skeleton.num_joints
-    palette = _with_unseen(distinct_colours(count))
-    return PartColours(body, make_parts(body.skin.parts(), count, body.vertices), palette)
+    palette = _append_unseen_colour(distinct_colours(count))
+    return PartColours(body, make_parts(body.skin.dominant_bones(), count, body.vertices), palette)
 
 
 def posterior_colours(
-    colours: PartColours, vertices: Float[np.ndarray, "V 3"], cloud: SeenCloud, sigma: float = SIGMA
+    colours: PartColours,
+    vertices: Float[np.ndarray, "V 3"],
+    cloud: DisplayCloud,
+    sigma: float = DEFAULT_SIGMA,
 ) -> tuple[Float[np.ndarray, "N 3"], UInt8[np.ndarray, "N 3"]]:
     """Sample points of a scan and colour them by part, mixed by their posteriors; grey is the share of
     outliers (Kineben, eq. 20). `sigma` is the mixture's standard deviation, metres."""
-    rows = some_rows(len(cloud.points), JUDGED)
+    rows = sample_rows(len(cloud.points), MAX_MEASURED_POINTS)
     points = cloud.points[rows]
     if len(colours.body.faces) == 0:
         # vertices without faces have no side, so any normal will do
@@ -149,6 +155,6 @@ def _posterior(colours: PartColours, vertices, cloud: Cloud, sigma):
     return posterior(colours.parts, vertices, normals, cloud, sigma)
 
 
-def _with_unseen(colours: Float[np.ndarray, "K 3"]) -> UInt8[np.ndarray, "L 3"]:
+def _append_unseen_colour(colours: Float[np.ndarray, "K 3"]) -> UInt8[np.ndarray, "L 3"]:
     """Convert colours to 1 into a palette to 255, and append the colour of unobserved vertices."""
-    return np.concatenate([np.rint(255 * colours), [UNSEEN]]).astype(np.uint8)
+    return np.concatenate([np.rint(255 * colours), [UNSEEN_COLOUR]]).astype(np.uint8)

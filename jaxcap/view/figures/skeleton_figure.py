@@ -41,7 +41,7 @@ class SkeletonFigure:
         self._rotations = np.tile(np.eye(3), (skeleton.num_joints, 1, 1))
         self._rest = _matrices(np.asarray(skeleton.orientations))
         self._pairs = np.array([(p, j) for j, p in enumerate(skeleton.parents) if p >= 0], int).reshape(-1, 2)
-        self._thickness = self._size(0.018)
+        self._thickness = self._scaled_length(0.018)
         self._bones = (
             scene.add_mesh_simple(
                 f"{name}/bones", *bone_solids(self._joints[self._pairs], self._thickness), color=colour,
@@ -51,7 +51,7 @@ class SkeletonFigure:
             else None
         )  # fmt: skip
         self._points = scene.add_point_cloud(
-            f"{name}/joints", self._joints, colour, point_size=self._size(0.015), point_shape="circle",
+            f"{name}/joints", self._joints, colour, point_size=self._scaled_length(0.015), point_shape="circle",
             precision="float32", point_shading="gradient",
         )  # fmt: skip
         # created on first use, as most windows never show them
@@ -70,7 +70,7 @@ class SkeletonFigure:
         """
         self._joints = np.asarray(joints, np.float32)
         self._rotations = np.asarray(rotations, float)
-        self._group.changed()
+        self._group.send_if_visible()
 
     @property
     def visible(self) -> bool:
@@ -89,17 +89,17 @@ class SkeletonFigure:
     def frames(self, shown: bool) -> None:
         self._frames = shown
         if shown and self._axes is None:
-            length = self._size(0.06)
+            length = self._scaled_length(0.06)
             self._axes = self._scene.add_batched_axes(
                 f"{self.name}/frames",
-                self._wxyzs(),
+                self._joint_quaternions(),
                 self._joints,
                 axes_length=length,
                 axes_radius=0.06 * length,
             )
         if self._axes is not None:
             self._axes.visible = shown
-        self._group.changed()
+        self._group.send_if_visible()
 
     @property
     def names(self) -> bool:
@@ -118,7 +118,7 @@ class SkeletonFigure:
             ]
         for label in self._labels:
             label.visible = shown
-        self._group.changed()
+        self._group.send_if_visible()
 
     def _send(self) -> None:
         self._points.points = self._joints
@@ -126,18 +126,18 @@ class SkeletonFigure:
             self._bones.vertices, _ = bone_solids(self._joints[self._pairs], self._thickness)
         if self._frames:
             self._axes.batched_positions = self._joints
-            self._axes.batched_wxyzs = self._wxyzs()
+            self._axes.batched_wxyzs = self._joint_quaternions()
         if self._names:
             for label, joint in zip(self._labels, self._joints, strict=True):
                 label.position = joint
 
-    def _wxyzs(self) -> np.ndarray:
+    def _joint_quaternions(self) -> np.ndarray:
         # SciPy removes the pose's scale
         return (
             Rotation.from_matrix(self._rotations @ self._rest).as_quat(scalar_first=True).astype(np.float32)
         )
 
-    def _size(self, share: float) -> float:
+    def _scaled_length(self, share: float) -> float:
         """Scale a length with the skeleton, as a hand's frames are smaller than a body's."""
         return share * float(np.ptp(np.asarray(self.skeleton.centres), axis=0).max() or 1.0)
 

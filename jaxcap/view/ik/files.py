@@ -6,10 +6,10 @@ from pathlib import Path
 from ...body.pose import stack_poses
 from ...edit.ik import session as ik
 from ...edit.ik.session import IkSession
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ...io.constraints import read_constraints, write_constraints
 from ...io.registry import write_motion
-from ...io.skeletons.body_motion import read_motion_of
+from ...io.skeletons.body_motion import read_body_motion
 
 
 def pose_file(session: IkSession, suffix: str) -> bytes:
@@ -28,7 +28,7 @@ def constraints_file(session: IkSession) -> bytes:
         return path.read_bytes()
 
 
-def with_file(session: IkSession, name: str, content: bytes) -> IkSession:
+def load_session_file(session: IkSession, name: str, content: bytes) -> IkSession:
     """Load the constraints of a `.json` file, or the first pose of a motion, into a session.
 
     **Raises:** `InputError` that names the file if it is neither, or is of another body.
@@ -40,6 +40,6 @@ def with_file(session: IkSession, name: str, content: bytes) -> IkSession:
         try:
             if suffix == ".json":
                 return ik.set_constraints(session, read_constraints(path, session.body))
-            return ik.set_pose(session, read_motion_of(session.body, path)[0])
+            return ik.set_pose(session, read_body_motion(session.body, path)[0])
         except InputError as error:
-            raise InputError(sentence_of(error).replace(str(path), name)) from None
+            raise InputError(user_message(error).replace(str(path), name)) from None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ...edit.ik.constraints import Constraint, Place, Turn
+from ...edit.ik.constraints import Constraint, Position, Quaternion
 from ..figures.figure import Colour
 
 if TYPE_CHECKING:
@@ -15,17 +15,17 @@ else:
 
 Phase = Literal["start", "update", "end"]
 #: callback of a drag: the point, the phase, the target position, and the rotation of a joint
-Told = Callable[[int | str, Phase, Place | None, Turn | None], None]
+DragCallback = Callable[[int | str, Phase, Position | None, Quaternion | None], None]
 
 #: colours of a target that is reached, that is not, and that is pinned
-MET: Colour = (72, 168, 92)
-APART: Colour = (212, 64, 56)
-PINNED: Colour = (58, 110, 200)
-LINE: Colour = (60, 60, 60)
+REACHED_COLOUR: Colour = (72, 168, 92)
+UNREACHED_COLOUR: Colour = (212, 64, 56)
+PINNED_COLOUR: Colour = (58, 110, 200)
+LINE_COLOUR: Colour = (60, 60, 60)
 #: radius of the dot at a point, relative to its ball
-DOT = 0.35
+DOT_SCALE = 0.35
 #: distance below which a target counts as reached, metres
-CLOSE = 0.005
+REACHED_DISTANCE = 0.005
 
 
 class Handles:
@@ -35,12 +35,12 @@ class Handles:
     viser's event loop, so it must not block.
     """
 
-    def __init__(self, scene: SceneApi, radius: float, told: Told):
+    def __init__(self, scene: SceneApi, radius: float, on_drag: DragCallback):
         self.radius = radius
-        self._scene, self._told = scene, told
+        self._scene, self._told = scene, on_drag
         self._balls: dict[int | str, _Handle] = {}
         self._arrows: _Arrows | None = None
-        self._made = 0
+        self._num_made = 0
 
     def resize(self, radius: float) -> None:
         """Set the radius of all balls, metres."""
@@ -53,8 +53,8 @@ class Handles:
     def show(
         self,
         constraints: Sequence[Constraint],
-        places: Sequence[Place],
-        turns: Sequence[Turn],
+        positions: Sequence[Position],
+        rotations: Sequence[Quaternion],
         selected: int | str | None,
         arrows: bool,
     ) -> None:
@@ -63,11 +63,11 @@ class Handles:
         here = {constraint.point for constraint in constraints}
         for point in [point for point in self._balls if point not in here]:
             self._balls.pop(point).remove()
-        for constraint, place in zip(constraints, places, strict=True):
+        for constraint, place in zip(constraints, positions, strict=True):
             if constraint.point not in self._balls:
-                self._made += 1
+                self._num_made += 1
                 self._balls[constraint.point] = _Handle(
-                    self._scene, f"/handles/{self._made}", constraint, self.radius, self._told
+                    self._scene, f"/handles/{self._num_made}", constraint, self.radius, self._told
                 )
             self._balls[constraint.point].show(constraint, place, constraint.point == selected)
         chosen = next((number for number, one in enumerate(constraints) if one.point == selected), None)
@@ -82,9 +82,9 @@ class Handles:
         if chosen is not None and arrows and not self._balls[constraints[chosen].point].held:
             if self._arrows is None:
                 self._arrows = _Arrows(self._scene, constraints[chosen].point, 8 * self.radius, self._moved)
-            self._arrows.show(constraints[chosen], turns[chosen])
+            self._arrows.show(constraints[chosen], rotations[chosen])
 
-    def _moved(self, point: int | str, phase: Phase, place: Place | None, turn: Turn | None) -> None:
+    def _moved(self, point: int | str, phase: Phase, place: Position | None, turn: Quaternion | None) -> None:
         if place is not None and point in self._balls:
             self._balls[point].put(place)
         self._told(point, phase, place, turn)
@@ -93,31 +93,47 @@ class Handles:
 class _Handle:
     """A ball, its line, and the dot at the constrained point."""
 
-    def __init__(self, scene: SceneApi, name: str, constraint: Constraint, radius: float, told: Told):
+    def __init__(
+        self, scene: SceneApi, name: str, constraint: Constraint, radius: float, on_drag: DragCallback
+    ):
         self.point, self.held = constraint.point, False
-        self._told, self._offset = told, np.zeros(3)
+        self._told, self._offset = on_drag, np.zeros(3)
         self._target = np.array(constraint.target)
         self._line = scene.add_line_segments(
-            f"{name}/line", np.zeros((1, 2, 3), np.float32), LINE, thickness=2.0, thickness_units="screen"
+            f"{name}/line",
+            np.zeros((1, 2, 3), np.float32),
+            LINE_COLOUR,
+            thickness=2.0,
+            thickness_units="screen",
         )
-        self._dot = scene.add_icosphere(f"{name}/dot", DOT * radius, LINE, subdivisions=1, cast_shadow=False)
-        self._ball = scene.add_icosphere(f"{name}/ball", radius, APART, subdivisions=2, cast_shadow=False)
+        self._dot = scene.add_icosphere(
+            f"{name}/dot", DOT_SCALE * radius, LINE_COLOUR, subdivisions=1, cast_shadow=False
+        )
+        self._ball = scene.add_icosphere(
+            f"{name}/ball", radius, UNREACHED_COLOUR, subdivisions=2, cast_shadow=False
+        )
         # in the plane that faces the camera, under the mouse; async, as only async callbacks keep their order
         self._ball.on_drag("left")(self._dragged)
 
-    def show(self, constraint: Constraint, place: Place, selected: bool) -> None:
+    def show(self, constraint: Constraint, place: Position, selected: bool) -> None:
         if not self.held:
             self.put(constraint.target)
         apart = float(np.linalg.norm(np.subtract(place, self._target)))
-        self._ball.color = PINNED if constraint.pinned else MET if apart < CLOSE else APART
+        self._ball.color = (
+            PINNED_COLOUR
+            if constraint.pinned
+            else REACHED_COLOUR
+            if apart < REACHED_DISTANCE
+            else UNREACHED_COLOUR
+        )
         self._ball.opacity = None if selected else 0.6
         self._dot.position = place
         self._line.points = np.array([[place, self._target]], np.float32)
 
     def resize(self, radius: float) -> None:
-        self._ball.radius, self._dot.radius = radius, DOT * radius
+        self._ball.radius, self._dot.radius = radius, DOT_SCALE * radius
 
-    def put(self, target: Place) -> None:
+    def put(self, target: Position) -> None:
         self._target = np.array(target)
         self._ball.position = target
 
@@ -129,7 +145,7 @@ class _Handle:
         if event.phase == "start":
             # the grabbed point of the ball stays under the mouse
             self.held, self._offset = True, self._target - np.array(event.start_position)
-        place = _place(np.array(event.end_position) + self._offset)
+        place = _as_position(np.array(event.end_position) + self._offset)
         if event.phase == "end":
             self.held = False
         else:
@@ -140,9 +156,9 @@ class _Handle:
 class _Arrows:
     """Translation arrows at one handle, and rotation rings for a joint."""
 
-    def __init__(self, scene: SceneApi, point: int | str, size: float, told: Told):
+    def __init__(self, scene: SceneApi, point: int | str, size: float, on_drag: DragCallback):
         self.point, self.held = point, False
-        self._told, self._before = told, np.zeros(4)
+        self._told, self._before = on_drag, np.zeros(4)
         self._node = scene.add_transform_controls(
             "/arrows",
             scale=size,
@@ -152,7 +168,7 @@ class _Arrows:
         )
         self._node.on_update(self._updated)
 
-    def show(self, constraint: Constraint, turn: Turn) -> None:
+    def show(self, constraint: Constraint, turn: Quaternion) -> None:
         if not self.held:
             self._node.position = constraint.target
             self._node.wxyz = turn if constraint.orientation is None else constraint.orientation
@@ -163,7 +179,7 @@ class _Arrows:
     async def _updated(self, event: TransformControlsEvent) -> None:
         if event.phase == "start":
             self.held, self._before = True, np.array(event.target.wxyz)
-        place = _place(np.array(event.target.position))
+        place = _as_position(np.array(event.target.position))
         turn = np.array(event.target.wxyz, float)
         # a joint that was only moved keeps a free rotation
         turned = isinstance(self.point, str) and float(np.abs(turn - self._before).max()) > 1e-4
@@ -173,6 +189,6 @@ class _Arrows:
         self._told(self.point, event.phase, place, (w, x, y, z) if turned else None)
 
 
-def _place(values: np.ndarray) -> Place:
+def _as_position(values: np.ndarray) -> Position:
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Hashable
 
-from ...edit.ik.session import Verb
+from ...edit.ik.session import Edit
 
 
 class Inbox:
@@ -11,22 +11,22 @@ class Inbox:
     than the hand does not lag behind."""
 
     def __init__(self):
-        self._waiting: list[tuple[Hashable, Verb]] = []
-        self._something = threading.Condition()
+        self._queue: list[tuple[Hashable, Edit]] = []
+        self._condition = threading.Condition()
 
-    def put(self, verb: Verb, kind: Hashable = None) -> None:
+    def put(self, edit: Edit, kind: Hashable = None) -> None:
         """Append an edit, or replace the last one if both have the same `kind` that is not None."""
-        with self._something:
-            if kind is not None and self._waiting and self._waiting[-1][0] == kind:
-                self._waiting.pop()
-            self._waiting.append((kind, verb))
-            self._something.notify_all()
+        with self._condition:
+            if kind is not None and self._queue and self._queue[-1][0] == kind:
+                self._queue.pop()
+            self._queue.append((kind, edit))
+            self._condition.notify_all()
 
-    def take(self, seconds: float) -> list[Verb]:
+    def take(self, seconds: float) -> list[Edit]:
         """Take all waiting edits; wait up to `seconds` for the first."""
-        with self._something:
-            if not self._waiting:
-                self._something.wait(seconds)
-            verbs = [verb for _, verb in self._waiting]
-            self._waiting.clear()
+        with self._condition:
+            if not self._queue:
+                self._condition.wait(seconds)
+            verbs = [verb for _, verb in self._queue]
+            self._queue.clear()
             return verbs

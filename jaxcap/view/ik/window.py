@@ -15,18 +15,18 @@ from jaxtyping import Array, Float
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...edit.ik import session as ik
-from ...edit.ik.constraints import Place, Turn
-from ...edit.ik.places import bone_turns, places_of
+from ...edit.ik.constraints import Position, Quaternion
+from ...edit.ik.places import bone_rotations, point_positions
 from ...edit.ik.session import IkSession
-from ...errors import sentence_of
-from ..figures.eye import BEGIN, FIELD, place_eye
+from ...errors import user_message
+from ..figures.eye import BEGIN, FIELD, place_camera
 from ..figures.figure import BodyFigure
-from ..figures.pick import nearest_handle, pick_point
+from ..figures.pick import pick_point, pick_sphere
 from ..figures.scenery import add_floor
 from ..figures.skeleton_figure import SkeletonFigure
-from ..windows.serve import each_client
+from ..windows.serve import serve_clients
 from .controls import IkControls
-from .files import constraints_file, pose_file, with_file
+from .files import constraints_file, load_session_file, pose_file
 from .handles import Handles, Phase
 from .inbox import Inbox
 
@@ -36,16 +36,16 @@ else:
     ClientHandle = SceneClickEvent = ViserServer = Any
 
 #: seconds within which a closed browser is noticed
-PATIENCE = 0.25
+CLOSE_TIMEOUT = 0.25
 #: radius of a handle's ball on the screen, pixels: a diameter of 24 is easy to hit
-BALL = 12.0
+BALL_PIXELS = 12.0
 #: its minimum and maximum, relative to the body's size
-BALLS = (0.004, 0.04)
+BALL_SIZE_RANGE = (0.004, 0.04)
 #: the answer to a click that hits nothing
-NOTHING = "There is nothing where you clicked: click the body to constrain a point, or drag a ball."
+NO_HIT = "There is nothing where you clicked: click the body to constrain a point, or drag a ball."
 
 
-class Shown(NamedTuple):
+class ShownGeometry(NamedTuple):
     """The geometry of a session that a window has drawn, metres."""
 
     vertices: Float[np.ndarray, "V 3"]
@@ -65,7 +65,7 @@ def serve_ik(server: ViserServer, session: IkSession) -> list["IkWindow"]:
         finally:
             windows.remove(window)
 
-    each_client(server, visit)
+    serve_clients(server, visit)
     return windows
 
 
@@ -85,12 +85,12 @@ class IkWindow:
             self._home = np.concatenate([np.asarray(body.vertices), np.asarray(body.skeleton.centres)])
             low, high = self._home.min(0), self._home.max(0)
             self.size, self.middle = float((high - low).max()), (low + high) / 2
-            self.handles = Handles(client.scene, BALLS[0] * self.size, self._dragged)
+            self.handles = Handles(client.scene, BALL_SIZE_RANGE[0] * self.size, self._dragged)
             self.controls = IkControls(
                 client,
                 session,
                 self._inbox.put,
-                self._hold,
+                self._constrain,
                 self._redraw,
                 self._save,
                 self._load,
@@ -107,15 +107,15 @@ class IkWindow:
         self._resize()
         # the first solve compiles, before a user waits for it; it changes nothing
         preparing = self.note
-        self._tried(ik.solved)
+        self._apply_edit(ik.solve_session)
         self.note = "" if self.note == preparing else self.note
         self.shown = self._show()
         while not gone.is_set():
-            verbs = self._inbox.take(0.0 if self._unfinished() else PATIENCE)
+            verbs = self._inbox.take(0.0 if self._unfinished() else CLOSE_TIMEOUT)
             if verbs:
                 self.note = ""
-            for verb in verbs or ([ik.solved] if self._unfinished() else []):
-                self.session = self._tried(verb)
+            for verb in verbs or ([ik.solve_session] if self._unfinished() else []):
+                self.session = self._apply_edit(verb)
                 verbs = verbs or [verb]
             if not gone.is_set():
                 self._resize()
@@ -129,7 +129,7 @@ class IkWindow:
         places = self.shown.vertices if name != BEGIN else self._home
         box = np.stack([places.min(0), places.max(0)]).astype(float)
         size = float(camera.image_width), float(camera.image_height)
-        eye, target = place_eye(box, name, *size, camera.fov)
+        eye, target = place_camera(box, name, *size, camera.fov)
         with self.client.atomic():
             # in this order, as the target moves with the camera
             camera.position = eye
@@ -140,14 +140,14 @@ class IkWindow:
         camera = self.client.camera
         away = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
         pixel = 2 * away * np.tan(camera.fov / 2) / max(camera.image_height, 1)
-        least, most = (share * self.size for share in BALLS)
-        self.handles.resize(min(max(BALL * float(pixel), least), most))
+        least, most = (share * self.size for share in BALL_SIZE_RANGE)
+        self.handles.resize(min(max(BALL_PIXELS * float(pixel), least), most))
 
-    def _tried(self, verb: ik.Verb) -> IkSession:
+    def _apply_edit(self, edit: ik.Edit) -> IkSession:
         try:
-            return verb(self.session)
+            return edit(self.session)
         except ValueError as error:
-            self.note = sentence_of(error)
+            self.note = user_message(error)
         except Exception as error:
             # a solver or a user's energy may raise anything: the session before it is intact
             self.note = f"The edit failed ({type(error).__name__}: {error}); the pose is unchanged."
@@ -156,15 +156,15 @@ class IkWindow:
     def _unfinished(self) -> bool:
         """Check if a drag goes on and its last solve ran out of steps."""
         solution = self.session.solution
-        if self.session.grabbed is None or solution is None:
+        if self.session.drag_start is None or solution is None:
             return False
         return bool(solution.result == optx.RESULTS.nonlinear_max_steps_reached)
 
-    def _show(self) -> Shown:
+    def _show(self) -> ShownGeometry:
         session, state = self.session, self.session.state
         vertices, joints, rotations = (np.asarray(found) for found in posed_arrays(session.body, state.pose))
-        places = places_of(session.body, state.pose, state.constraints)
-        whole = bone_turns(session.body, state.pose)
+        places = point_positions(session.body, state.pose, state.constraints)
+        whole = bone_rotations(session.body, state.pose)
         names = session.body.skeleton.names
         turns = [
             whole[names.index(one.point)] if isinstance(one.point, str) else whole[0]
@@ -179,7 +179,7 @@ class IkWindow:
             self._surface.translucent = self.controls.skeleton
             self.handles.show(state.constraints, places, turns, self.selected, self.controls.arrows)
             self.controls.draw(session, self.selected, self.note)
-        return Shown(vertices, joints)
+        return ShownGeometry(vertices, joints)
 
     def _clicked(self, event: SceneClickEvent) -> None:
         """Select the clicked handle, or constrain the clicked point of the body."""
@@ -187,36 +187,38 @@ class IkWindow:
         eye, ray = np.array(event.ray_origin), np.array(event.ray_direction)
         held = session.state.constraints
         targets = np.array([one.target for one in held]).reshape(-1, 3)
-        handle = nearest_handle(targets, eye, ray, self.handles.radius)
+        handle = pick_sphere(targets, eye, ray, self.handles.radius)
         if handle is not None:
-            self._choose(held[handle].point)
+            self._select(held[handle].point)
             return
         joints = shown.joints if self.controls.skeleton else None
         point = pick_point(
             eye, ray, shown.vertices, np.asarray(session.body.faces), joints, session.body.skeleton.names
         )
         if point is not None:
-            self._hold(point)
+            self._constrain(point)
         else:
-            self._inbox.put(_missed)
+            self._inbox.put(_raise_no_hit)
 
-    def _hold(self, point: int | str) -> None:
+    def _constrain(self, point: int | str) -> None:
         def held(session: IkSession) -> IkSession:
             self.selected = point
             return ik.add_constraint(session, point)
 
         self._inbox.put(held)
 
-    def _dragged(self, point: int | str, phase: Phase, place: Place | None, turn: Turn | None) -> None:
+    def _dragged(
+        self, point: int | str, phase: Phase, place: Position | None, turn: Quaternion | None
+    ) -> None:
         if phase == "start":
             self.selected = point
-            self._inbox.put(ik.grab)
+            self._inbox.put(ik.begin_drag)
         if place is not None or turn is not None:
             self._inbox.put(lambda session: ik.drag(session, point, place, turn), ("drag", point))
         if phase == "end":
-            self._inbox.put(ik.release)
+            self._inbox.put(ik.end_drag)
 
-    def _choose(self, point: int | str) -> None:
+    def _select(self, point: int | str) -> None:
         def chosen(session: IkSession) -> IkSession:
             self.selected = point
             return session
@@ -238,11 +240,11 @@ class IkWindow:
         self._inbox.put(saved)
 
     def _load(self, name: str, content: bytes) -> None:
-        self._inbox.put(lambda session: with_file(session, name, content))
+        self._inbox.put(lambda session: load_session_file(session, name, content))
 
 
-def _missed(session: IkSession) -> IkSession:
-    raise ValueError(NOTHING)
+def _raise_no_hit(session: IkSession) -> IkSession:
+    raise ValueError(NO_HIT)
 
 
 @eqx.filter_jit

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ..contents import Take
-from ..figures.clouds import SeenCloud, SeenClouds
+from ..figures.clouds import DisplayCloud, DisplayClouds
 from ..figures.figure import CLAY, BodyFigure, Colour
 from ..figures.pick import pick_point
 from ..figures.points import LabelledPoints, PointFigure
 from ..figures.posing import PosedFrame, PosedMotion
 from ..figures.scan_colours import (
-    SIGMA,
+    DEFAULT_SIGMA,
     PartColours,
     ScanHeat,
     heat_classes,
@@ -33,11 +33,11 @@ else:
 
 PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "posterior of the parts"
 #: colours of the takes side by side
-TAKES: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
+TAKE_COLOURS: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
 #: colours of the bones of takes without a surface
-BONES: tuple[Colour, ...] = (BONE, (52, 120, 190), (62, 150, 92), (190, 74, 96), (126, 88, 178))
+BONE_COLOURS: tuple[Colour, ...] = (BONE, (52, 120, 190), (62, 150, 92), (190, 74, 96), (126, 88, 178))
 #: number of frames in the cache of distances; each is some 80 kB
-HEATS = 1_000
+MAX_CACHED_HEATS = 1_000
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Choice:
     limit: float = 0.02
 
 
-class Look(NamedTuple):
+class Appearance(NamedTuple):
     """The computed appearance of a column at one time."""
 
     posed: PosedFrame | None
@@ -66,35 +66,37 @@ class Look(NamedTuple):
     points: Float[np.ndarray, "N 3"] | None
     colours: UInt8[np.ndarray, "N 3"] | None
     #: the error of the scan, in a sentence
-    wrong: str
+    error: str
 
 
 class Column:
     """One take, or scans alone, in one browser."""
 
-    def __init__(self, scene: SceneApi, name: str, number: int, take: Take | None, clouds: SeenClouds | None):
+    def __init__(
+        self, scene: SceneApi, name: str, number: int, take: Take | None, clouds: DisplayClouds | None
+    ):
         self.take, self.clouds, self.name = take, clouds, name
         self.group = scene.add_frame(name, show_axes=False)
         self.body: BodyFigure | None = None
         self.skeleton: SkeletonFigure | None = None
-        self.attached: LabelledPoints | None = None
-        colour = TAKES[number % len(TAKES)]
+        self.markers: LabelledPoints | None = None
+        colour = TAKE_COLOURS[number % len(TAKE_COLOURS)]
         if take is not None:
             if take.motion.body is not None:
                 self.body = BodyFigure(scene, f"{name}/body", take.motion.body, colour)
-            bones = BONE if self.body is not None else BONES[number % len(BONES)]
+            bones = BONE if self.body is not None else BONE_COLOURS[number % len(BONE_COLOURS)]
             self.skeleton = SkeletonFigure(scene, f"{name}/skeleton", take.motion.skeleton, bones)
             self.skeleton.visible = False
             if take.subject is not None:
-                self.attached = LabelledPoints(scene, f"{name}/markers", take.subject.labels)
+                self.markers = LabelledPoints(scene, f"{name}/markers", take.subject.labels)
         self.scan = None if clouds is None else PointFigure(scene, f"{name}/scan")
         #: the last drawn appearance
-        self.drawn: Look | None = None
+        self.drawn: Appearance | None = None
         self._heats: OrderedDict[int, ScanHeat] = OrderedDict()
         self._parts: PartColours | None = None
-        self._cloud_of = {} if clouds is None else _by_name(take, clouds)
+        self._scan_numbers = {} if clouds is None else _match_scans(take, clouds)
 
-    def look(self, time: float, frame: int, choice: Choice) -> Look:
+    def appearance(self, time: float, frame: int, choice: Choice) -> Appearance:
         """Compute everything to draw at a time of the takes, seconds, which is `frame` of the scans."""
         posed, body = None, None
         if self.take is not None:
@@ -112,9 +114,9 @@ class Column:
             classes, palette = parts.vertices, parts.palette
             if cloud is not None:
                 points, colours = posterior_colours(parts, posed.vertices, cloud, self._sigma(frame))
-        return Look(posed, classes, palette, points, colours, wrong)
+        return Appearance(posed, classes, palette, points, colours, wrong)
 
-    def draw(self, look: Look, choice: Choice) -> None:
+    def draw(self, look: Appearance, choice: Choice) -> None:
         """Send a computed appearance."""
         self.drawn = look
         if look.posed is not None:
@@ -129,12 +131,12 @@ class Column:
             else:
                 self.scan.hide()
 
-    def extent(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
-        """Return the bounding box of the first frame, or of the current one (`now`), without the column's
+    def extent(self, current: bool = False) -> Float[np.ndarray, "2 3"]:
+        """Return the bounding box of the first frame, or of the current one (`current`), without the column's
         offset, metres."""
         points = np.zeros((0, 3))
         if self.take is not None:
-            shown = self.drawn.posed if now and self.drawn is not None else None
+            shown = self.drawn.posed if current and self.drawn is not None else None
             posed = shown or self.take.motion.frame(0)
             points = np.concatenate([posed.vertices, posed.joints])
         if self.clouds is not None and len(points) == 0:
@@ -180,18 +182,18 @@ class Column:
             return f"bone {point}", posed.joints[motion.skeleton.index(point)]
         if point is None or body is None:
             return None
-        part = motion.skeleton.names[int(body.skin.parts()[point])]
+        part = motion.skeleton.names[int(body.skin.dominant_bones()[point])]
         return f"vertex {point}, part {part}", posed.vertices[point]
 
-    def _cloud(self, frame: int) -> tuple[SeenCloud | None, str]:
+    def _cloud(self, frame: int) -> tuple[DisplayCloud | None, str]:
         """Return the scan of a frame of the take, if there is one, or the reason why there is none."""
-        number = self._cloud_of.get(frame, -1) if self._cloud_of else frame
+        number = self._scan_numbers.get(frame, -1) if self._scan_numbers else frame
         if self.clouds is None or not 0 <= number < len(self.clouds):
             return None, ""
         try:
             return self.clouds[number], ""
         except InputError as error:
-            return None, sentence_of(error)
+            return None, user_message(error)
 
     def _draw_bones(self, posed: PosedFrame, choice: Choice) -> None:
         assert self.take is not None and self.skeleton is not None
@@ -205,31 +207,31 @@ class Column:
             if self.skeleton.names != choice.names:
                 self.skeleton.names = choice.names
             self.skeleton.show(posed.joints, posed.rotations)
-        if self.attached is not None and self.take.subject is not None:
+        if self.markers is not None and self.take.subject is not None:
             subject, centres = self.take.subject, np.asarray(self.take.motion.skeleton.centres)
             bones = np.asarray(subject.bones)
             offsets = np.asarray(subject.offsets) - centres[bones]
             places = np.einsum("mab,mb->ma", posed.rotations[bones], offsets) + posed.joints[bones]
             if choice.markers:
-                self.attached.show(places, np.asarray(subject.weights) > 0, choice.names)
+                self.markers.show(places, np.asarray(subject.weights) > 0, choice.names)
             else:
-                self.attached.hide()
+                self.markers.hide()
 
-    def _heat(self, frame: int, cloud: SeenCloud, posed: PosedFrame, faces: np.ndarray) -> ScanHeat:
-        running = self.take is not None and self.take.running is not None
+    def _heat(self, frame: int, cloud: DisplayCloud, posed: PosedFrame, faces: np.ndarray) -> ScanHeat:
+        running = self.take is not None and self.take.run_folder is not None
         if frame not in self._heats or running:
             heat = scan_heat(cloud, posed.vertices, faces)
             self._heats[frame] = ScanHeat(*(values.astype(np.float32) for values in heat))
-            while len(self._heats) > HEATS:
+            while len(self._heats) > MAX_CACHED_HEATS:
                 self._heats.popitem(last=False)
         return self._heats[frame]
 
     def _sigma(self, frame: int) -> float:
         sigmas = () if self.take is None else self.take.sigmas
-        return sigmas[frame] if frame < len(sigmas) else SIGMA
+        return sigmas[frame] if frame < len(sigmas) else DEFAULT_SIGMA
 
 
-def _by_name(take: Take | None, clouds: SeenClouds) -> dict[int, int]:
+def _match_scans(take: Take | None, clouds: DisplayClouds) -> dict[int, int]:
     """Match each frame of a take to its scan by the names in its statistics; empty if they are of other
     scans."""
     numbers = {

@@ -36,8 +36,8 @@ else:
 #: names of this machine in its own browsers
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 #: hosts that listen at every address of this machine
-EVERYWHERE = ("0.0.0.0", "::", "")
-REFUSED = (
+ANY_HOST = ("0.0.0.0", "::", "")
+REFUSED_TEXT = (
     "jaxcap: this is not the address of the window. Open the complete address that the program printed.\n"
 )
 #: headers of every served page
@@ -54,7 +54,7 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 
-class Door:
+class AccessGuard:
     """The access checks of one server.
 
     **Arguments:** `host` and `port` that it listens at. Each instance has a new `token`.
@@ -64,7 +64,7 @@ class Door:
         self.host, self.port = host, port
         self.token = secrets.token_urlsafe(24)
         #: ports of the guarded servers
-        self.guarded: list[int] = []
+        self.guarded_ports: list[int] = []
 
     @property
     def address(self) -> str:
@@ -74,12 +74,12 @@ class Door:
         return f"http://{_bracketed(host)}:{self.port}/{self.token}/"
 
     @property
-    def address_elsewhere(self) -> str | None:
+    def remote_address(self) -> str | None:
         """The address to open on other machines, with the token; None if the server listens for its own
         machine only."""
-        if self.host not in EVERYWHERE:
+        if self.host not in ANY_HOST:
             return None
-        return f"http://{_bracketed(own_address(self.host))}:{self.port}/{self.token}/"
+        return f"http://{_bracketed(local_address(self.host))}:{self.port}/{self.token}/"
 
     def path(self, request: Request) -> str | None:
         """Return the requested path after the token, or None if the request is refused."""
@@ -104,7 +104,7 @@ class Door:
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
             path = self.path(request)
             if path is None:
-                return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSED)
+                return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSED_TEXT)
             response = None if answer is None else answer(connection, dataclasses.replace(request, path=path))
             if response is not None:
                 response.headers.update(HEADERS)
@@ -123,11 +123,11 @@ class Door:
         if name in LOOPBACK or name == _bracketed(self.host.lower()):
             return True
         # a numeric address cannot be the target of DNS rebinding
-        return self.host in EVERYWHERE and (_is_address(name) or name == socket.gethostname().lower())
+        return self.host in ANY_HOST and (_is_address(name) or name == socket.gethostname().lower())
 
 
 @contextlib.contextmanager
-def guarding(door: Door) -> Iterator[None]:
+def guard_servers(door: AccessGuard) -> Iterator[None]:
     """Guard every websockets server that is created at the door's host within this context.
 
     viser creates its server in a thread of its own and takes no `process_request`, so
@@ -141,8 +141,8 @@ def guarding(door: Door) -> Iterator[None]:
             # viser tries the next port if one is taken
             if host == door.host and port is not None and port >= door.port:
                 process_request = door.guard(process_request)
-                door.guarded.append(port)
-                more["logger"], handler = _logger(), _quiet(handler)
+                door.guarded_ports.append(port)
+                more["logger"], handler = _logger(), _capture_output(handler)
             super().__init__(handler, host, port, process_request=process_request, **more)
 
     with _patching:
@@ -153,7 +153,7 @@ def guarding(door: Door) -> Iterator[None]:
             module.serve = original
 
 
-def _quiet(handler: Handler) -> Handler:
+def _capture_output(handler: Handler) -> Handler:
     """Wrap a connection handler to log viser's output about clients of another version."""
     import rich
     import viser
@@ -180,11 +180,11 @@ def _is_fault(record: logging.LogRecord) -> bool:
     return record.getMessage() != "opening handshake failed"
 
 
-def own_address(host: str) -> str:
+def local_address(host: str) -> str:
     """Return the network address of this machine, as the system would send from it, or its name without a
     network.
 
-    `host`, an element of `EVERYWHERE`, selects IPv4 or IPv6. Nothing is sent.
+    `host`, an element of `ANY_HOST`, selects IPv4 or IPv6. Nothing is sent.
     """
     family, far = (socket.AF_INET6, "2001:db8::1") if host == "::" else (socket.AF_INET, "192.0.2.1")
     with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:

@@ -14,9 +14,9 @@ import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ...errors import InputError, sentence_of
+from ...errors import InputError, user_message
 from ..figures.scenery import add_background, add_light
-from .door import Door, guarding
+from .door import AccessGuard, guard_servers
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer
@@ -29,14 +29,14 @@ PORT = 8080
 #: this machine only
 HOST = "127.0.0.1"
 
-_doors: "weakref.WeakKeyDictionary[ViserServer, Door]" = weakref.WeakKeyDictionary()
+_guards: "weakref.WeakKeyDictionary[ViserServer, AccessGuard]" = weakref.WeakKeyDictionary()
 
 
 def open_server(port: int | None = None, host: str = HOST, title: str | None = None) -> ViserServer:
     """Open a server with y up, light, a background and an empty scene. It prints nothing.
 
     It answers only at `address(server)`, which holds a random token; a request from another page, for another
-    host or without the token is refused (`Door`).
+    host or without the token is refused (`AccessGuard`).
 
     **Arguments:** `port`; None for 8080 if that is free and otherwise any free one; `host`, the address of
     this machine that it listens at: `0.0.0.0` for every one, for browsers on other machines; `title`, shown
@@ -57,11 +57,11 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
     # a browser that closes while a frame is sent is no error; a repeated filter is not added again
     warnings.filterwarnings("ignore", message="Queued an? .* on a closed connection")
     # viser's table shows ports and not contents; only the output of this thread is suppressed
-    door = Door(host, free)
-    with rich.get_console().capture(), guarding(door):
+    door = AccessGuard(host, free)
+    with rich.get_console().capture(), guard_servers(door):
         server = viser.ViserServer(host=host, port=free, label=title, verbose=False)
-    _doors[server] = door
-    if server.get_port() not in door.guarded:
+    _guards[server] = door
+    if server.get_port() not in door.guarded_ports:
         close_server(server)
         raise InputError(
             f"viser {viser.__version__}: the server of this version cannot be guarded against other pages; "
@@ -69,14 +69,14 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         )
     if server.get_port() != free:
         close_server(server)
-        raise _taken(host, free)
+        raise _port_in_use(host, free)
     # viser's tunnel would publish the window
     server.request_share_url = lambda verbose=True: None
     server.gui.configure_theme(show_share_button=False)
     # next to the scene, not over it
     server.gui.main_panel.dock_right()
     # registered after viser's own, so it runs before it
-    atexit.register(_ending(server))
+    atexit.register(_bound_close(server))
     server.scene.set_up_direction("+y")
     add_light(server.scene)
     add_background(server.scene)
@@ -87,7 +87,7 @@ def close_server(server: ViserServer) -> None:
     """Close a server, its port and its windows. A second call does nothing."""
     import rich
 
-    atexit.unregister(_ending(server))
+    atexit.unregister(_bound_close(server))
     # the event loop of a stopped server is closed
     with contextlib.suppress(RuntimeError):
         # suppress the message of viser's thread
@@ -95,27 +95,27 @@ def close_server(server: ViserServer) -> None:
         server.stop()
 
 
-def _ending(server: ViserServer) -> Callable[[], None]:
+def _bound_close(server: ViserServer) -> Callable[[], None]:
     """Bind `close_server` to one server; two of the same server are equal, as `atexit` compares."""
     return types.MethodType(close_server, server)
 
 
 def address(server: ViserServer) -> str:
     """Return the address for a browser, with the token; no other address opens the window."""
-    return _doors[server].address
+    return _guards[server].address
 
 
-def address_elsewhere(server: ViserServer) -> str | None:
+def remote_address(server: ViserServer) -> str | None:
     """Return the address for a browser of another machine; None if the server listens for this machine
     only."""
-    return _doors[server].address_elsewhere
+    return _guards[server].remote_address
 
 
-def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Event], None]) -> None:
+def serve_clients(server: ViserServer, run: Callable[[ClientHandle, threading.Event], None]) -> None:
     """Call `build(client, gone)` for every browser that opens the window, in a thread of its own.
 
     Additions to `client.scene` and `client.gui` are visible in that browser only. `gone` is set when this
-    browser closes: a loop of `build` ends with `while not gone.wait(...)`. Later messages are dropped without
+    browser closes: a loop of `run` ends with `while not gone.wait(...)`. Later messages are dropped without
     a traceback, so a solve need not be stopped. A `ValueError` is shown in the browser.
     """
     leaving: dict[int, threading.Event] = {}
@@ -124,7 +124,7 @@ def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Ev
     @server.on_client_connect
     async def _(client: ClientHandle) -> None:
         gone = leaving[client.client_id] = threading.Event()
-        threading.Thread(target=_visit, args=(build, client, gone), daemon=True).start()
+        threading.Thread(target=_run_client, args=(run, client, gone), daemon=True).start()
 
     @server.on_client_disconnect
     async def _(client: ClientHandle) -> None:
@@ -132,18 +132,18 @@ def each_client(server: ViserServer, build: Callable[[ClientHandle, threading.Ev
             gone.set()
 
 
-def tell(client: ClientHandle, title: str, text: str) -> None:
+def notify(client: ClientHandle, title: str, text: str) -> None:
     """Show a notification in a corner of one browser, until the user closes it."""
     client.add_notification(title, text, color="orange", auto_close_seconds=None)
 
 
-def _visit(
-    build: Callable[[ClientHandle, threading.Event], None], client: ClientHandle, gone: threading.Event
+def _run_client(
+    run: Callable[[ClientHandle, threading.Event], None], client: ClientHandle, gone: threading.Event
 ) -> None:
     try:
-        build(client, gone)
+        run(client, gone)
     except ValueError as error:
-        tell(client, "This cannot be shown", sentence_of(error))
+        notify(client, "This cannot be shown", user_message(error))
     except Exception:
         # an error is expected after the browser has closed
         if not gone.is_set():
@@ -152,14 +152,14 @@ def _visit(
 
 def _free_port(host: str, port: int | None) -> int:
     if port is not None:
-        return _hold(host, port)
+        return _bind_port(host, port)
     try:
-        return _hold(host, PORT)
+        return _bind_port(host, PORT)
     except InputError:
-        return _hold(host, 0)
+        return _bind_port(host, 0)
 
 
-def _hold(host: str, port: int) -> int:
+def _bind_port(host: str, port: int) -> int:
     """Find a free port by binding and releasing it; for 0 the system chooses."""
     try:
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as door:
@@ -175,11 +175,11 @@ def _hold(host: str, port: int) -> int:
         raise InputError(f"port {port}: reserved for the system; give one above 1023 with --port.") from None
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise _taken(host, port) from None
+            raise _port_in_use(host, port) from None
         raise InputError(
             f"host {host}: not an address of this machine; give {HOST} or 0.0.0.0 with --host."
         ) from None
 
 
-def _taken(host: str, port: int) -> InputError:
+def _port_in_use(host: str, port: int) -> InputError:
     return InputError(f"port {port}: another program uses this port at {host}; give another one with --port.")

@@ -12,7 +12,7 @@ from ..contents import Contents
 from ..figures.figure import BodyFigure
 from ..figures.points import LabelledPoints
 from ..figures.scenery import add_floor
-from .column import Choice, Column, Look
+from .column import Appearance, Choice, Column
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -20,11 +20,11 @@ else:
     SceneApi = Any
 
 #: gap between two takes, metres
-AIR = 0.3
+TAKE_GAP = 0.3
 #: colours of a mesh next to a body, and of cameras
-MESH, FAINT = (205, 190, 160), (110, 112, 124)
+MESH_COLOUR, CAMERA_COLOUR = (205, 190, 160), (110, 112, 124)
 #: colour of the pin at the clicked point
-PIN = (214, 40, 57)
+PIN_COLOUR = (214, 40, 57)
 
 
 class Stage:
@@ -38,7 +38,13 @@ class Stage:
         solid = [take is not None and take.motion.body is not None for take in takes]
         self.columns = [
             # bodies and skeletons without a surface have separate colours, each in order
-            Column(scene, f"/{number}", solid[:number].count(solid[number]), take, _of(clouds, number))
+            Column(
+                scene,
+                f"/{number}",
+                solid[:number].count(solid[number]),
+                take,
+                _clouds_of_take(clouds, number),
+            )
             for number, take in enumerate(takes)
         ]
         self._labels = [
@@ -46,7 +52,7 @@ class Stage:
             for number, take in enumerate(contents.takes)
         ]
         self._meshes = [
-            BodyFigure(scene, f"/mesh{number}", Mesh(meshes.vertices[0], meshes.faces), MESH)
+            BodyFigure(scene, f"/mesh{number}", Mesh(meshes.vertices[0], meshes.faces), MESH_COLOUR)
             for number, meshes in enumerate(contents.meshes)
         ]
         self._markers = [
@@ -55,16 +61,16 @@ class Stage:
         ]
         for number, camera in enumerate(contents.cameras):
             _add_camera(scene, f"/cameras/{number}", camera)
-        self._places = [np.zeros(3) for _ in self.columns]
+        self._offsets = [np.zeros(3) for _ in self.columns]
         size = float(np.linalg.norm(np.ptp(self.box(), axis=0)))
         # half a metre for people
         self._floor = add_floor(scene, 6 * max(size, 1.0), 0.5 * 10.0 ** np.floor(np.log10(max(size, 0.01))))
         self._pin = scene.add_icosphere(
-            "/picked", 0.006 * size, PIN, subdivisions=1, cast_shadow=False, visible=False
+            "/picked", 0.006 * size, PIN_COLOUR, subdivisions=1, cast_shadow=False, visible=False
         )
-        self.place(spacing=None)
+        self.arrange(spacing=None)
 
-    def place(self, spacing: float | None) -> None:
+    def arrange(self, spacing: float | None) -> None:
         """Arrange the takes in a row, `spacing` metres from one to the next, or automatically by their widths
         if None; or at zero overlay them, each at its recorded position.
 
@@ -73,27 +79,27 @@ class Stage:
         """
         boxes = [column.extent() for column in self.columns]
         widths = [float(np.ptp(box[:, 0])) for box in boxes]
-        wide = max(widths) + AIR if spacing is None else spacing
+        wide = max(widths) + TAKE_GAP if spacing is None else spacing
         foot = [np.array([box[:, 0].mean(), box[0, 1], box[:, 2].mean()]) for box in boxes]
-        self._places = [
+        self._offsets = [
             np.zeros(3) if wide == 0 else foot[0] - own + np.array([number * wide, 0.0, 0.0])
             for number, own in enumerate(foot)
         ]
         box = self.box()
         self._floor.position = (float(box[:, 0].mean()), float(box[0, 1]), float(box[:, 2].mean()))
-        for column, place in zip(self.columns, self._places, strict=True):
+        for column, place in zip(self.columns, self._offsets, strict=True):
             column.group.position = place
-        for label, own, place in zip(self._labels, boxes, self._places, strict=False):
+        for label, own, place in zip(self._labels, boxes, self._offsets, strict=False):
             # all at one height, each over its own take
             label.position = (own[:, 0].mean(), box[1, 1] - place[1] + 0.06, own[:, 2].mean())
             label.visible = wide > 0 and len(self._labels) > 1
 
-    def box(self, now: bool = False) -> Float[np.ndarray, "2 3"]:
+    def box(self, current: bool = False) -> Float[np.ndarray, "2 3"]:
         """Return the bounding box of everything but cameras as placed, in the first frame or the current one
-        (`now`), metres."""
+        (`current`), metres."""
         there = [
-            column.extent(now) + place
-            for column, place in zip(self.columns, self._places, strict=True)
+            column.extent(current) + place
+            for column, place in zip(self.columns, self._offsets, strict=True)
             if column.take is not None or column.clouds is not None
         ]
         there += _boxes(self.contents)
@@ -104,7 +110,7 @@ class Stage:
     ) -> str | None:
         """Mark the first object that a ray hits and return its description, or None if it hits nothing."""
         found = []
-        for column, place in zip(self.columns, self._places, strict=True):
+        for column, place in zip(self.columns, self._offsets, strict=True):
             picked = column.pick(origin - place, direction, choice)
             if picked is not None:
                 found.append((np.linalg.norm(picked[1] + place - origin), picked[0], picked[1] + place))
@@ -115,11 +121,11 @@ class Stage:
         self._pin.position = there
         return name
 
-    def look(self, frame: int, choice: Choice) -> list[Look]:
+    def appearances(self, frame: int, choice: Choice) -> list[Appearance]:
         """Compute the slow parts of one frame of the timeline; nothing is sent."""
-        return [column.look(frame / self.contents.rate, frame, choice) for column in self.columns]
+        return [column.appearance(frame / self.contents.rate, frame, choice) for column in self.columns]
 
-    def draw(self, frame: int, looks: list[Look], choice: Choice) -> None:
+    def draw(self, frame: int, looks: list[Appearance], choice: Choice) -> None:
         """Show one frame of the timeline."""
         if frame != self._shown:
             self._pin.visible, self._shown = False, frame
@@ -135,12 +141,12 @@ class Stage:
             frames = markers.frames
             row = min(round(time * frames.rate), len(frames) - 1)
             if choice.markers:
-                figure.show(np.asarray(frames.places[row]), np.asarray(frames.seen[row]), choice.names)
+                figure.show(np.asarray(frames.positions[row]), np.asarray(frames.visible[row]), choice.names)
             else:
                 figure.hide()
 
 
-def _of(clouds: list, number: int):
+def _clouds_of_take(clouds: list, number: int):
     if not clouds:
         return None
     return clouds[0] if len(clouds) == 1 else clouds[number] if number < len(clouds) else None
@@ -151,7 +157,7 @@ def _boxes(contents: Contents) -> list[Float[np.ndarray, "2 3"]]:
     is shown, metres."""
     points = [meshes.vertices[0] for meshes in contents.meshes]
     for markers in contents.markers:
-        points.append(np.asarray(markers.frames.places)[np.asarray(markers.frames.seen)][:200])
+        points.append(np.asarray(markers.frames.positions)[np.asarray(markers.frames.visible)][:200])
     if not points and not contents.takes and not contents.clouds:
         points = [np.array([np.asarray(camera.eye) for camera in contents.cameras])]
     return [np.stack([some.min(0), some.max(0)]).astype(float) for some in points if len(some)]
@@ -164,7 +170,7 @@ def _add_camera(scene: SceneApi, name: str, camera: Camera) -> None:
         fov=float(2 * np.arctan(0.5 * camera.height / np.asarray(camera.focal)[1])),
         aspect=camera.width / camera.height,
         scale=0.15,
-        color=FAINT,
+        color=CAMERA_COLOUR,
         # from the camera to the world
         wxyz=Rotation.from_matrix(rotation.T).as_quat(scalar_first=True),
         position=np.asarray(camera.eye, float),

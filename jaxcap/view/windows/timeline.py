@@ -27,22 +27,22 @@ class Timeline:
 
     def frame(self, now: float) -> int:
         """Return the frame to show."""
-        return min(int(self._at(now)), self.frames - 1)
+        return min(int(self._position(now)), self.frames - 1)
 
     def play(self, now: float) -> None:
         """Play, and restart from the first frame if at the last."""
         at = self.frame(now)
-        self._touch(0 if at == self.frames - 1 else at, now)
+        self._set_position(0 if at == self.frames - 1 else at, now)
         self.playing = True
 
     def pause(self, now: float) -> None:
         """Pause at the current frame."""
-        self._touch(self.frame(now), now)
+        self._set_position(self.frame(now), now)
         self.playing = False
 
     def seek(self, frame: int, now: float) -> None:
         """Seek a frame, clamped to the timeline, and continue from there if playing."""
-        self._touch(min(max(frame, 0), self.frames - 1), now)
+        self._set_position(min(max(frame, 0), self.frames - 1), now)
 
     def step(self, frames: int, now: float) -> None:
         """Stop and step by `frames`, back if negative, clamped to the first or last frame."""
@@ -50,27 +50,27 @@ class Timeline:
         self.playing = False
         self.seek(at + frames, now)
 
-    def run_at(self, speed: float, now: float) -> None:
+    def set_speed(self, speed: float, now: float) -> None:
         """Set the playback speed to `speed` times the rate."""
-        self._touch(self._at(now), now)
+        self._set_position(self._position(now), now)
         self.speed = speed
 
     def grow(self, frames: int, now: float) -> None:
         """Set the number of frames, larger or smaller; the current frame stays if possible."""
-        self._touch(min(self._at(now), frames - 1), now)
+        self._set_position(min(self._position(now), frames - 1), now)
         self.frames = max(frames, 1)
 
     def wait(self, now: float) -> float:
         """Compute the seconds until the next frame; infinite if paused."""
         if not self.playing or self.frames < 2:
             return math.inf
-        place = self._at(now)
+        place = self._position(now)
         return max((math.floor(place) + 1 - place) / (self.rate * self.speed), 0.0)
 
-    def _at(self, now: float) -> float:
+    def _position(self, now: float) -> float:
         if not self.playing:
             return self._frame
         return (self._frame + (now - self._since) * self.rate * self.speed) % self.frames
 
-    def _touch(self, frame: float | int, now: float) -> None:
+    def _set_position(self, frame: float | int, now: float) -> None:
         self._frame, self._since = float(max(frame, 0.0)), now

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 
 import jaxcap as jc
 from jaxcap.cli import main
-from jaxcap.markers.segments.gaps import runs as runs_of
+from jaxcap.markers.segments.gaps import find_runs as runs_of
 
 NAMES = ("trunk", "rarm", "rhand", "larm", "lhand", "head")
 LABELS = [f"{name}{number}" for name in NAMES for number in range(4)]
@@ -110,17 +110,17 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
     joints = jc.read_markers(tmp_path / "joints.trc")
     assert joint_errors(joints, scene, last).max() < 0.002
     same = jc.read_markers(tmp_path / "joints.c3d")
-    np.testing.assert_allclose(same.places, joints.places, atol=1e-5)
+    np.testing.assert_allclose(same.positions, joints.positions, atol=1e-5)
     # the file of motion has the joints where the tables have them
     skeleton, motion = jc.read_bvh(tmp_path / "trial.bvh")
     centres = jc.markers.joint_frames(skeleton, motion)
     chosen = [centres.labels.index(name) for name in joints.labels]
-    np.testing.assert_allclose(np.asarray(centres.places)[:, chosen], joints.places, atol=2e-4)
+    np.testing.assert_allclose(np.asarray(centres.positions)[:, chosen], joints.positions, atol=2e-4)
     filled = jc.read_markers(tmp_path / "filled.c3d")
-    assert np.asarray(filled.seen).all()
+    assert np.asarray(filled.visible).all()
     column = filled.labels.index(HIDDEN)
     off = np.linalg.norm(
-        np.asarray(filled.places)[:, column] - scene.places[last, LABELS.index(HIDDEN)], axis=1
+        np.asarray(filled.positions)[:, column] - scene.places[last, LABELS.index(HIDDEN)], axis=1
     )
     assert off[GAP].max() < 0.003
     # what was seen stays
@@ -134,7 +134,7 @@ def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
     plain, above = (tmp_path / name for name in ("plain.trc", "above.trc"))
     for file, more in ((plain, ()), (above, ("--floor", height))):
         runs(capsys, "markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / f"{file.stem}.npz", "--joints", file, *more)  # fmt: skip
-    joints = [np.asarray(jc.read_markers(file).places)[..., 1] for file in (plain, above)]
+    joints = [np.asarray(jc.read_markers(file).positions)[..., 1] for file in (plain, above)]
     low = joints[0].min(1) < height - 0.02
     assert (joints[1] - joints[0]).min(1)[low].max() > 0.001
     refused = ("markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / "x.npz")
@@ -157,7 +157,7 @@ def test_streaming_comes_to_the_same_motion(capsys, folder, tmp_path):
         runs(capsys, "markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / f"{name}.npz",
              "--joints", tmp_path / name, *more)  # fmt: skip
     whole, one = (jc.read_markers(tmp_path / name) for name in ("all.trc", "one.trc"))
-    np.testing.assert_allclose(whole.places, one.places, atol=2e-4)
+    np.testing.assert_allclose(whole.positions, one.positions, atol=2e-4)
 
 
 def test_a_stopped_run_leaves_nothing(capsys, monkeypatch, folder, tmp_path):

@@ -8,7 +8,7 @@ from matplotlib.image import imread
 
 import jaxcap as jc
 from jaxcap.cli import main
-from jaxcap.cli.markers.info import bar
+from jaxcap.cli.markers.info import time_bar
 
 
 @pytest.fixture
@@ -42,9 +42,9 @@ def test_what_is_told(capsys, trial):
 def test_a_bar_hides_no_gap():
     seen = np.ones(10000, bool)
     seen[5000] = False
-    assert bar(seen).count("█") == 39
-    assert bar(~seen).count(" ") == 39
-    assert bar(np.ones(3, bool)) == "███".ljust(40)
+    assert time_bar(seen).count("█") == 39
+    assert time_bar(~seen).count(" ") == 39
+    assert time_bar(np.ones(3, bool)) == "███".ljust(40)
 
 
 def test_the_picture_is_dark_where_seen(capsys, trial, tmp_path):
@@ -63,7 +63,9 @@ def test_the_picture_is_dark_where_seen(capsys, trial, tmp_path):
 
 def test_what_is_wrong_is_told_beside(capsys, trial, tmp_path):
     frames = jc.read_markers(trial)
-    still = jc.MarkerFrames(np.repeat(frames.places[:1], 5, 0), np.ones((5, 4), bool), frames.labels, 100.0)
+    still = jc.MarkerFrames(
+        np.repeat(frames.positions[:1], 5, 0), np.ones((5, 4), bool), frames.labels, 100.0
+    )
     jc.write_markers(tmp_path / "still.trc", still)
     capsys.readouterr()
     main(["markers", "info", str(tmp_path / "still.trc"), "--unit", "m"])

@@ -134,4 +134,7 @@ def test_markers_far_from_their_place_are_told(capsys, subject, tmp_path):
     moved[20:, LABELS.index("rhand2")] += 0.1
     take = write(tmp_path / "moved.c3d", moved)
     main(["markers", "solve", str(subject), str(take), "-o", str(tmp_path / "o.bvh")])
-    assert "more than 5 cm from their positions in the subject: rhand2 in 67 % of frames" in capsys.readouterr().err
+    assert (
+        "more than 5 cm from their positions in the subject: rhand2 in 67 % of frames"
+        in capsys.readouterr().err
+    )

@@ -49,9 +49,9 @@ def test_number_formats(tmp_path, processor, integers):
     path = written(tmp_path, places, NAMES, residuals=residuals, **options)
     file = read_c3d_file(path)
     assert (file.frames.labels, file.frames.rate, file.first_frame) == (tuple(NAMES), 120.0, 37)
-    np.testing.assert_array_equal(file.frames.seen, residuals == 0)
+    np.testing.assert_array_equal(file.frames.visible, residuals == 0)
     expected = np.where(residuals[..., None] < 0, 0, places / 1000)
-    np.testing.assert_allclose(file.frames.places, expected, atol=6e-5 if integers else 1e-6)
+    np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
 
 
 def test_nan_and_zeros_are_gaps_as_well(tmp_path):
@@ -60,8 +60,8 @@ def test_nan_and_zeros_are_gaps_as_well(tmp_path):
     places[2, 1, 2] = np.nan
     places[3, 2] = 0
     frames = jc.read_markers(written(tmp_path, places, NAMES))
-    assert np.argwhere(~np.asarray(frames.seen)).tolist() == [[1, 0], [2, 1], [3, 2]]
-    assert jnp.all(frames.places[~frames.seen] == 0)
+    assert np.argwhere(~np.asarray(frames.visible)).tolist() == [[1, 0], [2, 1], [3, 2]]
+    assert jnp.all(frames.positions[~frames.visible] == 0)
 
 
 @pytest.mark.parametrize(
@@ -71,16 +71,16 @@ def test_nan_and_zeros_are_gaps_as_well(tmp_path):
 def test_units_of_the_file(tmp_path, unit, metres):
     places = walked() * 1e-3 / metres
     file = read_c3d_file(written(tmp_path, places, NAMES, unit=unit))
-    np.testing.assert_allclose(file.frames.places, walked() * 1e-3, rtol=1e-5)
-    assert any("unit" in sentence for sentence in file.told) == (not unit)
+    np.testing.assert_allclose(file.frames.positions, walked() * 1e-3, rtol=1e-5)
+    assert any("unit" in sentence for sentence in file.warnings) == (not unit)
 
 
 def test_a_unit_that_is_given_counts_more(tmp_path):
     path = written(tmp_path, walked() / 10, NAMES, unit="mm")
     with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
         jc.read_markers(path)
-    np.testing.assert_allclose(jc.read_markers(path, "cm").places, walked() * 1e-3, rtol=1e-5)
-    assert jc.read_markers(path, size=(0.01, 5.0)).places.max() < 0.2
+    np.testing.assert_allclose(jc.read_markers(path, "cm").positions, walked() * 1e-3, rtol=1e-5)
+    assert jc.read_markers(path, size=(0.01, 5.0)).positions.max() < 0.2
 
 
 @pytest.mark.parametrize(("metres", "name"), [(1.0, "metres"), (0.01, "centimetres"), (0.0254, "inches")])
@@ -106,14 +106,14 @@ def test_angles_forces_and_the_rest_are_no_markers(tmp_path):
     places = walked(markers=len(names))
     file = read_c3d_file(written(tmp_path, places, names, more=lists))
     assert file.frames.labels == ("A:LKNE", "A:RKNE", "A:RHEO")
-    assert file.others == {
+    assert file.other_points == {
         "angles": ("A:KneeThing", "A:LKneeAngles"),
         "forces": ("A:Grip",),
         "powers": ("A:LPower",),
         "segment axes": ("A:PELO", "A:PELP", "A:PELA", "A:PELL"),
         "strains": ("A:Strain", "A:LongName"),
     }
-    np.testing.assert_allclose(file.frames.places, places[:, [0, 9, 11]] / 1000, rtol=1e-6)
+    np.testing.assert_allclose(file.frames.positions, places[:, [0, 9, 11]] / 1000, rtol=1e-6)
     assert jc.read_markers(tmp_path / "trial.c3d").labels == ("LKNE", "RKNE", "RHEO")
 
 
@@ -125,17 +125,17 @@ def test_more_labels_than_a_byte_counts(tmp_path):
     write_c3d(tmp_path / "again.c3d", frames)
     again = jc.read_markers(tmp_path / "again.c3d")
     assert again.labels == tuple(names)
-    np.testing.assert_array_equal(again.places, frames.places)
+    np.testing.assert_array_equal(again.positions, frames.positions)
 
 
 def test_labels_missing_empty_twice_starred_and_too_many(tmp_path):
     places = walked(markers=6)
     file = read_c3d_file(written(tmp_path, places, ["A  ", "", "A", "*32", "A_2"]))
     assert file.frames.labels == ("A", "*2", "A_3", "*32", "A_2", "*6")
-    assert any("'A'" in sentence for sentence in file.told)
+    assert any("'A'" in sentence for sentence in file.warnings)
     few = read_c3d_file(written(tmp_path, places[:, :2], ["A", "B", "C"]))
     assert few.frames.labels == ("A", "B")
-    assert any("3 labels for 2 points" in sentence for sentence in few.told)
+    assert any("3 labels for 2 points" in sentence for sentence in few.warnings)
     assert read_c3d_file(written(tmp_path, places, NAMES, without=("LABELS",))).frames.labels[-1] == "*6"
 
 
@@ -151,7 +151,7 @@ def test_subjects_are_parted_by_their_prefix(tmp_path):
         jc.read_markers(two, subject="Carl")
     ben = jc.read_markers(two, subject="Ben")
     assert ben.labels == ("A", "B")
-    np.testing.assert_allclose(ben.places, places[:, 1:3] / 1000, rtol=1e-6)
+    np.testing.assert_allclose(ben.positions, places[:, 1:3] / 1000, rtol=1e-6)
 
 
 @given(
@@ -174,11 +174,11 @@ def test_written_and_read_by_ezc3d(tmp_path_factory, seed, count, markers, unit,
     points = np.transpose(theirs["data"]["points"][:3], (2, 1, 0)) * metres
     np.testing.assert_allclose(points, places, rtol=1e-6, atol=2e-9)
     assert theirs["parameters"]["POINT"]["LABELS"]["value"] == list(frames.labels)
-    np.testing.assert_array_equal(theirs["data"]["meta_points"]["residuals"][0].T < 0, ~frames.seen)
+    np.testing.assert_array_equal(theirs["data"]["meta_points"]["residuals"][0].T < 0, ~frames.visible)
     again = read_marker_file(path).frames
     assert (again.labels, again.rate) == (frames.labels, rate)
-    np.testing.assert_array_equal(again.seen, frames.seen)
-    np.testing.assert_allclose(again.places, frames.places, rtol=1e-6, atol=2e-9)
+    np.testing.assert_array_equal(again.visible, frames.visible)
+    np.testing.assert_allclose(again.positions, frames.positions, rtol=1e-6, atol=2e-9)
 
 
 def _with(raw, behind, instead):
@@ -232,9 +232,7 @@ def test_paths_that_are_wrong(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         jc.read_markers(tmp_path / "none.c3d")
     (tmp_path / "some.what").touch()
-    with pytest.raises(
-        InputError, match=r"'\.what' is unknown; expected a marker file: \.c3d, \.trc, \.csv"
-    ):
+    with pytest.raises(InputError, match=r"'\.what' is unknown; expected a marker file: \.c3d, \.trc, \.csv"):
         jc.read_markers(tmp_path / "some.what")
     (tmp_path / "folder.c3d").mkdir()
     with pytest.raises(InputError, match="cannot be read"):
@@ -252,20 +250,20 @@ def test_real_files(shared):
     folder = shared / "data" / "markers"
     for name, count, markers in [("static", 875, 73), ("right_hip", 1690, 73), ("right_knee", 922, 73)]:
         frames = jc.read_markers(folder / f"biobuddy_{name}.c3d")
-        assert (frames.seen.shape, frames.rate) == ((count, markers), 100.0)
-        assert frames.seen.all()
+        assert (frames.visible.shape, frames.rate) == ((count, markers), 100.0)
+        assert frames.visible.all()
     epicondyles = [frames.labels.index(label) for label in ("RLFE", "RMFE")]
-    knee = frames.places[:, epicondyles]
+    knee = frames.positions[:, epicondyles]
     assert 0.09 < float(jnp.linalg.norm(knee[:, 0] - knee[:, 1], axis=1).mean()) < 0.12
     cmu = jc.read_markers(folder / "cmu_02_05.c3d")
-    assert (cmu.seen.shape, cmu.rate, cmu.labels[0]) == ((1854, 41), 120.0, "RBWT")
+    assert (cmu.visible.shape, cmu.rate, cmu.labels[0]) == ((1854, 41), 120.0, "RBWT")
     # three frames of one marker have a negative residual
-    assert np.unique(np.argwhere(~np.asarray(cmu.seen))[:, 1]).tolist() == [cmu.labels.index("RSHN")]
-    assert int((~cmu.seen).sum()) == 3
+    assert np.unique(np.argwhere(~np.asarray(cmu.visible))[:, 1]).tolist() == [cmu.labels.index("RSHN")]
+    assert int((~cmu.visible).sum()) == 3
     with pytest.raises(InputError, match="'boite' .* and 'Daphnee'"):
         jc.read_markers(folder / "pyomeca_upper_limb.c3d")
     arm = jc.read_markers(folder / "pyomeca_upper_limb.c3d", subject="Daphnee")
-    assert (arm.seen.shape, arm.labels[0]) == ((580, 43), "ASISr")
+    assert (arm.visible.shape, arm.labels[0]) == ((580, 43), "ASISr")
     with pytest.raises(InputError, match="looks like millimetres: pass unit='mm'"):
         jc.read_markers(folder / "cmu_02_05.c3d", unit="m")
 
@@ -298,7 +296,7 @@ def test_threads_read_at_once(tmp_path):
     with ThreadPoolExecutor(4) as threads:
         files = list(threads.map(read_c3d_file, [path] * 4))
     for file in files:
-        np.testing.assert_allclose(file.frames.places, walked() / 1000, atol=1e-6)
+        np.testing.assert_allclose(file.frames.positions, walked() / 1000, atol=1e-6)
 
 
 def test_script_without_a_main_guard(tmp_path):
@@ -327,7 +325,8 @@ def test_real_file_that_kills_ezc3d(shared, tmp_path):
     raw[at] = 0x80
     (tmp_path / "flipped.c3d").write_bytes(raw)
     with pytest.raises(
-        InputError, match=r"flipped.c3d: this C3D file is incomplete or damaged \(ezc3d crashes with this file, SIGSEGV\)"
+        InputError,
+        match=r"flipped.c3d: this C3D file is incomplete or damaged \(ezc3d crashes with this file, SIGSEGV\)",
     ):
         jc.read_markers(tmp_path / "flipped.c3d")
 

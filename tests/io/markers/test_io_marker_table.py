@@ -41,13 +41,13 @@ def table(folder, text):
 def test_dialects(tmp_path, text):
     frames = jc.read_markers(table(tmp_path, text))
     assert (frames.labels, frames.rate) == (("A", "B"), 100.0)
-    assert frames.seen.tolist() == [[True, True], [True, False], [True, True]]
+    assert frames.visible.tolist() == [[True, True], [True, False], [True, True]]
     expected = [
         [[1, 2, 0.5], [1.3, 2, 0.5]],
         [[1.001, 2, 0.5], [0, 0, 0]],
         [[1.002, 2, 0.5], [1.302, 2, 0.5]],
     ]
-    np.testing.assert_allclose(frames.places, expected)
+    np.testing.assert_allclose(frames.positions, expected)
 
 
 def test_unit_and_rate_are_the_callers(tmp_path):
@@ -56,7 +56,7 @@ def test_unit_and_rate_are_the_callers(tmp_path):
         jc.read_markers(table(tmp_path, text))
     file = read_marker_table(table(tmp_path, text), unit="cm", rate=50.0)
     assert file.frames.rate == 50.0
-    np.testing.assert_allclose(file.frames.places[0, 0], [1.0, 2.0, 0.5])
+    np.testing.assert_allclose(file.frames.positions[0, 0], [1.0, 2.0, 0.5])
     with pytest.raises(InputError, match="looks like centimetres: pass unit='cm'"):
         jc.read_markers(table(tmp_path, "# rate: 50\n" + text.replace("130", "300")))
 
@@ -66,9 +66,9 @@ def test_times_of_few_digits_and_rows_left_out(tmp_path):
     rows = "".join(f"{i / 120:.3f},1,2,{i},3,3,3\n" for i in kept)
     file = read_marker_table(table(tmp_path, "time,A.x,A.y,A.z,B.x,B.y,B.z\n" + rows))
     assert file.frames.rate == pytest.approx(120, rel=2e-4)
-    assert np.flatnonzero(~np.asarray(file.frames.seen[:, 0])).tolist() == [40, 41, 200]
-    np.testing.assert_array_equal(file.frames.places[kept, 0, 2], kept)
-    assert "3 frames are missing" in file.told[0]
+    assert np.flatnonzero(~np.asarray(file.frames.visible[:, 0])).tolist() == [40, 41, 200]
+    np.testing.assert_array_equal(file.frames.positions[kept, 0, 2], kept)
+    assert "3 frames are missing" in file.warnings[0]
 
 
 @given(
@@ -88,8 +88,8 @@ def test_written_and_read(tmp_path_factory, seed, count, labels, unit, rate):
     jc.write_markers(path, frames, unit)
     again = read_marker_table(path, unit).frames
     assert (again.labels, again.rate) == (tuple(labels), pytest.approx(rate, rel=1e-8))
-    np.testing.assert_array_equal(again.seen, frames.seen)
-    np.testing.assert_allclose(again.places, frames.places, rtol=1e-8, atol=2e-9)
+    np.testing.assert_array_equal(again.visible, frames.visible)
+    np.testing.assert_allclose(again.positions, frames.positions, rtol=1e-8, atol=2e-9)
     if count > 1:
         with path.open(newline="", encoding="utf-8") as file:
             times = [float(row["time"]) for row in csv.DictReader(file)]

@@ -46,15 +46,15 @@ def test_dialects(tmp_path, text):
     file = read_marker_file(trc(tmp_path, text))
     frames = file.frames
     assert (frames.labels, frames.rate, file.first_frame) == (("R.ASIS", "L.ASIS"), 60.0, 7)
-    assert frames.seen.tolist() == [[True, True], [True, False], [True, True]]
-    np.testing.assert_allclose(frames.places[:, 0, 0], [1.0, 1.001, 1.002], rtol=1e-12)
-    np.testing.assert_allclose(frames.places[2, 1], [1.302, 2.0, 0.503], rtol=1e-12)
+    assert frames.visible.tolist() == [[True, True], [True, False], [True, True]]
+    np.testing.assert_allclose(frames.positions[:, 0, 0], [1.0, 1.001, 1.002], rtol=1e-12)
+    np.testing.assert_allclose(frames.positions[2, 1], [1.302, 2.0, 0.503], rtol=1e-12)
 
 
 def test_frames_left_out_are_gaps_and_told(tmp_path):
     file = read_marker_file(trc(tmp_path, HEAD + ROWS.replace("9\t0.133", "11\t0.167")))
-    assert file.frames.seen[:, 0].tolist() == [True, True, False, False, True]
-    assert "2 frames are missing" in file.told[0]
+    assert file.frames.visible[:, 0].tolist() == [True, True, False, False, True]
+    assert "2 frames are missing" in file.warnings[0]
 
 
 def test_without_a_rate_times_tell_it(tmp_path):
@@ -74,8 +74,8 @@ def test_written_and_read(tmp_path_factory, seed, count, markers, unit):
     jc.write_markers(path, frames, unit)
     file = read_marker_file(path)
     assert (file.frames.labels, file.frames.rate, file.unit) == (frames.labels, 59.94, unit)
-    np.testing.assert_array_equal(file.frames.seen, frames.seen)
-    np.testing.assert_allclose(file.frames.places, frames.places, rtol=1e-8, atol=2e-9)
+    np.testing.assert_array_equal(file.frames.visible, frames.visible)
+    np.testing.assert_allclose(file.frames.positions, frames.positions, rtol=1e-8, atol=2e-9)
 
 
 @pytest.mark.parametrize(
@@ -128,4 +128,4 @@ def test_a_real_trial_goes_through(shared, tmp_path):
     jc.write_markers(tmp_path / "trial.trc", frames)
     again = jc.read_markers(tmp_path / "trial.trc")
     assert (again.labels, again.rate) == (frames.labels, frames.rate)
-    np.testing.assert_allclose(again.places, frames.places, rtol=1e-8)
+    np.testing.assert_allclose(again.positions, frames.positions, rtol=1e-8)

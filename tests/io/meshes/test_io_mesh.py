@@ -93,7 +93,9 @@ def test_points_are_written_with_normals_and_not_as_triangles(tmp_path, rng):
     back = read_mesh(tmp_path / "cloud.ply")
     np.testing.assert_allclose(back.vertices, cloud.vertices, atol=1e-6)
     np.testing.assert_allclose(back.normals, cloud.normals, atol=1e-6)
-    with pytest.raises(InputError, match="the mesh has no triangles, and .stl cannot contain points; use .ply"):
+    with pytest.raises(
+        InputError, match="the mesh has no triangles, and .stl cannot contain points; use .ply"
+    ):
         write_mesh(tmp_path / "cloud.stl", cloud)
 
 

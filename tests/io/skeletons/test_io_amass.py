@@ -15,7 +15,7 @@ from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.registry import read_motion, read_skeleton
-from jaxcap.io.skeletons.amass import TREES, is_amass, read_amass, write_amass
+from jaxcap.io.skeletons.amass import SMPL_PARENTS, is_amass, read_amass, write_amass
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def smpl_like(joints: int, rng):
     """A skeleton with the joints of one of SMPL's family, at places of chance."""
     names = [f"joint{number}" for number in range(joints)]
     kinds = ["free"] + ["ball"] * (joints - 1)
-    return make_skeleton(names, TREES[joints], kinds, rng.normal(size=(joints, 3)))
+    return make_skeleton(names, SMPL_PARENTS[joints], kinds, rng.normal(size=(joints, 3)))
 
 
 def amass_file(path, rng, joints=52, frames=4, **changed):
@@ -104,7 +104,7 @@ def test_files_of_amass_itself_need_a_body(tmp_path, rng, joints):
     skeleton, motion = read_amass(tmp_path / "m.npz", given)
     assert skeleton is given
     assert motion.rate == 120.0
-    seen = smpl_joints(arrays["poses"], arrays["trans"], TREES[joints], np.asarray(given.centres))
+    seen = smpl_joints(arrays["poses"], arrays["trans"], SMPL_PARENTS[joints], np.asarray(given.centres))
     ours = np.asarray(joint_paths(given, motion.poses))
     np.testing.assert_allclose(ours, seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12)
     upright = read_amass(tmp_path / "m.npz", given, up="y")[1]
@@ -113,17 +113,17 @@ def test_files_of_amass_itself_need_a_body(tmp_path, rng, joints):
 
 def test_trees_of_smpl():
     """Counted by hand: fingers of three joints on each wrist, a jaw and two eyes on the head."""
-    for joints, parents in TREES.items():
+    for joints, parents in SMPL_PARENTS.items():
         assert len(parents) == joints
         assert all(parent < joint for joint, parent in enumerate(parents))
     for joints in (52, 55):
-        chains = [j for j in range(joints) if TREES[joints][j] in (20, 21)]
+        chains = [j for j in range(joints) if SMPL_PARENTS[joints][j] in (20, 21)]
         assert len(chains) == 10
-    assert [TREES[52].count(wrist) for wrist in (20, 21)] == [5, 5]
-    assert TREES[55][22:25] == (15, 15, 15)
+    assert [SMPL_PARENTS[52].count(wrist) for wrist in (20, 21)] == [5, 5]
+    assert SMPL_PARENTS[55][22:25] == (15, 15, 15)
     # each finger is a chain
-    assert TREES[52][22:28] == (20, 22, 23, 20, 25, 26)
-    assert TREES[52][37:43] == (21, 37, 38, 21, 40, 41)
+    assert SMPL_PARENTS[52][22:28] == (20, 22, 23, 20, 25, 26)
+    assert SMPL_PARENTS[52][37:43] == (21, 37, 38, 21, 40, 41)
 
 
 def test_a_pickled_gender_is_not_read_and_a_pickled_pose_is_refused(tmp_path, rng):

@@ -221,7 +221,7 @@ def test_an_open_end_is_no_limit_and_the_other_end_holds(toy, tmp_path, open_, b
         for limits in (asf.ranges, asf.boxes):
             residual = limits.residual(asf.skeleton, pose)
             slopes = jax.grad(lambda p, limits=limits: (limits.residual(asf.skeleton, p) ** 2).sum(), allow_int=True)(pose)  # fmt: skip
-            nearest = limits.nearest(asf.skeleton, pose)
+            nearest = limits.project(asf.skeleton, pose)
             for numbers in (residual, *jax.tree.leaves(slopes), *jax.tree.leaves(nearest)):
                 assert np.isfinite(numbers).all()
             total += float(np.abs(residual).sum())
@@ -241,7 +241,11 @@ def test_an_open_end_is_no_limit_and_the_other_end_holds(toy, tmp_path, open_, b
         (":hierarchy", ":order", r"no ':hierarchy'"),
         ("name foot", "name shin", r"toy\.asf:36: the bone 'shin' occurs twice"),
         ("           (-70 20)\n", "", r"'foot' has 2 dofs but 1 limits"),
-        ("(-10.0 170.0)", "(inf inf)", r"toy\.asf:32: a limit of 'shin' has the same infinity as both bounds"),
+        (
+            "(-10.0 170.0)",
+            "(inf inf)",
+            r"toy\.asf:32: a limit of 'shin' has the same infinity as both bounds",
+        ),
         (
             "(-160.0 20.0)",
             "(-inf -inf)",

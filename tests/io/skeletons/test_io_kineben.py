@@ -123,7 +123,11 @@ def test_limits_are_what_the_file_says_and_come_back(skl, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("-0.1 2.4", "2.4 -0.1", r"a\.cst:4: The range of joint 'knee' has the lower bound 2.4 above its upper bound -0.1"),
+        (
+            "-0.1 2.4",
+            "2.4 -0.1",
+            r"a\.cst:4: The range of joint 'knee' has the lower bound 2.4 above its upper bound -0.1",
+        ),
         ("0 -2 0", "0 0 0", r"a\.cst:3: A cone of joint 'hips' has the axis"),
         (" 1.2 ", " 7 ", r"a\.cst:3: The cone angles of joint 'hips'"),
         ("knee -0.1", "ankle -0.1", r"a\.cst:4: 'ankle' is not a joint"),

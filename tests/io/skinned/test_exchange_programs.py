@@ -11,10 +11,10 @@ import pytest
 
 import jaxcap as jc
 from benchmarks._browser import find_chromium
-from benchmarks._exchange import Case, chain, truth_of
-from benchmarks._programs.run import in_blender, validated
-from benchmarks.exchange import compared, of_blender, of_three, of_usd, of_validator, prepared
-from benchmarks.report import misses
+from benchmarks._exchange import Case, chain, make_truth
+from benchmarks._programs.run import in_blender, validate
+from benchmarks.exchange import check_blender, check_three, check_usd, check_validator, compare, prepare_case
+from benchmarks.report import missed_limits
 from jaxcap.body.skin import swing_twist_from
 from jaxcap.demo.performance import walk_and_wave
 
@@ -39,17 +39,17 @@ def work(request, tmp_path_factory):
         case = Case("chain", *chain(12))
     else:
         case = Case("growing", *chain(12, grows=True, rate=29.97))
-    return prepared(tmp_path_factory.mktemp(request.param), case, 0.001, 4)
+    return prepare_case(tmp_path_factory.mktemp(request.param), case, 0.001, 4)
 
 
 def holds(parts) -> None:
     """That every figure is there and within its limit."""
     for name, figures, limits in parts:
-        assert misses(figures, limits) == [], (name, figures)
+        assert missed_limits(figures, limits) == [], (name, figures)
 
 
 def test_khronos_validator(work):
-    holds(of_validator(program("node"), work))
+    holds(check_validator(program("node"), work))
 
 
 def test_khronos_validator_of_odd_files(tmp_path):
@@ -63,14 +63,14 @@ def test_khronos_validator_of_odd_files(tmp_path):
         ("many", body, motion),
     ):
         jc.write_gltf(tmp_path / f"{name}.glb", given, moves)
-    found = validated(home, sorted(tmp_path.iterdir()))
+    found = validate(home, sorted(tmp_path.iterdir()))
     assert {name: (told["errors"], told["warnings"]) for name, told in found.items()} == {
         f"{name}.glb": (0, 0) for name in ("cloud", "frame", "many", "rest")
     }
     whole = (tmp_path / "many.glb").read_bytes()
     assert b'"JOINTS_1"' in whole
     (tmp_path / "wrong.glb").write_bytes(whole.replace(b'"JOINTS_1"', b'"JOINTS_7"'))
-    assert validated(home, [tmp_path / "wrong.glb"])["wrong.glb"]["errors"] > 0
+    assert validate(home, [tmp_path / "wrong.glb"])["wrong.glb"]["errors"] > 0
 
 
 def test_three(work):
@@ -78,25 +78,25 @@ def test_three(work):
     pytest.importorskip("playwright")
     if find_chromium() is None:
         pytest.skip("there is no Chromium")
-    holds(of_three(home, work, None))
+    holds(check_three(home, work, None))
 
 
 def test_openusd(work):
     pytest.importorskip("pxr")
-    holds(of_usd(work))
+    holds(check_usd(work))
 
 
 def test_blender(work):
-    holds(of_blender(program("blender") / "bin" / "python", work))
+    holds(check_blender(program("blender") / "bin" / "python", work))
 
 
 def test_another_frame_is_another_pose(tmp_path):
     """So the comparisons above can fail."""
     python = program("blender") / "bin" / "python"
     case = Case("chain", *chain(12))
-    made = prepared(tmp_path, case, 0.001, 2)
+    made = prepare_case(tmp_path, case, 0.001, 2)
     found = in_blender(python, made.written.glb, case.motion.rate, [0, 1])
-    truth = truth_of(made.written.linear.body, made.written.motion, [0, 2])
-    figures = compared(found, truth, list(truth.names))
+    truth = make_truth(made.written.linear.body, made.written.motion, [0, 2])
+    figures = compare(found, truth, list(truth.names))
     assert min(figures.values()) > 1
     assert np.isfinite(list(figures.values())).all()

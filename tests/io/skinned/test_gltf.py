@@ -149,7 +149,7 @@ def test_four_influences_for_programs_that_read_no_more(tmp_path):
     attributes = Viewer(tmp_path / "few.glb").file.meshes[0].primitives[0].attributes
     assert getattr(attributes, "JOINTS_1", None) is None
     check_against_pose_body(tmp_path / "few.glb", few, walk_and_wave(few.skeleton, seconds=0.2), (5,))
-    kept, all_of_it = np.asarray(few.skin.influence(31)), np.asarray(body.skin.influence(31))
+    kept, all_of_it = np.asarray(few.skin.bone_weights(31)), np.asarray(body.skin.bone_weights(31))
     ratio = kept[kept > 0] / all_of_it[kept > 0]
     assert ratio.min() >= 1 - 1e-12
     assert ((kept > 0).sum(1) == np.minimum((all_of_it > 0).sum(1), 4)).all()

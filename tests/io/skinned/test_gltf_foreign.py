@@ -15,7 +15,7 @@ from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf.gltf import write_gltf
-from jaxcap.io.gltf.gltf_clock import grid_steps
+from jaxcap.io.gltf.gltf_clock import count_grid_steps
 from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body
 from tests.io.skinned.test_gltf import Viewer, _pose_body
 
@@ -308,5 +308,5 @@ def test_the_grid_of_keys_is_found(rng, rate):
     """Where few of its times have keys, in single precision; the ends and two neighbours among them."""
     kept = np.unique([0, 7, 8, 900, *rng.integers(0, 900, 12)])
     times = (np.float32(2.0) + (kept / rate).astype("<f4")).astype(float)
-    assert grid_steps(times) == 900
-    assert grid_steps(times[:1]) == 0
+    assert count_grid_steps(times) == 900
+    assert count_grid_steps(times[:1]) == 0

@@ -16,9 +16,9 @@ from jaxcap.errors import InputError
 from jaxcap.io.gltf.gltf import write_gltf
 from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body
 from jaxcap.io.registry import (
-    clip_sentence,
-    clips_in,
+    default_clip_message,
     is_skinned,
+    list_clips,
     read_body,
     read_motion,
     read_skeleton,
@@ -91,7 +91,7 @@ def test_text_with_a_file_or_data_is_the_same_body(tmp_path):
         assert there.skeleton.kinds == body.skeleton.kinds
         np.testing.assert_array_equal(there.vertices, body.vertices)
         np.testing.assert_array_equal(there.faces, body.faces)
-        np.testing.assert_array_equal(there.skin.influence(JOINTS), body.skin.influence(JOINTS))
+        np.testing.assert_array_equal(there.skin.bone_weights(JOINTS), body.skin.bone_weights(JOINTS))
         np.testing.assert_array_equal(moved.poses.translations, motion.poses.translations)
         assert read_skeleton(path).names == body.skeleton.names
         assert read_motion(path)[1].num_frames == 3
@@ -136,8 +136,8 @@ def test_one_clip_of_several(tmp_path):
     """Each clip slides at a speed of its own."""
     path = tmp_path / "character.glb"
     write_clips(path, ("Walk", "Armature|Run: fast", None))
-    assert clips_in(path) == ("Walk", "Armature|Run: fast", "clip2")
-    for number, name in enumerate(clips_in(path)):
+    assert list_clips(path) == ("Walk", "Armature|Run: fast", "clip2")
+    for number, name in enumerate(list_clips(path)):
         speeds = [
             motion.poses.translations[1, 0, 0]
             for motion in (
@@ -152,14 +152,14 @@ def test_one_clip_of_several(tmp_path):
         with pytest.raises(InputError, match=r"no clip 'Jump' .* Walk, Armature\|Run: fast, clip2\."):
             read(f"{path}:Jump")
     # without a choice it is said which one was taken, and with one nothing is
-    said = clip_sentence(path)
+    said = default_clip_message(path)
     assert said is not None
     assert "3 clips" in said
     assert "'Walk' is read" in said
     assert f"{path}:Armature" in said
-    assert clip_sentence(f"{path}:Walk") is None
+    assert default_clip_message(f"{path}:Walk") is None
     write_clips(path, ("Walk",))
-    assert clip_sentence(path) is None
+    assert default_clip_message(path) is None
 
 
 def test_names_of_clips(tmp_path):

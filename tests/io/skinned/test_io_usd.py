@@ -10,11 +10,11 @@ import pytest
 from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.body import deform_all
+from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.errors import InputError
-from jaxcap.io.skinned.bind_pose import inverted
+from jaxcap.io.skinned.bind_pose import invert_affine
 from jaxcap.io.usd import usd_child
 from jaxcap.io.usd.usd import write_usd
 from jaxcap.io.usd.usd_reader import read_usd_body
@@ -74,7 +74,7 @@ def test_skinning_is_that_of_pose_body(tmp_path, rng, skin, suffix):
     write_usd(path, body, motion)
     assert list(tmp_path.iterdir()) == [path]
     reader = Reader(path)
-    for frame, vertices in enumerate(np.asarray(deform_all(body, motion.poses))):
+    for frame, vertices in enumerate(np.asarray(posed_vertices(body, motion.poses))):
         np.testing.assert_allclose(reader.vertices(frame), vertices, atol=2e-6)
     stage = reader.stage
     assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == 25.0
@@ -155,8 +155,8 @@ def test_a_body_and_its_motion_come_back(tmp_path, rng, suffix):
     np.testing.assert_array_equal(back.faces, body.faces)
     np.testing.assert_allclose(back.vertices, body.vertices, atol=1e-6)
     assert (len(moved), moved.rate) == (3, 25.0)
-    there = deform_all(back, moved.poses)
-    np.testing.assert_allclose(there, deform_all(body, motion.poses), atol=1e-5)
+    there = posed_vertices(back, moved.poses)
+    np.testing.assert_allclose(there, posed_vertices(body, motion.poses), atol=1e-5)
     write_usd(tmp_path / f"still{suffix}", body)
     assert read_usd_body(tmp_path / f"still{suffix}")[1] is None
 
@@ -209,7 +209,9 @@ def test_a_body_of_another_program(tmp_path, rng):
     np.testing.assert_array_equal(back.faces, body.faces)
     np.testing.assert_allclose(back.vertices, body.vertices, atol=1e-5)
     np.testing.assert_allclose(moved.poses.scale, 1.0, atol=1e-5)
-    np.testing.assert_allclose(deform_all(back, moved.poses), deform_all(body, motion.poses), atol=1e-4)
+    np.testing.assert_allclose(
+        posed_vertices(back, moved.poses), posed_vertices(body, motion.poses), atol=1e-4
+    )
 
 
 def test_what_is_not_read_is_said(tmp_path):
@@ -327,4 +329,4 @@ def test_a_file_that_brings_openusd_down_is_refused(tmp_path, monkeypatch, progr
 def test_transforms_beyond_all_numbers_are_refused_without_a_warning():
     """Their lengths and determinants overflow."""
     with pytest.raises(InputError, match="cannot be inverted"):
-        inverted(Path("body.usdc"), np.diag([1e200, 1e200, 1e200, 1.0])[None])
+        invert_affine(Path("body.usdc"), np.diag([1e200, 1e200, 1e200, 1.0])[None])
