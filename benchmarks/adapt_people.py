@@ -157,7 +157,7 @@ def learned_template() -> jc.Body:
     """Learn a body from meshes of the embedded human with its skeleton; the first mesh is at rest."""
     human = jc.human(joints="tracking", resolution="medium")
     meshes = meshes_of(human, varied_poses(shared_folder(), human, POSES, TAKES))
-    return learn(meshes, skeleton=human.skeleton, keep_joints=True).body
+    return learn(meshes, skeleton=human.skeleton, fix_joints=True).body
 
 
 def make_pose_prior(template: jc.Body, name: str) -> jc.AbstractEnergy | None:

@@ -59,7 +59,7 @@ class Ik:
     """Pose prior, a result of `jaxcap prior learn`."""
     solver: Solver = "levenberg-marquardt"
     """Solver. priorities satisfies limits before pinned constraints, and these before the others; it is slower."""
-    hold_root: Flag = False
+    fix_root: Flag = False
     """Fix the root."""
     unit: Unit = "m"
     """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
@@ -114,7 +114,7 @@ class Ik:
         pose = None
         if self.pose is not None:
             pose = self.select_pose(load_body_motion(body, self.pose).poses, self.pose)
-        settings = IkSettings(self.solver, True, prior is not None, self.hold_root)
+        settings = IkSettings(self.solver, True, prior is not None, self.fix_root)
         session = ik.begin_session(body, pose, limits, prior, settings)
         if self.constraints is None:
             return session

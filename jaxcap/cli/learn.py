@@ -66,7 +66,7 @@ class Learn:
             help=f"Skeleton aligned with the first mesh, instead of one found from the motion: {SKELETON_FORMATS}."
         ),
     ] = None
-    keep_joints: Flag = False
+    fix_joints: Flag = False
     """Fix the joints of --skeleton. Without this option, their positions are estimated from the motion."""
     free_bones: Flag = False
     """Learn bones without parents, one more than --joints, with linear blend skinning."""
@@ -156,8 +156,8 @@ class Learn:
             )
         if self.skeleton is not None and self.joints is not None:
             raise InputError("--skeleton defines the joints; omit --joints.")
-        if self.keep_joints and self.skeleton is None:
-            raise InputError("--keep-joints needs a skeleton; give it with --skeleton.")
+        if self.fix_joints and self.skeleton is None:
+            raise InputError("--fix-joints needs a skeleton; give it with --skeleton.")
         if self.limits is not None and self.skeleton is None:
             raise InputError("--limits needs a skeleton; give it with --skeleton.")
         if self.free_bones and (self.skeleton is not None or self.pairs is not None):
@@ -171,7 +171,7 @@ class Learn:
             "skin",
             "symmetry",
             "pairs",
-            "keep_joints",
+            "fix_joints",
             "free_bones",
             "unit",
             "rate",
@@ -244,7 +244,7 @@ class Learn:
                     alpha=self.alpha,
                     symmetry=symmetry,
                     skeleton=skeleton,
-                    keep_joints=self.keep_joints,
+                    fix_joints=self.fix_joints,
                     free_bones=self.free_bones,
                     rounds=self.rounds,
                     terms=self.terms(meshes, skeleton),

@@ -85,7 +85,7 @@ def learn_body(
     alpha: float = 100.0,
     symmetry: bool | Int[np.ndarray, "P 2"] = True,
     skeleton: Skeleton | None = None,
-    keep_joints: bool = False,
+    fix_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
     terms: UserTerms = (),
@@ -106,7 +106,7 @@ def learn_body(
     must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
     `symmetry` keeps left and right bones equally long, in pairs that are detected or given as `(P, 2)`
     indices of joints. `skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
-    joint centres, or as fixed centres with `keep_joints`. `free_bones` learns bones without parents and with
+    joint centres, or as fixed centres with `fix_joints`. `free_bones` learns bones without parents and with
     linear blending. `terms` is an energy or several of the posed body with all vertices, which act on joints
     and poses: one unit weighs as much as a mean vertex error of a millimetre. With `terms`, no joints are
     exchanged. `on_round` is called with the state after every round. `resume` continues from a state, with
@@ -116,7 +116,7 @@ def learn_body(
     `InputError` for energies of vertices or joints that do not exist.
     """
     exchanging: ExchangeMode = "no" if skeleton is not None else "free" if joints is None else "fixed"
-    given = None if skeleton is None else GivenCentres(skeleton.centres, keep_joints)
+    given = None if skeleton is None else GivenCentres(skeleton.centres, fix_joints)
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
     if whole is not None:
         # the energies belong to the current tree of joints

@@ -9,11 +9,11 @@ from .settings import Scanner
 
 def apply_errors(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
     """Apply all errors of a scanner to a depth image, metres; zero for pixels without measurement."""
-    depth = remove_grazing(image, scanner.grazing)
+    depth = remove_grazing(image, scanner.max_grazing_angle)
     depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
     depth = add_flying_pixels(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
     depth = add_noise(depth, scanner.noise, scanner.noise_growth, rng)
-    return quantise(depth, scanner.quantise)
+    return quantise(depth, scanner.depth_step)
 
 
 def remove_grazing(image: DepthImage, max_angle: float) -> Float[np.ndarray, "H W"]:

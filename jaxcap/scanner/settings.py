@@ -13,7 +13,7 @@ class Scanner(NamedTuple):
     #: probability of the loss of a view in a frame, independent of the others; at least one view is kept
     drop: float = 0.0
     #: largest measurable angle between surface normal and ray, degrees
-    grazing: float = 80.0
+    max_grazing_angle: float = 80.0
     #: share of a view's measured pixels lost in holes, and the size of holes, pixels
     holes: float = 0.0
     hole_size: float = 4.0
@@ -26,7 +26,7 @@ class Scanner(NamedTuple):
     #: 1/metres
     noise_growth: float = 0.0
     #: step between depths at 1 m by whole disparities, metres; it grows with z^2; 0 is none
-    quantise: float = 0.0
+    depth_step: float = 0.0
     #: largest difference in depth of neighbouring pixels on one surface, metres
     gap: float = 0.03
     #: number of rows and columns around a pixel for its normal
@@ -49,14 +49,14 @@ def check_scanner(scanner: Scanner) -> None:
     share, length = "at least 0 and below 1", "at least 0 metres"
     wrong = {
         "drop": (0 <= scanner.drop < 1, share),
-        "grazing": (0 < scanner.grazing <= 90, "above 0 and at most 90 degrees"),
+        "max_grazing_angle": (0 < scanner.max_grazing_angle <= 90, "above 0 and at most 90 degrees"),
         "holes": (0 <= scanner.holes < 1, share),
         "hole_size": (0 < scanner.hole_size < np.inf, "above 0 pixels"),
         "flying": (0 <= scanner.flying <= 1, "from 0 to 1"),
         "flying_reach": (0 <= scanner.flying_reach < np.inf, length),
         "noise": (0 <= scanner.noise < np.inf, length),
         "noise_growth": (0 <= scanner.noise_growth < np.inf, "at least 0 per metre"),
-        "quantise": (0 <= scanner.quantise < np.inf, length),
+        "depth_step": (0 <= scanner.depth_step < np.inf, length),
         "gap": (0 < scanner.gap < np.inf, "above 0 metres"),
         "normal_window": (scanner.normal_window >= 1, "at least 1 pixel"),
         "voxel": (0 <= scanner.voxel < np.inf, length),

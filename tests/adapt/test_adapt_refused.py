@@ -58,20 +58,20 @@ def alone(task: AdaptTask, points, normals=None) -> AdaptTask:
 
 
 @pytest.mark.parametrize(
-    "told", ["--pair-angle 0 above 0", "--pair-reach -1 above 0", "--pose-weight -1 at least 0"]
+    "told", ["--pair-angle 0 above 0", "--pair-distance -1 above 0", "--pose-weight -1 at least 0"]
 )
 def test_amounts_that_are_none(folder, capsys, told):
     name, value, what = told.split(" ", 2)
     assert f"{name} is {value}; it must be {what}" in fails(capsys, *words(folder, name, value))
     assert "--shape-weight is 0; it must be above 0" in fails(capsys, *words(folder, "--shape-weight", 3, 0))
-    assert "--aperture needs cameras" in fails(capsys, *words(folder, "--aperture"))
+    assert "--ignore-occlusion needs cameras" in fails(capsys, *words(folder, "--ignore-occlusion"))
 
 
 def test_settings_are_what_was_asked(folder, scene):
     scans = read_clouds(str(folder / "*.ply"))
     names = str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz"
-    asked = Adapt(*names, pairs="surface", pair_reach=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
-    asked.aperture, asked.cameras = True, folder / "cameras.json"
+    asked = Adapt(*names, assignment="surface", pair_distance=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
+    asked.ignore_occlusion, asked.cameras = True, folder / "cameras.json"
     task = asked.task(scene[0], scans, None)
     assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)

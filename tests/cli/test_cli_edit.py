@@ -51,7 +51,17 @@ def test_clips_are_cut_resampled_joined_looped_and_mirrored(capsys, folder):
     assert len(jc.load_motion(folder / "s.npz")) == 16
     assert "119 frames at 60" in runs(capsys, "edit", "resample", a, "-o", out, "--rate", 60, "--overwrite")
     told = runs(
-        capsys, "edit", "join", a, folder / "b.bvh", "-o", out, "--blend", 0.2, "--find", "--overwrite"
+        capsys,
+        "edit",
+        "join",
+        a,
+        folder / "b.bvh",
+        "-o",
+        out,
+        "--blend",
+        0.2,
+        "--find-transition",
+        "--overwrite",
     )
     assert "from frame" in told and "0 mm apart" in told
     told = runs(capsys, "edit", "loop", a, "-o", out, "--in-place", "--overwrite")
@@ -190,7 +200,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("join a.npz other.npz -o new.npz", "the skeleton of this motion differs from that of"),
         ("join a.npz b.bvh -o new.npz --blend 9", "give a shorter blend"),
         ("loop a.npz -o new.npz --frames 2 30", "takes the 6 frames before it"),
-        ("loop a.npz -o new.npz --least 5", "does not fit into a motion"),
+        ("loop a.npz -o new.npz --min-seconds 5", "does not fit into a motion"),
         ("mirror other.npz -o new.npz", "No joint has a counterpart"),
         ("keys a.npz -o new.npz --degrees 0", "--degrees is 0"),
         ("keys a.npz", "nothing to write"),

@@ -234,7 +234,7 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),
         (["--limits", "limits.npz"], "--limits needs a skeleton"),
         (["--floor", "nan"], "--floor"),
-        (["--keep-joints"], "--keep-joints needs a skeleton"),
+        (["--fix-joints"], "--fix-joints needs a skeleton"),
         (["--hold-out", "2", "--motion", "m.bvh"], "m.bvh"),
     ],
 )

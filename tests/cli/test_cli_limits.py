@@ -49,7 +49,7 @@ def learned(folder):
     motions = [str(folder / f"m{seed}.npz") for seed in range(3)]
     out = folder / "limits.npz"
     main(["limits", "learn", *motions, "--joints", "shoulder:elbow", "-o", str(out), "--report", str(folder / "pics"),
-          "--voxel", "6", "--keyframe", "12"])  # fmt: skip
+          "--voxel", "6", "--keyframe-width", "12"])  # fmt: skip
     return out
 
 
@@ -118,7 +118,7 @@ def test_what_is_refused(capsys, folder, learned, tmp_path):
     learn = ("limits", "learn", m, "-o", tmp_path / "l.npz", "--joints")
     assert "there is no joint 'knee'; it has hips, shoulder, elbow" in fails(capsys, *learn, "knee")
     assert "No voxel has 100000 samples" in fails(
-        capsys, *learn, "shoulder", "--threshold", 100000, "--voxel", 5
+        capsys, *learn, "shoulder", "--min-samples", 100000, "--voxel", 5
     )
     assert "already exists" in fails(capsys, "limits", "learn", m, "-o", learned, "--joints", "elbow")
     assert "--coverage is 2" in fails(capsys, *learn, "elbow", "--coverage", 2)

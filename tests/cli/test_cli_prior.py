@@ -42,7 +42,17 @@ def test_help_tells_the_verbs(capsys):
 def test_learn_and_info(capsys, folder):
     out = folder / "prior.npz"
     told = runs(
-        capsys, "prior", "learn", folder / "m0.npz", folder / "m1.npz", "-o", out, "--most", 4, "--rate", 10
+        capsys,
+        "prior",
+        "learn",
+        folder / "m0.npz",
+        folder / "m1.npz",
+        "-o",
+        out,
+        "--max-gaussians",
+        4,
+        "--rate",
+        10,
     )
     assert "2 motions, 600 poses learned from" in told
     row = next(line.split() for line in told.splitlines() if line.startswith("shoulder, elbow"))
@@ -64,7 +74,18 @@ def test_learn_and_info(capsys, folder):
     ranges = next(line for line in told.splitlines() if line.startswith("elbow"))
     # a hinge about its third axis, bent by 80 degrees
     assert ranges.split()[1:] == ["0°", "to", "0°", "0°", "to", "0°", "0°", "to", "80°"]
-    runs(capsys, "prior", "learn", folder / "m0.npz", "-o", folder / "wide.npz", "--most", 1, "--margin", 5)
+    runs(
+        capsys,
+        "prior",
+        "learn",
+        folder / "m0.npz",
+        "-o",
+        folder / "wide.npz",
+        "--max-gaussians",
+        1,
+        "--margin",
+        5,
+    )
     told = runs(capsys, "prior", "info", folder / "wide.npz")
     ranges = next(line for line in told.splitlines() if line.startswith("elbow"))
     assert ranges.split()[1:3] == ["-5°", "to"]
@@ -72,7 +93,18 @@ def test_learn_and_info(capsys, folder):
 
 def test_a_body_carries_its_prior(capsys, folder):
     out = folder / "with.npz"
-    runs(capsys, "prior", "learn", folder / "m0.npz", "--body", folder / "body.npz", "-o", out, "--most", 1)
+    runs(
+        capsys,
+        "prior",
+        "learn",
+        folder / "m0.npz",
+        "--body",
+        folder / "body.npz",
+        "-o",
+        out,
+        "--max-gaussians",
+        1,
+    )
     assert len(jc.load_body(out).vertices) == 4
     assert jc.io.load_prior(out, SKELETON).pairs == (("shoulder", "elbow"),)
     np.testing.assert_array_equal(load_limits(out)["angles"], np.ones(2))
@@ -84,8 +116,8 @@ def test_what_is_refused(capsys, folder, tmp_path):
     m, out = folder / "m0.npz", tmp_path / "p.npz"
     learn = ("prior", "learn", m, "-o", out)
     assert "--rate is 0" in fails(capsys, *learn, "--rate", 0)
-    assert "--most is 0" in fails(capsys, *learn, "--most", 0)
-    assert "--floor is 90" in fails(capsys, *learn, "--floor", 90)
+    assert "--max-gaussians is 0" in fails(capsys, *learn, "--max-gaussians", 0)
+    assert "--min-deviation is 90" in fails(capsys, *learn, "--min-deviation", 90)
     assert "--seed is -1" in fails(capsys, *learn, "--seed", -1)
     assert "--margin is 200; it must be between 0 and 180" in fails(capsys, *learn, "--margin", 200)
     assert "written as .npz" in fails(capsys, "prior", "learn", m, "-o", tmp_path / "p.txt")
@@ -123,7 +155,7 @@ def test_motions_of_another_skeleton_are_carried_over(capsys, tmp_path):
     assert same_bones(human.skeleton, taller.skeleton)
     assert not same_bones(human.skeleton, other)
     jc.save_motion(tmp_path / "other.npz", jc.Motion(poses, 30.0), other)
-    told = runs(capsys, "prior", "learn", tmp_path / "own.npz", tmp_path / "other.npz", "--body", "human:low", "-o", tmp_path / "p.npz", "--most", 1)  # fmt: skip
+    told = runs(capsys, "prior", "learn", tmp_path / "own.npz", tmp_path / "other.npz", "--body", "human:low", "-o", tmp_path / "p.npz", "--max-gaussians", 1)  # fmt: skip
     assert "1 of 2 motions retargeted to the skeleton of human:low" in told
     assert jc.io.load_prior(tmp_path / "p.npz", human.skeleton).pairs
 
@@ -148,7 +180,7 @@ def person(tmp_path_factory):
 def test_shape_is_learned_from_meshes_of_the_body(capsys, person):
     folder, body = person
     out, motion = folder / "prior.npz", folder / "motion.npz"
-    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes" / "*.obj", "--most", 1)
+    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes" / "*.obj", "--max-gaussians", 1)
     told = runs(capsys, "prior", "learn", motion, "-o", out, *words)
     assert "shape: 4 of 4 meshes; RMS error of the body 0.00 mm, of its Laplacian vectors 0.00 mm" in told
     prior = load_shape_prior(out, jc.load_body(out))
@@ -159,7 +191,7 @@ def test_shape_is_learned_from_meshes_of_the_body(capsys, person):
     assert shape_energy(prior, rough) > 1e-6
     assert f"{len(body.vertices)} vertices in 4 meshes" in runs(capsys, "prior", "info", out)
     # a prior of poses learned anew leaves the shape as it is
-    runs(capsys, "prior", "learn", motion, "-o", out, "--body", out, "--most", 1, "--overwrite")
+    runs(capsys, "prior", "learn", motion, "-o", out, "--body", out, "--max-gaussians", 1, "--overwrite")
     again = load_shape_prior(out, body)
     assert again is not None
     np.testing.assert_array_equal(again.vectors, prior.vectors)
@@ -169,7 +201,7 @@ def test_of_many_meshes_those_posed_most_unlike_are_kept(capsys, monkeypatch, pe
     folder, _ = person
     monkeypatch.setattr("jaxcap.cli.prior.shape.MOST_MESHES", 2)
     out = folder / "two.npz"
-    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes", "--most", 1)
+    words = ("--body", folder / "low.npz", "--meshes", folder / "meshes", "--max-gaussians", 1)
     told = runs(capsys, "prior", "learn", folder / "motion.npz", "-o", out, *words)
     assert "shape: 2 of 4 meshes" in told
     assert "in 2 meshes" in runs(capsys, "prior", "info", out)

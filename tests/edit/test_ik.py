@@ -207,7 +207,7 @@ def test_held_roots_stay_and_others_follow():
     body = chain_body()
     pull = make_constraints(body, [Constraint("tool", (2.5, 0.3, 0.0))])
     rest = jc.rest_pose(body.skeleton)
-    held = solve_ik(body, rest, pull, IkOptions(hold_root=True)).pose
+    held = solve_ik(body, rest, pull, IkOptions(fix_root=True)).pose
     free = solve_ik(body, rest, pull, IkOptions()).pose
     assert np.linalg.norm(held.translations[0]) < 1e-3
     assert rotation.distance(held.rotations[0], rest.rotations[0]) < 1e-3
@@ -221,7 +221,7 @@ def test_a_root_that_is_held_goes_only_where_a_pin_on_it_says(arm, solver):
     skeleton = jc.make_skeleton(
         arm.skeleton.names, arm.skeleton.parents, ("free", "ball", "ball"), arm.skeleton.centres
     )
-    body, options = eqx.tree_at(lambda b: b.skeleton, arm, skeleton), IkOptions(solver, hold_root=True)
+    body, options = eqx.tree_at(lambda b: b.skeleton, arm, skeleton), IkOptions(solver, fix_root=True)
     rest, place = jc.rest_pose(skeleton), (0.1, 0.3, -0.2)
 
     def moved(*wanted: Constraint):
@@ -318,8 +318,8 @@ def test_pins_weights_settings_and_resets_are_steps(arm):
     back = ik.reset_pose(session)
     np.testing.assert_allclose(back.state.pose.rotations, session.initial_pose.rotations)
     assert ik.find_constraint(back, 6).target == pytest.approx((1.0, 0.0, 0.0))
-    held = ik.change_settings(session, session.state.settings._replace(hold_root=True))
-    assert held.state.settings.hold_root and len(held.undo_states) == len(session.undo_states) + 1
+    held = ik.change_settings(session, session.state.settings._replace(fix_root=True))
+    assert held.state.settings.fix_root and len(held.undo_states) == len(session.undo_states) + 1
     assert ik.change_settings(held, held.state.settings) is held
     with pytest.raises(ValueError, match="solver 'newton' is unknown"):
         ik.change_settings(session, session.state.settings._replace(solver="newton"))
@@ -347,7 +347,7 @@ def test_nothing_is_traced_again_for_other_counts_targets_or_switches(arm):
     for point in (3, 7, 8, "elbow"):
         session = ik.add_constraint(session, point)
     session = ik.move_constraint(session, "elbow", (0.2, 0.2, 0.0), (0.8, 0.6, 0.0, 0.0))
-    off = ik.IkSettings(keep_limits=False, use_prior=False, hold_root=True)
+    off = ik.IkSettings(keep_limits=False, use_prior=False, fix_root=True)
     ik.set_pinned(ik.change_settings(ik.remove_constraint(session, 3), off), 7)
     assert len(TRACES) == first
 

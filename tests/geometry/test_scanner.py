@@ -28,7 +28,7 @@ from jaxcap.scanner.noise import (
 from jaxcap.scanner.scan import sample_dropped_views, scan_depths, scan_frame
 from jaxcap.scanner.settings import Scanner
 
-CLEAN = Scanner(noise=0.0, grazing=90.0)
+CLEAN = Scanner(noise=0.0, max_grazing_angle=90.0)
 _pose_body = eqx.filter_jit(pose_body)
 
 
@@ -158,7 +158,7 @@ def test_views_are_dropped_by_chance_but_never_all():
 
 def test_scans_are_the_same_in_any_order(person):
     vertices, faces = person
-    bad = Scanner(noise_growth=0.001, flying=0.3, holes=0.1, drop=0.3, quantise=0.001, points=500)
+    bad = Scanner(noise_growth=0.001, flying=0.3, holes=0.1, drop=0.3, depth_step=0.001, points=500)
     ring = ring_of_cameras(3, 360, 2.5, 0.4, [0, 0.05, 0], (96, 72))
     forth = [scan_frame(bad, ring, vertices, faces, 3, frame) for frame in (0, 1, 2)]
     back = [scan_frame(bad, ring, vertices, faces, 3, frame) for frame in (2, 1, 0)][::-1]
@@ -213,7 +213,7 @@ def test_normals_are_those_of_the_surface_and_look_to_the_camera(person):
     ball = trimesh.creation.icosphere(5, 0.5)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
     ring = ring_of_cameras(2, 360, 2.5, 0.0, [0, 0, 0], (320, 240))
-    scan = scan_frame(Scanner(noise=0.001, grazing=60.0), ring, vertices, faces)
+    scan = scan_frame(Scanner(noise=0.001, max_grazing_angle=60.0), ring, vertices, faces)
     cosine = np.sum(scan.normals * scan.points, 1) / np.linalg.norm(scan.points, axis=1)
     assert np.median(np.degrees(np.arccos(np.clip(cosine, -1, 1)))) < 4
     assert np.quantile(cosine, 0.01) > 0.9
@@ -320,7 +320,7 @@ def test_outliers_are_a_share_of_the_points_anywhere_in_the_box():
         ({"drop": 1.0}, "drop of the scanner is 1; it must be at least 0 and below 1"),
         ({"holes": 1.5}, "holes of the scanner is 1.5"),
         ({"flying": -1.0}, "flying of the scanner is -1"),
-        ({"grazing": 0.0}, "grazing of the scanner is 0"),
+        ({"max_grazing_angle": 0.0}, "max-grazing-angle of the scanner is 0"),
         ({"points": 0}, "points of the scanner is 0"),
         ({"outliers": 1.0}, "outliers of the scanner is 1"),
         ({"mesh": True, "points": 9}, "remove the settings points, voxel and outliers"),

@@ -92,20 +92,20 @@ class Adapt:
     cameras: OptionalFile = None
     """Calibrated cameras of the scans, .json as written by `jaxcap scan`. Vertices that no camera sees are not
     matched."""
-    aperture: Flag = False
+    ignore_occlusion: Flag = False
     """Use only the fields of view of --cameras, and ignore occlusion."""
-    pairs: AssignmentName = "vertices"
+    assignment: AssignmentName = "vertices"
     """Match scan points to the nearest vertex (vertices), to the nearest point of the surface (surface), or to
     vertices with Gaussian weights (soft). With surface, vertices are also matched to the surface of scans that are
     meshes; soft needs a first pose within 3 cm."""
     pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
     """Largest angle between the normals of a matched pair, degrees."""
-    pair_reach: Annotated[float, arg(metavar="METRES")] = 0.3
+    pair_distance: Annotated[float, arg(metavar="METRES")] = 0.3
     """Largest distance of a matched pair, metres."""
-    along: Annotated[float, arg(metavar="SHARE")] = 0.05
+    tangential_weight: Annotated[float, arg(metavar="SHARE")] = 0.05
     """Weight of squared distances along the surface, relative to those across it: 1 is point to point, 0 point to
     plane."""
-    unchecked: Flag = False
+    skip_person_check: Flag = False
     """Do not check that the first scan shows one person."""
     report: OptionalFile = None
     """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
@@ -124,7 +124,7 @@ class Adapt:
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
     """Standard deviation of joints from the positions predicted by the surrounding surface, metres. Use less if the
     poses do not determine the joints."""
-    together: Flag = False
+    simultaneous: Flag = False
     """Solve for vertices, joints and poses in one step of each round, not one after the other."""
     smoothness: OptionalWeight = None
     """Weight of the smoothness of the motion; 0 disables it. Default: a tenth of the weight that balances it with the
@@ -220,7 +220,7 @@ class Adapt:
                 for reached in adapt_body(
                     task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // TIMES)
                 ):
-                    if reached.done == 1 and not (reached.within or self.unchecked):
+                    if reached.done == 1 and not (reached.within or self.skip_person_check):
                         _check_first_scan(task, reached, first)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
@@ -277,8 +277,12 @@ class Adapt:
                 "above 0 and below 1 metre",
             ),
             "--pair-angle": (self.pair_angle, 0 < self.pair_angle <= 180, "above 0 and at most 180 degrees"),
-            "--pair-reach": (self.pair_reach, 0 < self.pair_reach < np.inf, "above 0 metres"),
-            "--along": (self.along, 0 <= self.along <= 1, "between 0 and 1"),
+            "--pair-distance": (self.pair_distance, 0 < self.pair_distance < np.inf, "above 0 metres"),
+            "--tangential-weight": (
+                self.tangential_weight,
+                0 <= self.tangential_weight <= 1,
+                "between 0 and 1",
+            ),
             "--smoothness": (self.smoothness, _is_none_or_nonnegative(self.smoothness), "at least 0"),
             "--pose-weight": (self.pose_weight, _is_none_or_nonnegative(self.pose_weight), "at least 0"),
             "--shape-weight": (
@@ -294,8 +298,8 @@ class Adapt:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
         if self.unordered and self.ordered:
             raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
-        if self.aperture and self.cameras is None:
-            raise InputError("--aperture needs cameras; give them with --cameras.")
+        if self.ignore_occlusion and self.cameras is None:
+            raise InputError("--ignore-occlusion needs cameras; give them with --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(
@@ -311,10 +315,10 @@ class Adapt:
             cameras = load_cameras(self.cameras, scans, there, self.up)
         matching = Matching(
             angle=self.pair_angle,
-            reach=self.pair_reach,
-            along=self.along,
-            assignment=ASSIGNMENTS[self.pairs],
-            aperture=cameras if self.aperture else (),
+            reach=self.pair_distance,
+            along=self.tangential_weight,
+            assignment=ASSIGNMENTS[self.assignment],
+            aperture=cameras if self.ignore_occlusion else (),
         )
         clouds = Clouds(scans, body, self.up)
         return make_adapt_task(
@@ -330,16 +334,16 @@ class Adapt:
                 pose=self.pose_weight,
                 temporal=self.smoothness,
                 every=self.adapt_every,
-                simultaneous=self.together,
+                simultaneous=self.simultaneous,
                 unordered=True if self.unordered else False if self.ordered else None,
                 matching=matching,
             ),
-            cameras=() if self.aperture else cameras,
+            cameras=() if self.ignore_occlusion else cameras,
             missing=missing,
             boxes=None if priors is None else priors.boxes,
             shape=None if priors is None else priors.shape,
             terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
-            mesh=clouds.mesh if self.pairs == "surface" else None,
+            mesh=clouds.mesh if self.assignment == "surface" else None,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
 
@@ -349,13 +353,13 @@ class Adapt:
             "frames",
             "adapt_every",
             "prior_form",
-            "aperture",
-            "pairs",
+            "ignore_occlusion",
+            "assignment",
             "pair_angle",
-            "pair_reach",
-            "along",
+            "pair_distance",
+            "tangential_weight",
             "joint_deviation",
-            "together",
+            "simultaneous",
             "floor",
             "limit_weight",
             "unordered",
@@ -380,7 +384,7 @@ def _check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
         check_actor(task, state, where)
     except InputError as error:
         raise InputError(
-            f"{user_message(error)} If the scan does show one person, give --unchecked."
+            f"{user_message(error)} If the scan does show one person, give --skip-person-check."
         ) from None
 
 

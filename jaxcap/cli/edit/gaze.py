@@ -46,12 +46,12 @@ class Gaze:
     """First and last frame of the gaze, with its fades. Default: all frames."""
     fade: Annotated[float, arg(metavar="SECONDS")] = 0.5
     """Duration of the fade at each end of the gaze, seconds."""
-    most: Annotated[float, arg(metavar="DEGREES")] = 90.0
+    max_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
     """Largest rotation of all joints together, degrees."""
     joints: Annotated[str | None, arg(metavar="CHEST,NECK,HEAD", help_behavior_hint="")] = None
     """Joints that rotate. Default: guessed from their names."""
     body: OptionalBody = None
-    line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
+    gaze_line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
     """Vertices of --body at the back of the head and between the eyes, if the face of --body is not known. The face
     of `human` is known."""
     limits: OptionalFile = None
@@ -82,7 +82,7 @@ class Gaze:
                 first=first,
                 last=last,
                 fade=self.fade,
-                max_angle=self.most,
+                max_angle=self.max_angle,
                 limits=None if self.limits is None else read_limits(self.limits, skeleton),
             )
         except InputError:
@@ -99,10 +99,12 @@ class Gaze:
             raise InputError("Give either --target or --direction, and not both.")
         if not 0 <= self.fade < np.inf:
             raise InputError(f"--fade is {self.fade:g}; it must be at least 0 seconds.")
-        if not 0 < self.most <= 180:
-            raise InputError(f"--most is {self.most:g}; it must be above 0 and at most 180 degrees.")
-        if self.line is not None and self.body is None:
-            raise InputError("--line gives vertices of a body; give the body with --body.")
+        if not 0 < self.max_angle <= 180:
+            raise InputError(
+                f"--max-angle is {self.max_angle:g}; it must be above 0 and at most 180 degrees."
+            )
+        if self.gaze_line is not None and self.body is None:
+            raise InputError("--gaze-line gives vertices of a body; give the body with --body.")
         if self.target is not None and np.linalg.norm(self.target) > MAX_TARGET_DISTANCE:
             warn(f"--target is {np.linalg.norm(self.target):.0f} m from the origin; it is in metres")
 
@@ -111,11 +113,15 @@ class Gaze:
         return gaze_shares(skeleton, names)
 
     def line_of(self, body: Body, head: str) -> GazeLine:
-        line = human_gaze_line(body) if self.line is None else gaze_line_of_vertices(body, *self.line, head)
+        line = (
+            human_gaze_line(body)
+            if self.gaze_line is None
+            else gaze_line_of_vertices(body, *self.gaze_line, head)
+        )
         if line is None:
             warn(
                 f"{self.body}: the face of this body is not known, so the gaze is the front of the head joint; "
-                "give --line to define it"
+                "give --gaze-line to define it"
             )
             line = gaze_line_of_joint(body.skeleton, head)
         return line
@@ -130,6 +136,6 @@ class Gaze:
             )
         if found.held.any():
             warn(
-                f"{int(found.held.sum())} frames do not reach the target, as the rotation is limited to {self.most:g}° or by joint limits; "
+                f"{int(found.held.sum())} frames do not reach the target, as the rotation is limited to {self.max_angle:g}° or by joint limits; "
                 f"the first is frame {int(np.argmax(found.held))}"
             )

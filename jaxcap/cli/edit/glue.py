@@ -56,7 +56,7 @@ class Glue:
     """Frame of --fitted that has the pose of the scan, counted from 0."""
     frames: Frames = None
     """First and last frame of MOTION to write. Default: all frames."""
-    reach: Annotated[float, arg(metavar="METRES")] = 0.3
+    max_distance: Annotated[float, arg(metavar="METRES")] = 0.3
     """Largest distance of a scan point from the body, metres. A point further away is an error."""
     kind: Annotated[Literal["ply", "obj"], arg(name="as")] = "ply"
     """Format of the meshes."""
@@ -66,8 +66,8 @@ class Glue:
     """Replace the meshes in the folder."""
 
     def run(self) -> None:
-        if not 0 < self.reach < np.inf:
-            raise InputError(f"--reach is {self.reach:g}; it must be above 0 metres.")
+        if not 0 < self.max_distance < np.inf:
+            raise InputError(f"--max-distance is {self.max_distance:g}; it must be above 0 metres.")
         body, _ = load_body(self.body, unit=self.unit)
         scan = read_mesh(self.scan, self.unit)
         colours = read_colours(self.scan, len(scan.vertices))
@@ -82,7 +82,7 @@ class Glue:
         vertices = np.asarray(_pose_body(body, fitted[self.frame]).vertices, float)
         self.check_size(scan, vertices)
         try:
-            glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.reach)
+            glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)
         except ValueError as error:
             raise InputError(f"{self.scan}: {user_message(error)}") from None
         off = np.abs(np.asarray(glue.normal_offsets))

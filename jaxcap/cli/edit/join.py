@@ -31,7 +31,7 @@ class Join:
     """Output file for the motion, .bvh or .npz."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
     """Duration of the blend, seconds. 0 appends without a blend."""
-    find: Flag = False
+    find_transition: Flag = False
     """Connect the motions at their most similar frames, not at the end of the first and the beginning of the second."""
     unit: OptionalUnit = None
     """Unit of the motions' lengths, if their files state none. Default: centimetres for BVH."""
@@ -55,7 +55,7 @@ class Join:
                 "give a shorter blend."
             )
         window = max(frames, 1)
-        if self.find:
+        if self.find_transition:
             found = find_transitions(skeleton, a, b, window)[0]
             a, b = cut(a, 0, found.first + window - 1), cut(b, found.second)
             say(
@@ -66,7 +66,7 @@ class Join:
             found = find_transitions(skeleton, cut(a, len(a) - window), cut(b, 0, window - 1), window)[0]
         if found.distance > VISIBLE_JUMP:
             warn(
-                f"joints are {1000 * found.distance:.0f} mm apart at the transition; give a longer --blend, or --find to "
+                f"joints are {1000 * found.distance:.0f} mm apart at the transition; give a longer --blend, or --find-transition to "
                 "search for similar frames"
             )
         write_edited(self.out, skeleton, join(skeleton, a, b, frames))

@@ -29,9 +29,9 @@ class Loop:
     """First and last frame of the loop. Default: the most similar frames."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.2
     """Duration of the blend from the end of the loop into the frames before its beginning, seconds."""
-    least: Seconds = None
+    min_seconds: Seconds = None
     """Shortest loop to search for, seconds. Default: 0.5."""
-    most: Seconds = None
+    max_seconds: Seconds = None
     """Longest loop to search for, seconds. Default: the length of the motion."""
     in_place: Flag = False
     """Remove the translation and rotation of one cycle, evenly over the loop."""
@@ -42,7 +42,11 @@ class Loop:
 
     def run(self) -> None:
         check_motion(self.out, self.overwrite)
-        for name, value in (("--blend", self.blend), ("--least", self.least), ("--most", self.most)):
+        for name, value in (
+            ("--blend", self.blend),
+            ("--min-seconds", self.min_seconds),
+            ("--max-seconds", self.max_seconds),
+        ):
             if value is not None and not 0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}; it must be above 0 seconds.")
         skeleton, motion = load_checked_motion(self.motion, self.unit)
@@ -60,8 +64,8 @@ class Loop:
         write_edited(self.out, skeleton, loop.motion)
 
     def find(self, skeleton, motion, frames: int) -> tuple[int, int]:
-        least = round((0.5 if self.least is None else self.least) * motion.rate)
-        most = len(motion) if self.most is None else round(self.most * motion.rate)
+        least = round((0.5 if self.min_seconds is None else self.min_seconds) * motion.rate)
+        most = len(motion) if self.max_seconds is None else round(self.max_seconds * motion.rate)
         found = find_loops(skeleton, motion, frames, max(least, frames), most, count=3)
         print_table(
             ["first", "last", "distance"],

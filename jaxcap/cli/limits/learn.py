@@ -49,13 +49,13 @@ class Learn:
     """For markers: the subject, by the prefix of its labels, if there are several."""
     voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Width of the smallest voxels, degrees. Default: as fine as a part of the motion still predicts the rest."""
-    keyframe: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    keyframe_width: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Width of the voxels of the parent, degrees. Each has its own limits of the child. Default: chosen like
     --voxel."""
-    threshold: Annotated[int, arg(metavar="N")] = 1
+    min_samples: Annotated[int, arg(metavar="N")] = 1
     """Smallest number of samples in a smallest voxel."""
     coverage: float = COVERAGE
-    """Share of held-out motion that the limits must allow, if --voxel or --keyframe is not given."""
+    """Share of held-out motion that the limits must allow, if --voxel or --keyframe-width is not given."""
     report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Output folder for pictures of samples, voxels and surfaces."""
     unit: OptionalUnit = None
@@ -70,8 +70,8 @@ class Learn:
             limits = learn_limits(
                 samples,
                 voxel=None if self.voxel is None else float(np.radians(self.voxel)),
-                keyframe=None if self.keyframe is None else float(np.radians(self.keyframe)),
-                min_samples=self.threshold,
+                keyframe=None if self.keyframe_width is None else float(np.radians(self.keyframe_width)),
+                min_samples=self.min_samples,
                 coverage=self.coverage,
             )
         except ValueError as error:
@@ -87,11 +87,11 @@ class Learn:
         if not self.motions:
             raise InputError("There are no motions to learn from; give .bvh, .amc or .npz files.")
         check_npz(self.out, self.overwrite, "a set of limits")
-        for name, width in (("--voxel", self.voxel), ("--keyframe", self.keyframe)):
+        for name, width in (("--voxel", self.voxel), ("--keyframe-width", self.keyframe_width)):
             if width is not None and not 0.1 <= width <= 90:
                 raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")
-        if self.threshold < 1:
-            raise InputError(f"--threshold is {self.threshold}; it must be at least 1.")
+        if self.min_samples < 1:
+            raise InputError(f"--min-samples is {self.min_samples}; it must be at least 1.")
         if not 0 < self.coverage <= 1:
             raise InputError(f"--coverage is {self.coverage:g}; it must be above 0 and at most 1.")
         if self.report is not None:

@@ -56,9 +56,9 @@ class Learn:
     .npz with vertices (F, V, 3) and faces."""
     rate: Annotated[float, arg(metavar="FPS")] = 30.0
     """Largest number of frames per second to learn from. Neighbouring frames add little information."""
-    most: Annotated[int, arg(metavar="N")] = 10
+    max_gaussians: Annotated[int, arg(metavar="N")] = 10
     """Largest number of Gaussians of a pair."""
-    floor: Annotated[float, arg(metavar="DEGREES")] = 2.0
+    min_deviation: Annotated[float, arg(metavar="DEGREES")] = 2.0
     """Smallest standard deviation of a Gaussian in any direction, degrees."""
     margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
     """Margin at both ends of the range of each joint, degrees. Joints cannot leave this range, and few poses may not
@@ -81,8 +81,8 @@ class Learn:
             learned = learn_pairs(
                 skeleton,
                 motions,
-                max_components=self.most,
-                min_deviation=float(np.radians(self.floor)),
+                max_components=self.max_gaussians,
+                min_deviation=float(np.radians(self.min_deviation)),
                 seed=self.seed,
                 progress=lambda pairs, total: progress(pairs, total, label="learning", noun="pairs"),
             )
@@ -105,10 +105,12 @@ class Learn:
         check_npz(self.out, self.overwrite, "a prior")
         if not 0 < self.rate < np.inf:
             raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
-        if not 1 <= self.most <= 100:
-            raise InputError(f"--most is {self.most}; it must be between 1 and 100.")
-        if not 0.01 <= self.floor <= 45:
-            raise InputError(f"--floor is {self.floor:g}; it must be between 0.01 and 45 degrees.")
+        if not 1 <= self.max_gaussians <= 100:
+            raise InputError(f"--max-gaussians is {self.max_gaussians}; it must be between 1 and 100.")
+        if not 0.01 <= self.min_deviation <= 45:
+            raise InputError(
+                f"--min-deviation is {self.min_deviation:g}; it must be between 0.01 and 45 degrees."
+            )
         if not 0 <= self.margin <= 180:
             raise InputError(f"--margin is {self.margin:g}; it must be between 0 and 180 degrees.")
         if self.seed < 0:

@@ -62,13 +62,13 @@ class Scan:
     """Standard deviation of the depth near the camera, metres."""
     noise_growth: float = 0.0
     """Additional standard deviation at a depth of 1 m, metres. It grows with the square of the depth."""
-    quantise: float = 0.0
+    depth_step: float = 0.0
     """Step between depths at 1 m, metres; 0 disables it. It grows with the square of the depth."""
     flying: float = 0.0
     """Share of flying pixels, between foreground and background, at depth edges."""
     holes: float = 0.0
     """Share of pixels lost in holes."""
-    grazing: float = 80.0
+    max_grazing_angle: float = 80.0
     """Largest angle between surface normal and ray that is measured, degrees."""
     drop: float = 0.0
     """Probability that a view is lost in a frame."""
@@ -196,7 +196,7 @@ class Scan:
         if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
             raise InputError(
                 f"frame {frame}: all {len(cameras)} views are empty; move the cameras, reduce --drop and --holes, "
-                "or increase --grazing. The previous frames are kept."
+                "or increase --max-grazing-angle. The previous frames are kept."
             )
         write_ply(frame_path(self.out, frame), fused.points, fused.normals, fused.views, fused.faces)
         return fused

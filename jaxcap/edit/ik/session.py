@@ -30,7 +30,7 @@ class IkSettings(NamedTuple):
     solver: Solver = "levenberg-marquardt"
     keep_limits: bool = True
     use_prior: bool = False
-    hold_root: bool = False
+    fix_root: bool = False
 
 
 class IkState(NamedTuple):
@@ -92,7 +92,7 @@ def solver_options(session: IkSession) -> IkOptions:
         prior=session.prior,
         keep_limits=settings.keep_limits,
         use_prior=settings.use_prior,
-        hold_root=settings.hold_root,
+        fix_root=settings.fix_root,
     )
 
 

@@ -60,7 +60,7 @@ class IkOptions(eqx.Module):
     use_prior: Bool[Array, ""] = eqx.field(default=True, converter=jnp.asarray)
     #: fix roots at the reference, before all constraints but the limits; a pinned constraint on a root
     #: overrides this for its position, and one with an orientation for its rotation too
-    hold_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
+    fix_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
     #: weights of the pull to the reference and of the prior, relative to a constraint of weight one that is
     #: `METRES` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
@@ -171,7 +171,7 @@ def _root_deviations(skeleton: Skeleton, constraints: Constraints, options: IkOp
 
     def deviations(free: Bool[Array, "C"]) -> Float[Array, "J"]:
         loose = jnp.zeros(len(roots), bool).at[constraints.bones].max(free)
-        return jnp.where(options.hold_root & roots & ~loose, FIXED_ROOT_DEVIATION, jnp.inf).astype(dtype)
+        return jnp.where(options.fix_root & roots & ~loose, FIXED_ROOT_DEVIATION, jnp.inf).astype(dtype)
 
     return deviations(asked), jnp.tile(deviations(asked & (arms > ORIENTATION_OFFSET / 2))[:, None], (1, 3))
 

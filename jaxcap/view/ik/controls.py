@@ -114,7 +114,7 @@ class IkControls:
             lambda event: event.client and self._change_settings(use_prior=event.target.value)
         )
         self._root.on_update(
-            lambda event: event.client and self._change_settings(hold_root=event.target.value)
+            lambda event: event.client and self._change_settings(fix_root=event.target.value)
         )
         gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl").on_trigger(lambda event: send_edit(ik.undo))
         gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift").on_trigger(
@@ -135,7 +135,7 @@ class IkControls:
         )
         _set_if_changed(self._limits, "value", settings.keep_limits and session.limits is not None)
         _set_if_changed(self._prior, "value", settings.use_prior)
-        _set_if_changed(self._root, "value", settings.hold_root)
+        _set_if_changed(self._root, "value", settings.fix_root)
         _set_if_changed(self._undo, "disabled", not session.undo_states and session.drag_start is None)
         _set_if_changed(self._redo, "disabled", not session.redo_states)
 
