@@ -69,7 +69,7 @@ def fit_mixture(
     history = []
     for _ in range(max_iterations + 1):
         joint = log_joint(mixture, samples)
-        total = logsumexp(joint, axis=1)
+        total = np.asarray(logsumexp(joint, axis=1))
         history.append(total.mean())
         if len(history) > max_iterations or (len(history) > 1 and history[-1] - history[-2] < min_gain):
             break
@@ -93,7 +93,7 @@ def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.n
 
 def log_density(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
     """Compute the logarithm of the mixture density at each sample (Adaptation, eq. 4.1)."""
-    return logsumexp(log_joint(mixture, samples), axis=1)
+    return np.asarray(logsumexp(log_joint(mixture, samples), axis=1))
 
 
 def kmeans_labels(
@@ -109,7 +109,7 @@ def kmeans_labels(
     with warnings.catch_warnings():
         # a cluster may lose its samples; the mixture drops it
         warnings.filterwarnings("ignore", "One of the clusters is empty")
-        centres, labels = kmeans2(samples, count, iter=max_iterations, minit="++", seed=rng)
+        centres, labels = kmeans2(samples, count, iter=max_iterations, minit="++", rng=rng)
     return labels, float(((samples - centres[labels]) ** 2).sum())
 
 
