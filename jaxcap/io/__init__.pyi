@@ -6,6 +6,7 @@ from .archives.limits import save_limits as save_limits
 from .archives.prior import Priors as Priors
 from .archives.prior import load_prior as load_prior
 from .archives.prior import load_priors as load_priors
+from .archives.prior import load_shape_prior as load_shape_prior
 from .archives.prior import save_prior as save_prior
 from .cameras import read_cameras as read_cameras
 from .cameras import write_cameras as write_cameras
@@ -24,4 +25,10 @@ from .skeletons.amass import read_amass as read_amass
 from .skeletons.amass import write_amass as write_amass
 from .skeletons.amc import read_amc as read_amc
 from .skeletons.asf import read_asf as read_asf
+from .skeletons.cst import read_cst as read_cst
+from .skeletons.cst import write_cst as write_cst
+from .skeletons.skl import read_skl as read_skl
+from .skeletons.skl import write_skl as write_skl
+from .skeletons.vj import read_vj as read_vj
+from .skeletons.vj import write_vj as write_vj
 from .usd.usd import write_usd as write_usd

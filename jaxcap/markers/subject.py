@@ -124,10 +124,3 @@ def marker_body(subject: Subject) -> Body:
 def shift_markers(subject: Subject, shifts: Float[Array, "M 3"]) -> Subject:
     """Shift the rest positions of the markers, metres."""
     return eqx.tree_at(lambda s: s.offsets, subject, subject.offsets + shifts)
-
-
-def scale_subject(subject: Subject, scale: float | Float[Array, ""]) -> Subject:
-    """Scale the subject by `scale` about the root's centre at rest."""
-    root = subject.skeleton.centres[0]
-    centres, offsets = (root + scale * (x - root) for x in (subject.skeleton.centres, subject.offsets))
-    return eqx.tree_at(lambda s: (s.skeleton.centres, s.offsets), subject, (centres, offsets))

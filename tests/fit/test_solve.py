@@ -19,9 +19,10 @@ from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior, RestPrior
+from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.problem import linearise
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.descent import dense_information
+from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.minimise import minimise
@@ -72,7 +73,11 @@ class Linear(AbstractDenseProblem[Array]):
         return self.residual(y), self.matrix
 
     def information(self, y):
-        return dense_information(*self.linearise(y), self.units)
+        residual, jacobian = self.linearise(y)
+        scaled = jacobian * self.units
+        return ConstrainedInfo(
+            0.5 * (residual @ residual), scaled.T @ residual, DenseMatrix(scaled.T @ scaled)
+        )
 
     def retract(self, y, d):
         return y + d

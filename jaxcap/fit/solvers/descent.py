@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
-from ..linear.dense import DenseMatrix
 from ..linear.structured import AbstractStructuredMatrix, damped
 from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
@@ -30,15 +29,6 @@ class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
     """Value, gradient and structured Hessian, with the constraints on a step."""
 
     constraints: Constraints | None = None
-
-
-def dense_information(
-    residual: Float[Array, "R"], jacobian: Float[Array, "R D"], scales: Float[Array, "D"]
-) -> ConstrainedInfo:
-    """Compute value, gradient and Gauss-Newton Hessian from all rows, in scaled tangents."""
-    scaled = jacobian * scales
-    hessian = DenseMatrix(scaled.T @ scaled)
-    return ConstrainedInfo(0.5 * (residual @ residual), scaled.T @ residual, hessian)  # pyright: ignore[reportCallIssue]
 
 
 class NormalDescent(optx.AbstractDescent):

@@ -106,6 +106,7 @@ def load_boxes(path: str | Path, skeleton: Skeleton | None = None) -> PoseBoxes 
     return _boxes(_arrays(path), path, skeleton)
 
 
+@checked
 @reader_of("a prior")
 def load_shape_prior(path: str | Path, body: Body) -> ShapePrior | None:
     """Read the shape prior of `body`, in the dtype of its vertices; None if there is none.

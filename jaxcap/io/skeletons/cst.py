@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ...arguments import checked
 from ...body.limits.limits import Cone, JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
@@ -35,6 +36,7 @@ class CstLimits(NamedTuple):
     translations: dict[str, tuple[float, float, float]] = {}  # noqa: RUF012
 
 
+@checked
 @reader_of("joint limits")
 def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "deg"] = "rad") -> CstLimits:
     """Read the limits of a skeleton's joints.
@@ -84,6 +86,7 @@ def read_cst(path: str | Path, skeleton: Skeleton, angle_unit: Literal["rad", "d
     return CstLimits(make_joint_ranges(skeleton, ranges, cones), translations)
 
 
+@checked
 def write_cst(
     path: str | Path, skeleton: Skeleton, constraints: CstLimits, angle_unit: Literal["rad", "deg"] = "rad"
 ) -> None:

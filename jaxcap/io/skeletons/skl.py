@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...arguments import checked
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ..system.atomic import write_text
@@ -31,6 +32,7 @@ LONGEST_NAME = 200
 NUM_AXES: dict[str, int] = {"TRANSLATE": 0, "REVOLUTE": 1, "BALL": 0, "UNIVERSAL": 2, "FIXED": 0, "FREE": 0}
 
 
+@checked
 @reader_of("a skeleton")
 def read_skl(path: str | Path, unit: str | float = "m") -> Skeleton:
     """Read a skeleton; `unit` is that of the file's positions.
@@ -117,6 +119,7 @@ def _check_tree(parents: dict[str, str], lines: dict[str, str]) -> None:
         rooted.update(chain)
 
 
+@checked
 def write_skl(path: str | Path, skeleton: Skeleton, unit: str | float = "m") -> None:
     """Write a skeleton; its orientations are not stored, as the reader derives them from the tree.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
+from ...arguments import checked
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..kinds import check_kind
@@ -16,6 +17,7 @@ from ..system.door import reader_of
 from ..text import read_text, shortened
 
 
+@checked
 @reader_of("the parts of a mesh")
 def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.ndarray, "V"]:
     """Read the bone of each of a mesh's `num_vertices` vertices.
@@ -43,6 +45,7 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
     return np.array([places[name] for name in lines], np.int64)
 
 
+@checked
 def write_vj(path: str | Path, skeleton: Skeleton, bones: Int[np.ndarray, "V"]) -> None:
     """Write the bone of each vertex. Raises `InputError` if the file cannot be written."""
     write_text(path, "".join(f"{skeleton.names[int(bone)]}\n" for bone in bones))

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
 from ...body.people.human import human_from_traits
@@ -46,6 +47,7 @@ class ShapeFit(NamedTuple):
     messages: tuple[str, ...]
 
 
+@checked
 def fit_shape(
     frames: MarkerFrames | None = None,
     markers: SurfaceMarkers | Mapping[str, int] | None = None,
