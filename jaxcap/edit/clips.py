@@ -54,7 +54,7 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
     **Raises:** `ValueError` if a motion is shorter than the blend, has another number of joints than the
     skeleton, has no frames, or has another rate.
     """
-    _check_motions(skeleton, a, b)
+    _check_motions(a, b)
     if not 0 <= frames <= min(len(a), len(b)):
         raise ValueError(
             f"A blend over {frames} frames does not fit motions of {len(a)} and {len(b)} frames; give from 0 to "
@@ -94,7 +94,7 @@ def make_loop(
     **Raises:** `ValueError` if the frames are not in the motion, fewer than `frames` come before the first,
     or `frames` is less than 2 or more than the length of the loop.
     """
-    _check_motions(skeleton, motion, motion)
+    _check_motions(motion, motion)
     if not 0 <= first < last < len(motion):
         raise ValueError(
             f"Frames {first} to {last} of the loop are not in a motion of {len(motion)} frames; give a first and a "
@@ -131,13 +131,8 @@ def _close_loop(poses: Pose) -> Pose:
     return concatenate_poses([take_poses(poses, slice(0, -1)), take_poses(poses, slice(0, 1))])
 
 
-def _check_motions(skeleton: Skeleton, a: Motion, b: Motion) -> None:
+def _check_motions(a: Motion, b: Motion) -> None:
     for motion in (a, b):
-        joints = motion.poses.rotations.shape[1]
-        if joints != skeleton.num_joints:
-            raise ValueError(
-                f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
-            )
         if len(motion) == 0:
             raise ValueError("A motion has no frames; give motions with at least one frame.")
     if abs(a.rate - b.rate) > 1e-6 * a.rate:

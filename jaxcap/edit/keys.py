@@ -60,10 +60,6 @@ def find_keys(
         if not 0 < value < np.inf:
             raise ValueError(f"The tolerance is {value:g} {name}; expected above 0.")
     count, joints = motion.poses.rotations.shape[:2]
-    if joints != skeleton.num_joints:
-        raise ValueError(
-            f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
-        )
     if count == 0:
         raise ValueError("The motion has no frames; give one with at least one frame.")
     paths = np.asarray(joint_paths(skeleton, motion.poses), float)

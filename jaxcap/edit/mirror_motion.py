@@ -23,11 +23,6 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
     **Raises:** `ValueError` if no joint has a counterpart by name, counterparts have unlike parents or kinds
     or all coincide, or the motion has other joints.
     """
-    joints = motion.poses.rotations.shape[1]
-    if joints != skeleton.num_joints:
-        raise ValueError(
-            f"The motion has {joints} joints, but the skeleton has {skeleton.num_joints}; retarget the motion."
-        )
     twins, side = _counterpart_joints(skeleton), _lateral_axis(skeleton)
     # a reflection reverses rotations about the axes in the mirror plane
     sign = jnp.asarray(1.0 - 2.0 * side, motion.poses.rotations.dtype)

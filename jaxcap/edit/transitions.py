@@ -33,11 +33,6 @@ def transition_distances(skeleton: Skeleton, a: Motion, b: Motion, window: int) 
     **Raises:** `ValueError` if a motion is shorter than the window or has other joints.
     """
     for motion in (a, b):
-        if motion.poses.rotations.shape[1] != skeleton.num_joints:
-            raise ValueError(
-                f"The motion has {motion.poses.rotations.shape[1]} joints, but the skeleton has "
-                f"{skeleton.num_joints}; retarget the motion."
-            )
         if not 1 <= window <= len(motion):
             raise ValueError(
                 f"A window of {window} frames does not fit into a motion of {len(motion)} frames; give a shorter one, "

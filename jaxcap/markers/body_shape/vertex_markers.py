@@ -18,12 +18,10 @@ def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: S
     **Raises:** `InputError` where labels are too many, too few, empty or repeated; `ValueError` where the
     body has no such vertex, or the motion other joints.
     """
-    count, joints = len(body.vertices), motion.poses.rotations.shape[1]
+    count = len(body.vertices)
     wrong = [vertex for vertex in vertices if not 0 <= vertex < count]
     if wrong:
         raise ValueError(f"There is no vertex {wrong[0]}; the body has the vertices 0 to {count - 1}.")
-    if joints != body.skeleton.num_joints:
-        raise ValueError(f"The motion has {joints} joints, but the body has {body.skeleton.num_joints}.")
     chosen = jnp.asarray(vertices, int)
     places = posed_vertices(take_vertices(body, chosen), motion.poses)
     return make_markers(np.asarray(places), labels, motion.rate)
