@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
@@ -43,8 +42,6 @@ MIN_VISIBLE_SHARE, MAX_CAMERA_DISTANCE = 0.5, 100.0
 
 #: quantiles of the points that bound an extent, robust to outliers
 EXTENT_QUANTILES = (0.01, 0.99)
-
-_posed = eqx.filter_jit(pose_body)
 
 
 class FitQuality(NamedTuple):
@@ -126,7 +123,7 @@ def fit_quality(
     state: AdaptState, frame: int, scan: IndexedScan
 ) -> tuple[FitQuality, Float[np.ndarray, "N"]]:
     """Measure how well a posed body explains a scan; also return the distances of all points, metres."""
-    posed, faces = _posed(state.body, state.motion[frame]), np.asarray(state.body.faces)
+    posed, faces = pose_body(state.body, state.motion[frame]), np.asarray(state.body.faces)
     there = nearest_on_surface(scan.points, np.asarray(posed.vertices, float), faces)
     own = np.einsum("nk,nka->na", there.barycentric, np.asarray(posed.normals, float)[faces[there.triangles]])
     length, height = np.linalg.norm(own, axis=1), height_of(state.body)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +26,7 @@ BIN_WIDTH, MAX_DISTANCE = 1e-5, 1.0
 #: number of frames with reported joint angles over time (fig. 4.16)
 NUM_ANGLE_FRAMES = 500
 
-_posed, _log = eqx.filter_jit(pose_body), jax.jit(rotation.log)
+_log = jax.jit(rotation.log)
 
 
 class DistanceHistogram(NamedTuple):
@@ -230,7 +229,7 @@ def _append_variant(stages: Evaluation, task: AdaptTask, state: AdaptState, moti
 
 
 def _vertices(body: Body, pose: Pose) -> Float[np.ndarray, "V 3"]:
-    return np.asarray(_posed(body, pose).vertices, float)
+    return np.asarray(pose_body(body, pose).vertices, float)
 
 
 def _joint_angles(alone: Motion, smooth: Motion | None) -> JointAngles:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,8 +26,6 @@ MAX_DEVIATIONS, MIN_EXCESS = 5.0, 0.003
 #: median distance from which on a frame of a finished motion is lost in any case, metres
 MAX_DISTANCE = 0.015
 NO_SCAN = "no usable scan"
-
-_posed = eqx.filter_jit(pose_body)
 
 
 def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> AdaptState:
@@ -85,7 +82,7 @@ def median_distance(body: Body, pose: Pose, cloud: Cloud) -> float:
     """Compute the median distance of a cloud's points from the surface of a posed body, metres."""
     few = thin_cloud(cloud, POINTS)
     points = np.asarray(few.points, float)[np.asarray(few.weights) > 0]
-    vertices = np.asarray(_posed(body, pose).vertices, float)
+    vertices = np.asarray(pose_body(body, pose).vertices, float)
     if not np.isfinite(vertices).all():
         return float("inf")
     return float(np.median(nearest_on_surface(points, vertices, np.asarray(body.faces)).distances))

@@ -30,7 +30,6 @@ from .console.timed import timed
 from .track.frame_records import pack, row_template, unpack_results
 from .track.results import FILES, check_folder, make_writable, write_results
 
-_pose_body = eqx.filter_jit(pose_body)
 PICTURE = "demo.png"
 CLOUDS = "clouds.npz"
 #: the virtual cameras on a ring around the body, and the size of their images, pixels
@@ -81,7 +80,7 @@ class Demo:
             f"{1000 * self.noise:g} mm noise, {100 * scanner.outliers:g} % outliers"
         )
         for frame in range(truth.num_frames):
-            posed = _pose_body(true_body, truth[frame])
+            posed = pose_body(true_body, truth[frame])
             vertices, faces = np.asarray(posed.vertices, float), np.asarray(true_body.faces)
             scans.append(scan_frame(scanner, cameras, vertices, faces, frame=frame))
             joints.append(np.asarray(posed.joints))
@@ -143,7 +142,7 @@ class Demo:
         for number in np.linspace(0.25, 0.95, 3) * (len(motion) - 1):
             number = round(number)
             points = np.asarray(clouds[number].points)[np.asarray(clouds[number].weights) > 0][:SHOWN]
-            vertices = np.asarray(_pose_body(body, motion[number]).vertices)
+            vertices = np.asarray(pose_body(body, motion[number]).vertices)
             views.append(
                 View(
                     f"frame {number}: mean joint error {1000 * errors[number].mean():.1f} mm",

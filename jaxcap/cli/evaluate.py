@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -32,8 +31,6 @@ from .console.options import (
 )
 from .motions import load_body_motion, load_motion
 from .sources import load_body, up_rotation
-
-_pose_body = eqx.filter_jit(pose_body)
 
 
 @dataclass
@@ -80,7 +77,7 @@ class Evaluate:
             points = scan.points
             if self.points is not None and self.points < len(points):
                 points = points[rng.choice(len(points), self.points, replace=False)]
-            vertices = np.asarray(_pose_body(body, motion[frame]).vertices)
+            vertices = np.asarray(pose_body(body, motion[frame]).vertices)
             distances.append(scan_to_surface(points @ turn.T, vertices, np.asarray(body.faces)))
         surface = distance_summary(np.concatenate(distances))
         report: dict = {

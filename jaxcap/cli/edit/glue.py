@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import equinox as eqx
 import numpy as np
 import tyro
 from jaxtyping import Float, UInt8
@@ -32,7 +31,6 @@ from ..sources import load_body
 from ..track.results import make_writable
 from .files import Frames, frame_range, load_checked_motion
 
-_pose_body = eqx.filter_jit(pose_body)
 #: distance of points from the body above which a warning is given, metres
 WARNING_DISTANCE = 0.05
 
@@ -79,7 +77,7 @@ class Glue:
                 f"{where}: there is no frame {self.frame} in this motion; its {len(fitted)} frames are 0 to {len(fitted) - 1}."
             )
         first, last = frame_range(motion, self.frames, self.motion)
-        vertices = np.asarray(_pose_body(body, fitted[self.frame]).vertices, float)
+        vertices = np.asarray(pose_body(body, fitted[self.frame]).vertices, float)
         self.check_size(scan, vertices)
         try:
             glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)

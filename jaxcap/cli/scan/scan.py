@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -28,7 +27,6 @@ from ..sources import load_body
 from ..track.results import make_writable
 from .folder import frame_path, gather_clouds, prepare_folder
 
-_pose_body = eqx.filter_jit(pose_body)
 #: number of frames in which a camera has to see part of the body at least once
 CHECKED_FRAMES = 24
 
@@ -191,7 +189,7 @@ class Scan:
 
     def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:
         """Scan one frame and write it. Raises `InputError` if all views are empty."""
-        vertices = np.asarray(_pose_body(body, motion[frame]).vertices, float)
+        vertices = np.asarray(pose_body(body, motion[frame]).vertices, float)
         fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)
         if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
             raise InputError(
