@@ -81,7 +81,7 @@ def markers_page(folder: Path) -> dict[str, object]:
     return {
         "trajectories": np.asarray(frames.positions),
         "labels": frames.labels,
-        "places": np.asarray(frames.positions[0]),
+        "positions": np.asarray(frames.positions[0]),
         "skeleton": template.skeleton,
         "bones": np.asarray(template.bones),
         "offsets": np.asarray(template.offsets),
