@@ -88,7 +88,7 @@ def main() -> None:
     trial = timer(Trial, places, make_segments(chosen, len(labels), weights))
     middle = (hip_trial.start + hip_trial.stop) // 2
     halves = (slice(hip_trial.start, middle), slice(middle, hip_trial.stop))
-    figures: dict[str, float] = {"medial_knee_loose": float(found.loose[labels.index("RMFE")])}
+    figures: dict[str, float] = {"medial_knee_loose": float(found.is_loose[labels.index("RMFE")])}
     for method in ("score", "sphere", "gamage"):
         first, second = (timer(trial.joint, 0, 1, half, method) for half in halves)
         hip, knee = trial.joint(0, 1, hip_trial, method), trial.joint(1, 2, knee_trial, method)
@@ -104,7 +104,7 @@ def main() -> None:
         end = "" if method == "score" else f"_{method}"
         figures[f"hip_moves_mm{end}"] = 1e3 * float(np.linalg.norm(first.in_parent - second.in_parent))
         # what the two halves themselves say of how far they may be apart
-        figures[f"hip_predicted_mm{end}"] = 1e3 * float(np.linalg.norm([*first.precision, *second.precision]))
+        figures[f"hip_predicted_mm{end}"] = 1e3 * float(np.linalg.norm([*first.deviations, *second.deviations]))
         figures[f"thigh_hip_trial_mm{end}"], figures[f"thigh_knee_trial_mm{end}"] = hip_mm, knee_mm
         figures[f"thigh_differs_mm{end}"] = abs(hip_mm - knee_mm)
     limits = {"hip_moves_mm": ("<=", 5.0), "thigh_differs_mm": ("<=", 10.0), "medial_knee_loose": ("==", 1.0)}

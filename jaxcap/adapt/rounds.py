@@ -134,7 +134,7 @@ def _step(
     """
     pairs = find_pairs(state.body, poses)
     pairs = eqx.tree_at(
-        lambda p: p.along, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
+        lambda p: p.tangential_weights, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
     )
     return gauss_newton_step(_problem(task, state, pairs, modes, coefficient_prior, mirrored), stack(poses))
 

@@ -255,7 +255,7 @@ def _project_chain(
     As far as the gaze is faded out, they keep the violation of the pose `original`. A joint that was recorded
     beyond its limits so comes back into them as the gaze is faded in.
     """
-    held, own = (limits.nearest(skeleton, p).rotations[chain.joints] for p in (pose, original))
+    held, own = (limits.project(skeleton, p).rotations[chain.joints] for p in (pose, original))
     beyond = rotation.log(rotation.multiply(rotation.conjugate(own), original.rotations[chain.joints]))
     held = rotation.multiply(held, rotation.exp((1.0 - fade) * beyond))
     return Pose(pose.translations, pose.rotations.at[chain.joints].set(rotation.normalise(held)), pose.scale)

@@ -136,7 +136,7 @@ def _find_joint_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance:
         return np.maximum(turned / tolerance[0], np.maximum(slid, scaled) / (0.5 * tolerance[1]))
 
     keyed[:] = _prune_keys(_insert_keys(keyed, errors), errors)
-    descent = skeleton.descent
+    descent = skeleton.descendants
     while True:
         there = interpolate_keys(poses, keyed)
         turned, moved = _interpolation_errors(skeleton, poses, paths, there)

@@ -230,7 +230,7 @@ def _correct(order: _PriorityProblem, pose: Pose, before, upper_bounds, slack, d
 
     def repair(carry):
         pose, _, rounds = carry
-        whole = damping._replace(share=jnp.zeros_like(damping.share))
+        whole = damping._replace(relative=jnp.zeros_like(damping.relative))
         pose = order.retract(pose, hierarchical_step(order.upper.linearise_levels(pose), whole))
         return pose, order.values(pose), rounds + 1
 

@@ -134,8 +134,8 @@ class Gaze:
             say(
                 f"angle to the target: {found.before[full].mean():.1f}° before and {found.after[full].mean():.2f}° after"
             )
-        if found.held.any():
+        if found.limited.any():
             warn(
-                f"{int(found.held.sum())} frames do not reach the target, as the rotation is limited to {self.max_angle:g}° or by joint limits; "
-                f"the first is frame {int(np.argmax(found.held))}"
+                f"{int(found.limited.sum())} frames do not reach the target, as the rotation is limited to {self.max_angle:g}° or by joint limits; "
+                f"the first is frame {int(np.argmax(found.limited))}"
             )

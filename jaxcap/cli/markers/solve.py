@@ -227,7 +227,7 @@ class Solve:
                 "the positions of the markers on the body are the same."
             )
         kept = assigned_residuals(subject, solution.residuals, solution.lost)
-        solution = solution._replace(told=(*solution.messages, *describe_strays(subject.labels, kept)))
+        solution = solution._replace(messages=(*solution.messages, *describe_strays(subject.labels, kept)))
         for file in self.motions(path):
             write_motion(file, subject.skeleton, solution.motion)
             say(f"motion: {file}")

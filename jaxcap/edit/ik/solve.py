@@ -151,7 +151,7 @@ def _priority_groups(body, constraints, options, reference) -> tuple[Body, tuple
 @eqx.filter_jit
 def _make_solution(reduced, constraints, options, pose, num_steps, result) -> IkSolution:
     if options.limits is not None:
-        within = project(reduced.skeleton, options.limits.nearest(reduced.skeleton, pose))
+        within = project(reduced.skeleton, options.limits.project(reduced.skeleton, pose))
         pose = jax.tree.map(lambda a, b: jnp.where(options.keep_limits, a, b), within, pose)
     apart = jnp.linalg.norm(pose_body(reduced, pose).vertices - constraints.targets, axis=-1)
     return IkSolution(pose, jnp.where(constraints.weights > 0, apart, 0.0), num_steps, result)

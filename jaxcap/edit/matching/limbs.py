@@ -219,7 +219,7 @@ def _score_limbs(legs, arms, root_distances, ancestors) -> float:
         # one pair alone needs names, as two similar chains may be anything
         return (
             0.0
-            if only is None or min(limb.named for limb in only) < MIN_SINGLE_SCORE
+            if only is None or min(limb.name_score for limb in only) < MIN_SINGLE_SCORE
             else sum(limb.score for limb in only)
         )
     for leg in legs:
@@ -248,7 +248,7 @@ def _add_single_limb(limbs: Limbs, chains, ancestors) -> Limbs:
                 and t.joints[0] not in ancestors[chain.joints[2]]
                 for t in taken
             )
-            if free and chain.named >= MIN_SINGLE_SCORE and chain.side:
+            if free and chain.name_score >= MIN_SINGLE_SCORE and chain.side:
                 found[place] = (chain,)
                 taken.append(chain)
                 break

@@ -125,16 +125,16 @@ def constrained_step(
         rows = chosen(choice)
         d = hierarchical_step(rows, damping)
         there = linearise_upper(d)
-        over = loose & ~choice.held & (jnp.abs(there.residual) > tolerance * _row_norms(there.jacobian))
+        over = loose & ~choice.active & (jnp.abs(there.residual) > tolerance * _row_norms(there.jacobian))
         # a bound that was not near, or the other one of two, is linearised beyond where it is crossed
-        new = over & (~(choice.slope != 0).any(1) | (jnp.sign(there.residual) != choice.side))
+        new = over & (~(choice.slope != 0).any(1) | (jnp.sign(there.residual) != choice.sign))
         # in later passes nothing is released, so that no active set can cycle
-        back = loose & choice.held & _find_releasable(rows, d, choice.side) & (passes < MAX_ITERATIONS // 2)
+        back = loose & choice.active & _find_releasable(rows, d, choice.sign) & (passes < MAX_ITERATIONS // 2)
         choice = _ActiveSet(
-            (choice.held & ~back) | over,
+            (choice.active & ~back) | over,
             jnp.where(new, there.residual - there.jacobian @ d, choice.value),
             jnp.where(new[:, None], there.jacobian, choice.slope),
-            jnp.where(new, jnp.sign(there.residual), choice.side),
+            jnp.where(new, jnp.sign(there.residual), choice.sign),
         )
         return choice, (d, rows), (over | back).any(), passes + 1
 

@@ -158,7 +158,7 @@ def insert_joints(
         shares = np.zeros((len(split.weights), skeleton.num_joints + 1))
         shares[:, place] = split.weights
         hung = tuple((place[joint], place[parent], centre) for joint, parent, centre in split.reparented)
-        made = insert_joint(*made, split._replace(joint=place[split.joint], shares=shares, reparented=hung))
+        made = insert_joint(*made, split._replace(joint=place[split.joint], weights=shares, reparented=hung))
     return made
 
 
@@ -174,7 +174,7 @@ def remove_joints(
             shares[:, old.parents[joint]] += shares[:, joint]
         skeleton = made.body.skeleton
         columns = [old.index(name) for name in skeleton.names]
-        here = removal._replace(joint=skeleton.index(old.names[removal.joint]), shares=shares[:, columns])
+        here = removal._replace(joint=skeleton.index(old.names[removal.joint]), weights=shares[:, columns])
         made = remove_joint(*made, here)
         gone.append(removal.joint)
     return made

@@ -90,7 +90,7 @@ def improve_weights(
     start, before = descent.rows, descent.energy()
     energies = [before]
     if coarse and float(metric.alpha) > MIN_COARSE_ALPHA:
-        for turn in (*COARSE, *(fine._replace(reach=1.0) for fine in FINE[:2])):
+        for turn in (*COARSE, *(fine._replace(relaxation=1.0) for fine in FINE[:2])):
             descent.sweep(turn)
         energies.append(descent.energy())
         if energies[1] > before:

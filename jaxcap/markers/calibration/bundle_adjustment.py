@@ -135,13 +135,13 @@ def _update_problem(
             return problem, CalibrationEstimate(y.poses, y.shared, slides), False
     poses, covariances = _poses_without_prior(problem, y)
     turning = estimate_rotation_prior(problem.template.skeleton, poses, covariances)
-    return eqx.tree_at(lambda p: p.turning, problem, turning), y, settled
+    return eqx.tree_at(lambda p: p.rotation_prior, problem, turning), y, settled
 
 
 @eqx.filter_jit
 def _poses_without_prior(problem: CalibrationProblem, y: CalibrationEstimate):
     """Compute poses without the rotation prior, and their covariances for given shared parameters."""
-    free = eqx.tree_at(lambda p: p.turning, problem, free_rotation_prior(problem.template.skeleton))
+    free = eqx.tree_at(lambda p: p.rotation_prior, problem, free_rotation_prior(problem.template.skeleton))
     matrices, sides = free.pose_equations(y)
     factor = BlockBanded(matrices[:, None]).factorise()
     one = jnp.broadcast_to(jnp.eye(sides.shape[1], dtype=sides.dtype), matrices.shape)
@@ -167,7 +167,7 @@ def _robust_residuals(problem: CalibrationProblem, y: CalibrationEstimate):
 
 def _initial_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> CalibrationProblem:
     """Initialise all deviations by the median residual of the template."""
-    whole = eqx.tree_at(lambda p: p.bound, problem, jnp.asarray(UNBOUNDED))
+    whole = eqx.tree_at(lambda p: p.outlier_bound, problem, jnp.asarray(UNBOUNDED))
     left = np.sum(np.asarray(_robust_residuals(whole, y)) ** 2, 2)[np.asarray(problem.seen)]
     first = max(float(np.sqrt(np.median(left) / MEDIAN_SQUARED_LENGTH)), MIN_DEVIATION)
     return eqx.tree_at(lambda p: p.deviations, problem, jnp.full_like(problem.deviations, first))

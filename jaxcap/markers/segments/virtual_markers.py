@@ -56,7 +56,7 @@ def add_virtual_markers(
         rotations=frames.rotations.copy(),
         origins=frames.origins.copy(),
         known=frames.known.copy(),
-        template=template,
+        local_positions=template,
     )
     for k in needed:
         new.rotations[:, k], new.origins[:, k] = fitted.rotations[:, k], fitted.origins[:, k]
@@ -85,7 +85,7 @@ def assume_hinge(augmented: AugmentedMarkers, segment: int, base: int) -> Augmen
         rotations=augmented.frames.rotations.copy(),
         origins=augmented.frames.origins.copy(),
         known=augmented.frames.known.copy(),
-        template=augmented.frames.local_positions.copy(),
+        local_positions=augmented.frames.local_positions.copy(),
     )
     frames.rotations[:, segment], frames.origins[:, segment], frames.known[:, segment] = r, o, known
     for m in (first, second):
