@@ -42,18 +42,19 @@ SHOWN = 5000
 
 @dataclass
 class Demo:
-    """Pose the embedded human, scan it with virtual noisy cameras, and track the scans.
+    """Pose the embedded human, scan it with noisy virtual cameras, and track the scans.
 
-    Writes the scans (clouds.npz), motion.bvh, motion.npz, statistics and demo.png."""
+    The results are the scans (clouds.npz), motion.bvh, motion.npz, statistics.csv, statistics.json and a picture,
+    demo.png."""
 
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("jaxcap-demo")
-    """Output folder. A new folder gets a .gitignore, so git ignores it."""
+    """Output folder. A new folder gets a file .gitignore, so that git ignores the folder."""
     seconds: float = 2.0
     """Length of the performance, seconds."""
     points: int = 5000
     """Number of points per cloud."""
     noise: float = 0.004
-    """Standard deviation of the points, metres."""
+    """Standard deviation of the error of the points, metres."""
     vertices: OptionalCount = None
     """Number of vertices of the fitted body. Default: 5,000."""
     overwrite: Flag = False

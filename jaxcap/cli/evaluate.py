@@ -41,9 +41,10 @@ class Evaluate:
     motion: MotionSpec
     clouds: CloudsSpec
     truth: OptionalFile = None
-    """True motion: any file that MOTION may be, or an .npz with `joints (F, J, 3)` and `names (J,)`."""
+    """True motion: a file as for MOTION, or an .npz with the arrays `joints` (F, J, 3) and `names` (J,), for F frames
+    and J joints."""
     out: Annotated[OptionalFile, arg(aliases=("-o",))] = None
-    """Output file for the report, JSON."""
+    """Output file for the report, .json."""
     skl: Skl = None
     vj: Vj = None
     first: OptionalCount = None
@@ -51,9 +52,9 @@ class Evaluate:
     last: OptionalCount = None
     """Last cloud, inclusive."""
     unit: Unit = "m"
-    """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
+    """Unit of the clouds, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Up axis of mesh and clouds."""
+    """Up axis of the clouds, and of BODY if it is a mesh."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices."""
     points: OptionalCount = None

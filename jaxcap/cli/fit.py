@@ -33,17 +33,19 @@ MAX_SIZE_RATIO = 5.0
 
 @dataclass
 class Fit:
-    """Fit the poses of a body to registered meshes, which have its vertices in the same order; write the motion.
+    """Fit the poses of a body to registered meshes; write the motion. The meshes have the vertices of the body, in the
+    same order.
 
-    Prints the distances from the meshes to the body: vertex to surface, and vertex to vertex."""
+    The distances from the meshes to the body are printed: vertex to surface, and vertex to vertex."""
 
     body: BodySpec
     meshes: MeshesSpec
-    """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
+    """Mesh files, a folder, a quoted glob, or an .npz with the arrays `vertices` (F, V, 3), for F meshes of V
+    vertices, and `faces`."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("motion.npz")
     """Output file for the motion, .npz."""
     report: OptionalFolder = None
-    """Output folder for report.json and heat maps of the error."""
+    """Output folder for report.json and pictures of the errors as heat maps."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None

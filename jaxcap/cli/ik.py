@@ -36,41 +36,42 @@ MAX_TARGET_DISTANCE = 50.0
 
 @dataclass
 class Ik:
-    """Inverse kinematics in the browser: click the body to constrain a point, drag the ball of the point, and the
-    body follows.
+    """Pose a body by inverse kinematics in the browser: click the body to constrain a point, and drag the ball that
+    marks it. The body follows.
 
-    With --constraints and -o no window opens: the pose that satisfies the constraints is written."""
+    With --constraints and -o, no window opens: the pose that satisfies the constraints is written."""
 
     body: BodySpec
     pose: OptionalFile = None
-    """Motion of the body with the initial pose, from any file with a motion. Default: the rest pose."""
+    """Motion that contains the initial pose of the body, from any file with a motion. Default: the rest pose."""
     frame: OptionalCount = None
     """Frame of --pose, counted from 0. Default: the first."""
     constraints: OptionalFile = None
     """Initial constraints, .json, as saved in the window."""
     out: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
-    """Output file for the pose that satisfies the constraints, .npz or .bvh. No window opens."""
+    """Output file for the pose that satisfies --constraints, .npz or .bvh. No window opens."""
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None
     limits: OptionalFile = None
     """Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     prior: OptionalFile = None
-    """Pose prior, a result of `jaxcap prior learn`."""
+    """Pose prior for the skeleton of the body: a result of `jaxcap prior learn`."""
     solver: Solver = "levenberg-marquardt"
-    """Solver. priorities satisfies limits before pinned constraints, and these before the others; it is slower."""
+    """Numerical solver. `priorities` satisfies limits before pinned constraints, and pinned constraints before the
+    others; it is slower."""
     fix_root: Flag = False
-    """Fix the root."""
+    """Fix the position and rotation of the root joint."""
     unit: Unit = "m"
-    """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
+    """Unit of BODY and its skeleton if BODY is a mesh: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Up axis of mesh and skeleton."""
+    """Up axis of BODY and its skeleton if BODY is a mesh."""
     port: Port = None
     """Port of the server. Default: 8080 if it is free, else another."""
     host: str = HOST
     """Address of the server. 0.0.0.0 accepts connections from other machines."""
     no_browser: Flag = False
-    """Only print the address."""
+    """Print the address, and do not open a browser."""
     overwrite: Flag = False
     """Replace the result if it exists."""
 

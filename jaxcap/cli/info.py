@@ -47,7 +47,7 @@ KNOWN = tuple(
 
 @dataclass
 class Info:
-    """Describe a file or a folder that any verb reads, and suggest the next command."""
+    """Describe a file or a folder that some verb reads, and suggest the next command."""
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="FILE")]]
     """A file, a folder, a printf pattern or glob of clouds, or `human`."""

@@ -41,47 +41,50 @@ OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior
 
 @dataclass
 class Learn:
-    """Learn an animatable body from registered meshes of one actor in many poses, with the same vertices in the same
-    order. Writes the body and its poses in the meshes.
+    """Learn an animatable body from registered meshes of one actor in many poses; write the body and its poses in the
+    meshes. All meshes have the same vertices, in the same order.
 
-    An interrupted run continues with --resume, and gives the same result."""
+    An interrupted run continues with --resume. The result is the same as without the interruption."""
 
     meshes: MeshesSpec
-    """Mesh files, a folder, a quoted glob, or an .npz with vertices (F, V, 3) and faces."""
+    """Mesh files, a folder, a quoted glob, or an .npz with the arrays `vertices` (F, V, 3), for F meshes of V
+    vertices, and `faces`."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """Output file for the body, .npz."""
     joints: OptionalCount = None
     """Number of joints between the parts, without the root. Default: determined from the motion."""
     alpha: float = 100.0
-    """Weight of the surface's shape, relative to the positions of its vertices."""
+    """Weight of the shape of the surface, relative to the positions of its vertices. 0 fits the positions alone; large
+    values give a smoother surface."""
     skin: Literal["swing_twist", "lbs", "rigid"] = "swing_twist"
     """Skinning model: separate weights for swing and twist, linear blend skinning, or rigid parts."""
     symmetry: Flag = True
     """Do not constrain left and right limbs to equal lengths."""
     pairs: OptionalText = None
-    """Symmetric pairs of left and right joints, by number, or by name with --skeleton: 3:5,4:6."""
+    """Symmetric pairs of left and right joints, by number or, with --skeleton, by name, such as 3:5,4:6. Default:
+    detected from the lengths and areas of the limbs."""
     skeleton: Annotated[
         OptionalFile,
         arg(
-            help=f"Skeleton aligned with the first mesh, instead of one found from the motion: {SKELETON_FORMATS}."
+            help=f"Skeleton that is aligned with the first mesh, instead of one found from the motion: {SKELETON_FORMATS}."
         ),
     ] = None
     fix_joints: Flag = False
     """Fix the joints of --skeleton. Without this option, their positions are estimated from the motion."""
     free_bones: Flag = False
-    """Learn bones without parents, one more than --joints, with linear blend skinning."""
+    """Learn bones without parents, with linear blend skinning. Their number is one more than --joints."""
     limits: LimitsFile = None
     limit_weight: LimitWeight = 100.0
     floor: FloorHeight = None
     rounds: Annotated[int, arg(metavar="N")] = 30
-    """Largest number of rounds of weights, vertices and joints, including those on a reduced mesh. Learning stops
-    earlier if a round gains little."""
+    """Largest number of rounds, including rounds on a reduced mesh. Each round updates weights, vertices and joints.
+    Learning stops earlier if a round gains little."""
     unit: Unit = "m"
     """Unit of meshes and skeleton: m, dm, cm, mm, in or ft."""
     rate: OptionalRate = None
     """Meshes per second. Default: the rate stated in the file, else 30."""
     motion: OptionalFile = None
-    """Output file for the poses of the training meshes. Default: next to the body, `body-motion.npz` for
+    """Output file for the poses of the training meshes, .npz. Default: next to the body, `body-motion.npz` for
     `body.npz`."""
     hold_out: OptionalCount = None
     """Hold out every N-th mesh from learning, and score the body on these meshes."""

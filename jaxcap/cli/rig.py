@@ -20,20 +20,21 @@ from .sources import up_rotation, upright_skeleton
 
 @dataclass
 class Rig:
-    """Place a skeleton in a mesh and bind its vertices to the bones; write a body .npz.
+    """Place a skeleton in a mesh and bind the mesh to the bones; write a body .npz.
 
-    Without --skeleton, the human skeleton is placed in a mesh of a person in about an A-pose or T-pose."""
+    Without --skeleton, the mesh has to show a person in approximately an A-pose or a T-pose. The human skeleton is
+    then placed in it."""
 
     mesh: tyro.conf.Positional[Annotated[Path, arg(metavar="MESH")]]
-    """A closed surface: .off, .obj, .ply, .stl or .glb."""
+    """Mesh with a closed surface: .off, .obj, .ply, .stl or .glb."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("body.npz")
     """Output file for the body, .npz."""
     skeleton: Annotated[
         OptionalFile, arg(help=f"Skeleton that is already aligned with the mesh: {SKELETON_FORMATS}.")
     ] = None
     method: Literal["automatic", "envelopes", "heat"] = "automatic"
-    """Skinning weights: those of the human model, or heat with --skeleton (automatic); one bone per vertex
-    (envelopes); or heat diffusion (heat)."""
+    """Method for the skinning weights: copy them from the human model, or use heat diffusion if --skeleton is given
+    (automatic); one bone per vertex (envelopes); or heat diffusion (heat)."""
     unit: Unit = "m"
     """Unit of mesh and skeleton: m, dm, cm, mm, in or ft."""
     up: Up = "y"

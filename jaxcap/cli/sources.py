@@ -29,7 +29,7 @@ Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
 BODY_FORMATS = (
     "`human` (with options, as in `human:female,height=1.7`), a body .npz, a skinned .glb, .gltf or USD, or a mesh with "
-    ".skl and .vj in its folder"
+    "its .skl and .vj in the same folder"
 )
 
 

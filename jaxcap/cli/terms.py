@@ -21,16 +21,20 @@ LimitsFile = Annotated[
     OptionalFile,
     arg(help="Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."),
 ]
-LimitWeight = Annotated[float, arg(help="Weight of the joint limits, per squared radian.")]
+LimitWeight = Annotated[float, arg(help="Weight of the joint limits, per squared radian beyond a limit.")]
 FloorHeight = Annotated[
     float | None,
     arg(
         metavar="METRES",
         help_behavior_hint="",
-        help="Height of the floor along the up axis, metres; the body, or its markers, stay above it. Default: no floor.",
+        help="Height of the floor along the up axis, metres. The surface of the body, or the markers of a subject, stay above "
+        "the floor. Default: no floor.",
     ),
 ]
-PriorFile = Annotated[OptionalFile, arg(help="Pose prior of this body, a result of `jaxcap prior learn`.")]
+PriorFile = Annotated[
+    OptionalFile,
+    arg(help="Pose prior for the skeleton of the body or subject: a result of `jaxcap prior learn`."),
+]
 
 
 def read_terms(

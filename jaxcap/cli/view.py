@@ -17,24 +17,30 @@ from .console.options import BODY_FORMATS, Flag, OptionalUnit, Up, arg
 from .console.window import Port, run_window
 from .sources import is_human_spec, load_body, up_rotation
 
-Names = Annotated[tuple[str, ...], arg(metavar="...")]
+Names = tuple[str, ...]
 
 
 @dataclass
 class View:
-    """Show files in the browser: bodies, motions, runs, scans, markers, meshes, cameras; several side by side.
+    """Show files in the browser: bodies, motions, runs, scans, markers, meshes and cameras.
 
     Ctrl-C stops the server."""
 
-    files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES")]]
+    files: tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES...", help_behavior_hint="")]]
     """Files, folders of runs or scans, patterns of clouds, or `human`. Several motions are shown side by side."""
-    body: Annotated[Names, arg(help=f"Bodies to apply to the motions: {BODY_FORMATS}.")] = ()
-    clouds: Names = ()
-    """Clouds for comparison: a printf pattern, a quoted glob, a folder or an .npz."""
+    body: Annotated[
+        Names,
+        arg(
+            metavar="BODY...", help_behavior_hint="", help=f"Bodies to apply to the motions: {BODY_FORMATS}."
+        ),
+    ] = ()
+    clouds: Annotated[Names, arg(metavar="CLOUDS...", help_behavior_hint="")] = ()
+    """Clouds to show with the motions: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False
-    """Wait for a run that has not started, or that is resumed. A run without results is followed in any case."""
+    """Wait for a run that has not started yet or is resumed, and show its frames as they are solved. A run without
+    results is followed without this option, too."""
     spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
-    """Distance between motions, metres; 0 overlays them. Default: by their widths."""
+    """Distance between motions, metres; 0 overlays them. Default: chosen by the widths of the motions."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of an unfinished run. Default: 30."""
     unit: OptionalUnit = None
@@ -46,7 +52,7 @@ class View:
     host: str = HOST
     """Address of the server. 0.0.0.0 accepts connections from other machines."""
     no_browser: Flag = False
-    """Only print the address."""
+    """Print the address, and do not open a browser."""
 
     def run(self) -> None:
         if self.rate is not None and not 0 < self.rate < float("inf"):

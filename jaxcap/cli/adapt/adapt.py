@@ -78,14 +78,14 @@ class Adapt:
     motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Output file for the motion, .bvh or .npz. Default: next to the body, `anna-motion.npz` for `anna.npz`."""
     start: OptionalFile = None
-    """A motion whose first pose is near that of the first scan. Default: search for the pose."""
+    """Motion that starts near the pose of the first scan. Default: search for the pose of the first scan."""
     prior: OptionalFile = None
-    """Pose prior from `jaxcap prior learn`, in addition to the anatomical prior. Its joint ranges are hard limits,
-    and its shape prior, if any, constrains the vertices. Default: the prior in the file of BODY; `none` disables
-    it."""
+    """Pose prior from `jaxcap prior learn`, in addition to the anatomical prior. The joint ranges in its file are
+    hard limits; a shape prior in its file constrains the vertices. Default: the prior in the file of BODY; `none`
+    uses no such prior."""
     prior_form: PriorForm = "nearest"
-    """Form of the prior: distance from the nearest Gaussian of each pair of joints (nearest), or mean likelihood of
-    the pairs (mean)."""
+    """Form of the pose prior: distance from the nearest Gaussian of each pair of joints (nearest), or mean likelihood
+    of the pairs (mean)."""
     limits: LimitsFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
@@ -93,47 +93,47 @@ class Adapt:
     """Calibrated cameras of the scans, .json as written by `jaxcap scan`. Vertices that no camera sees are not
     matched."""
     ignore_occlusion: Flag = False
-    """Use only the fields of view of --cameras, and ignore occlusion."""
+    """Match all vertices in the fields of view of --cameras, including occluded ones."""
     assignment: AssignmentName = "vertices"
     """Match scan points to the nearest vertex (vertices), to the nearest point of the surface (surface), or to
-    vertices with Gaussian weights (soft). With surface, vertices are also matched to the surface of scans that are
-    meshes; soft needs a first pose within 3 cm."""
+    vertices with Gaussian weights (soft). With `surface`, if scans are meshes, vertices are also matched to the
+    surface of the scan. `soft` needs a first pose within 3 cm."""
     pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
     """Largest angle between the normals of a matched pair, degrees."""
     pair_distance: Annotated[float, arg(metavar="METRES")] = 0.3
     """Largest distance of a matched pair, metres."""
     tangential_weight: Annotated[float, arg(metavar="SHARE")] = 0.05
-    """Weight of squared distances along the surface, relative to those across it: 1 is point to point, 0 point to
-    plane."""
+    """Weight of squared distances along the surface, relative to those normal to it: 1 is point to point, 0 is point
+    to plane."""
     skip_person_check: Flag = False
-    """Do not check that the first scan shows one person."""
+    """Do not check if the first scan shows one person."""
     report: OptionalFile = None
     """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
     report_every: Annotated[int, arg(metavar="N")] = 1
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
-    """Number of scans that the body is adapted to, spread over the motion."""
+    """Number of scans, in different poses, that the body is adapted to."""
     unordered: Flag = False
     """The scans are not ordered in time: the motion is not smoothed, and each pose search starts from the most
     similar scans. Default: determined from the scans, unless --ordered is given."""
     ordered: Flag = False
     """The scans are ordered in time, even if successive scans are not similar."""
     adapt_every: Annotated[int, arg(metavar="N")] = 0
-    """Adapt during tracking, after every N frames of the first 10 N, for motions in which the template would be lost.
-    0 tracks all frames first."""
+    """Adapt during tracking: after every N frames, up to frame 10 N. Use it for motions that the template alone cannot
+    track. 0 tracks all frames before the first adaptation."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
-    """Standard deviation of joints from the positions predicted by the surrounding surface, metres. Use less if the
+    """Standard deviation of joints from the positions that the surrounding surface predicts, metres. Reduce it if the
     poses do not determine the joints."""
     simultaneous: Flag = False
     """Solve for vertices, joints and poses in one step of each round, not one after the other."""
     smoothness: OptionalWeight = None
-    """Weight of the smoothness of the motion; 0 disables it. Default: a tenth of the weight that balances it with the
-    scans."""
+    """Weight of the smoothness of the motion; 0 disables smoothing. Default: a tenth of the weight that balances
+    smoothness with the scans."""
     pose_weight: OptionalWeight = None
-    """Weight of the pose prior. Default: a tenth of the weight that balances it with the scans."""
+    """Weight of the pose prior. Default: a tenth of the weight that balances the prior with the scans."""
     shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape
-    """Weight of the template's shape in the first and in the last round that adapts vertices. Lower weights follow
-    the scans more closely, including their noise."""
+    """Weight of the template's shape in the first and in the last round that adapts vertices. With lower weights, the
+    body follows the scans more closely, including their noise."""
     first: OptionalCount = None
     """First frame: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None

@@ -29,7 +29,7 @@ Angles are in degrees.""",
 
 PRIOR = Group(
     "Pose priors: learn and inspect them",
-    """Pose priors: the probability of joint rotations, in pairs of successive joints, learned from motions.
+    """Pose priors: learn from motions how probable the rotations of joints are, for each pair of successive joints.
 
 Angles are in degrees.""",
     {
@@ -40,14 +40,14 @@ Angles are in degrees.""",
 
 EDIT = Group(
     "Edit motions: retarget, cut, join, loop, mirror and more",
-    """Edit motions: retarget, cut, join, loop, resample or mirror them, direct their gaze, reduce them to keys; and animate
-a raw scan with its fitted body.
+    """Edit motions: retarget, cut, join, loop, resample or mirror them, change the gaze, or reduce them to keys.
+A raw scan can also be animated, with the body that is fitted to it.
 
-Results are in metres, y up.""",
+Results are in metres and have y up.""",
     {
-        "retarget": Verb("edit.retarget.Retarget", "Retarget a motion to another body or skeleton"),
+        "retarget": Verb("edit.retarget.Retarget", "Transfer a motion to another body or skeleton"),
         "gaze": Verb("edit.gaze.Gaze", "Make a person look at a point or in a direction"),
-        "glue": Verb("edit.glue.Glue", "Animate a raw scan with the body that is fitted to it"),
+        "glue": Verb("edit.glue.Glue", "Animate a raw scan with the body that is fitted to the scan"),
         "cut": Verb("edit.cut.Cut", "Extract a range of frames of a motion"),
         "join": Verb("edit.join.Join", "Append one motion to another, with a blend"),
         "loop": Verb("edit.loop.Loop", "Make a seamless loop"),
@@ -61,11 +61,11 @@ JAXCAP = Group(
     "Fit articulated bodies to captures",
     """Fit articulated bodies to point clouds, meshes and markers.
 
-Results are in metres, y up. Compiled functions are cached in a folder of the user. The environment variable
-JAXCAP_CACHE sets another folder; --no-cache disables the cache.""",
+Results are in metres and have y up. The first run of a verb compiles its functions, and caches them in a folder of
+the user for later runs. The environment variable JAXCAP_CACHE names another folder; --no-cache disables the cache.""",
     {
         "demo": Verb("demo.Demo", "Pose, scan and track the embedded human, as a first test"),
-        "rig": Verb("rig.Rig", "Place a skeleton in a mesh and bind its vertices to the bones"),
+        "rig": Verb("rig.Rig", "Place a skeleton in a mesh and bind the mesh to the bones"),
         "learn": Verb("learn.Learn", "Learn an animatable body from registered meshes of one actor"),
         "fit": Verb("fit.Fit", "Fit the poses of a body to registered meshes"),
         "adapt": Verb("adapt.adapt.Adapt", "Adapt a template body to the actor in a sequence of scans"),

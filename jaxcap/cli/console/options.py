@@ -19,7 +19,7 @@ SKELETON_FORMATS = (
     ".skl, .bvh, .asf, a body or motion .npz, a skinned .glb, .gltf or USD, or `human` with options"
 )
 #: bodies, motions and clouds as command line arguments; see `sources`
-BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"{BODY_FORMATS}.")]]
+BodySpec = tyro.conf.Positional[Annotated[str, arg(metavar="BODY", help=f"A body: {BODY_FORMATS}.")]]
 MotionSpec = tyro.conf.Positional[Annotated[Path, arg(metavar="MOTION", help=f"A motion: {MOTION_FORMATS}.")]]
 MotionsSpec = tyro.conf.Positional[
     Annotated[tuple[str, ...], arg(metavar="MOTIONS...", help_behavior_hint="")]
@@ -30,7 +30,8 @@ CloudsSpec = tyro.conf.Positional[
         arg(
             metavar="CLOUDS...",
             help_behavior_hint="",
-            help="Point clouds: a file per frame (`scans/*.ply`), a printf pattern (`scan_%04d.ply`), a folder, or an .npz.",
+            help="Point clouds: a file per frame (`scans/*.ply`), a printf pattern (`scan_%04d.ply`), a folder, or an .npz "
+            "with the array `points` (F, N, 3), for F frames of N points.",
         ),
     ]
 ]
@@ -41,12 +42,14 @@ OptionalBody = Annotated[
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Skl = Annotated[
     OptionalFile,
-    arg(help="Skeleton of a mesh, .skl. Default: the one with the name of the mesh, in its folder."),
+    arg(
+        help="Skeleton of BODY if it is a mesh. Default: the .skl with the name of the mesh, in the same folder."
+    ),
 ]
 Vj = Annotated[
     OptionalFile,
     arg(
-        help="Joint of each vertex of a mesh, .vj. Default: the one with the name of the mesh, in its folder."
+        help="Joint of each vertex of BODY if it is a mesh. Default: the .vj with the name of the mesh, in the same folder."
     ),
 ]
 Cst = Annotated[OptionalFile, arg(help="Joint limits to enforce, .cst.")]

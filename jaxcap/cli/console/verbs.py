@@ -77,7 +77,7 @@ def help_of(group: Group, prog: str) -> str:
             "",
             *lines,
             "",
-            f"'{prog} VERB --help' explains a verb, 'jaxcap --version' prints the version.",
+            f"'{prog} VERB --help' lists the options of a verb; 'jaxcap --version' prints the version.",
             "",
         ]
     )

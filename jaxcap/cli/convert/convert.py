@@ -38,24 +38,24 @@ TOLERANCE, INFLUENCES = 0.001, 4
 
 @dataclass
 class Convert:
-    """Convert a motion, its joint centres, a body with its motion, a mesh or markers to another format, by the
-    suffixes of the files.
+    """Convert a motion, a body, a skeleton, a mesh or markers to another format. The suffixes of the files determine
+    the conversion.
 
-    A motion becomes .bvh or .npz; its joint centres become .trc, .c3d or .csv. A body becomes a skinned, animated
-    .glb, .usda, .usdc or .usdz, with the motion in its file, if there is one. `human` also becomes a body .npz, and
-    every other body does with --as body."""
+    A motion is written as .bvh or .npz, and its joint centres as .trc, .c3d or .csv. A body is written with its skin
+    as .glb, .usda, .usdc or .usdz, together with its motion if SOURCE or --motion contains one. `human` is also
+    written as a body .npz; for all other bodies, this needs --as body. A skeleton is written as .skl."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """A motion, body, skeleton, mesh or markers, in any format that is read. `character.glb:Walk` selects one of
     several clips."""
     target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
-    """Output file."""
+    """Output file. Its suffix determines the format."""
     unit: OptionalUnit = None
     """Unit of the source's lengths. Default: the unit stated in the file, else metres, or centimetres for BVH."""
     target_unit: OptionalUnit = None
     """Unit of the target's lengths. Default: metres; centimetres for BVH, millimetres for TRC and C3D."""
     motion: OptionalFile = None
-    """Motion of a body that is written as .glb or USD, from any file with a motion."""
+    """Motion to write with a body in a .glb or USD, from any file with a motion."""
     body: OptionalFile = None
     """Body of the motion, for files without joint positions, such as AMASS, and for --vertices: `human`, or any file
     with a body."""
@@ -70,8 +70,8 @@ class Convert:
     """Vertices of --body to write as markers, in addition to the joints: numbers, NAME=NUMBER, or a text file of
     names and numbers."""
     tolerance: float = TOLERANCE
-    """Largest error of a .glb or USD, metres, for a body without linear blend skinning. Virtual bones reduce the
-    error."""
+    """Largest error of the surface in a .glb or USD, metres, for a body without linear blend skinning. Virtual bones
+    are added to reduce the error."""
     influences: int = INFLUENCES
     """Largest number of bones per vertex in a .glb or USD. Many programs read at most 4."""
     overwrite: Flag = False

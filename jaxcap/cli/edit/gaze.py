@@ -39,17 +39,17 @@ class Gaze:
     out: OutMotion
     """Output file for the motion, .bvh or .npz."""
     target: OptionalVector = None
-    """Point to look at, metres, in the world of the motion, y up."""
+    """Point to look at, in the coordinates of the motion, metres, y up."""
     direction: OptionalVector = None
-    """Direction to look in, instead of a point."""
+    """Direction to look in, instead of --target."""
     frames: Frames = None
-    """First and last frame of the gaze, with its fades. Default: all frames."""
+    """First and last frame of the gaze, including the fades. Default: all frames."""
     fade: Annotated[float, arg(metavar="SECONDS")] = 0.5
     """Duration of the fade at each end of the gaze, seconds."""
     max_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
-    """Largest rotation of all joints together, degrees."""
+    """Largest sum of the rotations of the joints, degrees."""
     joints: Annotated[str | None, arg(metavar="CHEST,NECK,HEAD", help_behavior_hint="")] = None
-    """Joints that rotate. Default: guessed from their names."""
+    """Joints that rotate. Default: the joints of chest, neck and head, found by their names."""
     body: OptionalBody = None
     gaze_line: Annotated[tuple[int, int] | None, arg(metavar="BACK FRONT", help_behavior_hint="")] = None
     """Vertices of --body at the back of the head and between the eyes, if the face of --body is not known. The face

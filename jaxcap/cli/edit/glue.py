@@ -37,21 +37,21 @@ WARNING_DISTANCE = 0.05
 
 @dataclass
 class Glue:
-    """Animate a raw scan with the body that is fitted to it: each point of the scan is attached to the closest
+    """Animate a raw scan with the body that is fitted to the scan: each point of the scan is attached to the closest
     triangle of the body.
 
-    Writes a mesh for each frame, with the triangles and colours of the scan."""
+    A mesh is written for each frame, with the triangles and colours of the scan."""
 
     scan: tyro.conf.Positional[Annotated[Path, arg(metavar="SCAN")]]
-    """Mesh or cloud of the person, .ply, .obj, .off or .glb."""
+    """Scan of the person, a mesh or a cloud: .ply, .obj, .off or .glb."""
     body: Annotated[BodySpec, arg(help=f"Body that is fitted to the scan: {BODY_FORMATS}.")]
     motion: Annotated[MotionSpec, arg(help=f"Motion of the body that animates the scan: {MOTION_FORMATS}.")]
     out: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
     """Output folder for glued_0000.ply, glued_0001.ply, ..."""
     fitted: OptionalFile = None
-    """Motion that contains the body's pose in the scan. Default: MOTION."""
+    """Motion with the pose in which the body is fitted to the scan. Default: MOTION."""
     frame: int = 0
-    """Frame of --fitted that has the pose of the scan, counted from 0."""
+    """Frame with the pose of the scan, in --fitted if it is given, else in MOTION; counted from 0."""
     frames: Frames = None
     """First and last frame of MOTION to write. Default: all frames."""
     max_distance: Annotated[float, arg(metavar="METRES")] = 0.3

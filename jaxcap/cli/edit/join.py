@@ -23,16 +23,21 @@ VISIBLE_JUMP = 0.15
 class Join:
     """Append one motion to another, with a blend: the second continues where the first ends.
 
-    The second is rotated about the vertical axis and translated along the floor. Both need the same floor height."""
+    The second is rotated about the vertical axis and translated along the floor. The floor has to be at the same
+    height in both."""
 
     first: Annotated[MotionSpec, arg(metavar="FIRST")]
-    second: Annotated[MotionSpec, arg(metavar="SECOND", help="Another motion of the same skeleton.")]
+    second: Annotated[
+        MotionSpec,
+        arg(metavar="SECOND", help="Another motion of the same skeleton, in any format of FIRST."),
+    ]
     out: OutMotion
     """Output file for the motion, .bvh or .npz."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.3
     """Duration of the blend, seconds. 0 appends without a blend."""
     find_transition: Flag = False
-    """Connect the motions at their most similar frames, not at the end of the first and the beginning of the second."""
+    """Connect the motions at their most similar frames, not at the end of the first and the beginning of the
+    second."""
     unit: OptionalUnit = None
     """Unit of the motions' lengths, if their files state none. Default: centimetres for BVH."""
     overwrite: Flag = False

@@ -27,7 +27,7 @@ class Keys:
 
     motion: MotionFile
     out: OptionalOut = None
-    """Output file for the motion interpolated from the keys, .bvh or .npz."""
+    """Output file for the motion that is interpolated from the keys, .bvh or .npz."""
     keys: OptionalFile = None
     """Output file for the keys, .json or .npz."""
     degrees: float = 1.0

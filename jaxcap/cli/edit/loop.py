@@ -20,7 +20,8 @@ Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
 class Loop:
     """Make a seamless loop from the most similar frames of a motion, or from given frames.
 
-    The last frame equals the first, in pose and in velocity. Omit it in programs that repeat the loop."""
+    The last frame equals the first, in pose and in velocity. Leave the last frame out in programs that repeat the
+    loop."""
 
     motion: MotionFile
     out: OutMotion
@@ -28,13 +29,13 @@ class Loop:
     frames: Frames = None
     """First and last frame of the loop. Default: the most similar frames."""
     blend: Annotated[float, arg(metavar="SECONDS")] = 0.2
-    """Duration of the blend from the end of the loop into the frames before its beginning, seconds."""
+    """Duration of the blend, seconds: the last frames of the loop are blended into the frames before its first one."""
     min_seconds: Seconds = None
     """Shortest loop to search for, seconds. Default: 0.5."""
     max_seconds: Seconds = None
     """Longest loop to search for, seconds. Default: the length of the motion."""
     in_place: Flag = False
-    """Remove the translation and rotation of one cycle, evenly over the loop."""
+    """Remove the translation and rotation from the first to the last frame, evenly over the loop."""
     unit: OptionalUnit = None
     """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     overwrite: Flag = False

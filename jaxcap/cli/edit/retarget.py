@@ -46,37 +46,42 @@ class RetargetedMotion(NamedTuple):
 
 @dataclass
 class Retarget:
-    """Retarget a motion to another body or skeleton: limbs keep their directions, and feet stay on the floor.
+    """Retarget a motion, that is, transfer it to another body or skeleton: limbs keep their directions, and feet stay
+    on the floor.
 
-    Bodies with the same mesh, whose vertices correspond, are aligned by their surfaces; all others by the names of
-    joints."""
+    Two bodies with the same mesh are aligned by their surfaces, as their vertices correspond. All others are aligned
+    by the names of their joints."""
 
     motion: MotionFile
     target: Annotated[
         BodySpec,
-        arg(metavar="TARGET", help=f"{BODY_FORMATS}; or only a skeleton: .skl, .bvh, .asf, a motion .npz."),
+        arg(
+            metavar="TARGET",
+            help=f"Body that gets the motion: {BODY_FORMATS}; or a skeleton alone: .skl, .bvh, .asf or a motion .npz.",
+        ),
     ]
     out: OutMotion
     """Output file for the target's motion, .bvh or .npz."""
     source: OptionalBody = None
     by: Literal["auto", "surface", "names"] = "auto"
-    """Alignment of source and target. auto uses the surface if --source has the mesh of the target, else the
-    names."""
+    """Alignment of source and target. auto uses the surface if --source has the mesh of TARGET and no table of joints
+    is read or written; else it uses the names."""
     names: OptionalFile = None
-    """Table of matching joints, which overrides matches by name and hierarchy. JSON, as --write-names or an error
-    message about unmatched joints writes it; or a text file with a source joint and a target joint per line."""
+    """Table of matching joints. It overrides matches by name and hierarchy. Give a .json that was written by
+    --write-names or by a run with unmatched joints, or a text file with a source joint and a target joint per line."""
     write_names: OptionalFile = None
-    """Write the table of matched joints as JSON, to edit and to pass to --names."""
+    """Output file for the table of matched joints, .json. It can be edited and passed to --names."""
     points: OptionalFile = None
-    """Text file of points to align: per line a source point, a target point, and a weight if it is not 1. A name is a
-    joint, a number is a vertex."""
+    """Text file of points to align: per line a source point, a target point, and a weight if it is not 1. A name
+    means a joint, and a number a vertex."""
     in_place: Flag = False
-    """Move --points to the exact positions of the source's points, not to positions scaled to the target's size."""
+    """Move the points of --points to the exact positions of the source's points, not to positions scaled to the
+    target's size."""
     ground: Flag = False
-    """Raise or lower every frame of a body so that its soles are as high as the source's, scaled to the target's
-    size."""
+    """Raise or lower TARGET, a body, in every frame so that its soles are as high as the source's, scaled to the
+    target's size."""
     floor: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
-    """Height of the source's floor, metres. Default: the height of its lowest point."""
+    """Height of the source's floor, metres. Default: the height of the lowest point of the source."""
     unit: OptionalUnit = None
     """Unit of the motion's lengths, if its file states none. Default: centimetres for BVH."""
     target_unit: OptionalUnit = None

@@ -17,8 +17,10 @@ from .motion_limits import LimitsFile, MotionLimits, format_runs, read_motion_li
 
 @dataclass
 class Check:
-    """Report the joints of a motion that violate limits: in which frames, by how much, and how comfortable the joints
-    are."""
+    """Report the joints of a motion that violate limits: in which frames, and by how much.
+
+    For learned limits, the comfort of the joints is also reported. Comfort is 1 for the most frequent rotations of the
+    motions that the limits were learned from, and 0 for rotations that they do not show."""
 
     motion: MotionSpec
     limits: LimitsFile

@@ -15,11 +15,15 @@ from ..motions import load_motion
 
 @dataclass
 class Compare:
-    """Compare the joint rotations of two performers: distances from each sample to the closest one of the other
-    performer."""
+    """Compare the joint rotations of two performers: the distances from each rotation of a performer to the closest
+    rotation of the other.
+
+    The mean and the standard deviation of these distances are printed for each joint."""
 
     reference: Annotated[MotionSpec, arg(metavar="REFERENCE")]
-    other: Annotated[MotionSpec, arg(metavar="OTHER", help="Motion of another performer.")]
+    other: Annotated[
+        MotionSpec, arg(metavar="OTHER", help="Motion of another performer, in any format of REFERENCE.")
+    ]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, separated by commas."""
 

@@ -37,25 +37,28 @@ class Learn:
         ),
     ]
     joints: Annotated[str, arg(metavar="NAMES")]
-    """Joints, separated by commas. PARENT:CHILD makes the limits of the child depend on the parent:
-    LeftArm:LeftForeArm,Head."""
+    """Joints, separated by commas. PARENT:CHILD makes the limits of the child depend on the parent, as
+    in LeftArm:LeftForeArm,Head."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the limits, .npz."""
     markers: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
-    """For markers: the labels at shoulder, upper arm, elbow and forearm, separated by commas."""
+    """For a recording of markers: the labels at shoulder, upper arm, elbow and forearm, separated by commas."""
     trunk: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
-    """For markers: three labels on the part to which the shoulder is attached, separated by commas."""
+    """For a recording of markers: three labels on the trunk, to which the shoulder is attached, separated by
+    commas."""
     subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """For markers: the subject, by the prefix of its labels, if there are several."""
+    """For a recording of markers with several subjects: the subject to use, as the prefix of the labels of its
+    markers."""
     voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """Width of the smallest voxels, degrees. Default: as fine as a part of the motion still predicts the rest."""
+    """Width of the smallest voxels of rotations, degrees. Default: the smallest width with which one part of the
+    motion predicts enough of the rest (see --coverage)."""
     keyframe_width: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """Width of the voxels of the parent, degrees. Each has its own limits of the child. Default: chosen like
-    --voxel."""
+    """Width of the voxels of the parent's rotations, degrees. Each voxel has its own limits of the child. Default:
+    chosen together with --voxel."""
     min_samples: Annotated[int, arg(metavar="N")] = 1
-    """Smallest number of samples in a smallest voxel."""
+    """Smallest number of samples with which a voxel of the smallest width is kept."""
     coverage: float = COVERAGE
-    """Share of held-out motion that the limits must allow, if --voxel or --keyframe-width is not given."""
+    """Share of held-out motion that the limits have to allow, if --voxel or --keyframe-width is not given."""
     report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Output folder for pictures of samples, voxels and surfaces."""
     unit: OptionalUnit = None

@@ -18,8 +18,8 @@ from .motion_limits import LimitsFile, find_violations, read_motion_limits
 
 @dataclass
 class Project:
-    """Project the joints of a motion that violate limits onto the limits, by the smallest rotations, smoothly in
-    time.
+    """Project a motion onto joint limits: joints that violate the limits are rotated onto them, by the smallest angles
+    and smoothly in time.
 
     Joints and frames within the limits do not change."""
 

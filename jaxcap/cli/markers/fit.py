@@ -40,59 +40,61 @@ from .takes import (
 )
 
 OptionalThreshold = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
-OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
+OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_hint="")]
 SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_hint="")]
 
 
 @dataclass
 class Fit:
-    """Calibrate a subject from takes of one performer: segments, joints, lengths of bones, and the position of each
-    marker on its bone. Give a take in which every joint moves; a static pose can be added.
+    """Calibrate a subject from takes of one performer: segments, joints, bone lengths, and the position of each marker
+    on its bone. Give a take in which every joint moves; a static pose can be added.
 
     Markers are assigned to segments automatically. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """.c3d, .trc or .csv files of one performer. Equal labels are the same marker."""
+    """Takes of one performer: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
     """Output file for the subject, .npz."""
     method: CentreMethod = "score"
-    """Method for rotation centres: spheres about them (sphere), symmetric (score, for SCoRE and SARA), or Gamage and
-    Lasenby's (gamage)."""
+    """Method for rotation centres: spheres about the centres (sphere), the symmetric methods SCoRE and SARA (score),
+    or the method of Gamage and Lasenby (gamage)."""
     threshold: OptionalThreshold = None
-    """Largest variation of the distance of two markers on one segment, metres. Default: chosen from the data."""
+    """Largest variation of the distance between two markers of one segment, metres. Default: chosen from the data."""
     segments: OptionalFile = None
-    """Corrections: lines of marker, segment and weight; the segment - makes a marker loose. --report writes a
-    segments.txt to start from."""
+    """Text file with corrections of segments: marker, segment and weight in each line. The segment - leaves a marker
+    without a segment. The segments.txt of --report is such a file, to start from."""
     template: Annotated[
         OptionalFile,
         arg(
-            help="Skeleton that defines which segments are connected; --segments names them like its joints: "
-            f"{SKELETON_FORMATS}."
+            help=f"Skeleton that defines which segments are connected: {SKELETON_FORMATS}. --segments is then needed, to give "
+            "the segments the names of joints of this skeleton."
         ),
     ] = None
     symmetry: SamePairs = ()
-    """Pairs of segments whose bones are equally long, such as lthigh:rthigh."""
+    """Pairs of segments that have bones of equal length, such as lthigh:rthigh."""
     local: Flag = False
-    """Stop after the separate estimation of joints; do not fit frames, lengths and marker positions together."""
+    """Stop after every joint is estimated separately; do not fit poses, bone lengths and marker positions together."""
     frames: Annotated[int, arg(metavar="N")] = 100
-    """Number of frames for the fit of all unknowns together, chosen to be as different as possible."""
+    """Number of frames in which poses, bone lengths and marker positions are fitted together. The chosen frames differ
+    as much as possible."""
     rigid: Flag = False
-    """Fix the markers on their bones. Without this option, markers may slide as joints rotate, if the data suggest
-    it."""
+    """Fix the markers on their bones. Without this option, markers may slide as joints rotate, if the data show
+    this."""
     floor: FloorHeight = None
     unit: OptionalUnit = None
     """Unit of the files' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
-    """Subject, by the prefix of its labels, if there are several."""
+    """Subject to use if a file has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
     """Up axis of the files; the subject then has y up. Default: the axes of the files."""
     pieces: Pieces = "refuse"
-    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them, or
-    keep them separate."""
+    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
+    (join), or keep them separate (keep)."""
     joints: Files = ()
     """Output files for the joint centres of every frame, .trc, .c3d or .csv."""
     report: OptionalFolder = None
-    """Output folder for report.json, segments.txt, and pictures of the skeleton in its markers and of residuals."""
+    """Output folder for report.json, segments.txt, and pictures of the skeleton with its markers and of the
+    residuals."""
     overwrite: Flag = False
     """Replace the subject and the joint centres if they exist."""
 

@@ -30,9 +30,9 @@ class Info:
     unit: OptionalUnit = None
     """Unit of the file's lengths, instead of the unit that it states: m, dm, cm, mm, in or ft."""
     subject: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
-    """Subject, by the prefix of its labels, if there are several."""
+    """Subject to describe if the file has several: the prefix of the labels of its markers."""
     rows: Annotated[int, arg(metavar="N")] = 20
-    """Number of markers in the table, the worst first; 0 lists all."""
+    """Number of markers in the table, the least visible first; 0 lists all."""
     picture: OptionalFile = None
     """Output file for a picture of the gaps, .png."""
 

@@ -38,46 +38,49 @@ from .takes import (
 )
 
 TrialsSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="TRIALS...", help_behavior_hint="")]]
-OptionalUp = Annotated[Up | None, arg(help_behavior_hint="")]
+OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_hint="")]
 #: number of markers in the table, the worst first
 MAX_LISTED = 10
 
 
 @dataclass
 class Solve:
-    """Solve for the motion of a subject in trials; write BVH or .npz, joint centres, markers without gaps, and a
-    report.
+    """Solve for the motion of a subject in trials; write the motion and, if requested, joint centres, markers without
+    gaps, and a report.
 
-    Frames with too few markers, or without a pose that fits, keep the previous pose. Their numbers are listed."""
+    Frames with too few markers, or without a pose that fits, keep the previous pose. The numbers of these frames
+    are printed."""
 
     subject: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
-    """Subject, a result of `jaxcap markers fit`."""
+    """A subject: a result of `jaxcap markers fit`."""
     trials: TrialsSpec
-    """.c3d, .trc or .csv files. Markers are identified by their labels."""
+    """Trials: .c3d, .trc or .csv files. Markers are identified by their labels."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """Output file for the motion, .bvh or .npz; or a folder, for both formats of each trial."""
+    """Output file for the motion, .bvh or .npz; or an output folder, which gets both formats for each trial."""
     joints: Files = ()
     """Output files for joint centres, .trc, .c3d or .csv. If OUT is a folder, they are written there, with the
-    trial's name as prefix."""
+    name of the trial as a prefix."""
     filled: Files = ()
-    """Output files for markers without gaps, .trc, .c3d or .csv. Named like --joints."""
+    """Output files for markers without gaps, .trc, .c3d or .csv. If OUT is a folder, they are named as for
+    --joints."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
     limit_weight: LimitWeight = 100.0
     stream: Flag = False
-    """Solve frame by frame, without later frames, and print the computing time per frame."""
+    """Solve each frame without knowledge of later frames, as in a live stream, and print the computing time per
+    frame."""
     report: OptionalFolder = None
-    """Output folder for report.json, and pictures of the skeleton in its markers and of residuals."""
+    """Output folder for report.json, and pictures of the skeleton with its markers and of the residuals."""
     unit: OptionalUnit = None
     """Unit of the trials' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     performer: OptionalSubject = None
-    """Subject in a trial, by the prefix of its labels, if there are several."""
+    """Subject to use if a trial has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
     """Up axis of the trials; results then have y up. Default: the axes of the trials."""
     pieces: Pieces = "refuse"
-    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them, or
-    keep them separate."""
+    """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
+    (join), or keep them separate (keep)."""
     resume: Flag = False
     """Continue an interrupted run; solved trials are kept."""
     overwrite: Flag = False

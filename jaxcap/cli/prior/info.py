@@ -17,8 +17,8 @@ from ..console.options import arg
 
 @dataclass
 class Info:
-    """Describe a prior: Gaussians and modes of pairs of joints, the range of each joint, and the number of meshes of
-    the shape prior."""
+    """Describe a prior: the Gaussians and modes of each pair of joints, the range of each joint, and the number of
+    meshes of the shape prior."""
 
     file: tyro.conf.Positional[Annotated[Path, arg(metavar="FILE")]]
     """A result of `jaxcap prior learn`, or a body with a prior in its file."""

@@ -35,8 +35,8 @@ class Learn:
     """Learn a pose prior from motions: a mixture of Gaussians for each pair of successive joints, and the range of
     each joint.
 
-    The number of Gaussians is the one that best predicts held-out motion. Meshes of the body add a prior of the shape
-    around every vertex."""
+    The number of Gaussians is the one that best predicts held-out motion. --meshes adds a prior of the shape around
+    every vertex."""
 
     motions: Annotated[
         MotionsSpec,
@@ -47,22 +47,22 @@ class Learn:
     body: Annotated[
         OptionalBody,
         arg(
-            help=f"Body of the prior: {BODY_FORMATS}. The output file contains it too, and motions of other "
+            help=f"Body of the prior: {BODY_FORMATS}. The output file also contains this body. Motions of other "
             "skeletons are retargeted to it."
         ),
     ] = None
     meshes: OptionalMeshes = ()
-    """Registered meshes of the body, for the shape around its vertices: mesh files, a folder, a quoted glob, or an
-    .npz with vertices (F, V, 3) and faces."""
+    """Registered meshes of --body, for the shape around its vertices: mesh files, a folder, a quoted glob, or an .npz
+    with the arrays `vertices` (F, V, 3), for F meshes of V vertices, and `faces`."""
     rate: Annotated[float, arg(metavar="FPS")] = 30.0
     """Largest number of frames per second to learn from. Neighbouring frames add little information."""
     max_gaussians: Annotated[int, arg(metavar="N")] = 10
-    """Largest number of Gaussians of a pair."""
+    """Largest number of Gaussians for a pair of joints."""
     min_deviation: Annotated[float, arg(metavar="DEGREES")] = 2.0
     """Smallest standard deviation of a Gaussian in any direction, degrees."""
     margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Margin at both ends of the range of each joint, degrees. Joints cannot leave this range, and few poses may not
-    show all of it."""
+    """Margin added at both ends of the range of each joint, degrees. Joints cannot leave this range. Give a margin if
+    the motions have few poses, which may not show the whole range."""
     seed: int = 0
     """Seed of the random initial values."""
     unit: OptionalUnit = None

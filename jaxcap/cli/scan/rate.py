@@ -18,7 +18,7 @@ ScanRate = Annotated[
     arg(
         metavar="RATE",
         help_behavior_hint="",
-        help=f"Frames per second. Default: the rate in {HEADER} next to the clouds, else {DEFAULT_RATE:g}.",
+        help=f"Frames per second. Default: the rate in {HEADER} in the folder of the clouds, else {DEFAULT_RATE:g}.",
     ),
 ]
 

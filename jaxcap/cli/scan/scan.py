@@ -33,9 +33,10 @@ CHECKED_FRAMES = 24
 
 @dataclass
 class Scan:
-    """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., cameras.json and truth.npz.
+    """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., the cameras (cameras.json) and the
+    true motion (truth.npz).
 
-    Each frame is written when it is finished, and does not depend on the frames before it. --resume continues an
+    Each scan is written when it is finished, and does not depend on the scans before it. --resume continues an
     interrupted run."""
 
     body: BodySpec
@@ -45,7 +46,7 @@ class Scan:
     views: int = 8
     """Number of cameras on the arc."""
     arc: float = 360.0
-    """Angle of the arc of cameras, degrees. Its middle is in front of the body."""
+    """Angle of the arc of cameras, degrees. The middle of the arc is in front of the body."""
     distance: float = 2.5
     """Distance of the cameras from the vertical axis through the middle of the body, metres."""
     height: float = 1.2
@@ -55,23 +56,25 @@ class Scan:
     field_of_view: float = 60.0
     """Horizontal field of view, degrees."""
     cameras: OptionalFile = None
-    """Calibrated cameras, .json, instead of the arc of cameras."""
+    """Calibrated cameras, .json as written by this verb, instead of the arc of cameras."""
     noise: float = 0.002
-    """Standard deviation of the depth near the camera, metres."""
+    """Standard deviation of the depth that does not depend on the depth, metres."""
     noise_growth: float = 0.0
-    """Additional standard deviation at a depth of 1 m, metres. It grows with the square of the depth."""
+    """Additional standard deviation of the depth, which grows with the square of the depth: its value at 1 m,
+    metres."""
     depth_step: float = 0.0
-    """Step between depths at 1 m, metres; 0 disables it. It grows with the square of the depth."""
+    """Step to which depths are rounded, which grows with the square of the depth: its value at 1 m, metres. 0 disables
+    rounding."""
     flying: float = 0.0
-    """Share of flying pixels, between foreground and background, at depth edges."""
+    """Share of the pixels at depth edges that are flying pixels, between foreground and background."""
     holes: float = 0.0
-    """Share of pixels lost in holes."""
+    """Share of the measured pixels that are lost in holes."""
     max_grazing_angle: float = 80.0
-    """Largest angle between surface normal and ray that is measured, degrees."""
+    """Largest angle between surface normal and ray at which the surface is still measured, degrees."""
     drop: float = 0.0
-    """Probability that a view is lost in a frame."""
+    """Probability that the view of a camera is lost in a frame."""
     voxel: float = 0.0
-    """Keep one point per cube of this side, metres; 0 keeps all points."""
+    """Keep one point in each cube of this side length, metres; 0 keeps all points."""
     points: OptionalCount = None
     """Keep N random points of each cloud. Default: all."""
     outliers: float = 0.0
@@ -83,7 +86,7 @@ class Scan:
     seed: int = 0
     """Random seed. The same seed gives the same scans."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Scans per second, at most the rate of the motion. Default: all frames."""
+    """Scans per second, at most the rate of the motion. Default: one scan of every frame."""
     resume: Flag = False
     """Continue an interrupted run."""
     overwrite: Flag = False

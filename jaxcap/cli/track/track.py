@@ -34,9 +34,10 @@ SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": Fal
 
 @dataclass
 class Track:
-    """Fit a body to a sequence of point clouds; write motion.bvh, motion.npz and statistics.
+    """Fit a body to a sequence of point clouds; write motion.bvh, motion.npz, and the statistics of each
+    frame in statistics.csv and statistics.json.
 
-    An interrupted run continues with --resume, and gives the same result."""
+    An interrupted run continues with --resume. The result is the same as without the interruption."""
 
     body: BodySpec
     clouds: CloudsSpec
@@ -54,27 +55,27 @@ class Track:
     last: OptionalCount = None
     """Last frame, inclusive."""
     unit: Unit = "m"
-    """Unit of mesh and clouds: m, dm, cm, mm, in or ft."""
+    """Unit of the clouds, and of BODY if it is a mesh: m, dm, cm, mm, in or ft."""
     up: Up = "y"
-    """Up axis of mesh and clouds. Results have y up."""
+    """Up axis of the clouds, and of BODY if it is a mesh. Results have y up."""
     rate: ScanRate = None
     normal_angle: float = 60.0
-    """Largest angle between the normals of a point and of its vertex, degrees."""
+    """Largest angle between the normals of a point and of a vertex that is matched to it, degrees."""
     sigma0: float = 0.1
-    """Initial standard deviation of the first frame's points from the body, metres."""
+    """Initial standard deviation of the distances from points to the body, in the first frame, metres."""
     outlier: float = 0.1
-    """Share of points that are not on the body."""
+    """Expected share of points that are not on the body."""
     damping: float = 1.0
-    """Damping: a constant on the diagonal of the normal equations."""
+    """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
     iterations: int = 3
-    """Steps of expectation maximisation per frame."""
+    """Number of iterations of expectation maximisation per frame."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
-    """Also estimate the share of points of each body part."""
+    """Also estimate, for each body part, its share of the points."""
     initialise: Literal["auto", "always", "never"] = "auto"
-    """Search for the pose of the first frame: if the rest pose does not explain the first cloud (auto), always or
-    never."""
+    """Search for the pose of the first frame if the rest pose does not explain the first cloud (auto); always search;
+    or never search, and start at the rest pose."""
     resume: Flag = False
     """Continue an interrupted run."""
     overwrite: Flag = False
