@@ -35,7 +35,7 @@ def reduce_body(body: Body, vertices: int) -> Body:
 
     The surface is decimated by quadric errors (Garland and Heckbert 1997, as implemented by
     `fast_simplification`). This preserves its volume and keeps a closed surface closed. The skin is
-    interpolated at the nearest points of the full surface (`AbstractSkin.carry`). The result is
+    interpolated at the nearest points of the full surface (`AbstractSkin.transfer`). The result is
     deterministic. A body with no more vertices than asked for is returned unchanged.
 
     **Raises:** `InputError` with one sentence when fewer than 4 vertices are asked for, or when the surface

@@ -88,7 +88,7 @@ class Skeleton(eqx.Module):
 
     @property
     def descendants(self) -> np.ndarray:
-        """(J, J) of bool: `descent[a, d]` where bone `d` moves with joint `a`."""
+        """(J, J) of bool: `descendants[a, d]` is true if bone `d` moves with joint `a`."""
         descends = np.eye(self.num_joints, dtype=bool)
         for joint, parent in enumerate(self.parents):
             if parent >= 0:

@@ -47,9 +47,9 @@ def alternate(
 ) -> AlternationResult:
     """Build a problem, take steps on it, and repeat, each round from the end of the last.
 
-    **Arguments:** `remake(y)` builds the problem at `y`, always of the same shapes; `rounds` of `steps` each.
-    A new problem may have a higher value than the last one at its end: the rounds end after `patience` rounds
-    in a row that do not improve on the best by a share `min_gain`. The best is kept.
+    **Arguments:** `make_problem(y)` builds the problem at `y`, always of the same shapes. There are `rounds`
+    of `steps` each. A new problem may have a higher value than the last one at its end: the rounds end after
+    `patience` rounds in a row that do not improve on the best by a share `min_gain`. The best is kept.
     """
     y, best, worse, history, lowered = start, None, 0, [], math.inf
     damping = jnp.asarray(solver.damping, float)
@@ -98,9 +98,9 @@ def minimise_reweighted(
 
     Energies of successive problems are not comparable, as in fits with estimated variances.
 
-    **Arguments:** `renewed(number, problem, y)` makes the next problem and start from the round's minimum,
-    and returns if these have settled; `tolerance(number)` is the share of the energy that a round's last step
-    gains; `rounds` of `steps` at most, `max_steps` steps in all.
+    **Arguments:** `update(number, problem, y)` makes the next problem and start from the round's minimum, and
+    returns whether these have settled; `tolerance(number)` is the share of the energy that a round's last
+    step gains; `rounds` of `steps` at most, `max_steps` steps in all.
     """
     y, history, settled = start, [], False
     for number in range(1, rounds + 1):
@@ -131,11 +131,10 @@ def anneal(
     *,
     steps: int = 1,
 ) -> Any:
-    """Take `steps` on a problem `remake(y, stage)` for each stage, such as each of falling scales of robust
-    weights.
+    """Take `steps` on the problem of each stage, such as each of the decreasing scales of robust weights.
 
-    Each stage starts from the end of the last. Values of different problems are not compared: the last point
-    is the result.
+    `make_problem(y, stage)` builds the problem of a stage. Each stage starts from the end of the last. Values
+    of different problems are not compared: the last point is the result.
     """
     y, damping = start, jnp.asarray(solver.damping, float)
     for stage in stages:
@@ -156,9 +155,9 @@ def reweighted_least_squares(
     """Iterate on a rebuilt problem under `jit`: iteratively reweighted least squares for one small problem of
     many.
 
-    Build a problem `remake(y)`, take a few steps on it, and repeat. Returns the end point and the number of
-    steps: `rounds` of `steps` at most, fewer if no component of a step is above `step_tolerance`, or if steps are
-    rejected again and again, which is the limit of the precision.
+    Build a problem by `make_problem(y)`, take a few steps on it, and repeat. Returns the end point and the
+    number of steps: `rounds` of `steps` at most, fewer if no component of a step is above `step_tolerance`,
+    or if steps are rejected again and again, which is the limit of the precision.
     """
 
     def going_on(carry):

@@ -237,7 +237,8 @@ def _is_none(node: object) -> bool:
 def weighted_derivatives(
     term: AbstractEnergy, posed: Posed
 ) -> tuple[Int[Array, "C K"], Float[Array, "C K R 3"]]:
-    """Differentiate a weighted term over vertices by their positions, as `AbstractVertexEnergy.slopes` does."""
+    """Differentiate a weighted term over vertices by their positions, as
+    `AbstractVertexEnergy.vertex_jacobian` does."""
     if isinstance(term, Weighted):
         vertices, directions = weighted_derivatives(term.energy, posed)
         return vertices, safe_sqrt(term.weight) * directions

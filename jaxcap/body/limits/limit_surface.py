@@ -36,7 +36,7 @@ class LimitSurface(eqx.Module):
     thickness: Float[Array, "V N"]
     #: half the width of the smallest voxel: the unit of `stiffness` and `level`
     unit: Float[Array, ""]
-    #: `iso` and `k` of eq. 2
+    #: `level` is `iso` and `stiffness` is `k` of eq. 2
     level: Float[Array, ""]
     stiffness: Float[Array, ""]
     #: number of samples of each primitive at each keyframe
@@ -78,7 +78,7 @@ class SurfaceLimits(AbstractLimits):
     surfaces: tuple[LimitSurface, ...]
 
     def residual(self, skeleton: Skeleton, pose: Pose):
-        """Compute `max(0, iso - F)` over the stiffness, in radians, continued by the distance to the
+        """Compute `max(0, level - F)` over the stiffness, in radians, continued by the distance to the
         nearest primitive beyond the cut-off of all primitives (Limits, section 5.2); see `signed_distance`.
         """
         beyond = []

@@ -43,7 +43,7 @@ def field(primitives: Primitives, point: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def signed_distance(primitives: Primitives, point: Float[Array, "3"]) -> Float[Array, ""]:
-    """Compute the approximate signed distance to the surface: `(iso - F + q) / k`, negative inside.
+    """Compute the approximate signed distance to the surface: `(level - F + q) / stiffness`, negative inside.
 
     Beyond the cut-off the paper's field is constant and has no gradient, so `q` continues it. `q` is zero
     within the thickness of the nearest primitive, `x^2 / 4` up to an excess `x` of 2, and `x - 1` further

@@ -89,7 +89,7 @@ class PoseBoxes(AbstractLimits):
 
 
 class BoxChart(NamedTuple):
-    """Coordinates `x` of the tangents of a pose, `d = turn @ x`, in which boxes are bounds."""
+    """Coordinates `x` of the tangents of a pose, `d = basis @ x`, in which boxes are bounds."""
 
     #: radians and metres; the identity except for ball joints with a box
     basis: Float[Array, "D D"]
@@ -104,7 +104,7 @@ def make_box_chart(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> BoxChart
     A pose changes by `R <- R exp(d)`, and a box bounds `w = O^T log R`, with `O` the joint's own frame. As
     `exp(log R + e) = R exp(Jr(log R) e)` to first order, with `Jr` the right Jacobian, a change of `w` by
     `x` is `d = Jr(log R) O x`. A revolute joint has one coordinate, its angle, with the range in which its
-    axis is in the box. A universal joint is not bounded here; `PoseBoxes.nearest` projects it.
+    axis is in the box. A universal joint is not bounded here; `PoseBoxes.project` projects it.
     """
     layout, dtype = dof_layout(skeleton), pose.rotations.dtype
     # one more slot, for parameters that a joint does not have

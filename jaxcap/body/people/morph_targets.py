@@ -25,7 +25,7 @@ class MorphTargets(NamedTuple):
     #: heads and tails of the bones, metres
     joints: Float[np.ndarray, "J 2 3"]
     target_states: np.ndarray
-    #: in units of `STEP`
+    #: in units of `DISPLACEMENT_UNIT`
     target_vertices: Integer[np.ndarray, "T V 3"]
     #: metres
     target_joints: Float[np.ndarray, "T J 2 3"]

@@ -13,7 +13,8 @@ from .vertices import AbstractVertexEnergy
 class PointPairs(eqx.Module):
     """Matches of points on a body with their targets; equally many in every frame, padded with weight zero.
 
-    A point on the body is `sum_k shares_k x[vertices_k]`: K = 1 is a vertex, K = 3 a point in a triangle.
+    A point on the body is `sum_k barycentric_k x[vertices_k]`. With K = 1 it is a vertex, with K = 3 a point
+    in a triangle.
     """
 
     #: any two vertices of a pair are equal or share an edge
@@ -30,8 +31,8 @@ class PointPairs(eqx.Module):
 
 
 class PairDistances(AbstractVertexEnergy):
-    """Distances of a posed body from its matched points: full across the surface, weighted by `Pairs.along`
-    along it (Adaptation, eq. 4.4, for fixed pairs).
+    """Distances of a posed body from its matched points: full across the surface, with the weight
+    `PointPairs.tangential_weights` along it (Adaptation, eq. 4.4, for fixed pairs).
 
     Adds to any other energy, for `solve`.
     """
@@ -54,8 +55,8 @@ def pair_positions(pairs: PointPairs, vertices: Float[Array, "V 3"]) -> Float[Ar
 
 
 def pair_directions(pairs: PointPairs) -> Float[Array, "C 3 3"]:
-    """Compute three weighted directions per pair: one across the surface, and two along it, weighted by
-    `Pairs.along`.
+    """Compute three weighted directions per pair: one across the surface, and two along it, with
+    the weight `PointPairs.tangential_weights`.
     """
     n = pairs.normals
     axes = jnp.eye(3, dtype=n.dtype)

@@ -137,10 +137,10 @@ ROUNDS = 20
 def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None) -> SoftObject:
     """Make a soft object that replaces a body's surface; not for use under `jit`.
 
-    Each bone's vertices (`skin.parts()`) are cut into slices across their longest axis, about as long as they
-    are wide, and each slice becomes an ellipsoid of its mean and covariance. All are then scaled until the
-    vertices of each lie on the skin on average, weighted by area. Bones with fewer than four vertices get
-    none.
+    Each bone's vertices (`skin.dominant_bones()`) are cut into slices across their longest axis, about as
+    long as they are wide, and each slice becomes an ellipsoid of its mean and covariance. All are then scaled
+    until the vertices of each lie on the skin on average, weighted by area. Bones with fewer than four
+    vertices get none.
 
     **Arguments:** `primitives` largest number of slices of a bone; `blend` metres, the inverse of the
     stiffness, where not given 0.6 of the median of the primitives' shortest semi-axes.

@@ -44,7 +44,8 @@ class SampledSurface(eqx.Module):
     regions: Int[Array, "S"]
     #: one for regions that are not adjacent, which must not lie within each other, and zero for the others
     non_adjacent: Float[Array, "R R"]
-    #: degree, zero to one, to which every `FEW`th sample is outside the regions apart from its own at rest
+    #: degree, zero to one, to which each sample tested for self-intersection is outside of the regions that
+    #: are not adjacent to its own, at rest
     outside_at_rest: Float[Array, "W"]
     #: of the surface at rest, square metres
     area: Float[Array, ""]

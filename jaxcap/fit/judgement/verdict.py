@@ -10,7 +10,7 @@ from .surface import SampledSurface
 from .usual import INSIDE, NormalValues, stack_evidence
 
 #: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
-#: of `observed`
+#: of `stack_evidence`
 LIMITS = ((0.005, 0.012), (0.016, 0.03), (0.02, 0.03))
 #: the rows in words, for a limb
 REASON_FORMATS = (
@@ -25,7 +25,7 @@ SAMPLING = 3.0
 #: multiple of the good frames' deviations that an excess has to exceed, too
 DEVIATIONS = 5.0
 #: largest factor on the limits in a sequence that varies much, and factor on the limits of an excess over the
-#: sequence's beginning (`Usual.base`)
+#: sequence's beginning (`NormalValues.base`)
 MAX_FACTOR = 2.0
 #: share of the expected points below which a part is unseen; a part adjacent to an unseen one needs more, as
 #: points of an occluder may be assigned to it
@@ -40,7 +40,7 @@ FIRST_FRAME_FACTOR = 10.0
 class Judgement(eqx.Module):
     """A frame compared with a sequence's normal values: shares of the limits at which a frame is lost."""
 
-    #: of each row of `observed`, by region and, last, of the whole body
+    #: of each row of `stack_evidence`, by region and, last, of the whole body
     shares: Float[Array | np.ndarray, "3 Q"]
     #: one, or more for a first frame without normal values
     tolerance: Float[Array | np.ndarray, ""]
@@ -99,8 +99,9 @@ def judge_evidence(surface: SampledSurface, usual: NormalValues, evidence: Evide
     """Compare the evidence of a frame with the normal values.
 
     Before the first frame there are none (`initial_values`). Absolute limits then make a frame doubtful, and
-    `FIRST_FRAME_FACTOR` times wider ones lost, because clothes leave as much unexplained as a slightly wrong limb. A fault
-    that grows slowly enough to become normal is detected by comparison with the level of the first frames.
+    `FIRST_FRAME_FACTOR` times wider ones lost, because clothes leave as much unexplained as a slightly wrong
+    limb. A fault that grows slowly enough to become normal is detected by comparison with the level of the
+    first frames.
     """
     plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
     # self-intersection is never normal, however frequent

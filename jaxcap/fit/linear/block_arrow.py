@@ -61,7 +61,7 @@ class BlockArrow(AbstractStructuredMatrix):
         return BlockArrow(self.frames.add_diagonal(x), self.coupling, self.shared + jnp.diag(s))
 
     def change_variables(self, matrix: Float[Array, "F D D"]) -> "BlockArrow":
-        """Change the variables of the frames to `y` with `x = turn @ y`."""
+        """Change the variables of the frames to `y` with `x = matrix @ y`."""
         before = stack_previous(matrix, self.frames.blocks.shape[1])
         product = partial(jnp.einsum, precision="highest")
         blocks = product("fai,fwab,fwbj->fwij", matrix, self.frames.blocks, before)
@@ -90,7 +90,7 @@ class ArrowFactor(AbstractFactor):
     shared: CholeskyFactor
 
     def solve(self, rhs: Unknowns, equalities: Equalities | None = None) -> Unknowns:
-        """Solve for all unknowns; with equalities, minimise `y^T A y / 2 - side^T y` subject to them."""
+        """Solve for all unknowns; with equalities, minimise `y^T A y / 2 - rhs^T y` subject to them."""
         with jax.default_matmul_precision("highest"):
             known = self.frames.forward(rhs[0][:, :, None])[:, :, 0]
             s = self.shared.solve(rhs[1] - jnp.einsum("fds,fd->s", self.columns, known))

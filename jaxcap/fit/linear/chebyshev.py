@@ -14,7 +14,7 @@ def chebyshev(
     high: float | Float[Array, ""],
     steps: int,
 ) -> Array:
-    """Solve `A x = side` approximately by Chebyshev's iteration from zero.
+    """Solve `A x = rhs` approximately by Chebyshev's iteration from zero.
 
     The result is linear and symmetric in the right side, so that it can precondition conjugate gradients.
 

@@ -13,7 +13,7 @@ class CholeskyFactor(eqx.Module):
     scale: Float[Array, "N"]
 
     def solve(self, rhs: Float[Array, "N *K"]) -> Float[Array, "N *K"]:
-        """Solve `A x = side`; NaN where `A` is not positive definite."""
+        """Solve `A x = rhs`; NaN where `A` is not positive definite."""
         if rhs.shape[0] == 0:
             return rhs
         scale = self.scale.reshape(-1, *[1] * (rhs.ndim - 1))

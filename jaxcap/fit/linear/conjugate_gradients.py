@@ -18,7 +18,7 @@ def conjugate_gradients(
     project: Callable[[PyTree], PyTree] | None = None,
     unsolved: float | None = None,
 ) -> PyTree:
-    """Solve `A x = side` for a symmetric positive definite `A` by preconditioned conjugate gradients, from
+    """Solve `A x = rhs` for a symmetric positive definite `A` by preconditioned conjugate gradients, from
     zero.
 
     The iteration ends when the Euclidean norm of the residual is `tolerance` times that of the right side. It

@@ -24,7 +24,7 @@ class AbstractFactor(eqx.Module):
 
     @abc.abstractmethod
     def solve(self, rhs: Any, equalities: Equalities | None = None) -> Any:
-        """Solve `A x = side`; with equalities, minimise `x^T A x / 2 - side^T x` subject to them.
+        """Solve `A x = rhs`; with equalities, minimise `x^T A x / 2 - rhs^T x` subject to them.
 
         The result is NaN where `A` is not positive definite.
         """
@@ -57,7 +57,7 @@ class AbstractStructuredMatrix(lx.AbstractLinearOperator):
         """Factorise the matrix in time linear in the number of frames."""
 
     def solve(self, rhs: PyTree[Array]) -> PyTree[Array]:
-        """Solve `A x = side`, differentiably in both modes: a derivative is one more substitution with the
+        """Solve `A x = rhs`, differentiably in both modes: a derivative is one more substitution with the
         same factor.
         """
         factor = jax.lax.stop_gradient(self).factorise()

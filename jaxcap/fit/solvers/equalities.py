@@ -24,8 +24,8 @@ class Equalities(eqx.Module):
 def enforce_equalities(
     solve: Callable[[Array], Array], unconstrained: Float[Array, "S"], equalities: Equalities | None
 ) -> Float[Array, "S"]:
-    """Correct the unconstrained solution `unconstrained` of `A s = side` to minimise `s^T A s / 2 - side^T s` subject
-    to equalities.
+    """Correct the solution `unconstrained` of `A s = rhs` to minimise `s^T A s / 2 - rhs^T s` subject to
+    equalities.
 
     `solve` solves systems of `A`.
     """

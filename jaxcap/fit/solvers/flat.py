@@ -51,6 +51,7 @@ class FlatProblem(eqx.Module):
 def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
     """Make a problem flat about a start, for solvers such as those of jaxopt and optax.
 
-    They minimise `flat.value` from `flat.start`; `flat.back` maps their result to poses. See `FlatProblem`.
+    They minimise `flat.value` from `flat.start`, and `flat.to_manifold` maps their result to poses, where
+    `flat` is the returned `FlatProblem`.
     """
     return FlatProblem(problem, start)

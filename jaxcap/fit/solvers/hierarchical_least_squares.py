@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
-#: longest step of a level, in scaled units: radians, and `LEVER` metres
+#: longest step of a level, in scaled units: radians, and `LEVER_ARM` metres
 MAX_STEP = 1.0
 #: largest number of active-set iterations in one step
 MAX_ITERATIONS = 10
@@ -78,9 +78,9 @@ def constrained_step(
 ) -> tuple[Float[Array, "D"], list[LinearSystem]]:
     """Compute the step of all levels that crosses no bound of an upper level, and the rows used as equations.
 
-    **Arguments:** `upper(d)` linearises all levels but the last after a step `d`, concatenated. A row is an
-    inequality if it is zero on one side of the pose or on both. It is active if the step would cross its
-    bound, and is released if the step without it would lead back inside (a primal-dual active set,
+    **Arguments:** `linearise_upper(d)` linearises all levels but the last after a step `d`, concatenated. A
+    row is an inequality if it is zero on one side of the pose or on both. It is active if the step would
+    cross its bound, and is released if the step without it would lead back inside (a primal-dual active set,
     Hintermueller and others 2003, with multipliers of all lower levels in turn, Escande and others 2014).
     """
     here = _concatenate(levels[:-1])

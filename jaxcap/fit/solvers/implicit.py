@@ -34,7 +34,7 @@ def implicit_minimum(
 ) -> Minimum:
     """Minimise a problem, with derivatives by every array of it (`jax.grad`, `jax.jvp`), not by the start.
 
-    **Arguments:** as of `minimise`; `onto(problem, y)` projects `y` onto the manifold, for the case that
+    **Arguments:** as of `minimise`; `project(problem, y)` projects `y` onto the manifold, for the case that
     parameters of the manifold, such as joint axes, are themselves differentiated.
     """
     y, rest = _minimum(problem, start, solver, max_steps, project)
@@ -96,7 +96,7 @@ class _ConstrainedSystem(eqx.Module):
         return jax.tree.unflatten(structure, leaves)
 
     def solve(self, rhs: Any, values: Float[Array, "C"] | None = None) -> Any:
-        """Minimise `x^T A x / 2 - side^T x` over the free unknowns subject to `rows x = values`, zero if not
+        """Minimise `x^T A x / 2 - rhs^T x` over the free unknowns subject to `rows x = values`, zero if not
         given.
         """
         if self.rows is None:

@@ -72,11 +72,11 @@ def track_frames(
 
     **Arguments:** `start` is the pose to begin at, rest where not given, or the last `TrackedFrame` of an
     interrupted run; `search`: find the first pose by `initialise` if `start` does not explain the first cloud
-    ("auto"), always or never; `sigma` metres is the initial standard deviation of the first frame (Kineben's
-    sigma0); `up` is the vertical of the scene; `first` is the number of the first cloud, so that a resumed
-    run searches as an uninterrupted one; `on_search` is called before every search; `known(number)` gives
-    other candidate poses of a frame: the frame keeps the likeliest, and leaves the tracked pose only for one
-    with a mean log-likelihood better by more than `margin`.
+    ("auto"), always (true) or never (false); `sigma` metres is the initial standard deviation of the first
+    frame (Kineben's sigma0); `up` is the vertical of the scene; `first` is the number of the first cloud, so
+    that a resumed run searches as an uninterrupted one; `on_search` is called before every search;
+    `candidates(number)` gives other candidate poses of a frame: the frame keeps the likeliest, and leaves the
+    tracked pose only for one with a mean log-likelihood better by more than `margin`.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
     sensor, compared with the normal values of the previous frames. A frame that is not good is searched for
