@@ -33,7 +33,7 @@ def judged(limits, pose):
 
 @eqx.filter_jit
 def nearest(limits, pose):
-    return limits.nearest(SKELETON, pose)
+    return limits.project(SKELETON, pose)
 
 
 def with_hand(turn: Rotation) -> Pose:

@@ -33,7 +33,7 @@ def test_influence_is_a_share_of_one(body):
     assert shares.shape == (len(body.vertices), body.skeleton.num_joints)
     assert (shares >= 0).all()
     np.testing.assert_allclose(shares.sum(1), 1.0, atol=1e-14)
-    np.testing.assert_array_equal(body.skin.parts(), shares.argmax(1))
+    np.testing.assert_array_equal(body.skin.dominant_bones(), shares.argmax(1))
 
 
 @pytest.mark.parametrize("skin", ["rigid", "linear"])

@@ -43,7 +43,7 @@ def test_points_hang_on_the_closest_triangle_by_the_foot_of_the_perpendicular(sc
     body, _, vertices, points, glue = scene
     surface = trimesh.Trimesh(vertices, np.asarray(body.faces), process=False)
     nearest, distances, _ = trimesh.proximity.closest_point(surface, points)
-    shares, heights = np.asarray(glue.shares), np.asarray(glue.heights)
+    shares, heights = np.asarray(glue.barycentric), np.asarray(glue.normal_offsets)
     np.testing.assert_allclose(shares.sum(1), 1.0, atol=1e-12)
     inside = (shares >= 0).all(1)
     foot = np.einsum("nc,nca->na", shares, vertices[np.asarray(glue.corners)])
@@ -62,7 +62,7 @@ def test_other_poses_keep_the_distance_to_the_triangle(scene, rng):
     a, b, c = np.moveaxis(np.asarray(vertices)[np.asarray(glue.corners)], 1, 0)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    np.testing.assert_allclose(np.sum((points - a) * normal, 1), glue.heights, atol=1e-9)
+    np.testing.assert_allclose(np.sum((points - a) * normal, 1), glue.normal_offsets, atol=1e-9)
 
 
 def test_frames_are_traced_once_and_differentiated(scene):

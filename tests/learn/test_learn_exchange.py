@@ -99,7 +99,7 @@ def test_exchange_puts_the_tree_right(wrong, skin):
     assert after.history[-1][1] < 1e-12 * before
     skeleton = after.body.skeleton
     assert skeleton.num_joints == len(set(skeleton.names)) == 5
-    labels, true = np.asarray(after.body.skin.dominant_bones()), np.asarray(truth.skin.parts())
+    labels, true = np.asarray(after.body.skin.dominant_bones()), np.asarray(truth.skin.dominant_bones())
     assert same_partition(labels, true)
     # which of its bones is which of the truth's
     same = [int(true[labels == bone][0]) for bone in range(5)]

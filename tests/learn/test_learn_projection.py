@@ -52,7 +52,7 @@ def arm(rng, frames: int = 14):
 def astray(body, poses, rng):
     """The body as it may start: rigid parts, joints 1 cm off, poses a few degrees off."""
     centres = body.skeleton.centres + 0.01 * rng.normal(size=(3, 3))
-    skin = jc.LinearSkin(jnp.eye(3)[body.skin.parts()])
+    skin = jc.LinearSkin(jnp.eye(3)[body.skin.dominant_bones()])
     start = eqx.tree_at(lambda b: (b.skin, b.skeleton.centres), body, (skin, centres))
     turned = 0.05 * rng.normal(size=(len(poses.scale), body.skeleton.num_dofs))
     return start, jax.vmap(jc.retract, (None, 0, 0))(body.skeleton, poses, jnp.asarray(turned))

@@ -140,9 +140,9 @@ def test_rest_vertices_are_least_squares(rng, swing_twist):
 
 def test_anchors_hold_what_no_motion_tells(rng):
     body, poses, _, metric = scene(rng, False, frames=12)
-    labels = np.asarray(body.skin.parts())
+    labels = np.asarray(body.skin.dominant_bones())
     joint = int(labels.max())
-    below = body.skeleton.descent[joint]
+    below = body.skeleton.descendants[joint]
     # a hinge about z, twelve times
     angles = jnp.linspace(-1.0, 1.0, 12)
     hinge = jnp.stack([jnp.cos(angles / 2), 0 * angles, 0 * angles, jnp.sin(angles / 2)], 1)

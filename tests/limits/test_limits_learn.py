@@ -218,7 +218,7 @@ def test_a_childs_limits_go_on_smoothly_with_its_parent(learned):
 def test_shares_of_keyframes_sum_to_one_and_prefer_the_nearest(learned, rng):
     surface = learned[0].surfaces[1]
     for key in rng.integers(0, len(surface.keys), 10):
-        shares = surface.shares(surface.keys[key])
+        shares = surface.keyframe_weights(surface.keys[key])
         assert float(shares.sum()) == pytest.approx(1.0)
         assert int(jnp.argmax(shares)) == key
         assert float(shares[key]) > 0.9

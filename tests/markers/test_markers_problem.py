@@ -53,7 +53,7 @@ def scene(rng, models=None, terms=()):
     )
     features = jnp.asarray(rng.normal(size=(FRAMES, subject.num_markers, 2)))
     problem = eqx.tree_at(
-        lambda p: (p.turning, p.skin_features, p.slide_deviation),
+        lambda p: (p.rotation_prior, p.skin_features, p.slide_deviation),
         problem,
         (turning, features, jnp.asarray(0.02)),
     )
@@ -89,8 +89,8 @@ def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
     subject = problem.subject(y)
     place = lambda pose, phi: marker_positions(apply_sliding(subject, y.slides, phi), pose)  # noqa: E731
     places = jax.vmap(place)(y.poses, problem.skin_features)
-    exact = eqx.tree_at(lambda p: (p.places, p.bound), problem, (places, jnp.asarray(UNBOUNDED)))
-    free = eqx.tree_at(lambda p: p.turning.precision, exact, jnp.zeros_like(exact.turning.precision))
+    exact = eqx.tree_at(lambda p: (p.positions, p.outlier_bound), problem, (places, jnp.asarray(UNBOUNDED)))
+    free = eqx.tree_at(lambda p: p.rotation_prior.precision, exact, jnp.zeros_like(exact.rotation_prior.precision))
     zero = jax.tree.map(jnp.zeros_like, free.scales())
     arrow = free.normal_equations(y)[2].as_matrix()
     flat, back = ravel_pytree(zero)
@@ -114,7 +114,7 @@ def test_derivatives_of_a_calibration_are_differences(rng):
     slope = eqx.filter_jit(eqx.filter_grad(length))(problem, start.estimate)
     value = eqx.filter_jit(length)
     for where, index, step in (
-        (lambda p: p.places, (2, 4, 0), 1e-5),
+        (lambda p: p.positions, (2, 4, 0), 1e-5),
         (lambda p: p.deviations, (5,), 1e-5),
         (lambda p: p.template.offsets, (4, 1), 1e-5),
     ):

@@ -27,7 +27,7 @@ LABELS = [
 ]  # fmt: skip
 
 posed = eqx.filter_jit(pose_body)
-places_of = eqx.filter_jit(lambda markers, body, pose: markers.places(pose_body(body, pose)))
+places_of = eqx.filter_jit(lambda markers, body, pose: markers.positions(pose_body(body, pose)))
 
 
 def around(rng, pose, count=12):

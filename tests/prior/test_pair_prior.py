@@ -232,12 +232,12 @@ def test_ranges_hold_what_was_seen_and_turn_back_what_was_not(rng, learned):
     vectors = rotation_vectors(SKELETON, motion)[:, SKELETON.index("hand")]
     np.testing.assert_allclose(boxes.lower[boxes.joints.index("hand")], vectors.min(0))
     wild = random_pose(SKELETON, rng, 1.0)
-    back = boxes.nearest(SKELETON, wild)
+    back = boxes.project(SKELETON, wild)
     assert not allowed(boxes, SKELETON, wild).all()
     assert allowed(boxes, SKELETON, back).all()
     np.testing.assert_array_equal(back.rotations[0], wild.rotations[0])
-    np.testing.assert_array_equal(boxes.nearest(SKELETON, motion[3]).rotations, motion[3].rotations)
-    beyond = local_rotation_vectors(SKELETON, wild)[boxes.owners(SKELETON)[::3]].reshape(-1)
+    np.testing.assert_array_equal(boxes.project(SKELETON, motion[3]).rotations, motion[3].rotations)
+    beyond = local_rotation_vectors(SKELETON, wild)[boxes.residual_joints(SKELETON)[::3]].reshape(-1)
     residual = boxes.residual(SKELETON, wild)
     inside = beyond - residual
     np.testing.assert_allclose(inside, jnp.clip(beyond, boxes.lower.ravel(), boxes.upper.ravel()), atol=1e-12)
