@@ -44,7 +44,7 @@ class AdaptSettings(NamedTuple):
     #: weight of second differences; None uses a tenth of the weight that balances them with the data (eq.
     #: 4.16), 0 disables them
     temporal: float | None = None
-    #: adapt during tracking, `TIMES` times, after every `every` frames (multi-time adaptation); 0 tracks all
+    #: adapt during tracking, after every `every` frames (multi-time adaptation); 0 tracks all
     #: frames first and then adapts to the most informative ones (guided adaptation)
     every: int = 0
     #: standard deviation of a joint from its position regressed from the surface, metres
@@ -71,7 +71,7 @@ def check_settings(settings: AdaptSettings) -> None:
     """
     where = "AdaptSettings"
     check_at_least(where, 1, frames=settings.frames)
-    check_at_least(where, 0, alone=settings.proportion_rounds, rounds=settings.rounds, every=settings.every)
+    check_at_least(where, 0, proportion_rounds=settings.proportion_rounds, rounds=settings.rounds, every=settings.every)
     check_at_least(where, 0, shape=settings.shape, pose=settings.pose, temporal=settings.temporal)
     check_positive(where, "metres", joint=settings.joint, deviation=settings.deviation)
 

@@ -61,7 +61,7 @@ class FrameWeighted(AbstractEnergy):
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         raise InputError(
-            f"WeighedFrames: the weights of {energy_name(self.energy)} belong to {len(self.weights)} frames, but there "
+            f"FrameWeighted: the weights of {energy_name(self.energy)} belong to {len(self.weights)} frames, but there "
             "is one posed body; solve for the sequence with a SequenceProblem."
         )
 

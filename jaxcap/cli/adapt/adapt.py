@@ -57,7 +57,7 @@ ASSIGNMENTS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft
 AssignmentName = Literal["vertices", "surface", "soft"]
 #: minimum number of frames within a long stage between two checkpoints, and maximum number of checkpoints, as
 #: each one has all poses
-MIN_CHECKPOINT_FRAMES, TIMES = 25, 40
+MIN_CHECKPOINT_FRAMES, MAX_CHECKPOINTS = 25, 40
 UNORDERED = (
     "successive scans are not more similar than other pairs of scans, so they are treated as unordered in time, and the "
     "motion is not smoothed; give --ordered if they show one motion"
@@ -218,7 +218,7 @@ class Adapt:
         with RoundProgress(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(
-                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // TIMES)
+                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // MAX_CHECKPOINTS)
                 ):
                     if reached.done == 1 and not (reached.within or self.skip_person_check):
                         _check_first_scan(task, reached, first)
