@@ -125,7 +125,7 @@ def test_a_vertex_is_the_corner_of_a_triangle(rng):
     faces = np.asarray(BODY.faces)
     near = faces[[np.flatnonzero((faces == v).any(1))[0] for v in np.asarray(pairs.vertices[0, :, 0])]]
     shares = jnp.asarray(near == np.asarray(pairs.vertices[0]), float)
-    wide = eqx.tree_at(lambda p: (p.vertices, p.shares), pairs, (jnp.asarray(near)[None], shares[None]))
+    wide = eqx.tree_at(lambda p: (p.vertices, p.barycentric), pairs, (jnp.asarray(near)[None], shares[None]))
     poses, prior = stack([random_pose(BODY.skeleton, rng, 0.5)]), body_shape_prior(BODY, 2)
     one, other = (adapt_shape(BODY, poses, p, prior, 0.7, tolerance=1e-13).vertices for p in (pairs, wide))
     np.testing.assert_allclose(one, other, atol=1e-10)

@@ -278,7 +278,7 @@ def test_a_disk_that_is_full(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(np, "savez_compressed", full)
     for later in (state._replace(done=2), state._replace(within=2)):
         with pytest.raises(
-            jc.InputError, match=r"No space left.*free some space.*1 stage is saved.*--resume"
+            jc.InputError, match=r"No space left.*free some disk space.*1 stage is saved.*--resume"
         ):
             keep_state(path, later, header)
     assert path.read_bytes() == before

@@ -92,7 +92,7 @@ def test_the_file_of_an_actor_tells_of_its_run_to_the_last_bit(scene, tmp_path):
     assert same_leaves(again, state)
     assert (again.history, again.terms, again.lost) == (state.history, state.terms, state.lost)
     assert same_leaves(jc.load_body(path), state.body)
-    with pytest.raises(jc.InputError, match=r"a\.npz: this run was begun with rate 30.0, not 25.0"):
+    with pytest.raises(jc.InputError, match=r"a\.npz: this run was started with rate 30.0, not 25.0"):
         load_finished_run(path, motion, {**header, "rate": 25.0})
     other = state.motion.slice(slice(1, None))
     jc.save_motion(motion, other, state.body.skeleton)
@@ -128,7 +128,7 @@ def test_a_run_that_has_ended(scene, folder, capsys):
     assert "a.npz: this run is already complete" in runs(capsys, *asked)
     assert tree(folder) == before
     told = fails(capsys, *asked, "--report", folder / "a.html", "--rate", 25)
-    assert "this run was begun with rate 30.0, not 25.0" in told
+    assert "this run was started with rate 30.0, not 25.0" in told
     # one that was stopped before anything was kept begins
     assert load_resumed_state(run.checkpoint_path, {}, resume=True, overwrite=False) is None
 
@@ -140,7 +140,7 @@ def test_another_scan_is_another_run(scene, folder, capsys, number):
     points[7] += 1e-4
     write_scan(folder, number, points, normals)
     told = fails(capsys, *words(folder, folder / "a.npz", "--smoothness", 0, "--resume"))
-    assert f"this run was begun with scan of frame {number} " in told
+    assert f"this run was started with scan of frame {number} " in told
     write_scan(folder, number, points[:0], normals[:0])
     if number:
         told = fails(capsys, *words(folder, folder / "a.npz", "--smoothness", 0, "--resume"))
@@ -161,7 +161,7 @@ def test_another_start_or_template_is_another_run(scene, folder, capsys):
     run = begun(folder, scene, finished_state(scene))
     asked = words(folder, folder / "a.npz", "--smoothness", 0, "--resume")
     jc.save_motion(folder / "start.npz", stack_poses(scene[2][1:2], 30.0), scene[0].skeleton)
-    assert "this run was begun with start " in fails(capsys, *asked)
+    assert "this run was started with start " in fails(capsys, *asked)
     header = header_of(run, scene)
     body = jc.load_body(folder / "body.npz")
     assert fingerprint_of(body, ())["template"] == header["template"]

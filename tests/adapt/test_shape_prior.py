@@ -164,7 +164,7 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
     less = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[1:-5])
     turned = eqx.tree_at(lambda b: b.faces, BODY, BODY.faces[::-1, [1, 2, 0]])
     few = jc.Body(SKELETON, jc.body.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
-    with pytest.raises(jc.InputError, match="of 48 vertices and the body has 3; learn one"):
+    with pytest.raises(jc.InputError, match="has 48 vertices and the body has 3; learn a prior"):
         load_shape_prior(path, few)
     with pytest.raises(jc.InputError, match="other triangles than the body's"):
         load_shape_prior(path, less)

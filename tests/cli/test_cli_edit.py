@@ -205,7 +205,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("keys a.npz -o new.npz --degrees 0", "--degrees is 0"),
         ("keys a.npz", "nothing to write"),
         ("keys a.npz --keys keys.txt", "written as .json or .npz"),
-        ("gaze a.npz -o new.npz", "--target or by --direction"),
+        ("gaze a.npz -o new.npz", "either --target or --direction"),
         ("gaze a.npz -o new.npz --target 0 1.6 0.05", "from the point between the eyes"),
         ("gaze a.npz -o new.npz --target 0 1.6 3 --joints Head,Neck,Chest", "is not a descendant of"),
         ("gaze a.npz -o new.npz --target 0 1.6 3 --frames 0 9", "do not fit into frames 0 to 9"),

@@ -168,7 +168,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(inputs, tmp_path, capsys, slow
     with pytest.raises(SystemExit) as stop:
         runs(capsys, *arguments, cut)
     assert stop.value.code == 130
-    assert "round 2 is kept" in capsys.readouterr().err
+    assert "round 2 is saved" in capsys.readouterr().err
     partial = tmp_path / "cut.npz.partial"
     assert partial.is_file() and not cut.exists()
     before = tree(tmp_path)

@@ -54,7 +54,7 @@ def test_learn_and_info(capsys, folder):
         "--rate",
         10,
     )
-    assert "2 motions, 600 poses learned from" in told
+    assert "learning from 2 motions, 600 poses" in told
     row = next(line.split() for line in told.splitlines() if line.startswith("shoulder, elbow"))
     gaussians, single, chosen, zeroed, couplings = (
         int(row[2]),

@@ -97,8 +97,8 @@ def test_scans_say_their_rate_and_track_and_adapt_take_it(inputs, tmp_path, caps
     assert asked.settings()["rate"] == 120
 
 
-@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; expected a number"), ("true", "is True"), ("0", "0.0 frames per second cannot"),
-                                            ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames per second cannot")])  # fmt: skip
+@pytest.mark.parametrize(("rate", "said"), [('"a"', "is 'a'; expected a number"), ("true", "is True"), ("0", "0.0 frames per second; expected"),
+                                            ("1" + "0" * 400, "too many digits"), ("NaN", "nan frames per second; expected")])  # fmt: skip
 def test_a_rate_of_scans_that_is_none_is_told(tmp_path, rate, said):
     (tmp_path / "scan.json").write_text(f'{{"body arrays": "a", "rate": {rate}}}')
     with pytest.raises(InputError, match=rf"scan\.json: .*{said}"):
@@ -188,7 +188,7 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
     capsys.readouterr()
     main([str(word) for word in (*words, tmp_path / "both.json", "-o", tmp_path / "both")])
     told = capsys.readouterr().err
-    assert "view 0 is empty in 2 of 4 frames, the first is 2" in told
+    assert "view 0 is empty in 2 of 4 frames, the first is frame 2" in told
     assert "view 1 is empty in 2 of 4 frames, the first is 0" in told
     told = fails(capsys, *words, tmp_path / "one.json", "-o", tmp_path / "one")
     assert "frame 2: all 1 views are empty" in told

@@ -166,7 +166,7 @@ def test_what_cannot_look_is_told(motion):
         (lambda: look(shares={"Nose": 1.0}), "no joint 'Nose'"),
         (lambda: look(shares={"Head.end": 1.0}), "is fixed"),
         (lambda: look(first=30, last=50), "not in a motion of 40"),
-        (lambda: look(most=0.0), "largest rotation of the gaze"),
+        (lambda: look(max_angle=0.0), "largest rotation of the gaze"),
         (lambda: look(np.zeros(3), direction=True, fade=0.0), "zero length"),
         (lambda: gaze_shares(SKELETON, ["Head"]), "1 joints are named"),
         (lambda: gaze_line_of_vertices(body, 3, 3, "Head"), "the same mean position"),

@@ -75,7 +75,7 @@ def test_the_shape_term_is_the_mean_over_meshes(rng):
     # where a mesh stands does not matter
     there = make_laplacian_shape(BODY, meshes[0] + np.array([1.0, -2.0, 3.0]))
     assert jc.energies(there, _posed(BODY, poses[0]))["LaplacianShape"] < 1e-20
-    with pytest.raises(ValueError, match="register it to the body"):
+    with pytest.raises(ValueError, match="register the mesh to the body"):
         make_laplacian_shape(BODY, meshes[0][:-1])
 
 

@@ -147,7 +147,7 @@ def test_convert_to_glb_tells_the_error(tmp_path, capsys, rng):
     assert "48 vertices, 9 joints" in told
     assert "over 12 frames" in told
     found = linearise(load_body(tmp_path / "body.npz"), motion.poses, 0.001)
-    assert f"within {1000 * found.error:.2g} mm" in told
+    assert f"largest error {1000 * found.error:.2g} mm" in told
     # what is in the file is what the body does
     check_against_pose_body(tmp_path / "body.glb", found.body, linear_motion(found, motion), (0, 5, 11))
 

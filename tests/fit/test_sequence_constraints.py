@@ -90,7 +90,7 @@ def test_skinning_weights_stay_on_their_simplex():
 
 def test_held_frames_and_equal_bones_are_kept_together(frames):
     held = jnp.asarray([False, True, False, False])
-    found = solve_(problem_of(frames, CENTRES, held=held, mirrored=MIRRORED), frames[1], TIGHT)
+    found = solve_(problem_of(frames, CENTRES, fixed=held, mirrored=MIRRORED), frames[1], TIGHT)
     assert found.trustworthy
     for part, start in zip(jax.tree.leaves(found.poses), jax.tree.leaves(frames[1]), strict=True):
         np.testing.assert_allclose(part[1], start[1], rtol=1e-14, atol=1e-15)
@@ -114,7 +114,7 @@ def test_uncertainty_is_within_what_is_kept(frames):
     """Against the dense inverse on the null space of what is held and of equal bones."""
     held = jnp.asarray([False, False, True, False])
     problem = problem_of(
-        frames, CENTRES, held=held, mirrored=MIRRORED, between=(SmoothRotations(jnp.asarray(1e-3)),)
+        frames, CENTRES, fixed=held, mirrored=MIRRORED, between=(SmoothRotations(jnp.asarray(1e-3)),)
     )
     found = solve_(problem, frames[1], TIGHT, 400)
     known = sequence_uncertainty(problem, found, variance=0.5)
@@ -240,10 +240,10 @@ def test_what_cannot_be_solved_is_a_sentence(frames, change, words):
 
 
 def test_fields_of_a_problem_are_looked_at(frames):
-    problem = problem_of(frames, CENTRES, held=jnp.zeros(FRAMES, bool))
+    problem = problem_of(frames, CENTRES, fixed=jnp.zeros(FRAMES, bool))
     for field, value, words in (
         ("unknowns", [Size()], "expected a dict of unknowns by name"),
-        ("held", jnp.zeros(3, bool), "and 3 in `held`"),
+        ("fixed", jnp.zeros(3, bool), "and 3 in `fixed`"),
     ):
         wrong = eqx.tree_at(lambda p, field=field: getattr(p, field), problem, value)
         with pytest.raises(InputError, match=words):

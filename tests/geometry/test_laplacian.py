@@ -54,5 +54,5 @@ def test_a_shift_costs_its_distance_alone(sphere):
 
 
 def test_bad_alpha(sphere):
-    with pytest.raises(ValueError, match="alpha is -1"):
+    with pytest.raises(ValueError, match="`alpha`.* is -1"):
         lap.make_conformance(*sphere, alpha=-1.0)

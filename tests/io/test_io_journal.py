@@ -139,7 +139,7 @@ def test_another_header_is_told_by_name(tmp_path, records):
 def test_record_of_another_width(tmp_path, records):
     with (
         create_journal(tmp_path / "journal", HEADER, 6) as journal,
-        pytest.raises(ValueError, match="6 numbers"),
+        pytest.raises(ValueError, match="has 7 numbers; expected 6"),
     ):
         journal.append(records[0])
 

@@ -159,7 +159,7 @@ def test_a_motion_of_a_skeleton_that_stands_otherwise_is_refused(tmp_path):
     )
     save_motion(tmp_path / "m.npz", still, out)
     assert len(load_motion(tmp_path / "m.npz", out)) == 2
-    with pytest.raises(InputError, match=r"from 'shoulder' to 'hand' points 90 degrees .* edit retarget"):
+    with pytest.raises(InputError, match=r"from 'shoulder' to 'hand' differs by 90 degrees .* edit retarget"):
         load_motion(tmp_path / "m.npz", down)
 
 

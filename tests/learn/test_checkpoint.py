@@ -44,7 +44,7 @@ def test_everything_comes_back_to_the_last_bit(tmp_path, dtype):
 def test_another_run_is_told_by_its_first_difference(tmp_path):
     path = tmp_path / "body.npz.partial"
     save_checkpoint(path, kept(), HEADER)
-    with pytest.raises(InputError, match="begun with alpha 100.0, not 0.0"):
+    with pytest.raises(InputError, match="started with alpha 100.0, not 0.0"):
         load_checkpoint(path, {**HEADER, "alpha": 0.0})
     with pytest.raises(InputError, match="begun with joints None, not 5"):
         load_checkpoint(path, {**HEADER, "joints": 5})

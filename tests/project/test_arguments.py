@@ -164,7 +164,7 @@ def test_sentences_in_full():
     ):
         jc.Body(BODY.skeleton, jc.LinearSkin(jnp.ones((V, J + 1))), BODY.vertices, BODY.faces)
     with pytest.raises(
-        InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `places`"
+        InputError, match="MarkerFrames: `labels` has length 3; expected 4, dimension M of `positions`"
     ):
         jc.MarkerFrames(jnp.ones((2, 4, 3)), jnp.ones((2, 4), bool), tuple("abc"))
     with pytest.raises(
@@ -248,7 +248,7 @@ def test_energies_that_do_not_fit_the_body(function):
     right = jc.RestPrior(jnp.ones((J, 3)))
     with pytest.raises(
         InputError,
-        match=r"Broken: its residual cannot be evaluated for a body of .* `targets` has .* \(2, 3\)",
+        match=r"Broken: its residual cannot be evaluated for a body of .* `targets` is .* \(2, 3\)",
     ):
         function(right + 2.0 * Broken(jnp.ones((2, 3))), BODY, POSE)
     with pytest.raises(

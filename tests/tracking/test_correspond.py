@@ -230,7 +230,7 @@ def test_soft_pairs_become_nearest_vertices(rng):
 
 @pytest.mark.parametrize(
     ("soft", "match"),
-    [({"sigma": 0.0}, "above 0"), ({"sigma": np.nan}, "above 0"), ({"outlier": 1.0}, "less than 1")],
+    [({"sigma": 0.0}, "above 0"), ({"sigma": np.nan}, "above 0"), ({"outlier": 1.0}, "below 1")],
 )
 def test_soft_assignment_refuses_what_makes_no_mixture(soft, match):
     with pytest.raises(ValueError, match=match):

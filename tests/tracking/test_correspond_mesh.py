@@ -65,7 +65,7 @@ def test_reach_and_normals_hold_as_for_clouds():
 
 
 def test_meshes_that_are_none():
-    with pytest.raises(ValueError, match="vertex 99"):
+    with pytest.raises(ValueError, match="vertices 0 to 99"):
         make_mesh_scan(POINTS, POINTS, np.array([[0, 1, 99]]))
     with pytest.raises(ValueError, match="0 vertices"):
         make_mesh_scan(POINTS[:0], POINTS[:0], TRIANGLES)

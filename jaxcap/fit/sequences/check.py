@@ -63,7 +63,7 @@ def _check_unknowns(problem: SequenceProblem) -> None:
 def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
     given = {"poses": poses.scale.shape[0] if poses.scale.ndim else 1, "times": problem.num_frames}
     if problem.fixed is not None:
-        given["held"] = len(problem.fixed)
+        given["fixed"] = len(problem.fixed)
     counts = frame_counts(problem.frames)
     if len({*given.values(), *counts}) > 1:
         words = ", ".join(f"{count} in `{name}`" for name, count in given.items())

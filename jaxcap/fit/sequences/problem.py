@@ -105,11 +105,11 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         else:
             move = jax.vmap(retract_within, (None, None, 0, 0, 0))
             poses = move(self.boxes, skeleton, y.poses, self.charts(y.poses), d[0])
-        held = self.fixed
-        if held is not None:
+        fixed = self.fixed
+        if fixed is not None:
             # exactly, to the last bit
             poses = jax.tree.map(
-                lambda new, old: jnp.where(held.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
+                lambda new, old: jnp.where(fixed.reshape(-1, *[1] * (new.ndim - 1)), old, new), poses, y.poses
             )
         return SequenceEstimate(poses, self._retract_values(y.values, d[1]))
 

@@ -84,7 +84,7 @@ def stream_frame(
     there = np.isfinite(positions).all(1) & (np.asarray(subject.weights) > 0)
     there = there if seen is None else there & np.asarray(seen)
     if there.sum() < MIN_MARKERS:
-        return state._replace(lost=state.num_lost + 1), state.pose
+        return state._replace(num_lost=state.num_lost + 1), state.pose
     dtype = subject.offsets.dtype
     clean, shown = jnp.asarray(np.where(there[:, None], positions, 0.0), dtype), jnp.asarray(there)
     solved, new = None, bool(np.isinf(state.residual_scale))

@@ -86,7 +86,7 @@ def test_the_report_has_every_marker(folder):
 
 def test_what_is_told(capsys, folder, tmp_path):
     told = runs(capsys, "markers", "fit", folder / "rom.c3d", "-o", tmp_path / "s.npz", "--local")
-    assert "segments: 6, of 24 markers; 0 are loose" in told
+    assert "segments: 6, with 24 markers; 0 are loose" in told
     lines = told.splitlines()
     assert sum("trunk0 " in line and "trunk3 " in line for line in lines) == 1
     (head,) = [i for i, line in enumerate(lines) if line.startswith("joint ")]

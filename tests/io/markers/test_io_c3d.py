@@ -313,7 +313,7 @@ def test_script_without_a_main_guard(tmp_path):
 def test_no_python_to_start(tmp_path, monkeypatch):
     path = written(tmp_path, walked(), NAMES)
     monkeypatch.setattr(sys, "frozen", True, raising=False)
-    with pytest.raises(InputError, match="there is no Python to start; convert it to .trc"):
+    with pytest.raises(InputError, match="no Python program was found to start it; convert it to .trc"):
         read_c3d_file(path)
 
 
