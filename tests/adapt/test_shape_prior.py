@@ -166,9 +166,9 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
     few = jc.Body(SKELETON, jc.body.RigidSkin(jnp.zeros(3, int)), jnp.eye(3), jnp.asarray([[0, 1, 2]]))
     with pytest.raises(jc.InputError, match="has 48 vertices and the body has 3; learn a prior"):
         load_shape_prior(path, few)
-    with pytest.raises(jc.InputError, match="other triangles than the body's"):
+    with pytest.raises(jc.InputError, match="other triangles than the body"):
         load_shape_prior(path, less)
-    with pytest.raises(jc.InputError, match="other triangles than the body's"):
+    with pytest.raises(jc.InputError, match="other triangles than the body"):
         jc.io.save_prior(tmp_path / "body.npz", pairs, body=less, shape=prior)
     assert not (tmp_path / "body.npz").exists()
     assert load_shape_prior(path, turned) is not None

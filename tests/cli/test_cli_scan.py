@@ -189,7 +189,7 @@ def test_empty_views_and_frames_are_told_by_number(inputs, tmp_path, capsys):
     main([str(word) for word in (*words, tmp_path / "both.json", "-o", tmp_path / "both")])
     told = capsys.readouterr().err
     assert "view 0 is empty in 2 of 4 frames, the first is frame 2" in told
-    assert "view 1 is empty in 2 of 4 frames, the first is 0" in told
+    assert "view 1 is empty in 2 of 4 frames, the first is frame 0" in told
     told = fails(capsys, *words, tmp_path / "one.json", "-o", tmp_path / "one")
     assert "frame 2: all 1 views are empty" in told
     assert (tmp_path / "one" / "scan_0001.ply").is_file()

@@ -243,7 +243,7 @@ def test_fields_of_a_problem_are_looked_at(frames):
     problem = problem_of(frames, CENTRES, fixed=jnp.zeros(FRAMES, bool))
     for field, value, words in (
         ("unknowns", [Size()], "expected a dict of unknowns by name"),
-        ("fixed", jnp.zeros(3, bool), "and 3 in `fixed`"),
+        ("fixed", jnp.zeros(3, bool), "3 in `fixed`"),
     ):
         wrong = eqx.tree_at(lambda p, field=field: getattr(p, field), problem, value)
         with pytest.raises(InputError, match=words):

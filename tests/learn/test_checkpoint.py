@@ -46,7 +46,7 @@ def test_another_run_is_told_by_its_first_difference(tmp_path):
     save_checkpoint(path, kept(), HEADER)
     with pytest.raises(InputError, match="started with alpha 100.0, not 0.0"):
         load_checkpoint(path, {**HEADER, "alpha": 0.0})
-    with pytest.raises(InputError, match="begun with joints None, not 5"):
+    with pytest.raises(InputError, match="started with joints None, not 5"):
         load_checkpoint(path, {**HEADER, "joints": 5})
 
 

@@ -18,7 +18,7 @@ PARENTS = {frozenset((k, parent)) for k, (parent, _, _) in enumerate(PUPPET) if 
 
 
 def taken(scene, places=None):
-    places = scene.positions if places is None else places
+    places = scene.places if places is None else places
     return make_markers(places, [f"m{i}" for i in range(places.shape[1])], 100.0)
 
 
@@ -37,7 +37,7 @@ def test_exact_markers_give_the_puppet_again(rng):
     fit = fit_local(taken(scene))
     assert edges(fit.tree, scene.owner) == PARENTS
     assert fit.skeleton.kinds.count("revolute") == 1 and fit.skeleton.kinds.count("free") == 1
-    np.testing.assert_allclose(predicted(fit), scene.positions, atol=1e-6)
+    np.testing.assert_allclose(predicted(fit), scene.places, atol=1e-6)
     places, known = joint_trajectories(fit.tree)
     for k, joint in enumerate(fit.joints):
         if joint is not None and joint.axis_in_parent is None:
@@ -53,7 +53,7 @@ def test_pairs_of_markers_come_by_their_frames_through_joints(rng):
     # limbs keep two markers each
     for segment in (1, 2, 3, 4):
         keep[np.flatnonzero(scene.owner == segment)[2:]] = False
-    places, owner = scene.positions[:, keep], scene.owner[keep]
+    places, owner = scene.places[:, keep], scene.owner[keep]
     seen = np.ones(places.shape[:2], bool)
     segments = make_segments([np.flatnonzero(owner == k) for k in range(6)], len(owner))
     tree = find_tree(places, seen, segments)
@@ -69,7 +69,7 @@ def test_order_and_world_change_nothing(rng):
     order = rng.permutation(len(scene.owner))
     turn = Rotation.random(random_state=1).as_matrix()
     one = fit_local(taken(scene))
-    other = fit_local(taken(scene, scene.positions[:, order] @ turn.T + [1.0, 2.0, -3.0]))
+    other = fit_local(taken(scene, scene.places[:, order] @ turn.T + [1.0, 2.0, -3.0]))
     bones = [
         sorted(
             np.linalg.norm(np.diff(np.asarray(f.skeleton.centres)[[j, p]], axis=0)).item()
@@ -88,7 +88,7 @@ def test_order_and_world_change_nothing(rng):
 
 def test_a_template_says_what_is_joined(rng):
     scene = puppet(rng)
-    segments = find_partition(scene.positions, np.ones(scene.positions.shape[:2], bool)).segments
+    segments = find_partition(scene.places, np.ones(scene.places.shape[:2], bool)).segments
     first = fit_local(taken(scene), segments)
     bones = {name: name for name in first.skeleton.names if name != "segment1"}
     fit = fit_local(taken(scene), segments, template=(first.skeleton, bones))
@@ -149,7 +149,7 @@ def test_global_lengths_are_the_least_squares_over_all_poses(rng):
 def test_what_cannot_be_fitted_is_said(rng):
     scene = puppet(rng, frames=80)
     with pytest.raises(ValueError, match="nothing moves"):
-        fit_local(taken(scene, np.repeat(scene.positions[:1], 20, 0)))
+        fit_local(taken(scene, np.repeat(scene.places[:1], 20, 0)))
     with pytest.raises(ValueError, match="No marker is visible"):
         fit_local(taken(scene, np.full((9, 4, 3), np.nan)))
     with pytest.raises(ValueError, match="No markers move together"):
@@ -158,7 +158,7 @@ def test_what_cannot_be_fitted_is_said(rng):
 
 def test_a_marker_never_seen_and_a_joint_that_hardly_turns_are_told(rng):
     scene = puppet(rng, noise=0.001, swing=0.5)
-    places = scene.positions.copy()
+    places = scene.places.copy()
     places[:, 7] = np.nan
     # the forearm is split in two by the user, though nothing turns between the halves
     stiff = puppet(rng, noise=0.001, still=(2,))

@@ -284,5 +284,5 @@ def test_wrong_parts_are_said():
         make_parts(np.array([0, 7]), 2)
     with pytest.raises(ValueError, match="at least one vertex"):
         make_parts(np.array([], int), 2)
-    with pytest.raises(ValueError, match=r"give \(2, 3\)"):
+    with pytest.raises(ValueError, match=r"expected \(2, 3\)"):
         make_parts(np.array([0, 1]), 2, np.zeros((3, 3)))

@@ -37,7 +37,7 @@ def folder(tmp_path_factory, scene):
     """`rom.c3d`, `more.trc` with its labels in another order and one less, `trial.c3d` with a gap, and the
     subject of the first two."""
     folder = tmp_path_factory.mktemp("markers")
-    rom, more, trial = (scene.positions[i * FRAMES : (i + 1) * FRAMES] for i in range(3))
+    rom, more, trial = (scene.places[i * FRAMES : (i + 1) * FRAMES] for i in range(3))
     jc.write_markers(folder / "rom.c3d", take(rom))
     order = [i for i in reversed(range(len(LABELS))) if LABELS[i] != MISSING]
     jc.write_markers(folder / "more.trc", take(more[:, order], labels=[LABELS[i] for i in order]))
@@ -120,7 +120,7 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
     assert np.asarray(filled.visible).all()
     column = filled.labels.index(HIDDEN)
     off = np.linalg.norm(
-        np.asarray(filled.positions)[:, column] - scene.positions[last, LABELS.index(HIDDEN)], axis=1
+        np.asarray(filled.positions)[:, column] - scene.places[last, LABELS.index(HIDDEN)], axis=1
     )
     assert off[GAP].max() < 0.003
     # what was seen stays
@@ -129,7 +129,7 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
 
 
 def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
-    places = np.asarray(scene.positions[2 * FRAMES : 3 * FRAMES])[..., 1]
+    places = np.asarray(scene.places[2 * FRAMES : 3 * FRAMES])[..., 1]
     height = float(np.quantile(places.min(1), 0.5)) + 0.02
     plain, above = (tmp_path / name for name in ("plain.trc", "above.trc"))
     for file, more in ((plain, ()), (above, ("--floor", height))):
@@ -221,25 +221,25 @@ def test_takes_that_tell_nothing(capsys, scene, folder, tmp_path, rng):
 
     adrift = 1 + 0.4 * rng.normal(size=(50, 8, 3))
     assert "No markers move together" in refused(write(tmp_path / "a.c3d", adrift, LABELS[:8]))
-    still = np.repeat(scene.positions[:1], 20, 0)
+    still = np.repeat(scene.places[:1], 20, 0)
     assert "All 20 frames are equal" in refused(write(tmp_path / "b.c3d", still))
     both = [f"{'Anna' if i < 12 else 'Ben'}:{label}" for i, label in enumerate(LABELS)]
     assert "'Anna' (12 markers) and 'Ben' (12 markers)" in refused(
-        write(tmp_path / "c.c3d", scene.positions[:20], both)
+        write(tmp_path / "c.c3d", scene.places[:20], both)
     )
-    jc.write_markers(tmp_path / "d.csv", take(scene.positions[:20]), unit="mm")
+    jc.write_markers(tmp_path / "d.csv", take(scene.places[:20]), unit="mm")
     assert "looks like millimetres: give --unit mm" in refused(tmp_path / "d.csv")
     (tmp_path / "e.c3d").write_bytes((folder / "rom.c3d").read_bytes()[:-5000])
     assert "cut short" in refused(tmp_path / "e.c3d")
     (tmp_path / "f.c3d").write_text("no markers here")
     assert "not a C3D file" in refused(tmp_path / "f.c3d")
     assert "no such file" in refused(tmp_path / "nowhere.c3d")
-    other = write(tmp_path / "g.c3d", scene.positions[:20], [f"x{i}" for i in range(24)])
+    other = write(tmp_path / "g.c3d", scene.places[:20], [f"x{i}" for i in range(24)])
     assert "in common" in refused(folder / "rom.c3d", other)
 
 
 def test_pieces_are_told_and_joined_when_asked(capsys, scene, tmp_path):
-    places = np.concatenate([scene.positions[:FRAMES]] + [scene.positions[:FRAMES, 3:4]] * 2, 1)
+    places = np.concatenate([scene.places[:FRAMES]] + [scene.places[:FRAMES, 3:4]] * 2, 1)
     seen = np.ones(places.shape[:2], bool)
     # one marker under three names, one behind the other
     seen[50:, 3] = seen[:58, 24] = seen[100:, 24] = seen[:109, 25] = False
