@@ -37,10 +37,10 @@ class View:
     clouds: Annotated[Names, arg(metavar="CLOUDS...", help_behavior_hint="")] = ()
     """Clouds to show with the motions: a printf pattern, a quoted glob, a folder or an .npz."""
     follow: Flag = False
-    """Wait for a run that has not started yet or is resumed, and show its frames as they are solved. A run without
-    results is followed without this option, too."""
+    """Wait for a run that has not started yet or is resumed, and show its frames as they are solved. A run that is
+    still without results is followed even without this option."""
     spacing: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
-    """Distance between motions, metres; 0 overlays them. Default: chosen by the widths of the motions."""
+    """Distance between motions, metres; 0 overlays them. Default: chosen from the widths of the motions."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of an unfinished run. Default: 30."""
     unit: OptionalUnit = None

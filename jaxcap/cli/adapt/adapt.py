@@ -78,7 +78,7 @@ class Adapt:
     motion: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Output file for the motion, .bvh or .npz. Default: next to the body, `anna-motion.npz` for `anna.npz`."""
     start: OptionalFile = None
-    """Motion that starts near the pose of the first scan. Default: search for the pose of the first scan."""
+    """Motion with its first frame near the pose of the first scan. Default: search for the pose of the first scan."""
     prior: OptionalFile = None
     """Pose prior from `jaxcap prior learn`, in addition to the anatomical prior. The joint ranges in its file are
     hard limits; a shape prior in its file constrains the vertices. Default: the prior in the file of BODY; `none`
@@ -106,7 +106,7 @@ class Adapt:
     """Weight of squared distances along the surface, relative to those normal to it: 1 is point to point, 0 is point
     to plane."""
     skip_person_check: Flag = False
-    """Do not check if the first scan shows one person."""
+    """Omit the check that the first scan shows one person."""
     report: OptionalFile = None
     """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
     report_every: Annotated[int, arg(metavar="N")] = 1
@@ -119,8 +119,8 @@ class Adapt:
     ordered: Flag = False
     """The scans are ordered in time, even if successive scans are not similar."""
     adapt_every: Annotated[int, arg(metavar="N")] = 0
-    """Adapt during tracking: after every N frames, up to frame 10 N. Use it for motions that the template alone cannot
-    track. 0 tracks all frames before the first adaptation."""
+    """Adapt during tracking: after every N frames, up to frame 10 N. Use this for motions that the template alone
+    cannot track. 0 tracks all frames before the first adaptation."""
     joint_deviation: Annotated[float, arg(metavar="METRES")] = 0.005
     """Standard deviation of joints from the positions that the surrounding surface predicts, metres. Reduce it if the
     poses do not determine the joints."""

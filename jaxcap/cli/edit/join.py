@@ -23,8 +23,8 @@ VISIBLE_JUMP = 0.15
 class Join:
     """Append one motion to another, with a blend: the second continues where the first ends.
 
-    The second is rotated about the vertical axis and translated along the floor. The floor has to be at the same
-    height in both."""
+    The second motion is rotated about the vertical axis and translated along the floor. The floor has to be at the
+    same height in both motions."""
 
     first: Annotated[MotionSpec, arg(metavar="FIRST")]
     second: Annotated[

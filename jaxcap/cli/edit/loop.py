@@ -20,8 +20,8 @@ Seconds = Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")]
 class Loop:
     """Make a seamless loop from the most similar frames of a motion, or from given frames.
 
-    The last frame equals the first, in pose and in velocity. Leave the last frame out in programs that repeat the
-    loop."""
+    The last frame has the pose and the velocity of the first; with --in-place also its position. Leave the last
+    frame out in programs that repeat the loop."""
 
     motion: MotionFile
     out: OutMotion

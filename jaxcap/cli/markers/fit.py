@@ -59,7 +59,8 @@ class Fit:
     """Method for rotation centres: spheres about the centres (sphere), the symmetric methods SCoRE and SARA (score),
     or the method of Gamage and Lasenby (gamage)."""
     threshold: OptionalThreshold = None
-    """Largest variation of the distance between two markers of one segment, metres. Default: chosen from the data."""
+    """Largest range of the distance between two markers of one segment over the frames, metres. Default: chosen
+    from the data."""
     segments: OptionalFile = None
     """Text file with corrections of segments: marker, segment and weight in each line. The segment - leaves a marker
     without a segment. The segments.txt of --report is such a file, to start from."""

@@ -58,9 +58,9 @@ class Scan:
     cameras: OptionalFile = None
     """Calibrated cameras, .json as written by this verb, instead of the arc of cameras."""
     noise: float = 0.002
-    """Standard deviation of the depth that does not depend on the depth, metres."""
+    """Standard deviation of the part of the depth error that is the same at every depth, metres."""
     noise_growth: float = 0.0
-    """Additional standard deviation of the depth, which grows with the square of the depth: its value at 1 m,
+    """Standard deviation of the part of the depth error that grows with the square of the depth: its value at 1 m,
     metres."""
     depth_step: float = 0.0
     """Step to which depths are rounded, which grows with the square of the depth: its value at 1 m, metres. 0 disables
@@ -72,7 +72,7 @@ class Scan:
     max_grazing_angle: float = 80.0
     """Largest angle between surface normal and ray at which the surface is still measured, degrees."""
     drop: float = 0.0
-    """Probability that the view of a camera is lost in a frame."""
+    """Probability that a camera gives no image in a frame."""
     voxel: float = 0.0
     """Keep one point in each cube of this side length, metres; 0 keeps all points."""
     points: OptionalCount = None
