@@ -104,7 +104,9 @@ def main() -> None:
         end = "" if method == "score" else f"_{method}"
         figures[f"hip_moves_mm{end}"] = 1e3 * float(np.linalg.norm(first.in_parent - second.in_parent))
         # what the two halves themselves say of how far they may be apart
-        figures[f"hip_predicted_mm{end}"] = 1e3 * float(np.linalg.norm([*first.deviations, *second.deviations]))
+        figures[f"hip_predicted_mm{end}"] = 1e3 * float(
+            np.linalg.norm([*first.deviations, *second.deviations])
+        )
         figures[f"thigh_hip_trial_mm{end}"], figures[f"thigh_knee_trial_mm{end}"] = hip_mm, knee_mm
         figures[f"thigh_differs_mm{end}"] = abs(hip_mm - knee_mm)
     limits = {"hip_moves_mm": ("<=", 5.0), "thigh_differs_mm": ("<=", 10.0), "medial_knee_loose": ("==", 1.0)}

@@ -90,7 +90,11 @@ def main() -> None:
     calibrated = None if options.local else timer(jc.markers.calibrate, found.markers, found.subject)
     subject = found.subject if calibrated is None else calibrated.subject
     solution = timer(jc.markers.solve_markers, subject, frames)
-    for sentence in (*found.messages, *(() if calibrated is None else calibrated.messages), *solution.messages):
+    for sentence in (
+        *found.messages,
+        *(() if calibrated is None else calibrated.messages),
+        *solution.messages,
+    ):
         progress(f"message: {sentence}")
 
     r, t, centres = bone_frames(skeleton, motion)

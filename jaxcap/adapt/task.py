@@ -71,7 +71,9 @@ def check_settings(settings: AdaptSettings) -> None:
     """
     where = "AdaptSettings"
     check_at_least(where, 1, frames=settings.frames)
-    check_at_least(where, 0, proportion_rounds=settings.proportion_rounds, rounds=settings.rounds, every=settings.every)
+    check_at_least(
+        where, 0, proportion_rounds=settings.proportion_rounds, rounds=settings.rounds, every=settings.every
+    )
     check_at_least(where, 0, shape=settings.shape, pose=settings.pose, temporal=settings.temporal)
     check_positive(where, "metres", joint=settings.joint, deviation=settings.deviation)
 

@@ -90,7 +90,9 @@ def test_chest_neck_and_head_share_one_turn(motion, looking):
 
 def test_a_direction_and_the_most_that_it_turns(motion):
     line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON, ["Chest", "Neck", "Head"])
-    free = look_at_target(SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_is_direction=True, fade=0.0)
+    free = look_at_target(
+        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_is_direction=True, fade=0.0
+    )
     assert free.after.max() < 1e-6 and not free.limited.any()
     some = look_at_target(
         SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_is_direction=True, fade=0.0, max_angle=30.0
@@ -106,7 +108,14 @@ def test_limits_hold_the_turn(motion):
     assert isinstance(ranges, JointRanges)
     line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
     far = look_at_target(
-        SKELETON, motion, line, np.array([-1.0, 0, -1.0]), shares, is_is_direction=True, fade=0.2, limits=ranges
+        SKELETON,
+        motion,
+        line,
+        np.array([-1.0, 0, -1.0]),
+        shares,
+        is_is_direction=True,
+        fade=0.2,
+        limits=ranges,
     )
     front = rotation.to_matrix(far.motion.poses.rotations[:, 4])[..., 2]
     used = far.magnitude > 0

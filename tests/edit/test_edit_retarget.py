@@ -152,8 +152,14 @@ def test_points_meet_and_what_they_do_not_ask_for_stays(body, motion):
         ),
         (lambda: match_points(motion, body, body, motion, [PointPair(48, 0)]), "no vertex 48 in the source"),
         (lambda: match_points(motion, body, skeleton, motion, [PointPair(3, 3)]), "without a surface"),
-        (lambda: match_points(motion, body, body, motion, [PointPair(3, 3, 0.0)]), "weight of the pair 3 and 3 is 0"),
-        (lambda: match_points(motion.slice(slice(0, 2)), body, body, motion, pairs), "has 4 frames, and its source 2"),
+        (
+            lambda: match_points(motion, body, body, motion, [PointPair(3, 3, 0.0)]),
+            "weight of the pair 3 and 3 is 0",
+        ),
+        (
+            lambda: match_points(motion.slice(slice(0, 2)), body, body, motion, pairs),
+            "has 4 frames, and its source 2",
+        ),
     ):
         with pytest.raises(ValueError, match=words):
             call()

@@ -57,7 +57,9 @@ class SparseBlocks(AbstractStructuredMatrix):
 
     def add_diagonal(self, amounts: Float[Array, "V 3"]) -> "SparseBlocks":
         one = jnp.eye(3, dtype=self.diagonal_blocks.dtype)
-        return eqx.tree_at(lambda s: s.diagonal_blocks, self, self.diagonal_blocks + amounts[:, :, None] * one)
+        return eqx.tree_at(
+            lambda s: s.diagonal_blocks, self, self.diagonal_blocks + amounts[:, :, None] * one
+        )
 
     def factorise(self) -> "SparseFactor":
         return SparseFactor(self, jnp.linalg.inv(jax.lax.stop_gradient(self.diagonal_blocks)))

@@ -62,7 +62,7 @@ def reparent_children(
         for a, b in picked
     ]
     points, gaps = common_points(rows, bones, size)
-    edges = spanning_tree(gaps, np.array(picked), len(ends)).tolist()
+    edges = spanning_tree(gaps, np.array(picked, int).reshape(-1, 2), len(ends)).tolist()
     return {
         ends[child]: (ends[above], points[edge], float(gaps[edge]))
         for child, above, edge in _directed_edges(edges, picked)
@@ -97,7 +97,7 @@ def reparent_new_bone(
     ]
     points, gaps = common_points(rows, bones, size)
     costs = np.where(np.arange(len(rows)) < len(old), REPLACEMENT_RATIO * gaps, gaps)
-    edges = spanning_tree(costs, np.array([row[:2] for row in rows]), count + 1).tolist()
+    edges = spanning_tree(costs, np.array([row[:2] for row in rows], int).reshape(-1, 2), count + 1).tolist()
     # a joint whose direction alone is reversed keeps its centre
     return tuple(
         (child, above, points[edge] if edge >= len(old) else rows[edge][2])

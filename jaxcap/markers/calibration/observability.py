@@ -52,7 +52,9 @@ def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate
     have no variance in their difference.
     """
     # outliers are weighted by this kernel, also where the fit was not robust
-    problem = eqx.tree_at(lambda p: p.outlier_bound, problem, jnp.asarray(OUTLIER_BOUND, problem.outlier_bound.dtype))
+    problem = eqx.tree_at(
+        lambda p: p.outlier_bound, problem, jnp.asarray(OUTLIER_BOUND, problem.outlier_bound.dtype)
+    )
     both, loose = (np.asarray(part, float) for part in in_float64(_compute_covariances, problem, estimate))
     if problem.pairs:
         rows = np.asarray(

@@ -204,7 +204,9 @@ def _segments_without_frame(augmented: AugmentedMarkers) -> set[int]:
 def _cheapest_pairs(found, count: int) -> list[tuple[int, int]]:
     """Find the pairs of segments of the minimum spanning tree, or forest."""
     pairs = list(found)
-    edges = spanning_tree(np.array([found[pair][1] for pair in pairs]), np.array(pairs, int).reshape(-1, 2), count)
+    edges = spanning_tree(
+        np.array([found[pair][1] for pair in pairs]), np.array(pairs, int).reshape(-1, 2), count
+    )
     return [pairs[edge] for edge in edges]
 
 
