@@ -66,8 +66,9 @@ def sweep(
     """Update the weights of the vertices of every block, block after block.
 
     **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
-    vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`, `num_candidates` as in
-    `Slides.choose`; `neighbour_offset` selects the neighbours whose weights are tried. The buffer of `field` is donated.
+    vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`,
+    `num_candidates` as in `SwingTwistWeightChooser.choose`; `neighbour_offset` selects the neighbours whose
+    weights are tried. The buffer of `field` is donated.
     """
     total = len(rest)
     real = metric.neighbours != jnp.arange(total)[:, None]

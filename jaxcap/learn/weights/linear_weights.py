@@ -30,7 +30,8 @@ class LinearWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Solve for the best weights of each vertex; the interface of `Slides.choose`, without slides."""
+        """Solve for the best weights of each vertex; the interface of `SwingTwistWeightChooser.choose`,
+        without slides."""
         del neighbour_rows, slide_length, num_candidates
         images = self._images(rest)
         # differences from the current position keep precision for near bones next to far ones
@@ -76,7 +77,8 @@ class RigidWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Choose the best bone of each vertex; the interface of `Slides.choose`, without slides."""
+        """Choose the best bone of each vertex; the interface of `SwingTwistWeightChooser.choose`, without
+        slides."""
         del neighbour_rows, slide_length, relaxation, num_candidates
         images = self.linear._images(rest)
         apart = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)

@@ -46,7 +46,7 @@ def attach_markers(
 ) -> SurfaceMarkers:
     """Attach markers to the nearest triangles of a body in a pose, by default at rest.
 
-    `places (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
+    `positions (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
 
     **Raises:** `ValueError` with one sentence where a position is not finite, or farther than `MAX_DISTANCE` from
     the surface, as with a wrong pose or unit.

@@ -58,7 +58,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
     - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
       deviation of all slides, metres a radian.
-    - `features (F, M, K)`, radians, that the skin slides with.
+    - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
     - `joints` are those with unknown centres; `pairs` those with bones of equal length.

@@ -66,8 +66,8 @@ def stream_frame(
 ) -> tuple[StreamState, Pose]:
     """Solve the pose of the next frame, and return it after the state for the frame after it.
 
-    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not visible; `seen
-    (M,)`, if given, also masks markers.
+    **Arguments:** `positions (M, 3)` metres in the order of the subject's markers, NaN where not visible;
+    `seen (M,)`, if given, also masks markers.
 
     A frame with fewer than `MIN_MARKERS` visible markers keeps the last pose. The first frame, and a frame that
     the search from the last pose does not solve, is solved from an initial guess, which takes several times

@@ -31,7 +31,7 @@ def score_centre(motion: RelativeMotion, robust: bool = True) -> CentreEstimate:
 
     It minimises the sum over frames of `|R c + t - p|^2` over its positions `p` in the parent and `c` in the
     child, exact without noise. With `robust`, outlier frames have lower weights. A weak prior at
-    `relative.middle` determines only what the frames leave open: along a hinge's axis, or where the joint
+    `motion.prior_centre` determines only what the frames leave open: along a hinge's axis, or where the joint
     hardly rotates. Noise in the frames rotates them about the centroids of their markers and biases the
     centre towards these. This bias is removed.
 

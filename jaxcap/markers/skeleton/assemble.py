@@ -16,7 +16,7 @@ from .tree import SegmentTree
 
 
 class AssembledSkeleton(NamedTuple):
-    """A skeleton in which bone `j` is the segment `order[j]`."""
+    """A skeleton in which bone `j` is the segment `bone_segments[j]`."""
 
     skeleton: Skeleton
     bone_segments: tuple[int, ...]
