@@ -117,10 +117,10 @@ def surface_landmarks(
     `seen (M,)`, by default all; residuals are in units of `deviation` metres.
     """
     dtype = markers.shares.dtype
-    there = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
+    visible = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
     # positions of markers that are not visible may be anything, NaN too
-    targets = jnp.where(there[:, None], jnp.asarray(positions, dtype), 0.0)
-    weights = there.astype(dtype) / deviation**2
+    targets = jnp.where(visible[:, None], jnp.asarray(positions, dtype), 0.0)
+    weights = visible.astype(dtype) / deviation**2
     return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)
 
 
