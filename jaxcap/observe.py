@@ -124,7 +124,7 @@ class MarkerFrames(eqx.Module):
 def make_markers(positions, labels, rate: float, *, name: str = "the markers") -> MarkerFrames:
     """Create checked `MarkerFrames`; a marker with NaN in any coordinate is occluded in that frame.
 
-    **Arguments:** `places (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames per second;
+    **Arguments:** `positions (F, M, 3)` metres; `labels`, a name for each marker; `rate`, frames per second;
     `name` for messages.
 
     **Raises:** `InputError` with one sentence for another shape, no frames, no markers, labels too many,
@@ -133,7 +133,7 @@ def make_markers(positions, labels, rate: float, *, name: str = "the markers") -
     """
     labels = tuple(str(label) for label in labels)
     single = getattr(positions, "dtype", None) == np.float32
-    positions = np.asarray(positions) if single else as_real_array("make_markers", "places", positions)
+    positions = np.asarray(positions) if single else as_real_array("make_markers", "positions", positions)
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise InputError(f"{name} have an array of shape {positions.shape}; expected (F, M, 3).")
     if positions.shape[1] == 0:
@@ -160,7 +160,7 @@ def make_markers(positions, labels, rate: float, *, name: str = "the markers") -
     # relative to the median of each frame, as people walk far
     shown = np.where(seen[..., None], positions, np.nan)[seen.any(1)]
     shown = shown - np.nanmedian(shown, 1, keepdims=True)
-    check_metres("make_markers", "places", shown[~np.isnan(shown).any(2)])
+    check_metres("make_markers", "positions", shown[~np.isnan(shown).any(2)])
     return MarkerFrames(np.where(seen[..., None], positions, 0), seen, labels, float(rate))
 
 

@@ -1,4 +1,5 @@
-"""Edit motions: retarget, cut, join, loop, redirect the gaze, and reduce to keys; animate scans; solve"""
+"""Edit motions: retarget, cut, join, loop, redirect the gaze, and reduce to keys; animate scans; solve
+inverse kinematics."""
 
 from .clips import Loop as Loop
 from .clips import cut as cut

@@ -38,7 +38,7 @@ class GazeResult(NamedTuple):
     #: (F,) angle between the line and the target before and after, degrees
     before: Float[np.ndarray, "F"]
     after: Float[np.ndarray, "F"]
-    #: (F,) frames in which `most` or limits restrict the rotation
+    #: (F,) frames in which `max_angle` or limits restrict the rotation
     limited: Bool[np.ndarray, "F"]
 
 
@@ -114,7 +114,7 @@ def look_at_target(
     moved, looked = (np.asarray(x) for x in _all_eyes_and_directions(skeleton, line, poses))
     before = _angles_between(looks, goals if is_direction else goals - eyes)
     after = _angles_between(looked, goals if is_direction else goals - moved)
-    # an error at full magnitude means that `most` or the limits are active
+    # an error at full magnitude means that `max_angle` or the limits are active
     held = (magnitude == 1.0) & (after > 0.1)
     return GazeResult(Motion(poses, motion.rate), magnitude, before, after, held)
 
@@ -222,7 +222,8 @@ def rotate_chain(skeleton: Skeleton, pose: Pose, chain: _Chain, rotation_vector:
     """Rotate every joint of a chain by its share of the world rotation vector `rotation_vector`; one pose.
 
     All joints share one axis, so the descendants of the last joint rotate by all of `rotation_vector`. The local
-    rotation of a joint is `W^T exp(share turn) W`, with `W` the previous rotation of its parent.
+    rotation of a joint is `W^T exp(share * rotation_vector) W`, with `W` the previous rotation of its
+    parent.
     """
     before = forward_kinematics(skeleton, pose).rotations / pose.scale
     above = jnp.where(

@@ -11,7 +11,7 @@ FIRST = 8
 
 
 class SurfacePoints(NamedTuple):
-    """Points on triangles: `sum_k shares_k vertices[faces[triangles, k]]`."""
+    """Points on triangles: `sum_k barycentric_k vertices[faces[triangles, k]]`."""
 
     triangles: Int[np.ndarray, "N"]
     #: barycentric coordinates, at least zero, with sum one

@@ -54,7 +54,7 @@ KIND_NAMES = {
     "folder": "a folder",
     "picture": "an image or a document",
 }
-#: the plurals of `WORDS`
+#: the plurals of `KIND_NAMES`
 KIND_PLURALS = {
     "body": "bodies",
     "motion": "motions",

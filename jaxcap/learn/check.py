@@ -116,9 +116,9 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
     sizes = np.log(np.sqrt(vertices.var(1).sum(1)))
     groups: list[_Group] = []
     for frame, (row, size) in enumerate(zip(logs, sizes, strict=True)):
-        apart = [_disagreement(row - group.logs, size - group.size) for group in groups]
-        best = int(np.argmin(apart)) if apart else -1
-        if apart and apart[best] <= MAX_DIFFERENT_SHARE:
+        disagreements = [_disagreement(row - group.logs, size - group.size) for group in groups]
+        best = int(np.argmin(disagreements)) if disagreements else -1
+        if disagreements and disagreements[best] <= MAX_DIFFERENT_SHARE:
             groups[best].members.append(frame)
         else:
             groups.append(_Group([frame], row, size))
@@ -157,10 +157,10 @@ def _size(extent: float) -> list[str]:
         if likely
         else "check the unit"
     )
-    told = f"The meshes are {extent:.4g} m long; expected a body of {USUAL_SIZE[0]:g} to {USUAL_SIZE[1]:g} m; {hint}."
+    message = f"The meshes are {extent:.4g} m long; expected a body of {USUAL_SIZE[0]:g} to {USUAL_SIZE[1]:g} m; {hint}."
     if not POSSIBLE_SIZE[0] <= extent <= POSSIBLE_SIZE[1]:
-        raise InputError(told)
-    return [told]
+        raise InputError(message)
+    return [message]
 
 
 def _check_displaced_vertices(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> list[str]:
@@ -181,50 +181,50 @@ def _check_displaced_vertices(vertices: np.ndarray, edges: np.ndarray, names: li
 
 
 def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent: float) -> list[str]:
-    count, told = vertices.shape[1], []
+    count, messages = vertices.shape[1], []
     twin = _find_duplicates(vertices, 1e-6 * extent)
-    apart, together = (
+    num_separate, num_merged = (
         _num_components(edges, count),
         _num_components(twin[edges], count) - int((twin != np.arange(count)).sum()),
     )
     twice = int((twin != np.arange(count)).sum())
-    if apart > together:
+    if num_separate > num_merged:
         raise InputError(
-            f"The surface has {apart} connected components instead of {together}, because {twice} vertices "
+            f"The surface has {num_separate} connected components instead of {num_merged}, because {twice} vertices "
             f"are duplicates, such as vertex {int(np.argmax(twin != np.arange(count)))}; merge duplicates in "
             "the same way in all meshes."
         )
     if twice:
-        told.append(
+        messages.append(
             f"{twice} vertices are duplicates of others in all meshes, such as vertex "
             f"{int(np.argmax(twin != np.arange(count)))}."
         )
-    if apart > 1:
-        told.append(
-            f"The surface has {apart} connected components; each follows the joints that fit it, and parts "
+    if num_separate > 1:
+        messages.append(
+            f"The surface has {num_separate} connected components; each follows the joints that fit it, and parts "
             "of different components are adjacent only where they are close to each other."
         )
     corners = np.sort(triangle_sides(faces), axis=1)
     shared = np.unique(corners, axis=0, return_counts=True)[1]
     if (shared > 2).any():
-        told.append(
+        messages.append(
             f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, "
             f"at most to {shared.max()}."
         )
     a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
     flat = (np.linalg.norm(np.cross(b - a, c - a), axis=2) <= 1e-12 * extent**2).all(0)
     if flat.any():
-        told.append(
+        messages.append(
             f"{flat.sum()} triangles have no area in any mesh, such as triangle {int(flat.argmax())}."
         )
-    return told
+    return messages
 
 
 def _motion(vertices: np.ndarray, extent: float) -> list[str]:
     """Raise an error if the distances between some sampled vertices are constant (rigid motion only)."""
     few = vertices[:, np.linspace(0, vertices.shape[1] - 1, min(60, vertices.shape[1])).astype(int)]
-    apart = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
-    if np.ptp(apart, axis=0).max() < 1e-4 * extent:
+    distances = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
+    if np.ptp(distances, axis=0).max() < 1e-4 * extent:
         raise InputError(
             "The meshes differ by a rigid motion only; expected several poses; give meshes in poses that "
             "move every joint."
@@ -247,5 +247,5 @@ def _num_components(edges: np.ndarray, count: int) -> int:
 
 
 def _listed(frames: Sequence[int], names: list[str], most: int = 5) -> str:
-    told = ", ".join(names[frame] for frame in frames[:most])
-    return told if len(frames) <= most else f"{told} and {len(frames) - most} more"
+    listed = ", ".join(names[frame] for frame in frames[:most])
+    return listed if len(frames) <= most else f"{listed} and {len(frames) - most} more"

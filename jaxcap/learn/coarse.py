@@ -48,12 +48,12 @@ def decimate_meshes(meshes: MeshSequence, max_vertices: int = MAX_VERTICES) -> D
         chosen, source = _thinned(shape[kept], faces, short * widths[kept])
         owner = np.searchsorted(chosen, source)
         corners = owner[faces]
-        apart = (
+        proper = (
             (corners[:, 0] != corners[:, 1])
             & (corners[:, 1] != corners[:, 2])
             & (corners[:, 2] != corners[:, 0])
         )
-        faces = _unique(corners[apart])
+        faces = _unique(corners[proper])
         kept, nearest = kept[chosen], owner[nearest]
         short *= STRETCH
     fewer = MeshSequence(meshes.vertices[:, kept], jnp.asarray(faces, meshes.faces.dtype), meshes.rate)

@@ -27,7 +27,7 @@ def allowed_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -
 @checked
 @eqx.filter_jit
 def residual_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -> Float[Array, "F C"]:
-    """Compute the violation of each limit in each frame, about radians; `limits.owners` are their joints."""
+    """Compute the violation of each limit in each frame, about radians, of the joints `limits.residual_joints`."""
     return map_frames(lambda pose: limits.residual(skeleton, pose), motion)
 
 

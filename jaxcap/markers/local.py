@@ -74,7 +74,7 @@ def fit_local(
     segment has three markers that are visible together.
     """
     places, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
-    labels, told = frames.labels, []
+    labels, messages = frames.labels, []
     if not seen.any():
         raise ValueError("No marker is visible in any frame, so there is nothing to fit.")
     if is_static(frames):
@@ -85,9 +85,9 @@ def fit_local(
     ever = np.asarray(seen.any(0)).tolist()
     lost = [label for label, some in zip(labels, ever, strict=True) if not some]
     if lost:
-        told.append(f"{_format_names(lost)} never visible and left out.")
+        messages.append(f"{_format_names(lost)} never visible and left out.")
     mended = correct_swaps(places, seen, labels)
-    told += mended.messages
+    messages += mended.messages
     places, seen = mended.positions, mended.seen
     if segments is None:
         segments = find_partition(places, seen, threshold).segments
@@ -95,7 +95,7 @@ def fit_local(
         segments = apply_corrections(segments, labels, corrections)
     loose = [labels[m] for m in np.flatnonzero(segments.is_loose) if labels[m] not in lost]
     if loose:
-        told.append(
+        messages.append(
             f"{_format_names(loose)} in no segment: no segment has a constant distance from {_pronoun(loose)}."
         )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
@@ -106,28 +106,30 @@ def fit_local(
             "give a larger threshold or a take with fewer gaps."
         )
     root = max(tree.roots, key=lambda k: _count_markers(tree, k, segments))
-    told += _describe_components(tree, root, segments, labels)
+    messages += _describe_components(tree, root, segments, labels)
     if segments.num_segments == 1:
-        told.append(
+        messages.append(
             "All distances between markers are constant, so the markers form one segment without a joint. "
             "For joints, give a take in which every joint rotates."
         )
-    made = assemble_skeleton(tree, root, len(labels), _bone_length_map(tree, lengths, symmetry, segments))
-    told += _describe_joints(tree, made, segments)
-    told += _describe_omitted_segments(tree, made, segments, labels)
-    subject = _attach_markers(made, segments, labels, frames.positions.dtype)
-    poses = segment_poses(made, tree)
+    assembled = assemble_skeleton(
+        tree, root, len(labels), _bone_length_map(tree, lengths, symmetry, segments)
+    )
+    messages += _describe_joints(tree, assembled, segments)
+    messages += _describe_omitted_segments(tree, assembled, segments, labels)
+    subject = _attach_markers(assembled, segments, labels, frames.positions.dtype)
+    poses = segment_poses(assembled, tree)
     return LocalFit(
         segments,
         tree.joints,
         tree,
         subject.skeleton,
         Motion(poses, frames.rate),
-        made.bones,
-        made.offsets,
+        assembled.bones,
+        assembled.offsets,
         subject,
         MarkerFrames(jnp.asarray(places, frames.positions.dtype), jnp.asarray(seen), labels, frames.rate),
-        tuple(told),
+        tuple(messages),
     )
 
 
@@ -178,28 +180,28 @@ def _count_markers(tree: SegmentTree, root: int, segments: Segments) -> int:
 
 def _describe_components(tree: SegmentTree, root: int, segments: Segments, labels) -> list[str]:
     others = [k for k in tree.roots if k != root]
-    told = []
+    messages = []
     for other in others:
         inside = [other]
         for k in inside:
             inside += [c for c, parent in enumerate(tree.parents) if parent == k]
         markers = [labels[m] for k in inside for m in segments.members[k]]
-        told.append(
+        messages.append(
             f"{_format_names(markers)} not connected to the other markers: they do not move together with them, "
             "as if they were on another subject. They are left out; fit them separately."
         )
-    return told
+    return messages
 
 
 def _describe_joints(tree: SegmentTree, assembled: AssembledSkeleton, segments: Segments) -> list[str]:
-    told = []
+    messages = []
     for segment in assembled.bone_segments:
         joint = tree.joints[segment]
         if joint is None:
             continue
         across = joint.deviations[-2 if joint.axis_in_parent is not None else -1]
         if joint.swept_angle < MIN_SWEPT_ANGLE or across > MAX_CENTRE_DEVIATION:
-            told.append(
+            messages.append(
                 f"The joint between '{segments.names[joint.parent]}' and '{segments.names[segment]}' "
                 f"rotates by {np.degrees(joint.swept_angle):.0f} degrees, and its centre has a standard deviation "
                 f"of {1e3 * across:.0f} mm in the worst "
@@ -211,7 +213,7 @@ def _describe_joints(tree: SegmentTree, assembled: AssembledSkeleton, segments: 
                     else "in undetermined directions it is midway between the nearest markers."
                 )
             )
-    return told
+    return messages
 
 
 def _describe_omitted_segments(
@@ -219,7 +221,7 @@ def _describe_omitted_segments(
 ) -> list[str]:
     joined = {k for k, parent in enumerate(tree.parents) if parent >= 0} | set(tree.roots)
     roots = [k for k in tree.roots if k not in assembled.bone_segments]
-    told = []
+    messages = []
     for k, name in enumerate(segments.names):
         if (
             k in assembled.bone_segments
@@ -229,8 +231,8 @@ def _describe_omitted_segments(
         ):
             continue
         markers = [labels[m] for m in segments.members[k]]
-        told.append(f"The segment '{name}' ({_format_names(markers)} in it) has no frame and no bone.")
-    return told
+        messages.append(f"The segment '{name}' ({_format_names(markers)} in it) has no frame and no bone.")
+    return messages
 
 
 def _root_of(tree: SegmentTree, segment: int) -> int:

@@ -58,9 +58,9 @@ def shrink_couplings(
 def _shrink_coupling(matrix: np.ndarray, i: int, j: int, min_eigenvalue: float) -> np.ndarray:
     """Move one entry towards zero as far as all eigenvalues stay above `min_eigenvalue`.
 
-    With `C` the inverse of `A = M - least I`, a change of both entries by `t` changes the determinant of `A`
-    by the factor `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of this
-    factor.
+    With `C` the inverse of `A = M - min_eigenvalue I`, a change of both entries by `t` changes the determinant
+    of `A` by the factor `(1 + t C_ij)^2 - t^2 C_ii C_jj`. `A` stays positive definite between the roots of
+    this factor.
     """
     if matrix[i, j] == 0:
         return matrix

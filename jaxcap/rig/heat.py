@@ -58,8 +58,8 @@ def smooth_weights(
 
     Return weights of at most `MAX_INFLUENCES` bones per vertex; rows sum to one.
 
-    **Arguments:** `trust (V,)`, confidence in a vertex's weights from 0 to 1: a vertex of confidence zero
-    takes its weights from the surface around it, at any distance.
+    **Arguments:** `confidence (V,)` in a vertex's weights, from 0 to 1: a vertex of confidence zero takes
+    its weights from the surface around it, at any distance.
     """
     laplacian, areas, _ = surface_operators(vertices, faces)
     # a small confidence everywhere keeps the system regular for components without any

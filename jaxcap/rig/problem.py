@@ -22,7 +22,7 @@ class TemplateProblem(AbstractProblem[Person]):
     positions: Float[Array, "V 3"]
     matrices: Float[Array, "V 3 3"]
     vectors: Float[Array, "V 3"]
-    #: `c`, the energy of the pairs at `places`
+    #: `c`, the energy of the pairs at `positions`
     constant: Float[Array, ""]
     #: the mean of the prior on the logarithm of the size
     mean_log_size: Float[Array, ""]

@@ -32,7 +32,7 @@ def serve_contents(
 ) -> list[RunFollower]:
     """Show `contents` to every browser that connects, each with its own timeline and choices.
 
-    **Arguments:** `spacing` of takes as in `Stage.place`. Unfinished runs are followed until the returned
+    **Arguments:** `spacing` of takes as in `Stage.arrange`. Unfinished runs are followed until the returned
     followers are stopped.
     """
     followers = [RunFollower(take) for take in contents.takes if take.run_folder is not None]

@@ -75,9 +75,9 @@ def load(
     """Load files, folders and patterns.
 
     **Arguments:** `files`, as a user names them; `bodies` by name, each applied to every motion of its
-    skeleton; `clouds`, sources that hold only scans; `unit` of lengths if a file has none; `turn (3, 3)`, the
-    rotation of scans and meshes to upright; `rate` of an unfinished run; `follow`, whether a run may not have
-    begun yet, or resumes after a stop.
+    skeleton; `clouds`, sources that hold only scans; `unit` of lengths if a file has none; `upright_rotation
+    (3, 3)` of scans and meshes; `rate` of an unfinished run; `follow`, whether a run may not have begun yet,
+    or resumes after a stop.
 
     **Raises:** `InputError` if a file is invalid, or a motion matches none of the given bodies.
     """

@@ -271,7 +271,7 @@ def test_units():
         jc.make_cloud(170 * points)
     assert float(jc.make_cloud(1.7 * points).points.max()) < 1.7
     walk = 0.5 * np.cumsum(np.ones((400, 3)), 0)
-    with pytest.raises(InputError, match="make_markers: `places` is .* wide; .*looks like millimetres"):
+    with pytest.raises(InputError, match="make_markers: `positions` is .* wide; .*looks like millimetres"):
         jc.make_markers(1700 * points[None, :40] + walk[:, None], map(str, range(40)), 100.0)
     assert jc.make_markers(1.7 * points[None, :40] + walk[:, None], map(str, range(40)), 100.0)
 

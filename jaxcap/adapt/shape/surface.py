@@ -107,8 +107,8 @@ def adapt_together(
     It replaces a step of `problem` followed by `adapt_shape`. Here the shape of the posed training meshes
     also depends on the joints (4.1.3).
 
-    **Arguments:** `problem`, usually `shared_problem` with `joint_modes(body, follow=False)`, as vertices are
-    free; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
+    **Arguments:** `problem`, usually `shared_problem` with `joint_modes(body, move_surface=False)`, as
+    vertices are free; `poses` and `pairs` stacked over frames; the others as in `adapt_shape`.
 
     It is differentiable with respect to all floating-point arrays, in forward and reverse mode: the iteration
     by the implicit function theorem, to its tolerance. The vertices of pairs must be concrete, so do not call

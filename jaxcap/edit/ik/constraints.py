@@ -69,9 +69,10 @@ class Constraints(eqx.Module):
 def make_constraints(body: Body, constraints: Sequence[Constraint]) -> Constraints:
     """Make arrays of constraints, vertices first, padded to 16, 64, 256, ... points.
 
-    An orientation `R` is expressed by points at `c +- ARM e_i` around the joint's centre `c`, with targets `y
-    +- ARM R e_i` and a sixth of the weight each. Their sum is `w |c' - y|^2 + w (2/3) ARM^2 |theta|^2` to
-    second order in the angle error `theta` of the bone, so position and orientation are decoupled.
+    An orientation `R` is expressed by points at `c +- a e_i` around the joint's centre `c`, with targets
+    `y +- a R e_i` and a sixth of the weight each; `a` is `ORIENTATION_OFFSET`. Their sum is
+    `w |c' - y|^2 + w (2/3) a^2 |theta|^2` to second order in the angle error `theta` of the bone, so position
+    and orientation are decoupled.
 
     **Raises:** `InputError` with one sentence for a vertex or a joint that the body does not have, a
     duplicate, numbers that are not finite, a negative weight, or an orientation of a vertex.

@@ -62,7 +62,7 @@ class IkOptions(eqx.Module):
     #: overrides this for its position, and one with an orientation for its rotation too
     fix_root: Bool[Array, ""] = eqx.field(default=False, converter=jnp.asarray)
     #: weights of the pull to the reference and of the prior, relative to a constraint of weight one that is
-    #: `METRES` off
+    #: `POSITION_DEVIATION` off
     stiffness: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     prior_weight: Float[Array, ""] = eqx.field(default=0.02, converter=jnp.asarray)
     #: largest number of steps of one solve
@@ -70,7 +70,7 @@ class IkOptions(eqx.Module):
 
     def __check_init__(self):
         check_fields(self)
-        check_at_least("IkOptions", 0, stiffness=self.stiffness, naturalness=self.prior_weight)
+        check_at_least("IkOptions", 0, stiffness=self.stiffness, prior_weight=self.prior_weight)
         check_at_least("IkOptions", 1, max_steps=self.max_steps)
 
 
@@ -102,7 +102,7 @@ def solve_ik(
     and not on their paths. Pinned constraints weigh `PINNED_FACTOR` times as much, or have priority if the solver is
     `priorities`.
 
-    If `options.limits` are kept, the pose is within them (`AbstractLimits.nearest`). Targets out of reach
+    If `options.limits` are kept, the pose is within them (`AbstractLimits.project`). Targets out of reach
     give the nearest pose. No error is raised if the solver fails: see `IkSolution.result`.
     """
     options = IkOptions() if options is None else options

@@ -24,8 +24,8 @@ class Person(NamedTuple):
     spine: tuple[int, ...]
     neck: tuple[int, ...]
     head: int
-    #: (side, part) -> joint; parts as in `LIMBS`, and "palm"; left and right are provisional for limbs in
-    #: `sideless`
+    #: (side, part) -> joint; parts as in `LIMB_PARTS`, and "palm"; left and right are provisional for limbs
+    #: in `sideless`
     parts: dict[tuple[Side, str], int]
     #: (side, finger, number of the bone) -> joint
     fingers: dict[tuple[Side, str, int], int]

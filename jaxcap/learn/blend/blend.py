@@ -78,14 +78,14 @@ class BlendProblem(AbstractProblem[Blend]):
 
     def information(self, y: Blend) -> ConstrainedInfo:
         moves = BoneJacobian(self.tree, y.bone_state, weighted_rest_positions(y), self.units)
-        own = vertex_directions(self.tree, self.candidates, self.targets, y)
+        directions = vertex_directions(self.tree, self.candidates, self.targets, y)
         errors = self.residuals(y)
-        left = own.project_out(errors)
+        left = directions.project_out(errors)
         arrow = gauss_newton_matrix(self.tree, y).rescaled(*self.units)
         value = 0.5 * jnp.sum(errors**2)
         none = jax.tree.map(jnp.zeros_like, self.units)
         hessian = ProjectedHessian(
-            arrow, none, moves, own, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS)
+            arrow, none, moves, directions, jnp.asarray(TOLERANCE, errors.dtype), jnp.asarray(STEPS)
         )
         # damp directions with little effect on the residual
         stiff = jax.tree.map(
@@ -159,13 +159,13 @@ def vertex_directions(tree: TreeTopology, candidates, targets, y: Blend) -> Vert
     bones."""
     bones = bone_transforms(tree, y.bone_state)
     weights = jnp.take_along_axis(y.weights, candidates, 1)
-    apart = bone_images(bones, y.rest, candidates) - targets[:, None]
+    differences = bone_images(bones, y.rest, candidates) - targets[:, None]
     first = jnp.argmax(weights, 1)
-    base = jnp.take_along_axis(apart, first[:, None, None], 1)
-    apart = jnp.where((weights > 0)[:, :, None], apart - base, 0.0)
+    base = jnp.take_along_axis(differences, first[:, None, None], 1)
+    differences = jnp.where((weights > 0)[:, :, None], differences - base, 0.0)
     turns = jnp.swapaxes(bones[..., :3], 0, 1).transpose(0, 3, 1, 2).reshape(y.weights.shape[1], -1)
     by_place = jnp.matmul(y.weights, turns, precision="highest").reshape(len(weights), 3, -1)
-    rows = jnp.concatenate([by_place, apart], 1)
+    rows = jnp.concatenate([by_place, differences], 1)
     rows = rows / (jnp.linalg.norm(rows, axis=2, keepdims=True) + jnp.finfo(rows.dtype).eps)
     gram = jnp.einsum("vin,vjn->vij", rows, rows, precision="highest")
     eye = jnp.eye(gram.shape[1], dtype=gram.dtype)

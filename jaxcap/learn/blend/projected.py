@@ -31,7 +31,7 @@ class BoneJacobian(eqx.Module):
         return jnp.matmul(self.weighted_rest, flat_bones(rates), precision="highest")
 
     def vjp(self, errors: Float[Array, "V N"]) -> Unknowns:
-        """Apply the transpose of `push` to errors."""
+        """Apply the transpose of `jvp` to errors."""
         (found,) = jax.linear_transpose(self.jvp, jax.tree.map(jnp.zeros_like, self.scales))(errors)
         return found
 

@@ -94,14 +94,14 @@ def improve_body(
         return BlendProblem(tree, near, shown, twins, units)
 
     found = alternate(remake, start, solver, rounds=rounds, steps=steps, min_gain=min_decrease)
-    skeleton, there = read_bone_state(body.skeleton, found.y.bone_state)
+    skeleton, improved_poses = read_bone_state(body.skeleton, found.y.bone_state)
     moved = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
     whole, after = _adapt_body(moved, tree, found.y.bone_state, targets)
     aims = jnp.swapaxes(targets, 0, 1).reshape(len(body.vertices), -1)
     left = _errors(Blend(limbs, weights, body.vertices), tree, aims)
     before = float(np.sum(np.square(np.asarray(left, float))))
     if after < before:
-        return ImprovedBody(whole, there, before, after, damping)
+        return ImprovedBody(whole, improved_poses, before, after, damping)
     return ImprovedBody(body, poses, before, before, damping)
 
 

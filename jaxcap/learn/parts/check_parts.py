@@ -39,7 +39,9 @@ def check_parts(
     near = INDISTINGUISHABLE * float(np.ptp(rest, axis=0).max())
     members = [np.flatnonzero(labels == part) for part in range(count)]
     bare = [called[part] for part in range(count) if not members[part].size]
-    told = [f"No vertex belongs to {_listed(bare)}, so that the motion is poorly determined."] if bare else []
+    messages = (
+        [f"No vertex belongs to {_listed(bare)}, so that the motion is poorly determined."] if bare else []
+    )
     chosen = [
         (part, rest[rows[np.linspace(0, len(rows) - 1, min(NUM_SAMPLES, len(rows))).astype(int)]])
         for part, rows in enumerate(members)
@@ -52,17 +54,17 @@ def check_parts(
     still = [part for part, _ in chosen if _spread(carried[part][:, part]) < near]
     if 0 < len(still) < len(chosen):
         guess = "" if len(still) == 1 else "; the joints between them are not determined"
-        told.append(f"No mesh moves {_listed([called[part] for part in still])}{guess}.")
+        messages.append(f"No mesh moves {_listed([called[part] for part in still])}{guess}.")
     for number, (a, _) in enumerate(chosen):
         for b, _ in chosen[number + 1 :]:
-            apart = max(_rms(carried[i][:, a] - carried[i][:, b]) for i in (a, b))
-            if apart < near and not (a in still and b in still):
-                told.append(
+            distance = max(_rms(carried[i][:, a] - carried[i][:, b]) for i in (a, b))
+            if distance < near and not (a in still and b in still):
+                messages.append(
                     f"{called[a].capitalize() if names is None else called[a]} and {called[b]} have the same "
-                    f"motion within {1000 * apart:.1f} mm in all meshes; give meshes with relative motion "
+                    f"motion within {1000 * distance:.1f} mm in all meshes; give meshes with relative motion "
                     "between them, or fewer joints."
                 )
-    return told
+    return messages
 
 
 def check_learned(body: Body, motion: Motion) -> list[str]:

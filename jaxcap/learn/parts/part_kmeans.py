@@ -83,9 +83,9 @@ def refine_patch_borders(scene: MovingSurface, patches: Int[np.ndarray, "V"]) ->
         count = int(patches.max()) + 1
         costs = part_costs(scene, *rigid_motions(part_moments(scene, patches, count)))
         near = (ring @ membership(patches, np.ones(len(patches)), count).T).toarray() > 0
-        own = BORDER_RATIO * costs[rows, patches]
+        current_costs = BORDER_RATIO * costs[rows, patches]
         reach = np.where(near, costs, np.inf)
-        reach[rows, patches] = own
+        reach[rows, patches] = current_costs
         moved = np.argmin(reach, axis=1)
         if (moved == patches).all():
             break
@@ -111,26 +111,26 @@ def _drop(
     """
     around = np.unique(touching[(touching == part).any(1)])
     around = around[around != part]
-    own = np.flatnonzero(state.labels == part)
+    vertices = np.flatnonzero(state.labels == part)
     pairs = np.array([(a, b) for a in around for b in around if a <= b], int)
-    errors, shares = fit_two_bone_blends(scene.rest[own], scene.paths[own], state.motions, pairs)
+    errors, shares = fit_two_bone_blends(scene.rest[vertices], scene.paths[vertices], state.motions, pairs)
     best = np.argmin(errors, axis=1)
-    rows = np.arange(len(own))
-    rise = scene.surface.areas[own] @ (errors[rows, best] - state.blend.errors[own])
+    rows = np.arange(len(vertices))
+    rise = scene.surface.areas[vertices] @ (errors[rows, best] - state.blend.errors[vertices])
     labels = state.labels.copy()
-    labels[own] = np.where(shares[rows, best] >= 0.5, pairs[best, 0], pairs[best, 1])
+    labels[vertices] = np.where(shares[rows, best] >= 0.5, pairs[best, 0], pairs[best, 1])
     return float(rise), labels
 
 
 def _split(scene: MovingSurface, state: PartState, part: int) -> tuple[float, np.ndarray]:
     """Compute the fall of the error when a part is split in two, and the vertices of one half."""
-    own = np.flatnonzero(state.labels == part)
-    patches = cut_patches(scene.surface, scene.rest, SPLIT_PATCHES, own)
+    vertices = np.flatnonzero(state.labels == part)
+    patches = cut_patches(scene.surface, scene.rest, SPLIT_PATCHES, vertices)
     if patches.max() < 1:
-        return 0.0, own[:0]
+        return 0.0, vertices[:0]
     small = part_moments(scene, patches, int(patches.max()) + 1)
     merging = agglomerate(small, boundary_edges(scene.surface, patches)[0])
-    half = own[merged_labels(merging, 2)[patches[own]] == 1]
+    half = vertices[merged_labels(merging, 2)[patches[vertices]] == 1]
     count = len(state.motions.rotations)
     labels = state.labels.copy()
     labels[half] = count
@@ -143,8 +143,8 @@ def _split(scene: MovingSurface, state: PartState, part: int) -> tuple[float, np
     motions.rotations[part], motions.translations[part] = rotations[0], translations[0]
     motions = make_motions(motions.rotations, motions.translations)
     touching = np.unique(boundary_edges(scene.surface, labels)[0], axis=0)
-    after = fit_part_blends(scene.rest[own], scene.paths[own], labels[own], motions, touching)
-    return float(scene.surface.areas[own] @ (state.blend.errors[own] - after.errors)), half
+    after = fit_part_blends(scene.rest[vertices], scene.paths[vertices], labels[vertices], motions, touching)
+    return float(scene.surface.areas[vertices] @ (state.blend.errors[vertices] - after.errors)), half
 
 
 def _refine(scene: MovingSurface, labels: np.ndarray, count: int) -> tuple[np.ndarray, Moments]:

@@ -21,9 +21,9 @@ class MovingSurface(NamedTuple):
 def part_moments(scene: MovingSurface, labels: Int[np.ndarray, "V"], count: int) -> Moments:
     """Compute the moments of `count` parts, vertices weighted by area; vertices with negative labels are
     ignored."""
-    held = np.flatnonzero(labels >= 0)
-    groups = membership(labels[held], scene.surface.areas[held], count)
-    return group_moments(groups, scene.rest[held], scene.paths[held])
+    labelled = np.flatnonzero(labels >= 0)
+    groups = membership(labels[labelled], scene.surface.areas[labelled], count)
+    return group_moments(groups, scene.rest[labelled], scene.paths[labelled])
 
 
 def part_costs(
@@ -48,9 +48,9 @@ def mean_rest_positions(
     frames = scene.paths.shape[1]
     back = np.zeros_like(scene.rest)
     for part in range(len(rotations)):
-        own = labels == part
-        flat = scene.paths[own].reshape(-1, 3 * frames)
-        back[own] = (
+        members = labels == part
+        flat = scene.paths[members].reshape(-1, 3 * frames)
+        back[members] = (
             _sum_inverse_motions(flat, rotations[part : part + 1], translations[part : part + 1])[:, 0]
             / frames
         )

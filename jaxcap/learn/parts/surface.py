@@ -63,8 +63,8 @@ def membership(
     labels: Int[np.ndarray, "V"], weights: Float[np.ndarray, "V"], count: int
 ) -> sparse.csr_matrix:
     """Build the (S, V) matrix of vertex weights by set; vertices with negative labels are ignored."""
-    held = np.flatnonzero(labels >= 0)
-    return sparse.csr_matrix((weights[held], (labels[held], held)), shape=(count, len(labels)))
+    labelled = np.flatnonzero(labels >= 0)
+    return sparse.csr_matrix((weights[labelled], (labels[labelled], labelled)), shape=(count, len(labels)))
 
 
 def cut_patches(
@@ -123,8 +123,8 @@ def make_connected(
     labels = np.where(np.isin(pieces, order[first]), labels, -1)
     both = np.concatenate([surface.edges, surface.edges[:, ::-1]])
     while (labels < 0).any():
-        open_, held = both[(labels[both[:, 0]] < 0) & (labels[both[:, 1]] >= 0)].T
-        offered = labels[held]
+        open_, labelled = both[(labels[both[:, 0]] < 0) & (labels[both[:, 1]] >= 0)].T
+        offered = labels[labelled]
         order = np.lexsort([costs[open_, offered], open_])
         vertex, place = np.unique(open_[order], return_index=True)
         labels[vertex] = offered[order][place]
@@ -176,10 +176,10 @@ def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
         for piece in range(number):
             if piece == largest:
                 continue
-            own = np.flatnonzero(pieces == piece)
-            own = own[np.linspace(0, len(own) - 1, min(len(own), BRIDGE_SAMPLES)).astype(int)]
-            gaps = squares[own, None] + squares - 2 * places[own] @ places.T
+            members = np.flatnonzero(pieces == piece)
+            members = members[np.linspace(0, len(members) - 1, min(len(members), BRIDGE_SAMPLES)).astype(int)]
+            gaps = squares[members, None] + squares - 2 * places[members] @ places.T
             gaps[:, pieces == piece] = np.inf
             best = np.unravel_index(np.argmin(gaps), gaps.shape)
-            links.append(sorted((int(own[best[0]]), int(best[1]))))
+            links.append(sorted((int(members[best[0]]), int(best[1]))))
         found.append(np.unique(np.array(links), axis=0))

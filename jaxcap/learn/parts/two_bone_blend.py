@@ -56,15 +56,15 @@ def fit_two_bone_blends(
     whole = homogeneous(points)
     towards = np.einsum("nkb,nb->nk", path_products(paths, motions, used), whole)
     quadratic = np.einsum("na,nb->nab", whole, whole).reshape(-1, 16)
-    own = quadratic @ motions.products[used, used].reshape(-1, 16).T
+    squared_images = quadratic @ motions.products[used, used].reshape(-1, 16).T
     both = quadratic @ motions.products[pairs[:, 0], pairs[:, 1]].reshape(-1, 16).T
     a, b = place.T
     squares = np.einsum("ni,ni->n", flat, flat)[:, None]
-    apart = own[:, a] - 2 * both + own[:, b]
-    gap = squares - 2 * towards[:, b] + own[:, b]
-    along = towards[:, a] - towards[:, b] - both + own[:, b]
-    shares = np.clip(along / np.where(apart > 0, apart, 1.0), 0.0, 1.0)
-    return np.maximum(gap - 2 * shares * along + shares**2 * apart, 0.0), shares
+    squared_distances = squared_images[:, a] - 2 * both + squared_images[:, b]
+    gap = squares - 2 * towards[:, b] + squared_images[:, b]
+    along = towards[:, a] - towards[:, b] - both + squared_images[:, b]
+    shares = np.clip(along / np.where(squared_distances > 0, squared_distances, 1.0), 0.0, 1.0)
+    return np.maximum(gap - 2 * shares * along + shares**2 * squared_distances, 0.0), shares
 
 
 def homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
@@ -91,15 +91,15 @@ def fit_part_blends(
     """Fit the best blend of each vertex's own part with an adjacent part."""
     errors, shares, partners = np.zeros(len(points)), np.ones(len(points)), labels.copy()
     for part in np.unique(labels):
-        own = np.flatnonzero(labels == part)
+        members = np.flatnonzero(labels == part)
         around = np.unique(adjacent_pairs[(adjacent_pairs == part).any(1)])
         around = np.append(around[around != part], part)
         pairs = np.stack([np.full(len(around), part), around], 1)
-        found, weights = fit_two_bone_blends(points[own], paths[own], motions, pairs)
+        found, weights = fit_two_bone_blends(points[members], paths[members], motions, pairs)
         best = np.argmin(found, axis=1)
-        rows = np.arange(len(own))
-        errors[own] = found[rows, best]
+        rows = np.arange(len(members))
+        errors[members] = found[rows, best]
         # a part blended with itself has the whole weight
-        shares[own] = np.where(around[best] == part, 1.0, weights[rows, best])
-        partners[own] = around[best]
+        shares[members] = np.where(around[best] == part, 1.0, weights[rows, best])
+        partners[members] = around[best]
     return TwoBoneBlend(errors, shares, partners)

@@ -63,16 +63,18 @@ def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCen
     Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
     otherwise drift along the limb.
     """
-    told, values, axes = _motion_information(poses)
+    information, values, axes = _motion_information(poses)
     pull = MIN_ROTATION_GIVEN**2 / (np.maximum(values, 0.0) + MIN_ROTATION_GIVEN)
     weights = (
-        np.full_like(told, FIXED_WEIGHT) * np.eye(3)
+        np.full_like(information, FIXED_WEIGHT) * np.eye(3)
         if given.is_fixed
         else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     )
     weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
     dtype = body.vertices.dtype
-    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, told)))
+    return JointCentrePrior(
+        *(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, information))
+    )
 
 
 def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance: float) -> JointCentrePrior:
@@ -94,15 +96,15 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
     squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
     radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
-    told, values, axes = _motion_information(poses)
+    information, values, axes = _motion_information(poses)
     pull = MIN_ROTATION**2 / (np.maximum(values, 0.0) + MIN_ROTATION)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
-    beyond = np.einsum("jaa->j", told) / 3 * np.maximum(away / radii - 1, 0.0)
+    beyond = np.einsum("jaa->j", information) / 3 * np.maximum(away / radii - 1, 0.0)
     back = beyond[:, None, None] * np.eye(3)
     hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (DAMPING, 1.0))
     dtype = body.vertices.dtype
-    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, told)))
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, information)))
 
 
 def _motion_information(
@@ -111,7 +113,7 @@ def _motion_information(
     """Compute the information of each joint's motion on its centre, with eigenvalues and axes."""
     # a constant rotation could also be part of the rest shape
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
-    apart = turns - turns.mean(0)
-    told = np.einsum("fjab,fjac->jbc", apart, apart) / len(turns)
-    values, axes = np.linalg.eigh(told)
-    return told, values, axes
+    deviations = turns - turns.mean(0)
+    information = np.einsum("fjab,fjac->jbc", deviations, deviations) / len(turns)
+    values, axes = np.linalg.eigh(information)
+    return information, values, axes

@@ -97,14 +97,14 @@ class JointProblem(AbstractProblem[JointState]):
 
     def body_at(self, y: JointState, s: Float[Array, "S"] | None = None) -> Body:
         """Build the body at given joints, optionally moved along a tangent."""
-        there = eqx.tree_at(
+        body = eqx.tree_at(
             lambda b: (b.skeleton.centres, b.skeleton.orientations), self.body, (y.centres, y.orientations)
         )
         if s is None:
-            return there
+            return body
         moved = jnp.zeros(6 * len(y.centres), s.dtype).at[np.array(self.slots, int)].set(s).reshape(-1, 6)
-        joints = move_joints(there.skeleton, moved[:, :3], moved[:, 3:])
-        return eqx.tree_at(lambda b: b.skeleton, there, joints)
+        joints = move_joints(body.skeleton, moved[:, :3], moved[:, 3:])
+        return eqx.tree_at(lambda b: b.skeleton, body, joints)
 
     def value(self, y: JointState) -> Float[Array, ""]:
         return 0.5 * objective(self.body_at(y), y.poses, self.targets, self.metric, self.terms)
@@ -179,8 +179,8 @@ def improve_joints(
         problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, mirrored)
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
-            there = problem.body_at(y)
-            return JointStep(there, y.poses, float(left), max(float(shares), MIN_DAMPING))
+            improved = problem.body_at(y)
+            return JointStep(improved, y.poses, float(left), max(float(shares), MIN_DAMPING))
     return JointStep(body, poses, value, max(float(shares), MIN_DAMPING))
 
 
@@ -251,8 +251,8 @@ def _add_centre_prior(
     count, chosen = skeleton.num_joints, np.array(slots, int)
     known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
     total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
-    told = jnp.trace(anchors.information, axis1=1, axis2=2)
-    measure = total / jnp.maximum(told, jnp.finfo(told.dtype).eps)
+    information = jnp.trace(anchors.information, axis1=1, axis2=2)
+    measure = total / jnp.maximum(information, jnp.finfo(information.dtype).eps)
     weights, hold = (measure[:, None, None] * some for some in (anchors.weights, anchors.damping))
     pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.means - skeleton.centres)
     wide = jnp.zeros((count, 6, count, 6), weights.dtype)

@@ -48,8 +48,8 @@ def fit_poses(skeleton: Skeleton, moments: Moments) -> Pose:
     world_r, world_t = world_transforms(centres, parents, local, shifts)
     for j in free:
         below = np.flatnonzero(descent[j])
-        there, here, _ = _transformed_sums(moments.at(below), world_r[below], world_t[below])
-        shifts[j] = (there - here) / moments.mass[below].sum()
+        target_sum, current_sum, _ = _transformed_sums(moments.at(below), world_r[below], world_t[below])
+        shifts[j] = (target_sum - current_sum) / moments.mass[below].sum()
     least = np.inf
     for _ in range(SWEEPS):
         world_r, world_t = world_transforms(centres, parents, local, shifts)
@@ -59,13 +59,15 @@ def fit_poses(skeleton: Skeleton, moments: Moments) -> Pose:
                 continue
             # sums over points of x and x' about the joint, x' the current positions
             pivot = np.einsum("fab,b->fa", world_r[j], centres[j]) + world_t[j]
-            here, now, cross = _transformed_sums(moments.at(below), world_r[below], world_t[below])
+            target_sum, current_sum, cross = _transformed_sums(
+                moments.at(below), world_r[below], world_t[below]
+            )
             mass = moments.mass[below].sum()
             if j in free:
-                place, was = here / mass, now / mass
+                place, was = target_sum / mass, current_sum / mass
             else:
                 place = was = pivot
-            cross = cross - here[:, :, None] * was[:, None] - place[:, :, None] * now[:, None]
+            cross = cross - target_sum[:, :, None] * was[:, None] - place[:, :, None] * current_sum[:, None]
             cross = cross + mass * place[:, :, None] * was[:, None]
             turn = nearest_rotation(cross)
             moved = np.flatnonzero(descent[j])
@@ -100,9 +102,9 @@ def motion_moments(
     np.add.at(square, labels, weights[:, None, None] * points[:, :, None] * points[:, None, :])
     target = np.einsum("kfab,kb->kfa", r, source) + mass[:, None, None] * t
     cross = r @ square[:, None] + t[..., :, None] * source[:, None, None, :]
-    own = np.einsum("kii->k", square)
+    squared_norms = np.einsum("kii->k", square)
     shifted = 2 * np.einsum("kfa,kfa->k", t, target) - mass * np.sum(t * t, (1, 2))
-    return Moments(mass, source, target, own, len(rotations) * own + shifted, cross)
+    return Moments(mass, source, target, squared_norms, len(rotations) * squared_norms + shifted, cross)
 
 
 def _relative_rotation(parent: np.ndarray, child: np.ndarray) -> np.ndarray:

@@ -28,10 +28,10 @@ def choose_reference_mesh(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndar
     turns, _ = rigid_motions(group_moments(groups, first, paths - paths.mean(0)))
     weights = np.asarray(groups.sum(1)).ravel()
     # residual of the best common rotation of all patches from one mesh to another
-    apart = np.zeros((len(chosen), len(chosen)))
+    residuals = np.zeros((len(chosen), len(chosen)))
     weighted = weights[:, None, None, None] * turns
     for frame in range(len(chosen)):
         change = np.einsum("pab,pfcb->fac", weighted[:, frame], turns)
         agreement = np.einsum("fab,fab->f", nearest_rotation(change), change)
-        apart[frame] = np.sqrt(np.maximum(3 * weights.sum() - agreement, 0.0))
-    return int(chosen[np.argmin(apart.sum(1))])
+        residuals[frame] = np.sqrt(np.maximum(3 * weights.sum() - agreement, 0.0))
+    return int(chosen[np.argmin(residuals.sum(1))])

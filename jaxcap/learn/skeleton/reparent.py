@@ -110,14 +110,14 @@ def _directed_edges(edges: Sequence[int], pairs: Sequence[tuple]) -> list[tuple[
     """List child, parent and edge along a tree from node 0 outwards."""
     found, reached, seen = [], [0], {0}
     while reached:
-        here = reached.pop()
+        node = reached.pop()
         for edge in edges:
             first, second = pairs[edge]
-            other = second if first == here else first if second == here else 0
+            other = second if first == node else first if second == node else 0
             if other not in seen:
                 seen.add(other)
                 reached.append(other)
-                found.append((other, here, edge))
+                found.append((other, node, edge))
     return found
 
 

@@ -127,10 +127,10 @@ def _from_root(
         order.append(part)
         above.append(place)
         joint.append(by)
-        here = len(order) - 1
+        index = len(order) - 1
         for other, via in sorted(around[part], key=lambda to: -weigh(to[0], part)):
             if other != parent:
-                visit(other, part, here, via)
+                visit(other, part, index, via)
 
     visit(int(np.argmin(heaviest)), -1, -1, -1)
     return order, above, joint

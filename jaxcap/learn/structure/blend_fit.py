@@ -38,10 +38,10 @@ def blend_grams(
     frames, count = len(targets), len(columns)
     flat = bones.rotations[:, columns].transpose(3, 1, 0, 2).reshape(3, -1)
     images = (rest @ flat).reshape(len(rest), count, frames, 3)
-    apart = images + (bones.translations[:, columns].swapaxes(0, 1) - targets.swapaxes(0, 1)[:, None])
-    apart = apart.reshape(len(rest), count, 3 * frames)
+    differences = images + (bones.translations[:, columns].swapaxes(0, 1) - targets.swapaxes(0, 1)[:, None])
+    differences = differences.reshape(len(rest), count, 3 * frames)
     room = width - count
-    return np.pad(apart @ apart.swapaxes(1, 2), ((0, 0), (0, room), (0, room)))
+    return np.pad(differences @ differences.swapaxes(1, 2), ((0, 0), (0, room), (0, room)))
 
 
 def fit_blends(
@@ -61,9 +61,9 @@ def fit_blends(
 
 def _fit(grams: Float[np.ndarray, "C K K"], real: Bool[np.ndarray, "C K"]) -> Float[np.ndarray, "C K"]:
     """Solve for the weights of at most `BATCH` problems."""
-    own = np.where(real, np.einsum("ckk->ck", grams), np.inf)
-    start = np.eye(grams.shape[1])[np.argmin(own, 1)]
-    size = np.maximum(own.min(1), 1e-12)[:, None, None]
+    single_costs = np.where(real, np.einsum("ckk->ck", grams), np.inf)
+    start = np.eye(grams.shape[1])[np.argmin(single_costs, 1)]
+    size = np.maximum(single_costs.min(1), 1e-12)[:, None, None]
     room = BATCH - len(grams)
     filled = [
         np.concatenate([array, np.broadcast_to(array[:1], (room, *array.shape[1:]))])

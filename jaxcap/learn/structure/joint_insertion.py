@@ -107,17 +107,21 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     count = scene.bones.rotations.shape[1]
     places = [np.flatnonzero(np.isin(scene.patches, seed.patches)) for seed in seeds]
     columns = []
-    for own in places:
-        owner = int(np.argmax(np.bincount(scene.labels[own])))
-        columns.append([count, *sorted({owner, *scene.neighbours[owner], *scene.labels[own].tolist()})])
+    for vertices in places:
+        owner = int(np.argmax(np.bincount(scene.labels[vertices])))
+        columns.append([count, *sorted({owner, *scene.neighbours[owner], *scene.labels[vertices].tolist()})])
     width = -(-max(len(row) for row in columns) // 4) * 4
     grams = [
         blend_grams(
-            _append_motion(scene.bones, seed.motion), row, scene.rest[own], scene.targets[:, own], width
+            _append_motion(scene.bones, seed.motion),
+            row,
+            scene.rest[vertices],
+            scene.targets[:, vertices],
+            width,
         )
-        for seed, row, own in zip(seeds, columns, places, strict=True)
+        for seed, row, vertices in zip(seeds, columns, places, strict=True)
     ]
-    owner = np.repeat(np.arange(len(seeds)), [len(own) for own in places])
+    owner = np.repeat(np.arange(len(seeds)), [len(vertices) for vertices in places])
     real = np.arange(width) < np.array([len(row) for row in columns])[owner, None]
     grams = np.concatenate(grams)
     whole, weights = fit_blends(grams, real)
@@ -125,8 +129,8 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     lost, _ = fit_blends(grams, real)
     gains = np.bincount(owner, np.maximum(lost - whole, 0.0), len(seeds))
     return [
-        _Fit(float(gain), own, row, weights[owner == number, : len(row)])
-        for number, (gain, own, row) in enumerate(zip(gains, places, columns, strict=True))
+        _Fit(float(gain), vertices, row, weights[owner == number, : len(row)])
+        for number, (gain, vertices, row) in enumerate(zip(gains, places, columns, strict=True))
     ]
 
 
@@ -159,8 +163,8 @@ def _split(body: Body, scene: _Scene, seed: _Seed, fit: _Fit) -> Split | None:
     sizes = np.bincount(labels, minlength=count + 1)
     free = _motions(scene, membership(labels, np.ones(len(labels)), count + 1))
     bones = _append_motion(scene.bones, seed.motion)
-    for field, own in zip(bones, free, strict=True):
-        field[:, sizes >= MIN_VERTICES] = own[:, sizes >= MIN_VERTICES]
+    for field, solved in zip(bones, free, strict=True):
+        field[:, sizes >= MIN_VERTICES] = solved[:, sizes >= MIN_VERTICES]
     hung = reparent_new_bone(body.skeleton, bones, labels, scene.surface, scene.rest)
     owner = int(np.argmax(np.bincount(scene.labels[core])))
     rotations, translations = (field[:, [owner, count]] for field in bones)

@@ -32,13 +32,13 @@ def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> li
     grams = np.concatenate(
         [np.zeros((0, width, width))]
         + [
-            blend_grams(bones, [joint, *others], rest[own], goals[:, own], width)
-            for joint, others, own in zip(joints, around, chosen, strict=True)
+            blend_grams(bones, [joint, *others], rest[vertices], goals[:, vertices], width)
+            for joint, others, vertices in zip(joints, around, chosen, strict=True)
         ]
     )
     if len(grams) == 0:
         return []
-    owner = np.repeat(np.arange(len(joints)), [len(own) for own in chosen])
+    owner = np.repeat(np.arange(len(joints)), [len(vertices) for vertices in chosen])
     real = np.arange(width) <= np.array([len(row) for row in around])[owner, None]
     whole, _ = fit_blends(grams, real)
     real[:, 0] = False
@@ -46,19 +46,19 @@ def find_removals(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> li
     rise = np.bincount(owner, np.maximum(lost - whole, 0.0), len(joints))
     return sorted(
         (
-            _removal(body, bones, rest, joint, others, own, weights[owner == row], float(rise[row]))
-            for row, (joint, others, own) in enumerate(zip(joints, around, chosen, strict=True))
+            _removal(body, bones, rest, joint, others, vertices, weights[owner == row], float(rise[row]))
+            for row, (joint, others, vertices) in enumerate(zip(joints, around, chosen, strict=True))
         ),
         key=lambda removal: removal.cost,
     )
 
 
-def _removal(body: Body, bones: BoneMotions, rest, joint, others, own, weights, rise: float) -> Removal:
+def _removal(body: Body, bones: BoneMotions, rest, joint, others, vertices, weights, rise: float) -> Removal:
     skeleton = body.skeleton
-    shares = np.zeros((len(own), skeleton.num_joints))
+    shares = np.zeros((len(vertices), skeleton.num_joints))
     shares[:, others] = weights[:, 1 : 1 + len(others)]
     hung = reparent_children(skeleton, bones, joint, rest)
     counts = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=skeleton.num_joints)
     frames = len(bones.rotations)
     gaps = sum(frames * float(counts[child]) * gap**2 for child, (_, _, gap) in hung.items())
-    return Removal(joint, rise + gaps, own, shares)
+    return Removal(joint, rise + gaps, vertices, shares)

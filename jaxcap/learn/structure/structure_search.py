@@ -133,16 +133,16 @@ def select_removals(
     """
     error = float(jnp.sum((targets - posed_vertices(body, poses)) ** 2))
     parents = body.skeleton.parents
-    own = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=len(parents))
+    counts = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=len(parents))
     chosen: list[Removal] = []
     for removal in find_removals(body, poses, targets):
-        beside = {parents[other.joint] for other in chosen} | {
+        neighbours = {parents[other.joint] for other in chosen} | {
             child for other in chosen for child, parent in enumerate(parents) if parent == other.joint
         }
         allowed = (
-            np.inf if not only_idle else error * (MAX_IDLE_COST if own[removal.joint] else MAX_BARE_COST)
+            np.inf if not only_idle else error * (MAX_IDLE_COST if counts[removal.joint] else MAX_BARE_COST)
         )
-        if len(chosen) < count and removal.joint not in beside and removal.cost < allowed:
+        if len(chosen) < count and removal.joint not in neighbours and removal.cost < allowed:
             chosen.append(removal)
     return chosen
 
@@ -166,17 +166,19 @@ def remove_joints(
     body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], removals: Sequence[Removal]
 ) -> EditedBody:
     """Remove joints, none of which is the parent of another."""
-    old, made, gone = body.skeleton, EditedBody(body, poses, pairs), []
+    old, made, removed = body.skeleton, EditedBody(body, poses, pairs), []
     for removal in removals:
         shares = np.array(removal.weights)
         # weights of removed bones go to their parents
-        for joint in gone:
+        for joint in removed:
             shares[:, old.parents[joint]] += shares[:, joint]
         skeleton = made.body.skeleton
         columns = [old.index(name) for name in skeleton.names]
-        here = removal._replace(joint=skeleton.index(old.names[removal.joint]), weights=shares[:, columns])
-        made = remove_joint(*made, here)
-        gone.append(removal.joint)
+        renumbered = removal._replace(
+            joint=skeleton.index(old.names[removal.joint]), weights=shares[:, columns]
+        )
+        made = remove_joint(*made, renumbered)
+        removed.append(removal.joint)
     return made
 
 

@@ -66,8 +66,9 @@ def sweep(
     """Update the weights of the vertices of every block, block after block.
 
     **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
-    vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`, `num_candidates` as in
-    `Slides.choose`; `neighbour_offset` selects the neighbours whose weights are tried. The buffer of `field` is donated.
+    vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`,
+    `num_candidates` as in `SwingTwistWeightChooser.choose`; `neighbour_offset` selects the neighbours whose
+    weights are tried. The buffer of `field` is donated.
     """
     total = len(rest)
     real = metric.neighbours != jnp.arange(total)[:, None]
@@ -78,21 +79,21 @@ def sweep(
 
     def visit(carry, block):
         rows, field, changed = carry
-        here = jnp.minimum(block, total - 1)
-        ring, own = metric.neighbours[here], real[here]
-        inside = jnp.where(shares[here] > 0, 1.0, 0.0).astype(rest.dtype)
-        back = inside * field.laplacians[here]
+        vertices = jnp.minimum(block, total - 1)
+        ring, adjacent = metric.neighbours[vertices], real[vertices]
+        inside = jnp.where(shares[vertices] > 0, 1.0, 0.0).astype(rest.dtype)
+        back = inside * field.laplacians[vertices]
         for i in slots:
             near = ring[:, i]
-            back = back - jnp.where(own[:, i, None, None], shares[near] * field.laplacians[near], 0.0)
-        weight = metric.diagonal[here][:, None, None]
-        aims = (field.errors[here] + metric.alpha * back) / weight
+            back = back - jnp.where(adjacent[:, i, None, None], shares[near] * field.laplacians[near], 0.0)
+        weight = metric.diagonal[vertices][:, None, None]
+        aims = (field.errors[vertices] + metric.alpha * back) / weight
         take = lambda at: jax.tree.map(lambda row: row[at], rows)  # noqa: E731
         lent = [
             take(jnp.take(ring, (neighbour_offset + i) % len(slots), axis=1)) for i in range(NUM_NEIGHBOURS)
         ]
         new, shift, gain = chooser.choose(
-            take(here), lent, rest[here], aims, slide_length, relaxation, num_candidates
+            take(vertices), lent, rest[vertices], aims, slide_length, relaxation, num_candidates
         )
         better = (block < total) & (gain > least * jnp.sum(aims**2, (1, 2)))
         put = jnp.where(better, block, total)
@@ -100,7 +101,7 @@ def sweep(
         errors = field.errors.at[put].add(-shift, mode="drop")
         rough = field.laplacians.at[put].add(-inside * shift, mode="drop")
         for i in slots:
-            near = jnp.where(better & own[:, i], ring[:, i], total)
+            near = jnp.where(better & adjacent[:, i], ring[:, i], total)
             rough = rough.at[near].add(shares[ring[:, i]] * shift, mode="drop")
         return (rows, ErrorField(errors, rough), changed.at[put].set(True, mode="drop")), None
 

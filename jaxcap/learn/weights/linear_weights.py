@@ -30,12 +30,13 @@ class LinearWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Solve for the best weights of each vertex; the interface of `Slides.choose`, without slides."""
+        """Solve for the best weights of each vertex; the interface of `SwingTwistWeightChooser.choose`,
+        without slides."""
         del neighbour_rows, slide_length, num_candidates
         images = self._images(rest)
         # differences from the current position keep precision for near bones next to far ones
-        apart = images - jnp.einsum("cj,cjaf->caf", rows, images)[:, None]
-        flat = apart.reshape(*rows.shape, -1)
+        differences = images - jnp.einsum("cj,cjaf->caf", rows, images)[:, None]
+        flat = differences.reshape(*rows.shape, -1)
         gram = jnp.einsum("cjf,ckf->cjk", flat, flat)
         linear = jnp.einsum("cjf,cf->cj", flat, relaxation * target_offsets.reshape(len(rows), -1))
         weights = simplex_least_squares(gram, linear, rows)
@@ -44,7 +45,7 @@ class LinearWeightChooser(eqx.Module):
             kept = jnp.where(allowed, weights, 0.0)
             kept = kept / jnp.sum(kept, 1, keepdims=True)
             weights = simplex_least_squares(gram, linear, kept, allowed)
-        shift = jnp.einsum("cj,cjaf->caf", weights, apart)
+        shift = jnp.einsum("cj,cjaf->caf", weights, differences)
         return (
             weights,
             shift,
@@ -76,13 +77,14 @@ class RigidWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Choose the best bone of each vertex; the interface of `Slides.choose`, without slides."""
+        """Choose the best bone of each vertex; the interface of `SwingTwistWeightChooser.choose`, without
+        slides."""
         del neighbour_rows, slide_length, relaxation, num_candidates
         images = self.linear._images(rest)
-        apart = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)
-        left = jnp.sum((target_offsets[:, None] - apart) ** 2, (2, 3))
+        differences = images - jnp.take_along_axis(images, rows[:, None, None, None], 1)
+        left = jnp.sum((target_offsets[:, None] - differences) ** 2, (2, 3))
         best = jnp.argmin(left, 1)
-        shift = jnp.take_along_axis(apart, best[:, None, None, None], 1)[:, 0]
+        shift = jnp.take_along_axis(differences, best[:, None, None, None], 1)[:, 0]
         gain = jnp.sum(target_offsets**2, (1, 2)) - jnp.take_along_axis(left, best[:, None], 1)[:, 0]
         return best.astype(rows.dtype), shift, gain
 

@@ -73,8 +73,8 @@ class SwingTwistWeightChooser(eqx.Module):
         displacements from the current positions to the goals; `slide_length` is the length of slides; `relaxation` scales
         the aims when weights are solved for (over-relaxation). Candidates are compared by the unscaled aims.
         """
-        here = self._posed_positions(rows, rest)
-        goal, far = here + target_offsets, here + relaxation * target_offsets
+        current = self._posed_positions(rows, rest)
+        goal, far = current + target_offsets, current + relaxation * target_offsets
         bases, twists = self._candidates(rows, neighbour_rows, rest, far, slide_length)
 
         def compare(i, best):
@@ -86,8 +86,8 @@ class SwingTwistWeightChooser(eqx.Module):
             return jax.tree.map(pick, tried, chosen), pick(where, place), jnp.where(better, left, cost)
 
         before = jnp.sum(target_offsets**2, (1, 2))
-        chosen, place, cost = jax.lax.fori_loop(0, num_candidates, compare, (rows, here, before))
-        return self._normalise_base(chosen), place - here, before - cost
+        chosen, place, cost = jax.lax.fori_loop(0, num_candidates, compare, (rows, current, before))
+        return self._normalise_base(chosen), place - current, before - cost
 
     def _fit_swing(self, rows: SwingTwistRows, rest, goal, far):
         """Solve for the swing weights that move the vertices nearest to `far`.

@@ -51,12 +51,12 @@ def optimise_vertices(
 
     def step(carry):
         weights, rest, _, left, number = carry
-        apart = bone_images(bones, rest, candidates) - targets[:, None]
-        reduced, lift, slopes = _reduced(apart, slopes_of(weights))
+        differences = bone_images(bones, rest, candidates) - targets[:, None]
+        reduced, lift, slopes = _reduced(differences, slopes_of(weights))
         goal = simplex_least_squares(reduced @ jnp.swapaxes(reduced, 1, 2), jnp.zeros_like(weights), weights)
         change, shift = goal - weights, -jnp.einsum("vak,vk->va", lift, goal)
-        errors = jnp.einsum("vk,vkn->vn", weights, apart)
-        first = jnp.einsum("vk,vkn->vn", change, apart) + jnp.einsum("vna,va->vn", slopes, shift)
+        errors = jnp.einsum("vk,vkn->vn", weights, differences)
+        first = jnp.einsum("vk,vkn->vn", change, differences) + jnp.einsum("vna,va->vn", slopes, shift)
         second = jnp.einsum("vna,va->vn", slopes_of(change), shift)
         # bilinear: errors along the step are an exactly known parabola
         squares = jnp.stack([jnp.sum((errors + s * first + s * s * second) ** 2, 1) for s in LENGTHS])
@@ -86,9 +86,9 @@ def choose_candidate_bones(
     its residual most, with the rest position adapted: as columns are priced in linear programming.
     """
     every = jnp.broadcast_to(jnp.arange(weights.shape[1]), weights.shape)
-    apart = bone_images(bones, rest, every) - targets[:, None]
+    differences = bone_images(bones, rest, every) - targets[:, None]
     turns = jnp.swapaxes(bones[..., :3], 0, 1).reshape(weights.shape[1], -1)
-    reduced, _, _ = _reduced(apart, (weights @ turns).reshape(len(rest), -1, 3))
+    reduced, _, _ = _reduced(differences, (weights @ turns).reshape(len(rest), -1, 3))
     errors = jnp.einsum("vj,vjn->vn", weights, reduced)
     towards = reduced - errors[:, None]
     falls = jnp.maximum(-jnp.einsum("vjn,vn->vj", towards, errors), 0.0)
@@ -99,14 +99,14 @@ def choose_candidate_bones(
     return jnp.argsort(jnp.where(weights > 0, -jnp.inf, -gains), axis=1)[:, :num_candidates]
 
 
-def _reduced(apart: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
+def _reduced(differences: Float[Array, "V K N"], slopes: Float[Array, "V N 3"]):
     """Eliminate the rest position from the images.
 
     Returns the reduced images, the adaptation of the position to each, and the slopes.
     """
     normal = jnp.einsum("vna,vnb->abv", slopes, slopes)
-    lift = jnp.moveaxis(gauss_jordan_solve(normal, jnp.einsum("vna,vkn->akv", slopes, apart)), -1, 0)
-    return apart - jnp.einsum("vna,vak->vkn", slopes, lift), lift, slopes
+    lift = jnp.moveaxis(gauss_jordan_solve(normal, jnp.einsum("vna,vkn->akv", slopes, differences)), -1, 0)
+    return differences - jnp.einsum("vna,vak->vkn", slopes, lift), lift, slopes
 
 
 def expand_weights(

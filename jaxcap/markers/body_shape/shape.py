@@ -78,15 +78,15 @@ def fit_shape(
         )
     start, free = _initial_traits(known_traits or {})
     body = human_from_traits(start, resolution, joints)
-    pose, energy, held, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
+    pose, energy, surface, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
     if frames is not None:
         if isinstance(markers, Mapping):
-            held = vertex_markers(body, markers)
+            surface = vertex_markers(body, markers)
         elif markers is not None:
-            held = markers
+            surface = markers
         else:
-            held = anatomical_markers(frames.labels, resolution)
-        places = _static_positions(frames, held.labels)
+            surface = anatomical_markers(frames.labels, resolution)
+        places = _static_positions(frames, surface.labels)
         seen = np.asarray(np.isfinite(places).all(axis=1))
         if seen.sum() < 6:
             raise ValueError(
@@ -95,8 +95,8 @@ def fit_shape(
             )
         dtype = body.vertices.dtype
         deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
-        energy = surface_landmarks(held, places, seen, deviation) + RestPrior(deviations)
-        pose = _align_rest_pose(body, held, places, seen)
+        energy = surface_landmarks(surface, places, seen, deviation) + RestPrior(deviations)
+        pose = _align_rest_pose(body, surface, places, seen)
     measured = _check_measurements(body.skeleton, lengths or {}, height)
     numbers = np.array(start)
     if energy is not None:
@@ -110,10 +110,10 @@ def fit_shape(
     spread = np.zeros(len(numbers))
     spread[list(free)] = np.sqrt(np.diag(covariance))
     residuals = np.zeros(0)
-    if held is not None:
-        residuals = np.linalg.norm(np.asarray(_marker_positions(held, body, pose), float) - places, axis=1)
-    told = _describe_fit(traits, spread, free, residuals, () if held is None else held.labels)
-    return ShapeFit(body, pose, traits, Traits(*map(float, spread)), held, residuals, told)
+    if surface is not None:
+        residuals = np.linalg.norm(np.asarray(_marker_positions(surface, body, pose), float) - places, axis=1)
+    messages = _describe_fit(traits, spread, free, residuals, () if surface is None else surface.labels)
+    return ShapeFit(body, pose, traits, Traits(*map(float, spread)), surface, residuals, messages)
 
 
 def bone_lengths(skeleton: Skeleton, min_length: float = 0.02) -> dict[tuple[str, str], float]:

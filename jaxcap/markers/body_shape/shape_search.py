@@ -61,10 +61,10 @@ class MeasuredLengths(AbstractEnergy):
     def residual(self, posed):
         body = posed.body
         ends = body.skeleton.centres[self.pairs]
-        apart = jnp.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        distances = jnp.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         tall = jnp.ptp(body.vertices[:, 1]) - self.height
         return jnp.append(
-            (apart - self.lengths) / LENGTH_DEVIATION, self.has_height * tall / HEIGHT_DEVIATION
+            (distances - self.lengths) / LENGTH_DEVIATION, self.has_height * tall / HEIGHT_DEVIATION
         )
 
 
@@ -93,11 +93,11 @@ def search_shape(
     )
 
     def traits(values) -> np.ndarray:
-        there = initial_traits.copy()
-        there[chosen] = np.clip(
+        shifted = initial_traits.copy()
+        shifted[chosen] = np.clip(
             np.asarray(values, float), np.array(MIN_TRAITS)[chosen], np.array(MAX_TRAITS)[chosen]
         )
-        return there
+        return shifted
 
     def remake(y: SequenceEstimate) -> SequenceProblem:
         body, modes = _linearise_shape(template, traits(y.values["traits"]), chosen, resolution)
@@ -139,10 +139,10 @@ def _linearise_shape(
     for number in free:
         step = STEP_FRACTION * (high - low)[number] * np.eye(len(traits))[number]
         ends = [np.clip(traits + sign * step, low, high) for sign in (-1, 1)]
-        apart = (ends[1] - ends[0])[number]
+        difference = (ends[1] - ends[0])[number]
         slopes.append(
             [
-                (b - a) / apart
+                (b - a) / difference
                 for a, b in zip(*(_vertices_and_centres(end, resolution) for end in ends), strict=True)
             ]
         )

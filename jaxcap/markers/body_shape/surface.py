@@ -46,7 +46,7 @@ def attach_markers(
 ) -> SurfaceMarkers:
     """Attach markers to the nearest triangles of a body in a pose, by default at rest.
 
-    `places (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
+    `positions (M, 3)` are their positions in this pose, metres, which the attached markers reproduce exactly.
 
     **Raises:** `ValueError` with one sentence where a position is not finite, or farther than `MAX_DISTANCE` from
     the surface, as with a wrong pose or unit.
@@ -117,10 +117,10 @@ def surface_landmarks(
     `seen (M,)`, by default all; residuals are in units of `deviation` metres.
     """
     dtype = markers.shares.dtype
-    there = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
+    visible = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
     # positions of markers that are not visible may be anything, NaN too
-    targets = jnp.where(there[:, None], jnp.asarray(positions, dtype), 0.0)
-    weights = there.astype(dtype) / deviation**2
+    targets = jnp.where(visible[:, None], jnp.asarray(positions, dtype), 0.0)
+    weights = visible.astype(dtype) / deviation**2
     return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)
 
 

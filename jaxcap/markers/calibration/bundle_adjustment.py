@@ -156,9 +156,9 @@ def _robust_residuals(problem: CalibrationProblem, y: CalibrationEstimate):
     subject = problem.subject(y)
 
     def of_frame(frame):
-        pose, place, there, phi = frame
+        pose, place, visible, phi = frame
         residual = marker_residuals(apply_sliding(subject, y.slides, phi), pose, place)
-        root, _ = problem.root_weights_and_cost(residual, there)
+        root, _ = problem.root_weights_and_cost(residual, visible)
         scale = problem.deviations / jnp.sqrt(jnp.maximum(subject.weights, 1e-9))
         return residual * (root * scale)[:, None]
 

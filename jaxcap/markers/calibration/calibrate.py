@@ -145,13 +145,13 @@ def _calibrate(
     slid = _sliding_variances(fit)
     solved = solve_markers(best, frames, terms=terms)
     hardly = find_imprecise_directions(best, known, joints)
-    told = (
+    messages = (
         *describe_precision(best, known, poses, joints, hardly),
         *_describe_sliding(best, slid),
         *solved.messages,
     )
     if not fit.converged:
-        told += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
+        messages += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
     return Calibration(
         best,
         solved.motion,
@@ -159,7 +159,7 @@ def _calibrate(
         known.covariance,
         np.sqrt(3.0 * slid),
         tuple(hardly),
-        told,
+        messages,
         fit.history,
         joints,
         chosen,

@@ -58,8 +58,8 @@ def _pose_features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndar
     inner = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and skeleton.kinds[j] != "fixed"]
     rotations = np.asarray(poses.rotations, float)[frames][:, inner]
     below = skeleton.descendants[:, np.asarray(subject.bones)].T.astype(float)[:, inner]
-    told = used[frames].astype(float) @ below > 0
+    determined = used[frames].astype(float) @ below > 0
     means = mean_rotations(rotations)
     signs = np.sign(np.einsum("fja,ja->fj", rotations, means))[..., None]
-    away = (np.where(signs == 0, 1, signs) * rotations - means) * told[..., None]
+    away = (np.where(signs == 0, 1, signs) * rotations - means) * determined[..., None]
     return away.reshape(len(frames), -1)

@@ -126,10 +126,10 @@ def centre_covariances(
         bone = skeleton.parents[joint]
         while skeleton.parents[bone] >= 0 and not (weights & (bones == bone)).any():
             bone = skeleton.parents[bone]
-        own = np.flatnonzero(weights & (bones == bone))
+        markers = np.flatnonzero(weights & (bones == bone))
         pick = np.zeros(count)
         pick[row] = 1.0
-        pick[len(joints) + own] -= 1.0 / max(len(own), 1)
+        pick[len(joints) + markers] -= 1.0 / max(len(markers), 1)
         wide = np.kron(pick, np.eye(3))
         result[row] = wide @ free @ wide.T
     return result
@@ -145,9 +145,9 @@ def find_imprecise_directions(
         values, vectors = np.linalg.eigh(covariance)
         for value, direction in zip(values[::-1], vectors.T[::-1], strict=True):
             deviation = float(np.sqrt(max(value, 0.0)))
-            told = float(np.sqrt(direction @ loose @ direction)) < PRIOR_DOMINATED_RATIO * deviation
-            if deviation >= IMPRECISE_DEVIATION or (not told and deviation > MIN_REPORTED_DEVIATION):
-                found.append(ImpreciseDirection(joint, direction, deviation, told))
+            by_data = float(np.sqrt(direction @ loose @ direction)) < PRIOR_DOMINATED_RATIO * deviation
+            if deviation >= IMPRECISE_DEVIATION or (not by_data and deviation > MIN_REPORTED_DEVIATION):
+                found.append(ImpreciseDirection(joint, direction, deviation, by_data))
     return found
 
 
@@ -171,9 +171,9 @@ def describe_precision(
             f"No markers determine the centres of {', '.join(silent)}; their bones keep the lengths of the "
             "template."
         )
-    for joint, direction, deviation, told in imprecise_directions:
+    for joint, direction, deviation, by_data in imprecise_directions:
         where = _describe_direction(subject, poses, joint, direction)
-        if told:
+        if by_data:
             said.append(
                 f"{where}, the centre of {skeleton.names[joint]} has a standard deviation of "
                 f"{1000 * deviation:.0f} mm."

@@ -58,7 +58,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
     - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
       deviation of all slides, metres a radian.
-    - `features (F, M, K)`, radians, that the skin slides with.
+    - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
     - `joints` are those with unknown centres; `pairs` those with bones of equal length.
@@ -138,9 +138,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         subject = self.subject(y)
 
         def of_frame(frame):
-            pose, place, there, phi = frame
+            pose, place, visible, phi = frame
             rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
-            root, _ = self.root_weights_and_cost(rows.residual, there)
+            root, _ = self.root_weights_and_cost(rows.residual, visible)
             flat = (rows.by_pose * root[:, None, None]).reshape(-1, rows.by_pose.shape[2])
             matrix, side = rotation_prior_equations(subject.skeleton, self.rotation_prior, pose)
             matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
@@ -160,9 +160,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         tangent = self._term_tangent(y)
 
         def of_frame(frame):
-            pose, place, there, phi = frame
+            pose, place, visible, phi = frame
             rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place, self.joints)
-            root, cost = self.root_weights_and_cost(rows.residual, there)
+            root, cost = self.root_weights_and_cost(rows.residual, visible)
             r, ends = rows.residual * root[:, None], rows.by_offset * root[:, None, None]
             wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root[:, None, None]
             shares = jnp.concatenate([jnp.ones((markers, 1), phi.dtype), phi], 1)
@@ -182,8 +182,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             return (frame_matrix, coupling, frame_side), summed
 
         def add(total, frames):
-            own, summed = jax.vmap(of_frame)(frames)
-            return jax.tree.map(lambda a, b: a + jnp.sum(b, 0), total, summed), own
+            per_frame, summed = jax.vmap(of_frame)(frames)
+            return jax.tree.map(lambda a, b: a + jnp.sum(b, 0), total, summed), per_frame
 
         dtype, size = self.positions.dtype, centres + 3 * markers * kinds
         none = (
@@ -194,9 +194,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             jnp.zeros(size, dtype),
         )
         with jax.default_matmul_precision("highest"):
-            total, own = _scan_batches(add, none, self._frame_inputs(y))
+            total, per_frame = _scan_batches(add, none, self._frame_inputs(y))
             value, corner, across, squares, side = total
-            blocks, coupling, sides = own
+            blocks, coupling, sides = per_frame
             marker = jnp.arange(markers)
             ends = jnp.zeros((kinds, markers, 3, kinds, markers, 3), dtype)
             # the one index of both picked axes comes first
@@ -238,9 +238,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         body = marker_body(subject)
 
         def cost(frame):
-            pose, place, there, phi = frame
+            pose, place, visible, phi = frame
             value = self.root_weights_and_cost(
-                marker_residuals(apply_sliding(subject, y.slides, phi), pose, place), there
+                marker_residuals(apply_sliding(subject, y.slides, phi), pose, place), visible
             )[1]
             value = value + 0.5 * rotation_prior_square(self.rotation_prior, pose)
             if self.terms is None:
@@ -321,5 +321,5 @@ def _scan_batches(add, initial, frames):
     count = jax.tree.leaves(frames)[0].shape[0]
     size = max(number for number in range(1, BATCH_SIZE + 1) if count % number == 0)
     batches = jax.tree.map(lambda leaf: leaf.reshape(count // size, size, *leaf.shape[1:]), frames)
-    total, own = jax.lax.scan(add, initial, batches)
-    return total, jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[2:]), own)
+    total, per_frame = jax.lax.scan(add, initial, batches)
+    return total, jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[2:]), per_frame)

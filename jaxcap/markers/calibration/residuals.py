@@ -80,9 +80,9 @@ def linearise_residuals(
     rates = select_parameters(joint_jacobian(skeleton, pose, transforms), slots)
     by_centres = _residual_jacobian(subject, positions, directions, rates)
     if joints and not _all_rigid(subject):
-        own = subject.bones[:, None] == np.array(joints)
+        starts = subject.bones[:, None] == np.array(joints)
         ends = _first_children(skeleton)[subject.bones][:, None] == np.array(joints)
-        for slope, at in ((slopes.centre, own), (slopes.end, ends)):
+        for slope, at in ((slopes.centre, starts), (slopes.end, ends)):
             wide = slope[:, :, None, :] * at[:, None, :, None]
             by_centres = by_centres + wide.reshape(by_centres.shape)
     return LinearisedResiduals(residual, by_pose, by_centres, slopes.offset)
@@ -117,12 +117,12 @@ def _model_residuals(
     none = jnp.zeros_like(one)
     residual, slopes = local - offsets, _ResidualDerivatives(one, -one, none, none)
     for name, model in (("circle", _circle_residuals), ("sphere", _sphere_residuals)):
-        held = np.array([kind == name for kind in subject.models])
-        if held.any():
+        has_model = np.array([kind == name for kind in subject.models])
+        if has_model.any():
             other, others = model(subject, local)
-            residual = jnp.where(held[:, None], other, residual)
+            residual = jnp.where(has_model[:, None], other, residual)
             pairs = zip(others, slopes, strict=True)
-            slopes = _ResidualDerivatives(*(jnp.where(held[:, None, None], a, b) for a, b in pairs))
+            slopes = _ResidualDerivatives(*(jnp.where(has_model[:, None, None], a, b) for a, b in pairs))
     return residual, slopes
 
 
@@ -171,6 +171,6 @@ def _cylindrical_coordinates(x: Float[Array, "M 3"], axis: Float[Array, "M 3"]):
 def _length_and_direction(x: Float[Array, "M 3"]) -> tuple[Float[Array, "M"], Float[Array, "M 3"]]:
     """Compute length and direction; a zero vector has the direction zero."""
     squared = jnp.sum(x * x, 1)
-    there = squared > 1e-16
-    length = jnp.sqrt(jnp.where(there, squared, 1.0))
-    return jnp.where(there, length, 0.0), jnp.where(there[:, None], x / length[:, None], 0.0)
+    nonzero = squared > 1e-16
+    length = jnp.sqrt(jnp.where(nonzero, squared, 1.0))
+    return jnp.where(nonzero, length, 0.0), jnp.where(nonzero[:, None], x / length[:, None], 0.0)

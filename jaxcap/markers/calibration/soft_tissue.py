@@ -51,10 +51,10 @@ def skin_features(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
     features = np.zeros((len(turns), len(bones), NUM_DIRECTIONS))
     for bone in np.unique(bones):
         ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
-        beside = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
-        if not beside:
+        adjacent = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+        if not adjacent:
             continue
-        wide = turns[:, beside].reshape(len(turns), -1)
+        wide = turns[:, adjacent].reshape(len(turns), -1)
         wide = wide - wide.mean(0)
         _, _, directions = np.linalg.svd(wide, full_matrices=False)
         found = wide @ directions[:NUM_DIRECTIONS].T
@@ -79,8 +79,8 @@ def initial_slide_deviation(
         if len(left) <= 2 * phi.shape[1] or not phi.size:
             continue
         phi, left = phi - phi.mean(0), left - left.mean(0)
-        told = float(np.sum((phi @ (np.linalg.pinv(phi, 1e-6) @ left)) ** 2))
-        explained, whole = explained + told, whole + float(np.sum(left**2))
+        projected = float(np.sum((phi @ (np.linalg.pinv(phi, 1e-6) @ left)) ** 2))
+        explained, whole = explained + projected, whole + float(np.sum(left**2))
         chance += phi.shape[1] / len(left) * float(np.sum(left**2))
         squares += float(np.sum(phi**2)) * 3
     if whole == 0.0 or explained < MIN_EXPLAINED_RATIO * chance:
@@ -99,13 +99,15 @@ def estimate_slide_deviation(
     bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
     squares = numbers = 0.0
     for bone in np.unique(bones):
-        own = np.flatnonzero(bones == bone)
-        arms = offsets[own] - offsets[own].mean(0)
+        members = np.flatnonzero(bones == bone)
+        arms = offsets[members] - offsets[members].mean(0)
         turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1)
-        shifts = np.tile(np.eye(3), (1, len(own)))
+        shifts = np.tile(np.eye(3), (1, len(members)))
         _, sizes, basis = np.linalg.svd(np.concatenate([turns / MARKER_LEVER, shifts]), full_matrices=False)
         rigid = basis[sizes > 1e-3]
-        for each, phi in zip(slides[:, own].reshape(-1, 3 * len(own)), features[:, own[0]].T, strict=True):
+        for each, phi in zip(
+            slides[:, members].reshape(-1, 3 * len(members)), features[:, members[0]].T, strict=True
+        ):
             if phi.any():
                 squares += float(each @ each - np.sum((rigid @ each) ** 2))
                 numbers += each.size - len(rigid)

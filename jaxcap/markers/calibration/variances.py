@@ -31,10 +31,10 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
     used = problem.seen & (subject.weights > 0)
 
     def of_frame(frame):
-        pose, place, there, phi = frame
+        pose, place, visible, phi = frame
         rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
         squared = jnp.sum(rows.residual**2, 1)
-        slopes = jnp.where(there, robust_kernel(squared * information, problem.outlier_bound)[1], 0.0)
+        slopes = jnp.where(visible, robust_kernel(squared * information, problem.outlier_bound)[1], 0.0)
         flat = (rows.by_pose * jnp.sqrt(slopes * information)[:, None, None]).reshape(-1, dofs)
         gram = flat.T @ flat + rotation_prior_equations(subject.skeleton, problem.rotation_prior, pose)[0]
         gram = gram + RIDGE * jnp.eye(dofs, dtype=gram.dtype)

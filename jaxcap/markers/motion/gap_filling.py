@@ -83,8 +83,8 @@ def _joint_centres(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
 @eqx.filter_jit
 def _to_rest_frames(subject: Subject, poses: Pose, positions: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
     def of_frame(frame):
-        pose, there = frame
-        return rest_positions(subject, pose, forward_kinematics(subject.skeleton, pose), there)
+        pose, observed = frame
+        return rest_positions(subject, pose, forward_kinematics(subject.skeleton, pose), observed)
 
     return jax.lax.map(of_frame, (poses, positions))
 
@@ -92,9 +92,9 @@ def _to_rest_frames(subject: Subject, poses: Pose, positions: Float[Array, "F M 
 @eqx.filter_jit
 def _to_world(subject: Subject, poses: Pose, local: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
     def of_frame(frame):
-        pose, here = frame
+        pose, rest = frame
         transforms = forward_kinematics(subject.skeleton, pose)
         r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
-        return jnp.einsum("mab,mb->ma", r, here) + t
+        return jnp.einsum("mab,mb->ma", r, rest) + t
 
     return jax.lax.map(of_frame, (poses, local))

@@ -82,9 +82,9 @@ def solve_markers(
         | _poorly_fitted_frames(subject, used, solved)
     )
     residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, places)), np.nan)
-    told = _describe_solution(subject, frames, seen, lost)
+    messages = _describe_solution(subject, frames, seen, lost)
     weights = np.asarray(solved.weights) * ~lost[:, None]
-    return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, told)
+    return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)
 
 
 def _solve_in_chunks(subject: Subject, positions, seen, search: SearchCriteria, energy) -> SolvedFrame:
@@ -172,19 +172,19 @@ def _poorly_fitted_frames(subject: Subject, used, solved: SolvedFrame) -> np.nda
 
 
 def _describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
-    said = []
-    never = [label for label, there in zip(subject.labels, seen.any(0), strict=True) if not there]
+    messages = []
+    never = [label for label, visible in zip(subject.labels, seen.any(0), strict=True) if not visible]
     if never:
-        said.append(f"{len(never)} of the subject's markers are never visible: {', '.join(never[:10])}.")
+        messages.append(f"{len(never)} of the subject's markers are never visible: {', '.join(never[:10])}.")
     others = [label for label in frames.labels if label not in subject.labels]
     if others:
-        said.append(
+        messages.append(
             f"{len(others)} markers do not belong to the subject and are left out: {', '.join(others[:10])}."
         )
     if lost.any():
         numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
-        said.append(
+        messages.append(
             f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {MIN_MARKERS} markers, or no pose fits) "
             f"and keep the previous pose: {numbers}."
         )
-    return tuple(said)
+    return tuple(messages)

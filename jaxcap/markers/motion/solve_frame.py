@@ -75,11 +75,11 @@ class FrameProblem(AbstractProblem[Pose]):
         weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
         value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
         if self.terms is not None:
-            own = frame_equations(self.terms, marker_body(self.subject), y)
-            value, side, matrix = value + own[0], side + own[1], matrix + own[2]
+            extra = frame_equations(self.terms, marker_body(self.subject), y)
+            value, side, matrix = value + extra[0], side + extra[1], matrix + extra[2]
         # undetermined coordinates stay
-        told = jnp.diagonal(matrix) > MIN_INFORMATION
-        return ConstrainedInfo(value, jnp.where(told, side, 0.0), DenseMatrix(matrix).restricted(told))  # pyright: ignore[reportCallIssue]
+        known = jnp.diagonal(matrix) > MIN_INFORMATION
+        return ConstrainedInfo(value, jnp.where(known, side, 0.0), DenseMatrix(matrix).restricted(known))  # pyright: ignore[reportCallIssue]
 
     def retract(self, y, d):
         return retract(self.subject.skeleton, y, d)

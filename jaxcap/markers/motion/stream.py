@@ -66,8 +66,8 @@ def stream_frame(
 ) -> tuple[StreamState, Pose]:
     """Solve the pose of the next frame, and return it after the state for the frame after it.
 
-    **Arguments:** `places (M, 3)` metres in the order of the subject's markers, NaN where not visible; `seen
-    (M,)`, if given, also masks markers.
+    **Arguments:** `positions (M, 3)` metres in the order of the subject's markers, NaN where not visible;
+    `seen (M,)`, if given, also masks markers.
 
     A frame with fewer than `MIN_MARKERS` visible markers keeps the last pose. The first frame, and a frame that
     the search from the last pose does not solve, is solved from an initial guess, which takes several times
@@ -81,12 +81,12 @@ def stream_frame(
             f"{subject.num_markers}; give one row for each marker, in the subject's order, with NaN where "
             "it is not visible."
         )
-    there = np.isfinite(positions).all(1) & (np.asarray(subject.weights) > 0)
-    there = there if seen is None else there & np.asarray(seen)
-    if there.sum() < MIN_MARKERS:
+    visible = np.isfinite(positions).all(1) & (np.asarray(subject.weights) > 0)
+    visible = visible if seen is None else visible & np.asarray(seen)
+    if visible.sum() < MIN_MARKERS:
         return state._replace(num_lost=state.num_lost + 1), state.pose
     dtype = subject.offsets.dtype
-    clean, shown = jnp.asarray(np.where(there[:, None], positions, 0.0), dtype), jnp.asarray(there)
+    clean, shown = jnp.asarray(np.where(visible[:, None], positions, 0.0), dtype), jnp.asarray(visible)
     solved, new = None, bool(np.isinf(state.residual_scale))
     if not new:
         solved = _solve_from_last_pose(streamer, state.pose, clean, shown)

@@ -31,7 +31,7 @@ def score_centre(motion: RelativeMotion, robust: bool = True) -> CentreEstimate:
 
     It minimises the sum over frames of `|R c + t - p|^2` over its positions `p` in the parent and `c` in the
     child, exact without noise. With `robust`, outlier frames have lower weights. A weak prior at
-    `relative.middle` determines only what the frames leave open: along a hinge's axis, or where the joint
+    `motion.prior_centre` determines only what the frames leave open: along a hinge's axis, or where the joint
     hardly rotates. Noise in the frames rotates them about the centroids of their markers and biases the
     centre towards these. This bias is removed.
 
@@ -58,12 +58,12 @@ def score_centre(motion: RelativeMotion, robust: bool = True) -> CentreEstimate:
             weights = geman_mcclure_weights(distances)
         variance = float(weights @ distances**2) / (3 * weights.sum())
         share = independent_frame_fraction(off)
-        held = prior_weight(float(weights.sum()), variance, share, motion.prior_deviation)
-        return _ScoreState(found, weights, variance, share, held)
+        ridge = prior_weight(float(weights.sum()), variance, share, motion.prior_deviation)
+        return _ScoreState(found, weights, variance, share, ridge)
 
-    held = prior_weight(float(count), 0.0, 1.0, motion.prior_deviation)
+    ridge = prior_weight(float(count), 0.0, 1.0, motion.prior_deviation)
     fit = iterate_until_converged(
-        step, _ScoreState(prior, np.ones(count), 0.0, 1.0, held), MAX_REWEIGHTINGS, 1e-9
+        step, _ScoreState(prior, np.ones(count), 0.0, 1.0, ridge), MAX_REWEIGHTINGS, 1e-9
     )
     covariance = (
         fit.variance

@@ -47,8 +47,8 @@ def gamage_centre(motion: RelativeMotion, robust: bool = True, unbiased: bool = 
     )
     in_child = None
     if motion.rotations is not None and motion.translations is not None:
-        there = np.einsum("fba,fb->fa", motion.rotations, c - motion.translations)
-        in_child = np.median(there, axis=0)
+        child_positions = np.einsum("fba,fb->fa", motion.rotations, c - motion.translations)
+        in_child = np.median(child_positions, axis=0)
     return CentreEstimate(c, in_child, covariance)
 
 
@@ -88,13 +88,13 @@ def concentric_centre(
             weights = visible * marker_weights * geman_mcclure_weights(some.ravel()).reshape(off.shape)
         noise, share = float((weights * off**2).sum() / weights.sum()), independent_frame_fraction(off)
         # per unit of the radius, as the rows are radii times distances
-        held = prior_weight(
+        ridge = prior_weight(
             abs(float(np.trace(matrix)) / 3), noise * float((radius**2).mean()), share, prior_deviation
         )
         # a row of the equation is radius times the deviation of the distance
         mean_square = float((weights.sum(0) @ radius**2) / weights.sum())
-        covariance = noise * mean_square / share * inverse_symmetric(matrix + (held + lift) * np.eye(3))
-        return _ConcentricState(c, covariance, weights, noise, held)
+        covariance = noise * mean_square / share * inverse_symmetric(matrix + (ridge + lift) * np.eye(3))
+        return _ConcentricState(c, covariance, weights, noise, ridge)
 
     start = _ConcentricState(np.zeros(3), np.eye(3), visible * marker_weights, 0.0, 0.0)
     fit = iterate_until_converged(step, start, 3 * MAX_REWEIGHTINGS, 1e-10, min_iterations=4)

@@ -38,9 +38,9 @@ def align_hinge_centres(
                     places.append((below.in_parent - joint.in_child) @ joint.axis_in_child)
                     along = below.directions @ joint.axis_in_child
                     variances.append(float(np.sum((along * below.deviations) ** 2)))
-            own = float(joint.deviations[-1]) ** 2
+            variance = float(joint.deviations[-1]) ** 2
             weights = 1 / (MIN_LEVEL_DEVIATION**2 + np.array(variances)) if places else np.zeros(0)
-            total = weights.sum() + 1 / max(own, MIN_LEVEL_DEVIATION**2)
+            total = weights.sum() + 1 / max(variance, MIN_LEVEL_DEVIATION**2)
             shift = float(weights @ np.array(places)) / total if places else 0.0
             settled[child] = joint._replace(
                 in_parent=joint.in_parent + shift * joint.axis_in_parent,

@@ -81,21 +81,21 @@ def fit_sphere(
         return np.concatenate([-units, -np.ones((len(track), 1))], 1)
 
     def step(fit: _SphereState) -> _SphereState:
-        root, held = np.sqrt(fit.weights), np.sqrt(fit.ridge)
+        root, root_ridge = np.sqrt(fit.weights), np.sqrt(fit.ridge)
         found = least_squares(
-            lambda x: np.append(root * offsets(x), held * (x[:3] - prior_centre)),
+            lambda x: np.append(root * offsets(x), root_ridge * (x[:3] - prior_centre)),
             fit.parameters,
-            lambda x: np.concatenate([root[:, None] * slopes(x), held * np.eye(3, 4)]),  # pyright: ignore[reportArgumentType]
+            lambda x: np.concatenate([root[:, None] * slopes(x), root_ridge * np.eye(3, 4)]),  # pyright: ignore[reportArgumentType]
             method="lm",
             xtol=FIT_TOLERANCE,
             ftol=FIT_TOLERANCE,
             gtol=FIT_TOLERANCE,
         ).x
         off = offsets(found)
-        own = weights * geman_mcclure_weights(np.abs(off)) if robust else weights
-        variance, share = float(own @ off**2 / own.sum()), independent_frame_fraction(off[:, None])
-        hold = max(variance / (share * prior_deviation**2), 1e-10 * own.sum())
-        return _SphereState(found, own, variance, share, hold)
+        updated = weights * geman_mcclure_weights(np.abs(off)) if robust else weights
+        variance, share = float(updated @ off**2 / updated.sum()), independent_frame_fraction(off[:, None])
+        ridge = max(variance / (share * prior_deviation**2), 1e-10 * updated.sum())
+        return _SphereState(found, updated, variance, share, ridge)
 
     radius = weights @ np.linalg.norm(track - prior_centre, axis=1) / weights.sum()
     fit = iterate_until_converged(

@@ -72,22 +72,22 @@ def describe_problems(frames: MarkerFrames) -> tuple[str, ...]:
     The problems are: no visible marker, markers that are never visible, equal frames, empty frames, and
     fragmented trajectories.
     """
-    seen, told = np.asarray(frames.visible), []
+    seen, messages = np.asarray(frames.visible), []
     if not seen.any():
         return ("No marker is visible in any frame.",)
     if lost := never_visible(frames):
-        told.append(f"{_format_labels(lost)} never visible; leave out markers that were not worn.")
+        messages.append(f"{_format_labels(lost)} never visible; leave out markers that were not worn.")
     if len(frames) > 1 and is_static(frames):
-        told.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be determined.")
+        messages.append(f"All {len(frames)} frames are equal: nothing moves, so no joint can be determined.")
     if empty := int((~seen.any(1)).sum()):
-        told.append(f"{empty} of {len(frames)} frames have no visible marker.")
+        messages.append(f"{empty} of {len(frames)} frames have no visible marker.")
     for chain in find_pieces(frames):
         names = [frames.labels[i] for i in chain]
-        told.append(
+        messages.append(
             f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join "
             "them by join_pieces, or by --pieces join of fit and solve."
         )
-    return tuple(told)
+    return tuple(messages)
 
 
 def find_pieces(
@@ -126,7 +126,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
     """
     chains = find_pieces(frames) if chains is None else chains
     seen, places = np.array(frames.visible), np.array(frames.positions)
-    labels, used, gone = list(frames.labels), set(), set()
+    labels, used, joined = list(frames.labels), set(), set()
     for chain in chains:
         if used & set(chain) or len(set(chain)) < len(chain):
             raise ValueError(
@@ -145,8 +145,8 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
             (frames.labels[i] for i in chain if frames.labels[i][0] != "*"), frames.labels[chain[0]]
         )
         used |= set(chain)
-        gone |= set(chain) - {head}
-    kept = [i for i in range(len(labels)) if i not in gone]
+        joined |= set(chain) - {head}
+    kept = [i for i in range(len(labels)) if i not in joined]
     return MarkerFrames(places[:, kept], seen[:, kept], tuple(labels[i] for i in kept), frames.rate)
 
 
@@ -182,13 +182,13 @@ def _successors(
     max_error: float,
 ) -> dict[int, int]:
     """Match markers to their successors; `max_gap` in frames, `max_speed` in metres a frame."""
-    there = np.asarray(markers)
+    indices = np.asarray(markers)
     first, last = seen.argmax(0), len(seen) - 1 - seen[::-1].argmax(0)
     # rows are ends, columns beginnings
-    between = first[None, there] - last[there, None]
+    between = first[None, indices] - last[indices, None]
     cost = np.full(between.shape, np.inf)
     for row, column in np.argwhere((between > 0) & (between <= max_gap)):
-        end, begin, gap = int(there[row]), int(there[column]), between[row, column]
+        end, begin, gap = int(indices[row]), int(indices[column]), between[row, column]
         if (
             np.linalg.norm(positions[last[end], end] - positions[first[begin], begin])
             > max_error + max_speed * gap
@@ -198,7 +198,7 @@ def _successors(
         if miss < max_error:
             # prefer the shorter gap where two fit equally well
             cost[row, column] = miss / max_error + 0.5 * gap / max_gap
-    return {int(there[row]): int(there[column]) for row, column in _minimum_cost_matching(cost).items()}
+    return {int(indices[row]): int(indices[column]) for row, column in _minimum_cost_matching(cost).items()}
 
 
 def _prediction_error(
@@ -214,16 +214,16 @@ def _prediction_error(
     Forward, `end` is predicted at the first frame of `begin`. Backward, `begin` is predicted at the last
     frame of `end`.
     """
-    there = _predict_rigidly(positions, seen, end, last_frame, first_frame)
-    back = _predict_rigidly(positions, seen, begin, first_frame, last_frame)
-    ahead = _extrapolate(positions, seen, end, last_frame, first_frame) if there is None else there
-    behind = _extrapolate(positions, seen, begin, first_frame, last_frame) if back is None else back
+    forward = _predict_rigidly(positions, seen, end, last_frame, first_frame)
+    backward = _predict_rigidly(positions, seen, begin, first_frame, last_frame)
+    ahead = _extrapolate(positions, seen, end, last_frame, first_frame) if forward is None else forward
+    behind = _extrapolate(positions, seen, begin, first_frame, last_frame) if backward is None else backward
     misses = (
         np.linalg.norm(ahead - positions[first_frame, begin]),
         np.linalg.norm(behind - positions[last_frame, end]),
     )
     # without surrounding markers on both sides, take the smaller error
-    return float(np.mean(misses) if there is not None and back is not None else np.min(misses))
+    return float(np.mean(misses) if forward is not None and backward is not None else np.min(misses))
 
 
 def _predict_rigidly(

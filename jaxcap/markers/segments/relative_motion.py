@@ -45,8 +45,8 @@ class RelativeMotion(NamedTuple):
         back = self.rotations.swapaxes(-1, -2)
         shift = -np.einsum("fab,fb->fa", back, self.translations)
         tracks = np.einsum("fab,nb->fna", back, self.parent_markers) + shift[:, None]
-        own = np.einsum("fab,fnb->fna", back, self.child_markers) + shift[:, None]
-        shape = np.stack([np.median(own[s, n], axis=0) for n, s in enumerate(self.child_visible.T)])
+        child_tracks = np.einsum("fab,fnb->fna", back, self.child_markers) + shift[:, None]
+        shape = np.stack([np.median(child_tracks[s, n], axis=0) for n, s in enumerate(self.child_visible.T)])
         return RelativeMotion(
             back,
             shift,
@@ -76,7 +76,7 @@ def relative_motion(
 
     `noise` is that of `frames` (`SegmentFrames.noise`); pass it to avoid its computation for every pair.
     """
-    own, turn = frames.noise(positions, seen, segments) if noise is None else noise
+    marker_noise, rotation_noise = frames.noise(positions, seen, segments) if noise is None else noise
     members, base = list(segments.members[child]), list(segments.members[parent])
     both = frames.known[:, parent] & frames.known[:, child]
     turns = both.sum() >= min_frames
@@ -112,8 +112,8 @@ def relative_motion(
         segments.weights[base],
         middle,
         spread,
-        (float(turn[parent]), float(turn[child])),
-        float(own[parent] + turn[parent] * lever * 2 / 3),
+        (float(rotation_noise[parent]), float(rotation_noise[child])),
+        float(marker_noise[parent] + rotation_noise[parent] * lever * 2 / 3),
     )
 
 

@@ -45,19 +45,19 @@ class SegmentFrames(NamedTuple):
         resulting variance of its rotation about an axis, radians squared.
         """
         off = self.residuals(positions, seen, segments)
-        own, turn = np.zeros(segments.num_segments), np.zeros(segments.num_segments)
+        marker_noise, rotation_noise = np.zeros(segments.num_segments), np.zeros(segments.num_segments)
         for k, members in enumerate(segments.members):
             if not self.known[:, k].any():
                 continue
             # robust: the median of a normal coordinate's square is 0.455 variances, of a 3D length's square
             # 2.37; six of 3N numbers are fitted by the frame
             square = float(np.nanmedian(off[:, list(members)] ** 2)) / 2.37
-            own[k] = square * len(members) / max(len(members) - 2, 1)
+            marker_noise[k] = square * len(members) / max(len(members) - 2, 1)
             p = self.local_positions[list(members)]
             p = p - p.mean(0)
             inertia = np.sum(p * p) * np.eye(3) - p.T @ p
-            turn[k] = own[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
-        return own, turn
+            rotation_noise[k] = marker_noise[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
+        return marker_noise, rotation_noise
 
 
 def fit_segment_frames(
@@ -227,8 +227,8 @@ def _weighted_procrustes(
     shape: np.ndarray, x: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     mass = np.maximum(weights.sum(1), 1e-300)
-    here = weights @ shape / mass[:, None]
-    there = np.einsum("fn,fna->fa", weights, x) / mass[:, None]
-    cross = np.einsum("fn,fna,fnb->fab", weights, x - there[:, None], shape[None] - here[:, None])
+    shape_mean = weights @ shape / mass[:, None]
+    target_mean = np.einsum("fn,fna->fa", weights, x) / mass[:, None]
+    cross = np.einsum("fn,fna,fnb->fab", weights, x - target_mean[:, None], shape[None] - shape_mean[:, None])
     r = nearest_rotation(cross)
-    return r, there - np.einsum("fab,fb->fa", r, here)
+    return r, target_mean - np.einsum("fab,fb->fa", r, shape_mean)

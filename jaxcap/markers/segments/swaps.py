@@ -109,8 +109,8 @@ def _correct_by_jumps(positions: np.ndarray, seen: np.ndarray) -> list[tuple[int
         some = np.flatnonzero(large[frame]).tolist()
         for n, i in enumerate(some):
             for j in some[n + 1 :]:
-                here, there = positions[frame, [i, j]], positions[frame + 1, [j, i]]
-                crossed = np.linalg.norm(there - here, axis=1)
+                current, following = positions[frame, [i, j]], positions[frame + 1, [j, i]]
+                crossed = np.linalg.norm(following - current, axis=1)
                 if (crossed < MAX_REMAINING_ERROR * steps[frame, [i, j]]).all():
                     jumps.setdefault((i, j), []).append(int(frame) + 1)
     undone = []
@@ -140,14 +140,14 @@ def _describe_swaps(swaps: list[tuple[int, int, int]], labels: tuple[str, ...]) 
     frames: dict[tuple[int, int], list[int]] = {}
     for frame, i, j in swaps:
         frames.setdefault((min(i, j), max(i, j)), []).append(frame)
-    told = []
+    messages = []
     for (i, j), some in sorted(frames.items(), key=lambda item: -len(item[1])):
         mask = np.zeros(max(some) + 1, bool)
         mask[some] = True
         spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in find_runs(mask)]
         shown = ", ".join(spans[:6]) + (", ..." if len(spans) > 6 else "")
-        told.append(
+        messages.append(
             f"The labels '{labels[i]}' and '{labels[j]}' were swapped in {len(some)} "
             f"frame{'s' if len(some) > 1 else ''} ({shown}); the swap is corrected."
         )
-    return told
+    return messages

@@ -89,6 +89,6 @@ def assume_hinge(augmented: AugmentedMarkers, segment: int, base: int) -> Augmen
     )
     frames.rotations[:, segment], frames.origins[:, segment], frames.known[:, segment] = r, o, known
     for m in (first, second):
-        own = np.einsum("fba,fb->fa", r[known], augmented.positions[known, m] - o[known])
-        frames.local_positions[m] = np.median(own, axis=0) if known.any() else 0.0
+        local = np.einsum("fba,fb->fa", r[known], augmented.positions[known, m] - o[known])
+        frames.local_positions[m] = np.median(local, axis=0) if known.any() else 0.0
     return augmented._replace(frames=frames)

@@ -16,7 +16,7 @@ from .tree import SegmentTree
 
 
 class AssembledSkeleton(NamedTuple):
-    """A skeleton in which bone `j` is the segment `order[j]`."""
+    """A skeleton in which bone `j` is the segment `bone_segments[j]`."""
 
     skeleton: Skeleton
     bone_segments: tuple[int, ...]
@@ -49,8 +49,8 @@ def assemble_skeleton(
         if joint is None:
             children = [tree.joints[k] for k in order if tree.parents[k] == segment]
             places = [child.in_parent for child in children if child is not None]
-            own = np.mean(places, axis=0) if len(places) > 1 else np.zeros(3)
-            centre, kind = turns[segment] @ own + origin, "free"
+            centroid = np.mean(places, axis=0) if len(places) > 1 else np.zeros(3)
+            centre, kind = turns[segment] @ centroid + origin, "free"
         else:
             place = joint.in_parent
             length = lengths.get((joint.parent, segment), np.nan)
@@ -124,13 +124,15 @@ def _project_poses(skeleton: Skeleton, poses: Pose) -> Pose:
 
 def _nearest_known_frames(known: np.ndarray) -> np.ndarray:
     """Find the nearest known frame of each frame."""
-    there = np.flatnonzero(known)
-    if len(there) == 0:
+    indices = np.flatnonzero(known)
+    if len(indices) == 0:
         return np.arange(len(known))
-    after = np.minimum(np.searchsorted(there, np.arange(len(known))), len(there) - 1)
+    after = np.minimum(np.searchsorted(indices, np.arange(len(known))), len(indices) - 1)
     before = np.maximum(after - 1, 0)
     now = np.arange(len(known))
-    return np.where(np.abs(there[before] - now) < np.abs(there[after] - now), there[before], there[after])
+    return np.where(
+        np.abs(indices[before] - now) < np.abs(indices[after] - now), indices[before], indices[after]
+    )
 
 
 def _usable_segments(tree: SegmentTree, root: int) -> list[int]:
@@ -175,8 +177,8 @@ def _choose_rest_frame(tree: SegmentTree, order: list[int]) -> tuple[dict[int, n
 def _bone_end(bone: int, parents, centres, bones: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     """Compute the end of a bone: the mean of its child joints, otherwise the mean of its markers."""
     children = [centres[k] for k, parent in enumerate(parents) if parent == bone]
-    own = offsets[bones == bone]
-    return np.mean(children, axis=0) if children else (own.mean(0) if len(own) else centres[bone])
+    members = offsets[bones == bone]
+    return np.mean(children, axis=0) if children else (members.mean(0) if len(members) else centres[bone])
 
 
 def _bone_orientations(centres: np.ndarray, ends: np.ndarray) -> np.ndarray:

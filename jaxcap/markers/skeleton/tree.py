@@ -103,8 +103,8 @@ def find_tree(
     chosen = _cheapest_pairs(found, segments.num_segments)
     limit = MAX_RELATIVE_COST * _median_distance(positions, seen)
     usual = float(np.median([found[pair][1] for pair in chosen])) if chosen else 0.0
-    held = [pair for pair in chosen if found[pair][1] <= max(limit, MAX_COST_RATIO * usual)]
-    return _root_tree(now, held, found)
+    accepted = [pair for pair in chosen if found[pair][1] <= max(limit, MAX_COST_RATIO * usual)]
+    return _root_tree(now, accepted, found)
 
 
 def template_pairs(template: Skeleton, segments: Segments, bones: Mapping[str, str]) -> list[tuple[int, int]]:

@@ -26,8 +26,8 @@ class DisplayCloud(NamedTuple):
 class DisplayClouds:
     """The scans of a sequence, shared by several windows.
 
-    **Arguments:** `scans`; `turn (3, 3)`, the rotation to upright; `most`, the maximum number of points of
-    each scan, sampled uniformly over the file's order and so over the surface.
+    **Arguments:** `scans`; `upright_rotation (3, 3)`, the rotation to upright; `max_points`, the largest
+    number of points of each scan, sampled uniformly over the file's order and so over the surface.
     """
 
     def __init__(

@@ -27,9 +27,9 @@ NO_SELECTION = "no constraint is selected"
 
 
 class IkControls:
-    """**Arguments:** `client`; the `session` that sets the initial values; `ask` receives an edit; `hold` a
-    point to constrain; `redraw` is called if only the display changes; `save` takes a suffix, `load` a file's
-    name and content; `set_view` the name of a direction to look from."""
+    """**Arguments:** `client`; the `session` that sets the initial values; `send_edit` receives an
+    edit; `constrain` a point to constrain; `redraw` is called if only the display changes; `save` takes a
+    suffix, `load` a file's name and content; `set_view` the name of a direction to look from."""
 
     def __init__(
         self,

@@ -31,8 +31,8 @@ REACHED_DISTANCE = 0.005
 class Handles:
     """The handles of one window's constraints.
 
-    **Arguments:** `scene` of one client; `radius` of the balls, metres; `told` is called during a drag in
-    viser's event loop, so it must not block.
+    **Arguments:** `scene` of one client; `radius` of the balls, metres; `on_drag` is called during a drag
+    in viser's event loop, so it must not block.
     """
 
     def __init__(self, scene: SceneApi, radius: float, on_drag: DragCallback):

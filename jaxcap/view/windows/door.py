@@ -132,7 +132,8 @@ def guard_servers(door: AccessGuard) -> Iterator[None]:
 
     viser creates its server in a thread of its own and takes no `process_request`, so
     `websockets.asyncio.server.serve` is replaced meanwhile. Servers at other ports are not changed. The
-    caller checks `door.guarded` afterwards, as another version of viser may create its server in another way.
+    caller checks `door.guarded_ports` afterwards, as another version of viser may create its server in
+    another way.
     """
     import websockets.asyncio.server as module
 

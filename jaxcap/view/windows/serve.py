@@ -112,7 +112,7 @@ def remote_address(server: ViserServer) -> str | None:
 
 
 def serve_clients(server: ViserServer, run: Callable[[ClientHandle, threading.Event], None]) -> None:
-    """Call `build(client, gone)` for every browser that opens the window, in a thread of its own.
+    """Call `run(client, gone)` for every browser that opens the window, in a thread of its own.
 
     Additions to `client.scene` and `client.gui` are visible in that browser only. `gone` is set when this
     browser closes: a loop of `run` ends with `while not gone.wait(...)`. Later messages are dropped without
