@@ -30,8 +30,8 @@ from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.demo.picture import View, draw_views
+from jaxcap.fit.judgement.normal_values import initial_values
 from jaxcap.fit.judgement.surface import sampled_surface
-from jaxcap.fit.judgement.usual import initial_values
 from jaxcap.fit.tracking.recover import (
     SearchPause,
     TrackedFrame,

@@ -1,5 +1,5 @@
 """Fit articulated bodies to sensor data: poses, motions and their energies in JAX."""
 
-from .namespace import attach
+from .lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

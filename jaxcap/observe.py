@@ -24,7 +24,7 @@ from .errors import InputError
 from .geometry.morton_order import spatial_order
 from .geometry.normals import estimate_normals
 from .geometry.stacking import stack
-from .values import check_faces
+from .value_checks import check_faces
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
 MAX_DISTANCE = 1e4

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import jaxcap
-from jaxcap.namespace import read_stub
+from jaxcap.lazy_imports import read_stub
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig

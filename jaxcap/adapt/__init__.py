@@ -1,5 +1,5 @@
 """Adapt a template body to the actor in a sequence of scans."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

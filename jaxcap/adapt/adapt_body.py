@@ -13,10 +13,10 @@ from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
 from ..fit.correspondence.correspond import IndexedScan, PointPairs
-from ..fit.tracking.likeliest import likelier_pose
+from ..fit.tracking.compare_poses import likelier_pose
 from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
-from .flagged import flag_frames
+from .flag_frames import flag_frames
 from .objective import balancing_weight, motion_energy
 from .poses.sliding_window import WINDOW_FRAMES, smooth_windows
 from .poses.task_pairs import TaskPairs, append_history, pairs_at, poses_at, select_evenly

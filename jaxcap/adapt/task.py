@@ -13,7 +13,7 @@ from ..fit.tracking.recover import TrackedFrame
 from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
-from ..values import check_at_least, check_positive
+from ..value_checks import check_at_least, check_positive
 from .objective import Terms
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import People

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import check_fields, check_length, checked, dimension_lengths
 from ..errors import InputError
 from ..geometry.mesh import vertex_normals
-from ..values import check_faces
+from ..value_checks import check_faces
 from .kinematics import Transforms, forward_kinematics, joint_positions
 from .pose import Pose
 from .skeleton import Skeleton

@@ -5,6 +5,6 @@ inverse kinematics.
 `solve_ik` and their types are also in `jc` itself. Functions that transfer a motion take `(motion, source,
 target)`; all others take the skeleton or the body first, and then its motion."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

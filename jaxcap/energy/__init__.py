@@ -1,5 +1,5 @@
 """Energies: additive residuals of posed bodies."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

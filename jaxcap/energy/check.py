@@ -14,7 +14,7 @@ from ..arguments import describe
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, rest_pose
 from ..errors import InputError
-from ..values import check_values, concrete_values
+from ..value_checks import check_values, concrete_values
 from .energy import AbstractEnergy, Weighted, energy_name, sum_energies, terms_of, unweighted
 
 #: energies of a user's own: one or several

@@ -1,5 +1,5 @@
 """Geometry on arrays: rotations, meshes, cameras and linear equations."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

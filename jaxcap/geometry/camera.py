@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..arguments import as_jax_array, check_fields, checked
 from ..errors import InputError
-from ..values import check_at_least, check_positive, concrete_values
+from ..value_checks import check_at_least, check_positive, concrete_values
 
 #: smallest side of an image, pixels; largest number of pixels, above that of any depth camera
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 25_000_000

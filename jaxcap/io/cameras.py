@@ -9,7 +9,7 @@ from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
 from .kinds import check_kind
-from .system.door import reader_of
+from .system.reader_errors import reader_of
 from .table import write_json
 from .text import MAX_NUMBER, read_json, shortened
 

@@ -27,7 +27,7 @@ from ..edit.ik.constraints import Constraint, check_constraints, describe_point
 from ..errors import InputError, user_message
 from .kinds import check_kind
 from .system.atomic import write_text
-from .system.door import reader_of
+from .system.reader_errors import reader_of
 from .text import read_json, shortened
 
 FORMAT, VERSION = "jaxcap constraints", 1

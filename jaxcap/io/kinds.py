@@ -10,7 +10,7 @@ from .archives.archive import array_names, read_format_name
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
-from .skeletons.beside import find_rig_files
+from .skeletons.rig_files import find_rig_files
 from .skinned.clip import split_clip
 from .text import read_json, shortened
 

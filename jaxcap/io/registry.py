@@ -30,8 +30,8 @@ from .meshes.mesh import SUFFIXES, check_mesh, check_size, read_mesh
 from .skeletons.amass import is_amass, read_amass, write_amass
 from .skeletons.amc import read_amc
 from .skeletons.asf import read_asf
-from .skeletons.beside import find_rig_files
 from .skeletons.bvh import read_bvh, write_bvh
+from .skeletons.rig_files import find_rig_files
 from .skeletons.skl import read_skl, write_skl
 from .skeletons.vj import read_vj
 from .skinned.clip import split_clip, suffix_of

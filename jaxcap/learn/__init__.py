@@ -1,5 +1,5 @@
 """Learn animatable bodies from registered meshes."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,7 +19,7 @@ from ..geometry.laplacian import Conformance, make_conformance
 from ..observe import MeshSequence
 from .blend.linear import VERTICES, improve_linear_skin
 from .blend.variable_projection import optimise_all_vertices
-from .coarse import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
+from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
 from .initialise import (
     InitialBody,
     SkinName,

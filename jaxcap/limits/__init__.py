@@ -1,5 +1,5 @@
 """Joint limits learned from motion: samples, voxels, keyframes, and projection of motions."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

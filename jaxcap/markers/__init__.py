@@ -1,5 +1,5 @@
 """From raw optical markers to a skeleton and its motion."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -13,7 +13,7 @@ from ..body.skin import AbstractSkin, LinearSkin, RigidSkin
 from ..errors import InputError
 from .envelopes import assign_bones, default_radii, default_tails
 from .heat import heat_weights
-from .place import place_human
+from .place_human import place_human
 
 METHODS = ("automatic", "envelopes", "heat")
 

@@ -1,5 +1,5 @@
 """Simulated depth cameras around a moving surface, with noisy and partial clouds and meshes."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from ..arguments import check_metres, checked
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..values import check_faces
+from ..value_checks import check_faces
 from .depth import make_ray_mesh, render_depth
 from .fuse import Scan, fuse_cloud, fuse_mesh
 from .noise import apply_errors

@@ -1,6 +1,6 @@
 """Browser windows: view the library's files (`app`), pose a body by hand (`ik`), and view from notebooks
 (`show`)."""
 
-from ..namespace import attach
+from ..lazy_imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
-from jaxcap.adapt.flagged import NO_SCAN, distance_limit, flag_frames
+from jaxcap.adapt.flag_frames import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.similarity import (
     DIRECTIONS,
@@ -26,7 +26,7 @@ from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.fit.tracking import track as sequence
-from jaxcap.fit.tracking.likeliest import log_likelihood
+from jaxcap.fit.tracking.compare_poses import log_likelihood
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation

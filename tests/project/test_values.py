@@ -14,7 +14,7 @@ import jaxcap as jc
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.correspond import as_scan, make_scan
 from jaxcap.observe import Scan
-from jaxcap.values import check_positive
+from jaxcap.value_checks import check_positive
 
 
 @pytest.fixture(autouse=True)

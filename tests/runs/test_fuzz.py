@@ -17,7 +17,7 @@ from jaxcap.errors import InputError, is_user_error
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.archive import load_arrays
 from jaxcap.io.gltf.gltf_reader import read_gltf
-from jaxcap.io.system.door import reader_of
+from jaxcap.io.system.reader_errors import reader_of
 
 #: bytes of files that are read in a moment
 SMALL = 50_000

@@ -16,14 +16,14 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.fit.judgement.evidence import _visible_in_camera, gather_evidence
 from jaxcap.fit.judgement.inside import inside_degrees
-from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_surface
-from jaxcap.fit.judgement.usual import (
+from jaxcap.fit.judgement.normal_values import (
     initial_values,
     mark_flagged,
     median_values,
     sensor_directions,
     update_values,
 )
+from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_surface
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
 from jaxcap.geometry.mesh import sample_surface

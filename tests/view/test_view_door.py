@@ -21,7 +21,7 @@ from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.ik.window import serve_ik
 from jaxcap.view.windows import serve
-from jaxcap.view.windows.door import AccessGuard
+from jaxcap.view.windows.access_guard import AccessGuard
 from jaxcap.view.windows.serve import address, close_server, open_server, remote_address
 
 __all__ = ["chromium"]

@@ -14,6 +14,7 @@ from ...body.body import Body, body_height
 from ...body.decimate import attach_points, attached_positions, reduce_body
 from ...body.pose import Pose
 from ...fit.correspondence.part_blocks import make_parts
+from ...fit.tracking.compare_poses import log_likelihood, track_from
 from ...fit.tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
@@ -22,7 +23,6 @@ from ...fit.tracking.initialise import (
     initialise,
     rotated_starts,
 )
-from ...fit.tracking.likeliest import log_likelihood, track_from
 from ...fit.tracking.track_frame import Tracker
 from ...observe import Cloud, thin_cloud
 from ..task import AdaptTask, make_task_tracker

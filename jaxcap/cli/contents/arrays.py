@@ -16,7 +16,7 @@ from ...io.kinds import kind_of_arrays
 from ...io.markers.subject import load_subject
 from ...io.meshes.meshes import read_meshes
 from ...io.skeletons.amass import read_amass
-from ...io.system.door import reader_of
+from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
 from ..console.console import say
 from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size

@@ -11,7 +11,7 @@ from ...io.cameras import read_cameras
 from ...io.kinds import KIND_NAMES, KIND_PLURALS, identify
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.meshes.mesh import SUFFIXES
-from ...io.skeletons.beside import find_rig_files
+from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
 from .bodies import describe_motion, format_size
 from .texts import describe_journal, describe_statistics

@@ -12,7 +12,7 @@ from ...io.registry import read_marker_file, read_skeleton
 from ...io.skeletons.asf import read_asf
 from ...io.skeletons.cst import read_cst
 from ...io.skeletons.joint_names import read_joint_names
-from ...io.system.door import reader_of
+from ...io.system.reader_errors import reader_of
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
 from ..console.console import pluralise, say
 from .bodies import describe_skeleton

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
+from ...fit.judgement.normal_values import initial_values
 from ...fit.judgement.surface import sampled_surface
-from ...fit.judgement.usual import initial_values
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em import FrameStatistics
 from ...fit.tracking.recover import SearchPause, TrackedFrame, reasons_of, unseen_of, verdict_of

@@ -23,7 +23,7 @@ from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.task_priority import solve_in_order
-from ...values import check_at_least
+from ...value_checks import check_at_least
 from .constraints import ORIENTATION_OFFSET, Constraints, constrained_body
 
 Solver = Literal["levenberg-marquardt", "gauss-newton", "priorities"]

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
-from ...values import check_deviations, check_direction, check_values
+from ...value_checks import check_deviations, check_direction, check_values
 from .vertices import AbstractVertexEnergy
 
 #: numbers of tested vertices: the lowest at rest, and others spread over the surface

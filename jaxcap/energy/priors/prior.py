@@ -8,7 +8,7 @@ from ...body.body import Posed
 from ...body.pose import Pose, difference, local_rotation_vectors
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
-from ...values import check_deviations
+from ...value_checks import check_deviations
 from ..energy import AbstractEnergy
 
 

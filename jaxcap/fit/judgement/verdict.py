@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .evidence import NUM_POINTS, Evidence
+from .normal_values import INSIDE, NormalValues, stack_evidence
 from .surface import SampledSurface
-from .usual import INSIDE, NormalValues, stack_evidence
 
 #: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
 #: of `stack_evidence`

@@ -11,7 +11,7 @@ from ...energy.data.points import PointToPlane
 from ...energy.data.sufficient_statistics import rigid_moments
 from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...observe import Cloud
-from ...values import as_number, check_at_least, check_positive, check_values, check_within
+from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from ..correspondence.part_blocks import Parts
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
 from ..problem import PoseProblem

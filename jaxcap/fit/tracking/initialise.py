@@ -18,7 +18,7 @@ from ...energy.priors.limits import JointLimits
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
 from ...observe import Cloud, Scan, as_cloud, thin_cloud
-from ...values import check_at_least, check_direction
+from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_parts
 from .em import Estimate, box_volume, em_step, uniform_priors
 from .track_frame import Tracker

@@ -10,8 +10,14 @@ from ...body.pose import Pose
 from ...energy.priors.prior import tangent_deviations
 from ...observe import Cloud, thin_cloud
 from ..judgement.evidence import gather_evidence
+from ..judgement.normal_values import (
+    NormalValues,
+    initial_values,
+    mark_flagged,
+    sensor_directions,
+    update_values,
+)
 from ..judgement.surface import SampledSurface
-from ..judgement.usual import NormalValues, initial_values, mark_flagged, sensor_directions, update_values
 from ..judgement.verdict import Judgement, judge_evidence
 from .em import Estimate, FrameStatistics
 from .initialise import (

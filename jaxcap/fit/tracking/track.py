@@ -16,12 +16,12 @@ from ...body.pose import Motion, Pose, rest_pose, stack_poses
 from ...energy.check import UserTerms
 from ...errors import InputError
 from ...observe import Cloud, CloudFrames, Scan, as_cloud
-from ...values import check_direction
+from ...value_checks import check_direction
+from ..judgement.normal_values import initial_values
 from ..judgement.surface import sampled_surface
-from ..judgement.usual import initial_values
 from .check import check_cloud
+from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
-from .likeliest import choose_likeliest, likelier_pose
 from .recover import (
     SearchPause,
     TrackedFrame,

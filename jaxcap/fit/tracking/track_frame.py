@@ -13,7 +13,7 @@ from ...energy.check import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...observe import Cloud
-from ...values import as_number, check_at_least, check_deviations, check_positive, check_values
+from ...value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
 from ..correspondence.part_blocks import Parts, make_parts
 from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Motion
 from ...errors import InputError
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import parse_json
 from .journal import check_same_header
 from .npz import body_arrays, body_of, get_array, load_format, motion_arrays, motion_of, save_arrays

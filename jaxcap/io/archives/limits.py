@@ -15,7 +15,7 @@ from ...errors import InputError
 from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import shortened
 from .npz import MIN_QUATERNION_NORM, get_array, load_format, save_arrays
 

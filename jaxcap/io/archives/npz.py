@@ -16,7 +16,7 @@ from ...body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin
 from ...errors import InputError, user_message
 from ..kinds import KIND_NAMES, check_npz, wrong_arrays_error
 from ..system.atomic import atomic_path
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, RATE_RANGE, shortened
 from .archive import open_archive
 

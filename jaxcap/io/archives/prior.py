@@ -17,7 +17,7 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ...geometry.mesh import mesh_edges
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from .archive import load_arrays
 from .npz import (
     LIMITS_PREFIX,

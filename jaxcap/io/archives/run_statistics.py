@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...errors import InputError
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, read_json
 
 

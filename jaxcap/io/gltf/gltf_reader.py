@@ -18,7 +18,7 @@ from ..skinned.bind_pose import (
     surface_to_world_transform,
 )
 from ..skinned.left_out import warn_of_unread_content
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER
 from .gltf_file import GltfFile
 from .gltf_parts import Part

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import numbered_lines, parse_floats, read_text, shortened
 
 

@@ -9,7 +9,7 @@ from ...arguments import checked
 from ...errors import InputError, user_message
 from ...markers.subject import Subject, make_subject
 from ..archives.npz import get_array, load_format, save_arrays, skeleton_arrays, skeleton_of
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 
 #: the format's name in the file
 FORMAT = "jaxcap subject"

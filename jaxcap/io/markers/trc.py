@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import InputError
 from ...observe import MarkerFrames
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
 from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, parse_unit, shift_from_origin
 

@@ -14,8 +14,8 @@ from ...observe import Scan as Scan
 from ..archives.archive import array_names, load_arrays
 from ..kinds import wrong_arrays_error
 from ..system.atomic import atomic_path
-from ..system.door import reader_of
 from ..system.paths import find_files, order_files, select_range
+from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, unit_scale
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 

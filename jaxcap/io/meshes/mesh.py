@@ -16,8 +16,8 @@ from ...observe import unit_normals
 from ..gltf.gltf_scene import check_scene
 from ..kinds import wrong_kind_error
 from ..system.atomic import atomic_path, write_text
-from ..system.door import reader_of
 from ..system.inside import InsideResolver
+from ..system.reader_errors import reader_of
 from ..text import BODY, MAX_NUMBER, likely_units, unit_scale
 from .obj import read_obj, write_obj
 from .off import read_off

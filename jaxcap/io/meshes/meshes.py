@@ -13,8 +13,8 @@ from ...observe import MeshSequence
 from ..archives.archive import array_names, load_arrays
 from ..archives.npz import save_arrays
 from ..kinds import wrong_arrays_error
-from ..system.door import reader_of
 from ..system.paths import find_files
+from ..system.reader_errors import reader_of
 from ..text import check_rate, shortened, unit_scale
 from .mesh import check_points, read_mesh
 

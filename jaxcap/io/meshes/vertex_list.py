@@ -8,7 +8,7 @@ RFHD      88
 from pathlib import Path
 
 from ...errors import InputError
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import numbered_lines, parse_int, read_text, shortened
 
 

@@ -24,7 +24,7 @@ from ..archives.archive import array_names, load_arrays
 from ..archives.npz import get_array, skeleton_arrays, skeleton_of
 from ..skinned.skinned import check_motion
 from ..system.atomic import atomic_path
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import check_rate
 
 #: from a y-up to a z-up world

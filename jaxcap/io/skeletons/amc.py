@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...errors import InputError
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import (
     check_rate,
     numbered_lines,

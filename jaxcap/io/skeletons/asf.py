@@ -19,7 +19,7 @@ from ...body.limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
 from ...body.limits.limits import JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import numbered_lines, parse_floats, read_text, shortened
 from .twist_axes import END_SUFFIX, twist_orientations
 

@@ -16,7 +16,7 @@ from ...metrics import joint_errors
 from ..archives.archive import array_names
 from ..archives.npz import load_motion, load_skeleton
 from ..registry import read_motion
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from .amass import MAX_REST_DISTANCE, is_amass, read_amass
 
 

@@ -22,7 +22,7 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ..kinds import check_kind
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import Words, shortened
 
 _NUM_VALUES = {"translate": 3, "revolute": 2, "universal": 4, "ball": 8, "free": 8}

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import read_text
 
 FORMAT, VERSION = "jaxcap joint names", 1

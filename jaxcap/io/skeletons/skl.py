@@ -22,7 +22,7 @@ from ...arguments import checked
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import Words, shortened, unit_scale
 from .twist_axes import with_twist_axes
 

@@ -13,7 +13,7 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..kinds import check_kind
 from ..system.atomic import write_text
-from ..system.door import reader_of
+from ..system.reader_errors import reader_of
 from ..text import read_text, shortened
 
 

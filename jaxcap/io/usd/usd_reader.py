@@ -26,8 +26,8 @@ from ..skinned.bind_pose import (
 )
 from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn_of_unread_content
 from ..skinned.surface import SkinnedSurface, concatenate_surfaces, normalise_weights
-from ..system.door import reader_of
 from ..system.inside import is_inside, outside_folder_error
+from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, check_rate
 from .usd import SUFFIXES as WRITTEN
 from .usd_child import check_usd

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError, user_message
 from ..figures.scenery import add_background, add_light
-from .door import AccessGuard, guard_servers
+from .access_guard import AccessGuard, guard_servers
 
 if TYPE_CHECKING:
     from viser import ClientHandle, ViserServer

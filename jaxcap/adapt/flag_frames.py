@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
 from ..fit.judgement.evidence import Evidence, gather_evidence
+from ..fit.judgement.normal_values import median_values, sensor_directions
 from ..fit.judgement.surface import sampled_surface
-from ..fit.judgement.usual import median_values, sensor_directions
 from ..fit.judgement.verdict import Judgement, judge_evidence
 from ..geometry.camera import Camera
 from ..geometry.closest import nearest_on_surface
