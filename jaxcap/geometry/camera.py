@@ -70,6 +70,7 @@ def project(
     return camera.focal * there[..., :2] / safe + camera.principal_point, depth
 
 
+@checked
 def unproject(
     camera: Camera, pixels: Float[Array, "*points 2"], depth: Float[Array, "*points"]
 ) -> Float[Array, "*points 3"]:
