@@ -10,8 +10,8 @@ from .calibration.problem import CalibrationProblem as CalibrationProblem
 from .calibration.problem import make_calibration_problem as make_calibration_problem
 from .calibration.solve_calibration import CalibrationSolution as CalibrationSolution
 from .calibration.solve_calibration import solve_calibration as solve_calibration
-from .fit_local import LocalFit as LocalFit
-from .fit_local import fit_local as fit_local
+from .local_technique import LocalFit as LocalFit
+from .local_technique import fit_local as fit_local
 from .motion.gap_filling import fill_gaps as fill_gaps
 from .motion.gap_filling import joint_frames as joint_frames
 from .motion.inverse_kinematics import MarkerSolution as MarkerSolution

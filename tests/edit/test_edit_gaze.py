@@ -90,12 +90,10 @@ def test_chest_neck_and_head_share_one_turn(motion, looking):
 
 def test_a_direction_and_the_most_that_it_turns(motion):
     line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON, ["Chest", "Neck", "Head"])
-    free = look_at_target(
-        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_is_direction=True, fade=0.0
-    )
+    free = look_at_target(SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_direction=True, fade=0.0)
     assert free.after.max() < 1e-6 and not free.limited.any()
     some = look_at_target(
-        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_is_direction=True, fade=0.0, max_angle=30.0
+        SKELETON, motion, line, np.array([5.0, 0, 0]), shares, is_direction=True, fade=0.0, max_angle=30.0
     )
     np.testing.assert_allclose(some.before - some.after, 30.0, atol=1e-6)
     assert some.limited.all()
@@ -113,7 +111,7 @@ def test_limits_hold_the_turn(motion):
         line,
         np.array([-1.0, 0, -1.0]),
         shares,
-        is_is_direction=True,
+        is_direction=True,
         fade=0.2,
         limits=ranges,
     )
@@ -132,7 +130,7 @@ def test_who_is_recorded_beyond_limits_comes_back_into_them_with_the_fade(motion
     )
     line, shares = gaze_line_of_joint(SKELETON, "Head"), gaze_shares(SKELETON)
     ahead = look_at_target(
-        SKELETON, posed, line, np.array([np.sin(1.2), 0, np.cos(1.2)]), shares, is_is_direction=True, first=5, last=34,
+        SKELETON, posed, line, np.array([np.sin(1.2), 0, np.cos(1.2)]), shares, is_direction=True, first=5, last=34,
         fade=0.4, limits=limits,
     )  # fmt: skip
     front = np.asarray(rotation.to_matrix(ahead.motion.poses.rotations[:, 4]))[..., 2]

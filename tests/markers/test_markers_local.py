@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxcap.markers.fit_local import fit_local
+from jaxcap.markers.local_technique import fit_local
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories

@@ -13,7 +13,7 @@ from ...io.markers.marker_corrections import read_corrections, write_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
-from ...markers.fit_local import LocalFit, fit_local
+from ...markers.local_technique import LocalFit, fit_local
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.rotation_centres.centres import CentreMethod
 from ...markers.segments.merge_takes import merge_takes

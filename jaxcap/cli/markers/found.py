@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from ...markers.calibration.calibrate import Calibration
 from ...markers.calibration.observability import bone_length_deviations
-from ...markers.fit_local import LocalFit
+from ...markers.local_technique import LocalFit
 from ...report.markers.markers import list_bones
 from ..console.console import print_table, say
 
