@@ -25,7 +25,7 @@ class Glue(eqx.Module):
     corners: Int[Array, "N 3"]
     #: barycentric coordinates of the projection onto the triangle's plane; outside [0, 1] if it is outside
     #: the triangle
-    shares: Float[Array, "N 3"]
+    barycentric: Float[Array, "N 3"]
     #: signed distance from the plane, metres
     normal_offsets: Float[Array, "N"]
 
@@ -80,7 +80,7 @@ def glued_points(glue: Glue, vertices: Float[Array, "V 3"]) -> Float[Array, "N 3
     """Compute the positions of attached points from the body's current vertices, metres; one frame,
     differentiable."""
     corners = vertices[glue.corners]
-    foot = jnp.einsum("nc,nca->na", glue.shares, corners)
+    foot = jnp.einsum("nc,nca->na", glue.barycentric, corners)
     normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     squared = jnp.sum(normal**2, 1, keepdims=True)
     # a triangle that a pose has collapsed has no normal; its points stay on it

@@ -180,8 +180,8 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
             "'shape.vectors' has numbers that are not finite, first in mesh 0;",
         ),
         ("vectors", lambda a: a[:3], "expected 3 x 9"),
-        ("vectors", lambda a: a[:, :, :2], "must be any x any x 3"),
-        ("rotations", lambda a: a[:, :5], "must be 4 x 9 x 4"),
+        ("vectors", lambda a: a[:, :, :2], "expected any x any x 3"),
+        ("rotations", lambda a: a[:, :5], "expected 4 x 9 x 4"),
         ("scale", lambda a: a * np.inf, "'shape.scale' has numbers that are not finite, first in mesh 0;"),
     ):
         np.savez(path, **{**whole, f"shape.{name}": change(whole[f"shape.{name}"])})
