@@ -1,6 +1,8 @@
 """The page on other libraries runs, section by section, where the library of a section is installed."""
 
+import os
 import re
+import subprocess
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from tests.docs_pages import BLOCK, CHECKOUT
 PAGE = CHECKOUT / "docs" / "interoperability.md"
 SETUP, *SECTIONS = re.split(r"^## (?=.*$)", PAGE.read_text("utf-8"), flags=re.MULTILINE)
 #: the libraries that a section needs, all installed with jaxcap where none is named
-NEEDS = {"PyTorch": "torch", "Blender": "bpy", "OpenSim": "opensim", "rerun": "rerun", "ROS": "rosbags"}
+NEEDS = {"PyTorch": "torch", "OpenSim": "opensim", "rerun": "rerun", "ROS": "rosbags"}
+#: a Python with the module bpy, which needs another NumPy than JAX and so an environment of its own
+BLENDER_PYTHON = os.environ.get("JAXCAP_BLENDER_PYTHON")
 
 
 def test_every_section_has_ten_lines_or_few_more():
@@ -30,12 +34,18 @@ def test_a_section_runs(section, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict = {}
     for block in [*BLOCK.finditer(SETUP), *BLOCK.finditer(section)]:
-        exec(compile(block[2], str(PAGE), "exec"), names)
+        if "import bpy" in block[2]:
+            run_in_blender(block[2], names)
+        else:
+            exec(compile(block[2], str(PAGE), "exec"), names)
     CLAIMS.get(title, lambda names, folder: None)(names, tmp_path)
 
 
 def arrays(names, folder):
-    assert np.abs(np.linalg.norm(names["cloud"].normals, axis=1) - 1).max() < 1e-3
+    cloud = names["cloud"]
+    used = np.asarray(cloud.weights) > 0
+    assert used.sum() == 2000
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1)[used], 1.0, atol=1e-3)
 
 
 def torch_gradient(names, folder):
@@ -45,9 +55,14 @@ def torch_gradient(names, folder):
     np.testing.assert_allclose(names["rotations"].grad.numpy(), expected, rtol=1e-4, atol=1e-3)
 
 
-def armature(names, folder):
-    bones = set(names["armature"].data.bones.keys())
-    assert set(names["body"].skeleton.names) <= bones
+def run_in_blender(program: str, names: dict) -> None:
+    """The file is written in any case; Blender reads the bones by their names."""
+    if BLENDER_PYTHON is None:
+        pytest.skip("JAXCAP_BLENDER_PYTHON names no Python with the module bpy")
+    program += "print('bones', *armature.data.bones.keys(), sep=chr(10))\n"
+    done = subprocess.run([BLENDER_PYTHON, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert set(names["body"].skeleton.names) <= set(done.stdout.partition("bones\n")[2].splitlines())
 
 
 def opensim_tables(names, folder):
@@ -92,7 +107,6 @@ def messages(names, folder):
 CLAIMS = {
     "NumPy and trimesh": arrays,
     "PyTorch": torch_gradient,
-    "Blender": armature,
     "OpenSim": opensim_tables,
     "rerun": recording,
     "ROS": messages,
