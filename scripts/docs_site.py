@@ -116,7 +116,9 @@ def names_of(wings: str) -> list[str]:
 
 def paper_functions() -> list[str]:
     """List the full names of functions in the papers' tables that are not public."""
-    public = {f"{it.__module__}.{it.__qualname__}" for it in (attrgetter(n)(jaxcap) for n in public_names())}
+    found_names = (attrgetter(name)(jaxcap) for name in public_names())
+    # modules among them, such as geometry.rotation, have no name of a definition
+    public = {f"{it.__module__}.{it.__qualname__}" for it in found_names if hasattr(it, "__qualname__")}
     found: dict[str, None] = {}
     for name in functions_of(sorted((ROOT / "docs").rglob("*.md"))):
         if name not in public:
