@@ -54,5 +54,8 @@ def test_a_shift_costs_its_distance_alone(sphere):
 
 
 def test_bad_alpha(sphere):
-    with pytest.raises(ValueError, match="`alpha`.* is -1"):
+    with pytest.raises(
+        ValueError,
+        match="`alpha`, the weight of shape relative to distance, is -1.0; expected a finite number",
+    ):
         lap.make_conformance(*sphere, alpha=-1.0)

@@ -69,7 +69,8 @@ def test_damaged_record_ends_what_counts(tmp_path, records):
     path.write_bytes(data)
     with (
         pytest.warns(
-            UserWarning, match=r"record 2, .* the 2 records after it are computed again.* journal.damaged"
+            UserWarning,
+            match=r"record 2, .* the 2 records after it are computed again\. The damaged journal is kept as journal.damaged",
         ),
         resume_journal(path, HEADER, 7) as journal,
     ):

@@ -146,7 +146,9 @@ def test_what_cannot_be_improved_is_said():
     true, start, poses, targets = scene("linear")
     metric = make_conformance(np.asarray(start.faces), len(start.vertices), 1.0)
     blended = eqx.tree_at(lambda b: b.skin, true, DualQuaternionSkin(true.skin.weights))
-    with pytest.raises(ValueError, match="has a DualQuaternionSkin"):
+    with pytest.raises(
+        ValueError, match="has a DualQuaternionSkin; expected a SwingTwistSkin, LinearSkin or RigidSkin"
+    ):
         improve_weights(blended, poses, targets, metric)
     short = jax.tree.map(lambda a: a[:-1], poses)
     with pytest.raises(ValueError, match="with 11 frames"):

@@ -122,7 +122,7 @@ def test_obj_counts_back_and_passes_over_the_rest(tmp_path):
         ("a.obj", "v 0 0 0\nf 1 2 3\n", r"face 0 refers to vertices \[0, 1, 2\]"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vert", "this .ply file is incomplete"),
         ("a.glb", "glTF", "this .glb file is incomplete"),
-        ("a.xyz", "1 2 3", "a point cloud as text.*convert it to .ply"),
+        ("a.xyz", "1 2 3", "a point cloud as text, which is not read; convert it to .ply"),
     ],
 )
 def test_a_wrong_mesh_is_told(tmp_path, name, text, said):

@@ -139,8 +139,8 @@ def test_a_pickled_gender_is_not_read_and_a_pickled_pose_is_refused(tmp_path, rn
     ("changed", "said"),
     [
         ({"mocap_framerate": None}, "the rate is unknown"),
-        ({"mocap_framerate": np.array(-1.0)}, "expected a number "),
-        ({"mocap_framerate": np.array("fast")}, "expected a number "),
+        ({"mocap_framerate": np.array(-1.0)}, "the rate is -1.0 frames per second; expected a number from"),
+        ({"mocap_framerate": np.array("fast")}, "expected a number above zero"),
         ({"poses": np.zeros((4, 155))}, "expected \\(frames, 3 \\* joints\\)"),
         ({"poses": np.zeros((3, 156))}, "'trans' has the shape"),
         ({"poses": np.full((4, 156), np.nan)}, "not finite, first in frame 0"),
