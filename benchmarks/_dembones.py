@@ -22,7 +22,7 @@ PATIENCE, MIN_DECREASE = 30, 1e-3
 
 
 class DemBonesRun(NamedTuple):
-    """One run of Dem-Bones; RMSE in millimetres for meshes in metres."""
+    """Errors (RMSE, millimetres) and times of Dem-Bones on meshes in metres."""
 
     bones: int
     #: after its default number of iterations
@@ -40,8 +40,11 @@ def dem_bones(
     rest: Float[np.ndarray, "V 3"] | None = None,
     limit: float = 600.0,
 ) -> DemBonesRun:
-    """One run from nothing, its initialisation in the seconds; `rest` where not given is the first
-    mesh. Goes on beyond the default iterations until it stops, or for `limit` seconds."""
+    """Run Dem-Bones without an initial skin; the seconds include its initialisation.
+
+    The default of `rest` is the first mesh. Iterations continue beyond the default number until they stop to
+    lower the error, or for `limit` seconds.
+    """
     try:
         from py_dem_bones import DemBones
     except ImportError:

@@ -47,13 +47,13 @@ def main() -> None:
     halves = (("training", training, posed_vertices(run.body, run.motion)), ("held_out", held_out, fitted))
     for name, meshes, posed in halves:
         distances = surface_distances(meshes, posed)
-        apart = vertex_errors_mm(posed, meshes.vertices)
+        errors = vertex_errors_mm(posed, meshes.vertices)
         figures |= {
             f"{name}_surface_mm": distances.mean(),
             f"{name}_surface_sd_mm": distances.std(),
             f"{name}_surface_worst_mesh_mm": distances.mean(1).max(),
-            f"{name}_vertex_mm": apart.mean(),
-            f"{name}_vertex_rms_mm": root_mean_square(apart),
+            f"{name}_vertex_mm": errors.mean(),
+            f"{name}_vertex_rms_mm": root_mean_square(errors),
         }
         progress(f"  {name}: {distances.mean():.2f} mm (sd {distances.std():.2f}) to the surface")
         if options.picture and name == "held_out":

@@ -76,19 +76,19 @@ def compare_exact(options, extra: dict) -> tuple[Figures, Limits, list[int]]:
         seed=options.seed,
     )
     progress(f"lbs: {len(truth.training)} meshes, {truth.clean.shape[1]} vertices")
-    # the meshes can be met exactly, so nothing is won by a weight on shape
+    # the meshes can be fitted exactly, so a weight on shape gains nothing
     run = learn(truth.training, skin="lbs", alpha=0.0, **extra)
     bones = run.body.skeleton.num_joints
     rival = dem_bones(truth.training, bones, truth.body.vertices)
-    apart = vertex_errors_mm(posed_vertices(run.body, run.motion), truth.clean)
+    errors = vertex_errors_mm(posed_vertices(run.body, run.motion), truth.clean)
     held_out = vertex_errors_mm(fitted_vertices(run.body, truth.held_out), truth.clean_held_out)
     joints = joint_errors(truth, run.body, run.motion, truth.scored_joints)
     joints.say(truth.turns[truth.scored_joints])
-    rms = root_mean_square(apart)
+    rms = root_mean_square(errors)
     progress(f"  learned: {rms:.4f} mm, {root_mean_square(held_out):.4f} held out")
     figures = {
         "lbs_mm": rms,
-        "lbs_worst_vertex_mm": apart.max(),
+        "lbs_worst_vertex_mm": errors.max(),
         "lbs_held_out_mm": root_mean_square(held_out),
         "lbs_worst_joint_mm": joints.determined.max(),
         "lbs_worst_joint_with_hinges_mm": joints.centres.max(),

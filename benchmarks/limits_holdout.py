@@ -102,8 +102,8 @@ def make_negatives(
     )
     joint, parent = test.joint, test.parent.joint
     seen = _embed_pairs(whole.rotations, whole.parent.rotations)
-    apart = KDTree(seen).query(_embed_pairs(children, parents), p=np.inf)[0]
-    never = apart > 2 * np.sin(np.radians(MAX_PAIR_ANGLE) / 4)
+    distances = KDTree(seen).query(_embed_pairs(children, parents), p=np.inf)[0]
+    never = distances > 2 * np.sin(np.radians(MAX_PAIR_ANGLE) / 4)
     return {
         "uniform": {
             parent: uniform_rotations(rng, count),
@@ -160,9 +160,9 @@ def score_captured(count: int) -> dict[str, float]:
         train, test = (whole.take(np.flatnonzero(whole.blocks % 2 == half)) for half in (0, 1))
         assert train.parent is not None and test.parent is not None
         boxes = learn_boxes(skeleton, [train.parent, train])
-        apart = learn_limits({parent: train.parent, joint: train._replace(parent=None)})
+        independent = learn_limits({parent: train.parent, joint: train._replace(parent=None)})
         together = learn_limits({parent: train.parent, joint: train})
-        schemes = {"boxes": boxes, "independent": (apart,), "hierarchy": (together,)}
+        schemes = {"boxes": boxes, "independent": (independent,), "hierarchy": (together,)}
         asked = make_negatives(train, test, whole, skeleton, count)
         for scheme, limits in schemes.items():
             good = are_allowed(limits, skeleton, {parent: test.parent.rotations, joint: test.rotations})

@@ -119,17 +119,17 @@ def compare_e_steps(scene: Scene, repeats: int):
     )
     ours = functools.partial(e_step, tracker, vertices, posed.normals, cloud, sigma)
     weights, _ = brute()
-    apart = np.abs(np.asarray(ours().outlier)[:count] - np.asarray(weights)[:, -1])
+    differences = np.abs(np.asarray(ours().outlier)[:count] - np.asarray(weights)[:, -1])
     median = alternating_medians({"ours": ours, "brute": brute}, repeats)
     figures = {
         "e_step_ms": 1000 * median["ours"],
         "e_step_brute_force_ms": 1000 * median["brute"],
         "e_step_ratio": median["brute"] / median["ours"],
-        "e_step_apart": apart.max(),
+        "e_step_apart": differences.max(),
     }
     progress(
         f"E-step: {figures['e_step_ms']:.2f} ms, brute force {figures['e_step_brute_force_ms']:.1f} ms, "
-        f"{figures['e_step_ratio']:.1f} times; outlier posteriors differ by {apart.max():.1e}"
+        f"{figures['e_step_ratio']:.1f} times; outlier posteriors differ by {differences.max():.1e}"
     )
     return figures
 

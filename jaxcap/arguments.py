@@ -135,11 +135,12 @@ def checked(function: Function) -> Function:
         try:
             return function(*arguments, **named)
         except ValueError as error:
-            # the name becomes that of the outermost function, which the user has called
-            if not is_user_error(error) or (isinstance(error, InputError) and not error.function):
+            # an error of another class has fields of its own, and one without a function is of a file
+            if type(error) not in (ValueError, InputError) or not is_user_error(error):
                 raise
-            if type(error) not in (ValueError, InputError):
-                raise  # an error with fields of its own
+            if isinstance(error, InputError) and not error.function:
+                raise
+            # the name becomes that of the outermost function, which the user has called
             raise InputError(user_message(error), name) from None
 
     return typing.cast(Function, wrapper)
