@@ -22,6 +22,7 @@ from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scan_actor
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import adapt_body, plan_stages
+from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.people.anatomy import rest_deviations
@@ -61,7 +62,7 @@ def pose_seconds(body: jc.Body, prior, cloud: jc.Cloud, truth: jc.Pose) -> tuple
     for _ in range(REPEATS + 1):
         start = retract(body.skeleton, truth, jnp.asarray(AWAY * rng.normal(size=body.skeleton.num_dofs), jnp.float32))  # fmt: skip
         begin = time.perf_counter()
-        found = fit_pose(body, make_scan(cloud), start, prior, weight=WEIGHT, steps=STEPS)
+        found = fit_pose(body, make_scan(cloud), start, PoseTerms(prior, WEIGHT), steps=STEPS)
         taken.append(time.perf_counter() - begin)
         joints = [np.asarray(jc.pose_body(body, pose).joints) for pose in (found.pose, truth)]
         off = float(np.linalg.norm(joints[0] - joints[1], axis=1).mean())

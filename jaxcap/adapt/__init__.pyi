@@ -1,6 +1,7 @@
 """Adapt a template body to the actor in a sequence of scans."""
 
 from .adapt_body import AdaptState as AdaptState
+from .objective import PoseTerms as PoseTerms
 from .poses.sliding_window import smooth_poses as smooth_poses
 from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior

@@ -16,14 +16,14 @@ from ..fit.correspondence.correspond import IndexedScan, PointPairs
 from ..fit.tracking.compare_poses import likelier_pose
 from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
-from .flag_frames import flag_frames
 from .objective import balancing_weight, motion_energy
+from .poses.flag_frames import flag_frames
 from .poses.sliding_window import WINDOW_FRAMES, smooth_windows
 from .poses.task_pairs import TaskPairs, append_history, pairs_at, poses_at, select_evenly
 from .poses.unordered import find_poses
-from .rounds import adapt_round
-from .rounds import shape_weight as shape_weight
-from .rounds import spread_frames as spread_frames
+from .shape.rounds import adapt_round
+from .shape.rounds import shape_weight as shape_weight
+from .shape.rounds import spread_frames as spread_frames
 from .shape.scale import fit_size
 from .task import AdaptSettings as AdaptSettings
 from .task import AdaptState as AdaptState
@@ -111,12 +111,9 @@ def _estimate_size_from(
         body,
         scans,
         poses,
-        task.prior,
+        task.pose_terms(weight),
         settings.matching,
-        weight,
         cameras=task.cameras,
-        boxes=task.boxes,
-        terms=task.terms,
         initial_size=size,
     )
     motion = stack_poses(poses, task.rate)
@@ -278,11 +275,8 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
         body,
         [state.motion[n] for n in there],
         pairs_in,
-        task.prior,
-        state.weight,
+        task.pose_terms(state.weight),
         state.temporal,
-        boxes=task.boxes,
-        terms=task.terms,
         times=there,
         resume_frame=state.within,
     )

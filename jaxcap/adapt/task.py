@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from jaxtyping import Array, Float
+
 from ..body.body import Body
 from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
@@ -14,7 +16,7 @@ from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Cloud
 from ..value_checks import check_at_least, check_positive
-from .objective import Terms
+from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import People
 
@@ -145,6 +147,10 @@ class AdaptTask(NamedTuple):
     def scanned(self) -> list[int]:
         """The frames that have a scan."""
         return sorted(set(range(self.frames)) - set(self.missing))
+
+    def pose_terms(self, weight: float | Float[Array, ""]) -> PoseTerms:
+        """Return the terms of a pose, with the prior at a weight."""
+        return PoseTerms(self.prior, weight, self.boxes, self.terms)
 
     def frames_of(self, stage: "Stage") -> list[int]:
         """List the frames with a scan that a stage processes."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -20,6 +21,16 @@ def stack(arrays: Sequence[Array | np.ndarray]) -> Array:
 def concatenate(arrays: Sequence[Array | np.ndarray]) -> Array:
     """Concatenate arrays along their first axis, differentiably; as `stack`."""
     return jnp.concatenate(arrays) if _traced(arrays) else jnp.asarray(np.concatenate(arrays))
+
+
+def stack_trees(trees: Sequence):
+    """Stack trees of arrays, such as the poses of single frames, leaf by leaf."""
+    return jax.tree.map(lambda *leaves: stack(leaves), *trees)
+
+
+def unstack_trees(stacked, count: int) -> list:
+    """Split a tree of stacked arrays into `count` trees."""
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count)]
 
 
 def _traced(arrays: Sequence[Array | np.ndarray]) -> bool:

@@ -10,11 +10,17 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan_stages
+from jaxcap.adapt.objective import (
+    CoefficientPrior,
+    PoseTerms,
+    mean_squared_distance,
+    shared_problem,
+    temporal_energy,
+)
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
-from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
-from jaxcap.adapt.problems import CoefficientPrior, mean_squared_distance, shared_problem, stack, unstack
-from jaxcap.adapt.rounds import gauss_newton_step
+from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
+from jaxcap.adapt.shape.rounds import gauss_newton_step
 from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
@@ -35,6 +41,7 @@ from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_jacobian, vertex_maps
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import mesh_edges, sample_surface
+from jaxcap.geometry.stacking import stack_trees, unstack_trees
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
@@ -96,8 +103,8 @@ def test_equations_of_a_frame_are_those_of_its_rows(rng, corners, shared):
 
 def test_shape_is_the_dense_least_squares_solution(rng):
     """Pairs of two frames, the Laplacian in two poses, and the hold, in one residual and its Jacobian."""
-    pairs = stack([random_pairs(BODY, rng, 300, 3) for _ in range(2)])
-    poses = stack([random_pose(BODY.skeleton, rng, 0.5) for _ in range(2)])
+    pairs = stack_trees([random_pairs(BODY, rng, 300, 3) for _ in range(2)])
+    poses = stack_trees([random_pose(BODY.skeleton, rng, 0.5) for _ in range(2)])
     prior, weight, hold = body_shape_prior(BODY, 2), 0.7, 1e-3
     laplacian = jnp.asarray(prior.laplacian.toarray())
 
@@ -106,7 +113,9 @@ def test_shape_is_the_dense_least_squares_solution(rng):
         meshes, own = (
             jax.vmap(lambda pose: jc.pose_body(body, pose).vertices)(p) for p in (prior.poses, poses)
         )
-        places = jnp.stack([pair_positions(p, mesh) for p, mesh in zip(unstack(pairs, 2), own, strict=True)])
+        places = jnp.stack(
+            [pair_positions(p, mesh) for p, mesh in zip(unstack_trees(pairs, 2), own, strict=True)]
+        )
         apart = jnp.einsum("fcra,fca->fcr", jax.vmap(pair_directions)(pairs), places - pairs.points)
         rough = jnp.sqrt(weight / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - prior.vectors)
         return jnp.concatenate([jnp.sqrt(hold) * shift, apart.reshape(-1), rough.reshape(-1)])
@@ -121,12 +130,12 @@ def test_shape_is_the_dense_least_squares_solution(rng):
 
 def test_a_vertex_is_the_corner_of_a_triangle(rng):
     """Pairs at vertices give the shape that they give as points in triangles that have all of one share."""
-    pairs = stack([random_pairs(BODY, rng, 300)])
+    pairs = stack_trees([random_pairs(BODY, rng, 300)])
     faces = np.asarray(BODY.faces)
     near = faces[[np.flatnonzero((faces == v).any(1))[0] for v in np.asarray(pairs.vertices[0, :, 0])]]
     shares = jnp.asarray(near == np.asarray(pairs.vertices[0]), float)
     wide = eqx.tree_at(lambda p: (p.vertices, p.barycentric), pairs, (jnp.asarray(near)[None], shares[None]))
-    poses, prior = stack([random_pose(BODY.skeleton, rng, 0.5)]), body_shape_prior(BODY, 2)
+    poses, prior = stack_trees([random_pose(BODY.skeleton, rng, 0.5)]), body_shape_prior(BODY, 2)
     one, other = (adapt_shape(BODY, poses, p, prior, 0.7, tolerance=1e-13).vertices for p in (pairs, wide))
     np.testing.assert_allclose(one, other, atol=1e-10)
     assert np.abs(one - BODY.vertices).max() > 0.01
@@ -139,10 +148,10 @@ def test_shape_refuses_pairs_across_the_body(rng):
     pairs = eqx.tree_at(
         lambda p: p.vertices, pairs, pairs.vertices.at[9].set(jnp.array([0, far, 0], jnp.int32))
     )
-    pose = stack([jc.rest_pose(BODY.skeleton)])
+    pose = stack_trees([jc.rest_pose(BODY.skeleton)])
     prior = body_shape_prior(BODY, 2)
     with pytest.raises(ValueError, match=f"vertices 0 and {far}, which share no edge"):
-        adapt_shape(BODY, pose, stack([pairs]), prior, 1.0)
+        adapt_shape(BODY, pose, stack_trees([pairs]), prior, 1.0)
 
 
 def test_a_posed_vertex_depends_linearly_on_its_place_at_rest(rng):
@@ -177,12 +186,12 @@ def test_second_differences_of_even_motion_are_none(rng):
     axis = jnp.asarray(rng.normal(size=(BODY.skeleton.num_joints, 3)) * free)
     rest = jc.rest_pose(BODY.skeleton)
     turned = [jc.Pose(rest.translations, rotation.exp(k * axis), rest.scale) for k in range(9)]
-    assert float(temporal_energy(BODY.skeleton, stack(turned))) < 1e-20
+    assert float(temporal_energy(BODY.skeleton, stack_trees(turned))) < 1e-20
     shaken = [
         p if k % 2 else jc.Pose(p.translations, turned[k // 2].rotations, p.scale)
         for k, p in enumerate(turned)
     ]
-    assert float(temporal_energy(BODY.skeleton, stack(shaken))) > 1e-5
+    assert float(temporal_energy(BODY.skeleton, stack_trees(shaken))) > 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +219,7 @@ def test_a_pose_is_found_from_near_by(scene, rng, matching, far):
     prior, scan = human_prior(actor), make_scan(clouds[5])
     away = jnp.asarray(far * rng.normal(size=actor.skeleton.num_dofs))
     start = retract(actor.skeleton, motion[5], away)
-    found = fit_pose(actor, scan, start, prior, matching, steps=15)
+    found = fit_pose(actor, scan, start, PoseTerms(prior), matching, steps=15)
     joints = [np.asarray(jc.pose_body(actor, pose).joints) for pose in (start, found.pose, motion[5])]
     off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]
     assert off[1] < 0.004
@@ -223,7 +232,7 @@ def test_size_is_told_by_scans(scene):
     root = large.skeleton.centres[0] - actor.skeleton.centres[0]
     pose = motion[0]
     pose = jc.Pose(pose.translations.at[0].add(-root), pose.rotations, pose.scale)
-    _, _, size = fit_size(large, [make_scan(clouds[0])], [pose], human_prior(actor), Matching(), 1e-6)
+    _, _, size = fit_size(large, [make_scan(clouds[0])], [pose], PoseTerms(human_prior(actor)), Matching())
     assert size == pytest.approx(1 / 1.12, rel=0.01)
 
 
@@ -234,15 +243,15 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     scans, prior = [make_scan(clouds[n]) for n in frames], human_prior(template)
     body = scale_body(template, jnp.asarray(1.66 / 1.75))
     poses = [
-        fit_pose(body, s, motion[n], prior, matching, steps=8).pose
+        fit_pose(body, s, motion[n], PoseTerms(prior), matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
     shape, beside, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
-    weights = [jnp.asarray(x) for x in (1e-6, 0.003)]
+    terms, deviation = PoseTerms(prior, jnp.asarray(1e-6)), jnp.asarray(0.003)
     mirrored = mirrored_joints(body.skeleton)
 
     def pairs():
-        return stack([pairs_of(body, p, s, matching) for p, s in zip(poses, scans, strict=True)])
+        return stack_trees([pairs_of(body, p, s, matching) for p, s in zip(poses, scans, strict=True)])
 
     def distance():
         each = [
@@ -255,10 +264,10 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     for _ in range(3):
         shifts = regress_joints(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
         belief = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
-        problem = shared_problem(body, pairs(), prior, modes, belief, mirrored, *weights)
-        body, several, _ = gauss_newton_step(problem, stack(poses))
-        poses = unstack(several, len(frames))
-        body = adapt_shape(body, stack(poses), pairs(), shape, 10.0)
+        problem = shared_problem(body, pairs(), terms, modes, belief, mirrored, deviation)
+        body, several, _ = gauss_newton_step(problem, stack_trees(poses))
+        poses = unstack_trees(several, len(frames))
+        body = adapt_shape(body, stack_trees(poses), pairs(), shape, 10.0)
         told.append(distance())
     assert told[0] > told[1] > told[2] > told[3]
     # what the true body leaves is noise
@@ -284,13 +293,12 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
         actor,
         shaken,
         lambda n, pose: pairs_of(actor, pose, scans[n], Matching()),
-        prior,
-        1e-6,
+        PoseTerms(prior),
         1e-2,
         frames=7,
         stride=4,
     )
-    rough = [float(temporal_energy(actor.skeleton, stack(poses))) for poses in (shaken, smooth)]
+    rough = [float(temporal_energy(actor.skeleton, stack_trees(poses))) for poses in (shaken, smooth)]
     assert rough[1] < 0.1 * rough[0]
     joints = [np.asarray(jc.pose_body(actor, poses[6]).joints) for poses in (shaken, smooth, [motion[6]] * 7)]
     off = [np.linalg.norm(some - joints[2], axis=1).mean() for some in joints[:2]]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from adapt_scene import make_scene, task_of
 
+from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.body.pose import retract
 from jaxcap.fit.correspondence.correspond import make_scan
@@ -31,7 +32,7 @@ def start_of(scene, size: float):
 def test_more_steps_are_never_worse_than_fewer(scene):
     actor, prior, scan, start = start_of(scene, 0.15)
     values = [
-        fit_pose(actor, scan, start, prior, weight=1e-8, steps=steps).data for steps in (1, 2, 4, 8, 12)
+        fit_pose(actor, scan, start, PoseTerms(prior, 1e-8), steps=steps).data for steps in (1, 2, 4, 8, 12)
     ]
     assert (np.diff(values) <= 1e-15).all()
     assert values[-1] < 0.5 * values[0]

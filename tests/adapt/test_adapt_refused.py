@@ -23,12 +23,12 @@ from jaxcap.adapt.check import (
 )
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.poses.task_pairs import pairs_at
-from jaxcap.adapt.problems import stack_pairs
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
+from jaxcap.energy.data.pairs import stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface

@@ -8,7 +8,6 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.objective import balancing_weight, motion_energy, pose_energy, symmetry_energy
-from jaxcap.adapt.problems import stack
 from jaxcap.adapt.shape.shape_prior import body_shape_prior, shape_energy
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import apply_modes, joint_modes
@@ -17,6 +16,7 @@ from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import PointPairs
 from jaxcap.fit.problem import linearise
+from jaxcap.geometry.stacking import stack_trees
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))
@@ -84,7 +84,7 @@ def test_the_human_is_symmetric_until_a_bone_grows():
 def test_the_pose_term_is_the_mean_and_balance_makes_terms_worth_alike(rng):
     poses = [random_pose(BODY.skeleton, rng, 0.5) for _ in range(3)]
     each = [float(jnp.sum(PRIOR.residual(jc.pose_body(BODY, pose)) ** 2)) for pose in poses]
-    assert pose_energy(PRIOR, BODY, stack(poses)) == pytest.approx(np.mean(each))
+    assert pose_energy(PRIOR, BODY, stack_trees(poses)) == pytest.approx(np.mean(each))
     assert balancing_weight(1e-5, 0.2) * 0.2 == pytest.approx(1e-5)
     assert balancing_weight(1e-5, 0.0) == 0.0
 
@@ -93,7 +93,7 @@ def test_the_temporal_term_of_too_few_frames_is_none(rng):
     poses = [random_pose(BODY.skeleton, rng, 0.1) for _ in range(4)]
     assert motion_energy(BODY.skeleton, stack_poses(poses[:2], 30.0)) == 0.0
     assert motion_energy(BODY.skeleton, stack_poses(poses, 30.0)) > 0
-    still = Motion(stack([poses[0]] * 4), 30.0)
+    still = Motion(stack_trees([poses[0]] * 4), 30.0)
     assert motion_energy(BODY.skeleton, still) == pytest.approx(0.0, abs=1e-20)
 
 

@@ -11,26 +11,20 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
+from jaxcap.adapt.objective import PAIRS_PER_MEASUREMENT, CoefficientPrior, PoseTerms, shared_problem
 from jaxcap.adapt.poses.task_pairs import TaskPairs
-from jaxcap.adapt.problems import (
-    PAIRS_PER_MEASUREMENT,
-    CoefficientPrior,
-    shared_problem,
-    stack,
-    stack_pairs,
-    unstack,
-)
-from jaxcap.adapt.rounds import adapt_round, gauss_newton_step
+from jaxcap.adapt.shape.rounds import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
-from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions
+from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import pair_positions
 from jaxcap.geometry.mesh import mesh_edges
+from jaxcap.geometry.stacking import stack_trees, unstack_trees
 
 FRAMES = 3
 BODY = chain_body("linear")
@@ -56,15 +50,17 @@ WEIGHTS = Weights(*(jnp.asarray(x) for x in (1e-2, 0.7, 0.003, 1e-3)))
 
 def problem(rng, corners: int = 3):
     """Poses, pairs, a shape that is not the body's own, and where joints are believed to be."""
-    poses = stack([random_pose(SKELETON, rng, 0.3) for _ in range(FRAMES)])
-    pairs = stack([random_pairs(BODY, rng, 200, corners) for _ in range(FRAMES)])
+    poses = stack_trees([random_pose(SKELETON, rng, 0.3) for _ in range(FRAMES)])
+    pairs = stack_trees([random_pairs(BODY, rng, 200, corners) for _ in range(FRAMES)])
     other = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + 0.005 * rng.normal(size=(COUNT, 3)))
     belief = CoefficientPrior(jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005))
     return poses, pairs, body_shape_prior(other, 2), belief
 
 
 def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
-    problem = shared_problem(body, pairs, prior, MODES, belief, MIRRORED, weights.pose, weights.deviation)
+    problem = shared_problem(
+        body, pairs, PoseTerms(prior, weights.pose), MODES, belief, MIRRORED, weights.deviation
+    )
     return adapt_together(problem, poses, pairs, shape, weights.shape, weights.hold, tolerance)
 
 
@@ -81,7 +77,7 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
     """All residuals of all unknowns in one Jacobian by autodiff, and the constraint by Lagrange's multipliers."""
     poses, pairs, shape, belief = problem(rng)
     laplacian = jnp.asarray(shape.laplacian.toarray())
-    each = unstack(pairs, FRAMES)
+    each = unstack_trees(pairs, FRAMES)
 
     def parts(x):
         d, z, e = jnp.split(x, [FRAMES * DOFS, FRAMES * DOFS + 3 * JOINTS])
@@ -89,14 +85,14 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
         body = eqx.tree_at(lambda b: b.vertices, body, BODY.vertices + e.reshape(-1, 3))
         turned = [
             retract(SKELETON, p, own)
-            for p, own in zip(unstack(poses, FRAMES), d.reshape(FRAMES, -1), strict=True)
+            for p, own in zip(unstack_trees(poses, FRAMES), d.reshape(FRAMES, -1), strict=True)
         ]
         data, beside = [], []
         for pose, some in zip(turned, each, strict=True):
             apart = pair_positions(some, jc.pose_body(body, pose).vertices) - some.points
             data.append(jnp.einsum("cra,ca->cr", pair_directions(some), apart).reshape(-1))
             beside.append(jnp.sqrt(WEIGHTS.pose * num_pairs(some)) * PRIOR.residual(jc.pose_body(BODY, pose)))
-        meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack(shape.poses, 2)])
+        meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack_trees(shape.poses, 2)])
         rough = jnp.sqrt(WEIGHTS.shape / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - shape.vectors)
         believed = jnp.sqrt(PAIRS_PER_MEASUREMENT) * WEIGHTS.deviation / belief.deviation * (z - belief.mean)
         every = [jnp.concatenate(data + beside), rough.reshape(-1), believed, jnp.sqrt(WEIGHTS.hold) * e]
@@ -184,18 +180,20 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
     poses, pairs, _, _ = problem(rng)
     actor = apply_modes(BODY, MODES, jnp.asarray(0.02 * rng.normal(size=3 * JOINTS)))
     actor = eqx.tree_at(lambda b: b.vertices, actor, BODY.vertices + 0.01 * rng.normal(size=(COUNT, 3)))
-    true = [retract(SKELETON, p, jnp.asarray(0.1 * rng.normal(size=DOFS))) for p in unstack(poses, FRAMES)]
-    points = [pair_positions(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack(pairs, FRAMES), true, strict=True)]  # fmt: skip
+    true = [
+        retract(SKELETON, p, jnp.asarray(0.1 * rng.normal(size=DOFS))) for p in unstack_trees(poses, FRAMES)
+    ]
+    points = [pair_positions(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack_trees(pairs, FRAMES), true, strict=True)]  # fmt: skip
     pairs = eqx.tree_at(lambda p: p.points, pairs, jnp.stack(points))
     shape, belief = (
         body_shape_prior(BODY, 2),
         CoefficientPrior(jnp.zeros(3 * JOINTS), jnp.full(3 * JOINTS, 0.02)),
     )
     weights = WEIGHTS._replace(pose=1e-8, shape=1e-2, hold=1e-4)
-    by = [jnp.asarray(x) for x in (weights.pose, weights.deviation)]
+    terms = PoseTerms(PRIOR, weights.pose)
 
     def left(body, turned):
-        each = zip(unstack(turned, FRAMES), unstack(pairs, FRAMES), strict=True)
+        each = zip(unstack_trees(turned, FRAMES), unstack_trees(pairs, FRAMES), strict=True)
         return sum(float(energy(body, pose, some)) for pose, some in each)
 
     @eqx.filter_jit
@@ -207,7 +205,7 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
     for _ in range(4):
         one = step(one[1], pairs, shape, belief, one[0], weights)
         body, turned, _ = gauss_newton_step(
-            shared_problem(two[0], pairs, PRIOR, MODES, belief, MIRRORED, *by), two[1]
+            shared_problem(two[0], pairs, terms, MODES, belief, MIRRORED, weights.deviation), two[1]
         )
         two = adapt_shape(body, turned, pairs, shape, 1e-2), turned
         told.append([left(*one), left(*two)])

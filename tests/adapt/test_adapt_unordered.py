@@ -10,8 +10,8 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
-from jaxcap.adapt.flag_frames import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses import unordered
+from jaxcap.adapt.poses.flag_frames import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses.similarity import (
     DIRECTIONS,
     distance_field,

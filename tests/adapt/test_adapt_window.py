@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from helpers import chain_body, random_pairs, random_pose
 
-from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
-from jaxcap.adapt.problems import stack, window_problem
+from jaxcap.adapt.objective import PoseTerms, temporal_energy, window_problem
+from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, empty_boxes, make_box_chart, make_pose_boxes
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
@@ -20,6 +20,7 @@ from jaxcap.fit.problem import linearise, pose_scales
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation
+from jaxcap.geometry.stacking import stack_trees
 
 BODY = chain_body()
 SKELETON, DOFS = BODY.skeleton, BODY.skeleton.num_dofs
@@ -31,7 +32,7 @@ WEIGHT, TEMPORAL = jnp.asarray(1e-3), jnp.asarray(0.3)
 def energy(poses, pairs, since=None):
     """Q of the poses of some frames (eq. 4.3)."""
     times = np.arange(len(poses.scale)) if since is None else np.append(0, np.cumsum(since))
-    problem = window_problem(BODY, pairs, PRIOR, WEIGHT, TEMPORAL, times)
+    problem = window_problem(BODY, pairs, PoseTerms(PRIOR, WEIGHT), TEMPORAL, times)
     return 2.0 * problem.value(problem.start(poses))
 
 
@@ -39,7 +40,7 @@ def energy(poses, pairs, since=None):
 def step_of(poses, pairs, boxes, held, since):
     """The bounds of a step, and the step with a little damping."""
     times = jnp.append(0.0, jnp.cumsum(since))
-    problem = window_problem(BODY, pairs, PRIOR, WEIGHT, TEMPORAL, times, boxes, held)
+    problem = window_problem(BODY, pairs, PoseTerms(PRIOR, WEIGHT, boxes), TEMPORAL, times, held)
     info = problem.information(problem.start(poses))
     descent = NormalDescent(relative=True)
     (step, _), _ = descent.step(jnp.asarray(1e4), descent.query(None, info, None))
@@ -115,7 +116,7 @@ def test_the_step_is_that_of_dense_equations(rng, held, gaps):
         boxes,
         eqx.tree_at(lambda b: (b.lower, b.upper), boxes, (boxes.lower - 9, boxes.upper + 9)),
     ):
-        args = stack(poses), stack(pairs), bounds, jnp.asarray(held), jnp.asarray(gaps, float)
+        args = stack_trees(poses), stack_trees(pairs), bounds, jnp.asarray(held), jnp.asarray(gaps, float)
         (low, high), step = step_of(*args[:3], int(held), args[4])
         expected = np.asarray(dense_step(*args))
         np.testing.assert_allclose(step, expected, atol=1e-9 * np.abs(expected).max())
@@ -132,9 +133,8 @@ def test_no_window_is_left_worse_than_it_was(rng, boxed):
     boxes = some_boxes(poses, 1.0) if boxed else empty_boxes()
     told = [poses]
     for _ in range(4):
-        told.append(smooth_poses(BODY, told[-1], lambda n, _: pairs[n], PRIOR, float(WEIGHT), float(TEMPORAL),
-                                 frames=6, steps=1, boxes=boxes))  # fmt: skip
-    values = [float(energy(stack(poses), stack(pairs))) for poses in told]
+        told.append(smooth_poses(BODY, told[-1], lambda n, _: pairs[n], PoseTerms(PRIOR, WEIGHT, boxes), float(TEMPORAL), frames=6, steps=1))  # fmt: skip
+    values = [float(energy(stack_trees(poses), stack_trees(pairs))) for poses in told]
     assert (np.diff(values) <= 1e-12).all()
     assert values[-1] < 0.5 * values[0]
 
@@ -149,7 +149,7 @@ def test_the_best_poses_are_kept_where_new_pairs_are_worse(rng):
         round = asked.count(frame) - 1
         return eqx.tree_at(lambda p: p.points, pairs[frame], pairs[frame].points + 5.0 * round)
 
-    kept = smooth_poses(BODY, poses, pairs_at, PRIOR, float(WEIGHT), float(TEMPORAL), frames=4, steps=5)
+    kept = smooth_poses(BODY, poses, pairs_at, PoseTerms(PRIOR, WEIGHT), float(TEMPORAL), frames=4, steps=5)
     for one, other in zip(kept, poses, strict=True):
         np.testing.assert_array_equal(one.rotations, other.rotations)
     # and some more steps were tried
@@ -176,7 +176,7 @@ def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng)
 
     def smooth(poses):
         prior = Counted(PRIOR.deviations)
-        return smooth_poses(BODY, poses, pairs_at, prior, 1e-3, 0.3, frames=4, stride=2, steps=1)
+        return smooth_poses(BODY, poses, pairs_at, PoseTerms(prior, 1e-3), 0.3, frames=4, stride=2, steps=1)
 
     smooth(poses[:4])
     count = len(traces)
@@ -189,7 +189,7 @@ def test_windows_ask_for_pairs_of_frames_that_moved_and_forget_those_behind(rng)
         sorted(asked[end - count : end]) for end, count in zip(ends, np.diff(ends, prepend=0), strict=True)
     ]
     assert rounds == [[0, 1, 2, 3], [0, 1, 2, 3], [4, 5], [3, 4, 5], [6, 7], [5, 6, 7]]
-    rough = [float(temporal_energy(SKELETON, stack(each))) for each in (poses, found)]
+    rough = [float(temporal_energy(SKELETON, stack_trees(each))) for each in (poses, found)]
     assert rough[1] < 0.2 * rough[0]
 
 
@@ -204,7 +204,9 @@ def test_an_even_motion_with_a_gap_stays_as_it_is(rng):
     none = eqx.tree_at(lambda p: p.weights, pairs, jnp.zeros_like(pairs.weights))
     moves = []
     for told in (times, None):
-        found = smooth_poses(BODY, poses, lambda *_: none, PRIOR, 0.0, 1.0, frames=4, stride=2, times=told)
+        found = smooth_poses(
+            BODY, poses, lambda *_: none, PoseTerms(PRIOR, 0.0), 1.0, frames=4, stride=2, times=told
+        )
         moves.append(max(float(jnp.abs(there.rotations - pose.rotations).max()) for there, pose in zip(found, poses, strict=True)))  # fmt: skip
     assert moves[0] < 1e-9
     assert moves[1] > 1e-3

@@ -9,9 +9,9 @@ from helpers import chain_skeleton, random_pose
 from scipy.optimize import lsq_linear
 
 import jaxcap as jc
-from jaxcap.adapt.poses.pose import fit_pose, mean_squared_distance, pairs_of
-from jaxcap.adapt.poses.sliding_window import smooth_poses, temporal_energy
-from jaxcap.adapt.problems import stack
+from jaxcap.adapt.objective import PoseTerms, mean_squared_distance, temporal_energy
+from jaxcap.adapt.poses.pose import fit_pose, pairs_of
+from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.body.limits.rotation_vector_boxes import (
     empty_boxes,
     make_box_chart,
@@ -25,6 +25,7 @@ from jaxcap.fit.correspondence.correspond import Matching, make_scan
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
+from jaxcap.geometry.stacking import stack_trees
 
 SKELETON = chain_skeleton()
 solve, own_of = jax.jit(solve_bounded), eqx.filter_jit(local_rotation_vectors)
@@ -235,9 +236,9 @@ def test_an_elbow_that_is_bent_too_far_ends_at_its_bound(scene, rng):
     body, poses, scans, prior = scene
     skeleton, elbow = body.skeleton, body.skeleton.index(ELBOW)
     start = shaken(rng, skeleton, poses[5], 0.04)
-    free = fit_pose(body, scans[5], start, prior, steps=15).pose
+    free = fit_pose(body, scans[5], start, PoseTerms(prior), steps=15).pose
     boxes = elbow_box(0.5)
-    held = fit_pose(body, scans[5], start, prior, steps=15, boxes=boxes)
+    held = fit_pose(body, scans[5], start, PoseTerms(prior, boxes=boxes), steps=15)
     bends = [np.asarray(own_of(skeleton, pose))[elbow] for pose in (free, held.pose)]
     assert bends[0][1] > 0.95
     assert bends[1][1] == pytest.approx(0.5, abs=1e-6)
@@ -265,13 +266,13 @@ def test_infinite_boxes_change_nothing_and_bounds_are_not_compiled_in(scene, rng
 
     prior = Counted(jnp.full((body.skeleton.num_joints, 3), 0.7))
     start = shaken(rng, body.skeleton, poses[2], 0.04)
-    free = fit_pose(body, scans[2], start, prior, steps=4)
-    boxed = fit_pose(body, scans[2], start, prior, steps=4, boxes=infinite_boxes(body.skeleton))
+    free = fit_pose(body, scans[2], start, PoseTerms(prior), steps=4)
+    boxed = fit_pose(body, scans[2], start, PoseTerms(prior, boxes=infinite_boxes(body.skeleton)), steps=4)
     np.testing.assert_allclose(boxed.pose.rotations, free.pose.rotations, atol=1e-12)
     np.testing.assert_allclose(boxed.pose.translations, free.pose.translations, atol=1e-12)
-    fit_pose(body, scans[2], start, prior, steps=2, boxes=elbow_box(0.4))
+    fit_pose(body, scans[2], start, PoseTerms(prior, boxes=elbow_box(0.4)), steps=2)
     count = len(traces)
-    fit_pose(body, scans[2], start, prior, steps=2, boxes=elbow_box(0.5))
+    fit_pose(body, scans[2], start, PoseTerms(prior, boxes=elbow_box(0.5)), steps=2)
     assert len(traces) == count
 
 
@@ -282,17 +283,19 @@ def test_a_window_stays_in_its_boxes(scene, rng):
 
     def smooth(boxes):
         pairs_at = lambda n, pose: pairs_of(body, pose, scans[n], Matching())  # noqa: E731
-        return smooth_poses(body, rough, pairs_at, prior, 1e-6, 1e-3, frames=4, stride=2, boxes=boxes)
+        return smooth_poses(body, rough, pairs_at, PoseTerms(prior, 1e-6, boxes), 1e-3, frames=4, stride=2)
 
     boxes = elbow_box(0.6)
     free, wide, held = smooth(None), smooth(infinite_boxes(skeleton)), smooth(boxes)
-    np.testing.assert_allclose(stack(wide).rotations, stack(free).rotations, atol=1e-12)
+    np.testing.assert_allclose(stack_trees(wide).rotations, stack_trees(free).rotations, atol=1e-12)
     own = np.stack([np.asarray(own_of(skeleton, pose))[elbow] for pose in held])
     assert (own >= boxes.lower - 1e-6).all() and (own <= boxes.upper + 1e-6).all()
     # bent less than the bound as the scans say, then held at it
     assert (own[:3, 1] < 0.55).all()
     np.testing.assert_allclose(own[4:, 1], 0.6, atol=1e-6)
-    assert float(temporal_energy(skeleton, stack(held))) < float(temporal_energy(skeleton, stack(rough)))
+    assert float(temporal_energy(skeleton, stack_trees(held))) < float(
+        temporal_energy(skeleton, stack_trees(rough))
+    )
     others = np.array([not name.startswith(("LeftArm", ELBOW)) for name in skeleton.names])
-    apart = rotation.distance(stack(held).rotations, stack(poses).rotations)
+    apart = rotation.distance(stack_trees(held).rotations, stack_trees(poses).rotations)
     assert float(np.mean(np.asarray(apart)[:, others])) < 0.05

@@ -9,7 +9,7 @@ from helpers import chain_body, check_energy, random_pose
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.adapt.poses.sliding_window import temporal_energy
+from jaxcap.adapt.objective import temporal_energy
 from jaxcap.adapt.shape.shape_prior import make_shape_prior, shape_energy
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.symmetry import mirrored_joints

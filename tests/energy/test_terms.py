@@ -10,16 +10,17 @@ from helpers import chain_body, check_energy, random_pose
 from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
+from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.poses.task_pairs import TaskPairs
-from jaxcap.adapt.problems import stack
-from jaxcap.adapt.rounds import adapt_round
+from jaxcap.adapt.shape.rounds import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.correspond import make_scan
 from jaxcap.fit.fit_meshes import fit_meshes
 from jaxcap.fit.tracking.track import track
+from jaxcap.geometry.stacking import stack_trees
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
@@ -65,7 +66,7 @@ def test_the_floor_is_the_energy_in_closed_form(rng):
 
 
 def test_registered_meshes_are_kept_above_a_floor(rng):
-    poses = stack([random_pose(BODY.skeleton, rng, 0.2) for _ in range(2)])
+    poses = stack_trees([random_pose(BODY.skeleton, rng, 0.2) for _ in range(2)])
     meshes = jnp.stack([_posed(BODY, pose).vertices for pose in jc.Motion(poses, 30.0)])
     sequence = MeshSequence(meshes, BODY.faces, 30.0)
     free = fit_meshes(BODY, sequence)
@@ -85,9 +86,9 @@ def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
     assert lowest(actor, raised) > lowest(actor, free) + 0.01
 
     prior, scan = task_of(scene).prior, make_scan(seen[1])
-    plain = fit_pose(actor, scan, poses[1], prior, steps=4).pose
+    plain = fit_pose(actor, scan, poses[1], PoseTerms(prior), steps=4).pose
     own = FeetOnFloor(term.vertices, jnp.asarray(lowest(actor, [plain]) + 0.03))
-    held = fit_pose(actor, scan, poses[1], prior, steps=4, terms=100.0 * own).pose
+    held = fit_pose(actor, scan, poses[1], PoseTerms(prior, user=100.0 * own), steps=4).pose
     assert lowest(actor, [held]) > lowest(actor, [plain]) + 0.01
 
     settings = AdaptSettings(frames=3, shape=(1.0, 1.0))

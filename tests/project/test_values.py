@@ -176,7 +176,9 @@ def test_scans_of_files_and_clouds_are_taken_alike():
     for given in (file, CLOUD, wanted):
         np.testing.assert_array_equal(as_scan(given).points, wanted.points)
     prior = jc.RestPrior(jnp.ones((J, 3)))
-    fits = [jc.fit_pose(BODY, given, POSE, prior, steps=1) for given in (file, CLOUD, wanted)]
+    fits = [
+        jc.fit_pose(BODY, given, POSE, jc.adapt.PoseTerms(prior), steps=1) for given in (file, CLOUD, wanted)
+    ]
     for fit in fits[:2]:
         jax.tree.map(np.testing.assert_array_equal, fit.pose, fits[2].pose)
     with pytest.raises(InputError, match="initialise: `cloud` is an? .*; expected a Cloud or a Scan"):

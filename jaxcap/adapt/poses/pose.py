@@ -13,7 +13,6 @@ from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs
-from ...energy.energy import AbstractEnergy
 from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import IndexedScan, Matching, as_scan, find_pairs
 from ...fit.correspondence.visibility import visible_vertices
@@ -22,7 +21,7 @@ from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...observe import Cloud
 from ...observe import Scan as FileScan
-from ..problems import mean_squared_distance, pose_problem
+from ..objective import PoseTerms, mean_squared_distance, pose_problem
 
 #: tried factors of a step's length: also above one, as nearest neighbours slow a surface down
 STEP_FACTORS = (1.5, 1.0, 0.5, 0.25, 0.1)
@@ -48,32 +47,28 @@ def fit_pose(
     body: Body,
     scan: IndexedScan | Cloud | FileScan,
     start: Pose,
-    prior: AbstractEnergy,
+    terms: PoseTerms,
     matching: Matching = Matching(),
     *,
-    weight: float = 1e-6,
     steps: int = 10,
     damping: float = 1e-3,
     cameras: Sequence[Camera] = (),
-    boxes: PoseBoxes | None = None,
-    terms: AbstractEnergy | None = None,
 ) -> PoseFit:
-    """Fit a body's pose to a scan from an initial pose: minimise `Q_data + weight Q_prior`.
+    """Fit a body's pose to a scan from an initial pose: minimise `Q_data + weight Q_pose` and the user's terms.
 
     `Q_data` is the mean over pairs. Each iteration finds new pairs and takes a Levenberg-Marquardt step at
     the best of some lengths (Adaptation, 4.1.4). New pairs may raise Q: some such steps are accepted, and the
     best pose is returned.
 
     **Arguments:** `scan` may be a cloud, or an element of the result of `read_clouds`; `start` is the initial
-    pose; `damping` is that of the first step, as a share of each curvature; `boxes` are hard limits, to which
-    the start is clamped first; `cameras` as in `pairs_of`; `terms` are further energies in units of a
-    log-likelihood.
+    pose, which is clamped to the limits of `terms` first; `damping` is that of the first step, as a share of
+    each curvature; `cameras` as in `pairs_of`.
     """
     scan = as_scan(scan)
-    start = start if boxes is None else clamp_pose(boxes, body.skeleton, start)
+    start = start if terms.boxes is None else clamp_pose(terms.boxes, body.skeleton, start)
 
     def remake(pose: Pose) -> PoseProblem:
-        return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), prior, weight, boxes, terms)
+        return pose_problem(body, pairs_of(body, pose, scan, matching, cameras), terms)
 
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=damping, relative=True, lengths=STEP_FACTORS)
     found = alternate(

@@ -3,22 +3,17 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from ...arguments import checked
 from ...body.body import Body
-from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
-from ...body.skeleton import Skeleton
-from ...energy.data.pairs import PointPairs
-from ...energy.energy import AbstractEnergy
-from ...energy.priors.temporal import second_difference
+from ...energy.data.pairs import PointPairs, stack_pairs
 from ...fit.alternate import alternate
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ..problems import stack, stack_pairs, unstack, window_problem
+from ...geometry.stacking import stack_trees, unstack_trees
+from ..objective import PoseTerms, window_problem
 from .known_pairs import PairCache
 from .pose import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose
 
@@ -33,15 +28,12 @@ def smooth_poses(
     body: Body,
     poses: list[Pose],
     pairs_at: Callable[[int, Pose], PointPairs],
-    prior: AbstractEnergy,
-    weight: float,
+    terms: PoseTerms,
     temporal: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
     steps: int = 2,
-    boxes: PoseBoxes | None = None,
-    terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
 ) -> list[Pose]:
     """Smooth the poses of a whole sequence in overlapping windows.
@@ -50,15 +42,13 @@ def smooth_poses(
     A step solves damped normal equations, block-banded over the frames, at the best of some lengths. New
     pairs may raise the energy of a window; its best poses are kept.
 
-    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `weight` of the prior and `temporal`
-    of the second differences, relative to the mean squared distance of a pair (eqs. 4.3, 4.9); `boxes` and
-    `terms` as in `fit_pose`; `times`, the ascending frame numbers of the poses, if some frames between them
-    are missing.
+    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `temporal`, the weight of
+    the second differences, relative to the mean squared distance of a pair (eqs. 4.3, 4.9); `terms` as in
+    `fit_pose`; `times`, the ascending frame numbers of the poses, if some frames between them are missing.
     """
     windows = smooth_windows(
-        body, poses, pairs_at, prior, weight, temporal,
-        frames=frames, stride=stride, steps=steps, boxes=boxes, terms=terms, times=times,
-    )  # fmt: skip
+        body, poses, pairs_at, terms, temporal, frames=frames, stride=stride, steps=steps, times=times
+    )
     (last,) = deque(windows, maxlen=1)
     return last[0]
 
@@ -67,15 +57,12 @@ def smooth_windows(
     body: Body,
     poses: list[Pose],
     pairs_at: Callable[[int, Pose], PointPairs],
-    prior: AbstractEnergy,
-    weight: float,
+    terms: PoseTerms,
     temporal: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
     steps: int = 2,
-    boxes: PoseBoxes | None = None,
-    terms: AbstractEnergy | None = None,
     times: Sequence[int] | None = None,
     resume_frame: int = 0,
 ) -> Iterator[tuple[list[Pose], int]]:
@@ -85,8 +72,8 @@ def smooth_windows(
     number of poses.
     """
     when = np.arange(len(poses)) if times is None else np.asarray(times)
-    if not resume_frame and boxes is not None:
-        poses = [clamp_pose(boxes, body.skeleton, pose) for pose in poses]
+    if not resume_frame and terms.boxes is not None:
+        poses = [clamp_pose(terms.boxes, body.skeleton, pose) for pose in poses]
     # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
     poses, known = list(poses), PairCache()
 
@@ -103,36 +90,12 @@ def smooth_windows(
         first, last = start, stop
 
         def remake(y: SequenceEstimate, first: int = first, last: int = last) -> SequenceProblem:
-            window = dict(enumerate(unstack(y.poses, last - first), first))
+            window = dict(enumerate(unstack_trees(y.poses, last - first), first))
             pairs = stack_pairs(known.pairs(body, window, pairs_at))
-            return window_problem(
-                body,
-                pairs,
-                prior,
-                weight,
-                temporal,
-                when[first:last],
-                boxes,
-                num_fixed=int(first > 0),
-                terms=terms,
-            )
+            return window_problem(body, pairs, terms, temporal, when[first:last], int(first > 0))
 
-        estimate = SequenceEstimate(stack(poses[start:stop]), {})
+        estimate = SequenceEstimate(stack_trees(poses[start:stop]), {})
         best = alternate(remake, estimate, solver, rounds=steps, patience=MAX_UPHILL_STEPS)
-        poses[start:stop] = unstack(best.y.poses, stop - start)
+        poses[start:stop] = unstack_trees(best.y.poses, stop - start)
         start = stop if stop == len(poses) else min(start + stride, len(poses) - frames)
         yield list(poses), start
-
-
-def temporal_energy(
-    skeleton: Skeleton, poses: Pose, intervals: Float[Array, "G"] | None = None
-) -> Float[Array, ""]:
-    """Compute `Q_temp` (eqs. 4.9 and 4.10), radians squared.
-
-    It is the mean over inner frames and joints of the squared difference of a rotation vector from the mean
-    of its neighbours in time. `intervals` is the number of frames from each pose to the next, one by default.
-    """
-    q = poses.rotations
-    intervals = jnp.ones(len(q) - 1) if intervals is None else intervals
-    apart = second_difference(q[:-2], q[1:-1], q[2:], intervals[:-1], intervals[1:])
-    return jnp.sum(apart**2) / (apart.shape[0] * apart.shape[1])

@@ -7,9 +7,9 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Pose
 from ...fit.correspondence.correspond import IndexedScan, PointPairs
+from ...geometry.stacking import stack_trees
 from ...parallel import parallel_map
-from ..objective import Terms, motion_energy, pose_energy, symmetry_energy
-from ..problems import mean_squared_distance, stack
+from ..objective import Terms, mean_squared_distance, motion_energy, pose_energy, symmetry_energy
 from ..shape.reference import shape_prior_of
 from ..shape.shape_prior import shape_energy
 from ..task import AdaptState, AdaptTask
@@ -28,13 +28,10 @@ def pose_at(task: AdaptTask, state: AdaptState, scan: IndexedScan, start: Pose, 
         state.body,
         scan,
         start,
-        task.prior,
+        task.pose_terms(state.weight),
         task.settings.matching,
-        weight=state.weight,
         steps=steps,
         cameras=task.cameras,
-        boxes=task.boxes,
-        terms=task.terms,
     ).pose
 
 
@@ -80,11 +77,11 @@ def append_history(
     squares = [mean_squared_distance(body, pose, some) for pose, some in zip(poses, pairs, strict=True)]
     terms = Terms(
         data=float(np.mean(squares)),
-        pose=pose_energy(task.prior, body, stack(poses)),
+        pose=pose_energy(task.prior, body, stack_trees(poses)),
         temporal=0.0 if task.settings.unordered else motion_energy(body.skeleton, state.motion),
         shape=shape_energy(shape_prior_of(task, state), body),
         symmetry=symmetry_energy(body.skeleton, task.mirrored),
-        user=0.0 if task.terms is None else pose_energy(task.terms, body, stack(poses)),
+        user=0.0 if task.terms is None else pose_energy(task.terms, body, stack_trees(poses)),
     )
     reached = (name, 1000 * float(np.sqrt(terms.data)))
     return state._replace(history=(*state.history, reached), terms=(*state.terms, terms))

@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.body import Body
-from ...body.limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
-from ...energy.energy import AbstractEnergy
+from ...energy.data.pairs import stack_pairs
 from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import IndexedScan, Matching
 from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
+from ...geometry.stacking import stack_trees, unstack_trees
+from ..objective import PoseTerms, window_problem
 from ..poses.pose import MAX_UPHILL_STEPS, STEP_FACTORS, pairs_of
-from ..problems import stack, stack_pairs, unstack, window_problem
 
 #: limits of an actor's size relative to the template
 MIN_SIZE, MAX_SIZE = 0.5, 2.0
@@ -28,13 +28,10 @@ def fit_size(
     body: Body,
     scans: Sequence[IndexedScan],
     poses: Sequence[Pose],
-    prior: AbstractEnergy,
+    terms: PoseTerms,
     matching: Matching,
-    weight: float,
     rounds: int = 24,
     cameras: Sequence[Camera] = (),
-    boxes: PoseBoxes | None = None,
-    terms: AbstractEnergy | None = None,
     initial_size: float = 1.0,
 ) -> tuple[Body, list[Pose], float]:
     """Scale a body to the actor, and refine its poses in some scans.
@@ -42,7 +39,7 @@ def fit_size(
     Each iteration finds new pairs and takes a step on all poses and the size that they share. Return the
     body, the poses and the scale of this call.
 
-    **Arguments:** `cameras`, `boxes` and `terms` as in `fit_pose`; `initial_size`, the body's size relative to the
+    **Arguments:** `terms` and `cameras` as in `fit_pose`; `initial_size`, the body's size relative to the
     template.
     """
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3, relative=True, lengths=STEP_FACTORS)
@@ -52,17 +49,17 @@ def fit_size(
         there = scale_body(body, jnp.exp(y.values["size"]))
         pairs = [
             pairs_of(there, pose, scan, matching, cameras)
-            for pose, scan in zip(unstack(y.poses, count), scans, strict=True)
+            for pose, scan in zip(unstack_trees(y.poses, count), scans, strict=True)
         ]
         stacked = stack_pairs(pairs)
-        problem = window_problem(body, stacked, prior, weight, 0.0, np.arange(count), boxes, terms=terms)
+        problem = window_problem(body, stacked, terms, 0.0, np.arange(count))
         unknown = {"size": Size(MIN_SIZE / initial_size, MAX_SIZE / initial_size)}
         return eqx.tree_at(lambda p: (p.unknowns, p.between), problem, (unknown, ()))
 
-    start = SequenceEstimate(stack(poses), {"size": jnp.zeros((), body.vertices.dtype)})
+    start = SequenceEstimate(stack_trees(poses), {"size": jnp.zeros((), body.vertices.dtype)})
     found = alternate(remake, start, solver, rounds=rounds, min_gain=1e-3, patience=MAX_UPHILL_STEPS).y
     size = float(jnp.exp(found.values["size"]))
-    return scale_body(body, jnp.asarray(size, body.vertices.dtype)), unstack(found.poses, count), size
+    return scale_body(body, jnp.asarray(size, body.vertices.dtype)), unstack_trees(found.poses, count), size
 
 
 def scale_body(body: Body, size: Float[Array, ""]) -> Body:

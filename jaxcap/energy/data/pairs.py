@@ -1,11 +1,15 @@
 """Matches of points on a body with observed points."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
+from ...geometry.stacking import stack_trees
 from ..energy import safe_sqrt
 from .vertices import AbstractVertexEnergy
 
@@ -28,6 +32,20 @@ class PointPairs(eqx.Module):
     weights: Float[Array, "*frames C"]
     #: weight of squared distances along the surface, relative to those across it
     tangential_weights: Float[Array, "*frames C"]
+
+
+def stack_pairs(parts: Sequence[PointPairs]) -> PointPairs:
+    """Stack pairs of single frames, padded with pairs of weight zero to equal numbers."""
+    count = max(len(part.weights) for part in parts)
+
+    def padded(part: PointPairs) -> PointPairs:
+        extra = (0, count - len(part.weights))
+        wide = jax.tree.map(
+            lambda leaf: jnp.pad(leaf, (extra, *[(0, 0)] * (leaf.ndim - 1)), mode="edge"), part
+        )
+        return eqx.tree_at(lambda p: p.weights, wide, jnp.pad(part.weights, extra))
+
+    return stack_trees([padded(part) for part in parts])
 
 
 class PairDistances(AbstractVertexEnergy):

@@ -8,22 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body
-from ..body.people.sample import select_diverse_poses
-from ..body.pose import Motion, Pose, stack_poses
-from ..body.shape_modes import ShapeModes, joint_modes
-from ..fit.correspondence.correspond import PointPairs
-from ..fit.sequences.problem import SequenceProblem
-from ..fit.solvers.descent import NormalDescent
-from ..fit.solvers.minimise import take_step
-from .poses.pose import clamp_pose
-from .poses.task_pairs import TaskPairs, append_history, poses_at
-from .problems import CoefficientPrior, shared_problem, stack, stack_pairs, unstack
-from .shape.joint_regressor import make_joint_regressor, regress_joints
-from .shape.reference import reference_body, shape_prior_of
-from .shape.shape_space import People, fit_coefficients, make_person
-from .shape.surface import adapt_shape, adapt_together
-from .task import AdaptSettings, AdaptState, AdaptTask, Stage
+from ...body.body import Body
+from ...body.people.sample import select_diverse_poses
+from ...body.pose import Motion, Pose, stack_poses
+from ...body.shape_modes import ShapeModes, joint_modes
+from ...energy.data.pairs import PointPairs, stack_pairs
+from ...fit.sequences.problem import SequenceProblem
+from ...fit.solvers.descent import NormalDescent
+from ...fit.solvers.minimise import take_step
+from ...geometry.stacking import stack_trees, unstack_trees
+from ..objective import CoefficientPrior, shared_problem
+from ..poses.pose import clamp_pose
+from ..poses.task_pairs import TaskPairs, append_history, poses_at
+from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
+from .joint_regressor import make_joint_regressor, regress_joints
+from .reference import reference_body, shape_prior_of
+from .shape_space import People, fit_coefficients, make_person
+from .surface import adapt_shape, adapt_together
 
 #: finds the stacked pairs of a body in its poses in a round's frames
 PairFinder = Callable[[Body, list[Pose]], PointPairs]
@@ -91,7 +92,7 @@ def _proportions(
     if task.people is None:
         modes, belief = joint_modes(state.body), _regressed_joint_prior(task, state)
         body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-        return body, unstack(together, len(poses)), state.traits
+        return body, unstack_trees(together, len(poses)), state.traits
     standing = task.people.template_coefficients + jnp.asarray(state.traits)
     # the error of the shape space is the same in all frames, which therefore count as one
     belief = CoefficientPrior(-standing, jnp.full_like(standing, len(poses) ** -0.5))
@@ -99,7 +100,7 @@ def _proportions(
         task, state, poses, find_pairs, task.people.modes, belief, (), TANGENTIAL_WEIGHT
     )
     traits = np.array(state.traits) + np.asarray(amounts, float)
-    return body, unstack(together, len(poses)), tuple(traits.tolist())
+    return body, unstack_trees(together, len(poses)), tuple(traits.tolist())
 
 
 def _surface(
@@ -111,10 +112,10 @@ def _surface(
     if task.settings.simultaneous:
         pairs = find_pairs(state.body, poses)
         problem = _problem(task, state, pairs, modes, belief, task.mirrored)
-        body, together = adapt_together(problem, stack(poses), pairs, shape, weight)
-        return body, unstack(together, len(poses))
+        body, together = adapt_together(problem, stack_trees(poses), pairs, shape, weight)
+        return body, unstack_trees(together, len(poses))
     body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-    poses = unstack(together, len(poses))
+    poses = unstack_trees(together, len(poses))
     return adapt_shape(body, together, find_pairs(body, poses), shape, weight), poses
 
 
@@ -136,7 +137,9 @@ def _step(
     pairs = eqx.tree_at(
         lambda p: p.tangential_weights, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
     )
-    return gauss_newton_step(_problem(task, state, pairs, modes, coefficient_prior, mirrored), stack(poses))
+    return gauss_newton_step(
+        _problem(task, state, pairs, modes, coefficient_prior, mirrored), stack_trees(poses)
+    )
 
 
 @eqx.filter_jit
@@ -157,9 +160,9 @@ def _problem(
     coefficient_prior: CoefficientPrior,
     mirrored,
 ) -> SequenceProblem:
-    weights = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
+    weight, deviation = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
     return shared_problem(
-        state.body, pairs, task.prior, modes, coefficient_prior, mirrored, *weights, terms=task.terms
+        state.body, pairs, task.pose_terms(weight), modes, coefficient_prior, mirrored, deviation
     )
 
 

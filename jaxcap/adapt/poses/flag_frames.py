@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..body.body import Body, pose_body
-from ..body.pose import Pose
-from ..fit.judgement.evidence import Evidence, gather_evidence
-from ..fit.judgement.normal_values import median_values, sensor_directions
-from ..fit.judgement.surface import sampled_surface
-from ..fit.judgement.verdict import Judgement, judge_evidence
-from ..geometry.camera import Camera
-from ..geometry.closest import nearest_on_surface
-from ..observe import Cloud, thin_cloud
-from .task import AdaptState, AdaptTask
+from ...body.body import Body, pose_body
+from ...body.pose import Pose
+from ...fit.judgement.evidence import Evidence, gather_evidence
+from ...fit.judgement.normal_values import median_values, sensor_directions
+from ...fit.judgement.surface import sampled_surface
+from ...fit.judgement.verdict import Judgement, judge_evidence
+from ...geometry.camera import Camera
+from ...geometry.closest import nearest_on_surface
+from ...observe import Cloud, thin_cloud
+from ..task import AdaptState, AdaptTask
 
 #: number of points of a scan with measured distances
 POINTS = 1000
