@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxcap.body.body import Body
 from jaxcap.geometry.mesh import vertex_normals
-from jaxcap.observe import Cloud
+from jaxcap.observe.clouds import Cloud
 from jaxcap.rig.rig import rig_mesh
 
 #: he stands upright in the first frame, arms off the body

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.report import progress
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 #: its default, and how many to look at more than once
 ITERATIONS, STEP = 30, 5

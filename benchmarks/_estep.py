@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxcap.fit.correspondence.part_blocks import Parts, make_parts
 from jaxcap.geometry.mesh import vertex_normals
-from jaxcap.observe import Cloud
+from jaxcap.observe.clouds import Cloud
 
 
 def make_scene(

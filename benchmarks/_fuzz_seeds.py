@@ -36,7 +36,8 @@ from jaxcap.io.skeletons.amass import write_amass
 from jaxcap.io.skeletons.cst import CstLimits, write_cst
 from jaxcap.io.skeletons.vj import write_vj
 from jaxcap.markers.subject import make_subject
-from jaxcap.observe import MeshSequence, make_markers
+from jaxcap.observe.markers import make_markers
+from jaxcap.observe.meshes import MeshSequence
 
 #: what checkpoints and journals are begun with
 HEADER = {"body": "body.npz", "frames": 4}

@@ -19,7 +19,7 @@ from jaxcap.body.skin import swing_twist_from
 from jaxcap.fit.fit_meshes import fit_meshes
 from jaxcap.learn.learn_body import learn_body
 from jaxcap.metrics import scan_to_surface
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 SUBJECT = "02"
 #: degrees of a joint's largest turn: more than this and its centre is asked for; less than that and it is still

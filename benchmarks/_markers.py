@@ -15,7 +15,7 @@ from jaxcap.body.kinematics import joint_positions
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibration.calibrate import Calibration
 from jaxcap.markers.subject import Subject, make_subject
-from jaxcap.observe import MarkerFrames
+from jaxcap.observe.markers import MarkerFrames
 
 #: markers on each bone of the left side or the middle; the right side is as the left
 LAYOUT = {

@@ -29,7 +29,7 @@ from benchmarks._learning import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 #: a middle one of the numbers that Dem-Bones' own sample is run with (5, 10, 20)
 SAMPLE_BONES = (10,)

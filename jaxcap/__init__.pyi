@@ -2,6 +2,7 @@
 
 from . import adapt as adapt
 from . import body as body
+from . import depth as depth
 from . import edit as edit
 from . import energy as energy
 from . import fit as fit
@@ -66,10 +67,10 @@ from .io.registry import write_markers as write_markers
 from .io.skeletons.bvh import read_bvh as read_bvh
 from .io.skeletons.bvh import write_bvh as write_bvh
 from .learn.learn_body import learn_body as learn_body
-from .observe import Cloud as Cloud
-from .observe import MarkerFrames as MarkerFrames
-from .observe import MeshSequence as MeshSequence
-from .observe import make_cloud as make_cloud
-from .observe import make_markers as make_markers
+from .observe.clouds import Cloud as Cloud
+from .observe.clouds import make_cloud as make_cloud
+from .observe.markers import MarkerFrames as MarkerFrames
+from .observe.markers import make_markers as make_markers
+from .observe.meshes import MeshSequence as MeshSequence
 from .rig.rig import rig_mesh as rig_mesh
 from .view.notebook import show as show

@@ -29,7 +29,7 @@ from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.io.skeletons.vj import write_vj
 from jaxcap.io.usd.usd import write_usd
 from jaxcap.markers.subject import make_subject
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 ASF = """:version 1.10
 :name toy

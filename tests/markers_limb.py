@@ -9,7 +9,7 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry import rotation
 from jaxcap.markers.subject import Subject, make_subject, marker_positions
-from jaxcap.observe import MarkerFrames
+from jaxcap.observe.markers import MarkerFrames
 
 NAMES = ("trunk", "left_arm", "left_hand", "right_arm", "right_hand")
 CENTRES = np.array([[0.0, 0, 0], [0.2, 0.3, 0], [0.5, 0.3, 0], [-0.2, 0.3, 0], [-0.5, 0.3, 0]])

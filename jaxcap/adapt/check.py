@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..fit.correspondence.correspond import IndexedScan, make_scan, within_aperture
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
-from ..observe import Cloud, make_cloud
+from ..observe.clouds import Cloud, make_cloud
 from .adapt_body import adapt_body
 from .task import AdaptState, AdaptTask
 

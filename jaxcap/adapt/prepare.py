@@ -16,7 +16,7 @@ from ..energy.priors.prior import RestPrior
 from ..errors import InputError
 from ..fit.correspondence.correspond import IndexedScan
 from ..geometry.camera import Camera
-from ..observe import Cloud, CloudFrames
+from ..observe.clouds import Cloud, CloudFrames
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import people_like

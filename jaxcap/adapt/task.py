@@ -14,7 +14,7 @@ from ..fit.correspondence.correspond import IndexedScan, Matching, make_scan
 from ..fit.tracking.recover import TrackedFrame
 from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
-from ..observe import Cloud
+from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior

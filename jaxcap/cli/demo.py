@@ -21,7 +21,7 @@ from ..io.meshes.clouds import save_clouds
 from ..io.system.atomic import atomic_path, write_text
 from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
-from ..observe import make_cloud
+from ..observe.clouds import make_cloud
 from ..scanner.scan import scan_frame
 from ..scanner.settings import Scanner
 from .console.console import print_table, progress, say, warn

@@ -14,7 +14,7 @@ from ..fit.fit_meshes import fit_meshes
 from ..io.archives.npz import save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.table import write_json
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from ..report.pictures import error_pictures
 from .console.console import pluralise, say, warn
 from .console.options import BodySpec, Flag, Unit, arg

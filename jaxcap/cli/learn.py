@@ -22,7 +22,7 @@ from ..io.system.lock import run_lock
 from ..learn.check import check_meshes
 from ..learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ..learn.parts.check_parts import check_learned
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from ..report.learned import report_learning
 from ..report.scores import Scores
 from .console.console import say, warn

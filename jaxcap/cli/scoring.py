@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from ..body.body import Body
 from ..body.pose import Motion
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from ..report.scores import MeshScore, Scores, score_meshes
 from .console.console import print_table, progress, warn
 

@@ -17,13 +17,14 @@ from ..errors import InputError, user_message
 from ..fit.correspondence.correspond import IndexedScan, make_mesh_scan, make_scan
 from ..fit.tracking.check import check_extent
 from ..geometry import rotation
+from ..geometry.camera import Camera
 from ..io.meshes.clouds import Scans
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
 from ..io.skeletons.cst import read_cst
 from ..io.skinned.clip import split_clip
-from ..observe import Cloud, make_cloud
 from ..observe import Scan as ReadScan
+from ..observe.clouds import Cloud, make_cloud
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
@@ -95,12 +96,17 @@ def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
     return make_cloud(points, normals, name=scan.name)
 
 
-class Clouds(Sequence[Cloud]):
+class Clouds(Sequence):
     """The frames of a sequence as `load_cloud` returns them, each read on access."""
 
     def __init__(self, scans: Scans, body: Body, up: Up = "y"):
         self._scans, self._body = scans, body
         self._up: Up = up
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The name of each frame."""
+        return self._scans.names
 
     def __len__(self) -> int:
         return len(self._scans)
@@ -198,3 +204,9 @@ def _upright(body: Body, limits: JointRanges | None, up: Up) -> tuple[Body, Join
             lambda r: (r.heading, r.bank), limits, (limits.heading @ turn.T, limits.bank @ turn.T)
         )
     return body, limits
+
+
+def upright_camera(camera: Camera, up: Up) -> Camera:
+    """Rotate the world of a camera so that y is up."""
+    turn = jnp.asarray(up_rotation(up), camera.rotation.dtype)
+    return eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn.T)

@@ -2,6 +2,7 @@
 
 from .data.floor import Floor as Floor
 from .data.floor import make_floor as make_floor
+from .data.free_space import FreeSpace as FreeSpace
 from .data.landmarks import BoneLandmarks as BoneLandmarks
 from .data.landmarks import joint_landmarks as joint_landmarks
 from .data.laplacian import LaplacianShape as LaplacianShape
@@ -14,8 +15,12 @@ from .data.soft_object import soft_distance as soft_distance
 from .data.sufficient_statistics import RigidMoments as RigidMoments
 from .data.sufficient_statistics import rigid_moments as rigid_moments
 from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
+from .priors.gaussian import GaussianPrior as GaussianPrior
+from .priors.gaussian import human_prior as human_prior
 from .priors.prior import PosePrior as PosePrior
 from .priors.prior import tangent_deviations as tangent_deviations
+from .priors.self_collision import SelfCollision as SelfCollision
+from .priors.self_collision import make_self_collision as make_self_collision
 from .priors.symmetry import BoneSymmetry as BoneSymmetry
 from .priors.temporal import SecondDifference as SecondDifference
 from .stacked import AbstractNeighbourEnergy as AbstractNeighbourEnergy

@@ -16,7 +16,7 @@ from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
 from ..geometry import rotation
 from ..geometry.procrustes import group_moments, nearest_rotation
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from .solve import solve
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
+from .depth.intrinsics import camera_of_intrinsics, is_intrinsics
 from .kinds import check_kind
 from .system.reader_errors import reader_of
 from .table import write_json
@@ -44,12 +45,17 @@ def read_cameras(path: str | Path) -> list[Camera]:
     ...]}`. Transforms are from the world to the camera, in metres and pixels; see `Camera`. A single focal
     length applies to both axes.
 
+    Intrinsics of one camera as Open3D, RealSense and OpenCV write them are read too: the camera is at the origin and
+    looks along -z, with y up.
+
     **Raises:** `InputError` if there is no such file, it is not JSON, or it has no cameras; also if a camera
     lacks a key, or has numbers that are not finite, an invalid rotation or an invalid image size. The message
     gives the number of the camera.
     """
     check_kind(path, "cameras", (".json",))
     content = read_json(path)
+    if isinstance(content, dict) and is_intrinsics(content):
+        return [camera_of_intrinsics(content, str(path))]
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: the file has no list 'cameras'; write a list of at least one camera.")

@@ -94,6 +94,8 @@ KIND_PLURALS = {
     "folder": "folders",
     "picture": "images or documents",
 }
+#: keys of the intrinsics of a camera, as other programs write them
+INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx")
 #: names of formats in an `.npz`
 _FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
@@ -249,7 +251,13 @@ def kind_of_json(content: Any) -> str:
     form = content.get("format")
     if isinstance(form, str) and form in formats:
         return formats[form]
-    kinds = {"cameras": "cameras", "constraints": "constraints", "body arrays": "scan", "joints": "keys"}
+    kinds = {
+        "cameras": "cameras",
+        **dict.fromkeys(INTRINSICS_KEYS, "cameras"),
+        "constraints": "constraints",
+        "body arrays": "scan",
+        "joints": "keys",
+    }
     found = next((kind for name, kind in kinds.items() if name in content), None)
     if found == "keys" and "rate" not in content:
         found = None

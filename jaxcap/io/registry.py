@@ -15,7 +15,7 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
-from ..observe import MarkerFrames
+from ..observe.markers import MarkerFrames
 from .archives.npz import load_body, load_format, load_skeleton, motion_of, save_motion, skeleton_of
 from .gltf.gltf import write_gltf
 from .gltf.gltf_document import SUFFIXES as GLTF_READ

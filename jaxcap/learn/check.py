@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
 from ..geometry.mesh import mesh_edges, triangle_sides
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 
 #: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
 USUAL_SIZE, POSSIBLE_SIZE = (0.3, 3.0), (0.02, 30.0)

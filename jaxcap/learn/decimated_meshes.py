@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry.mesh import mesh_edges
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 
 #: the most vertices of a decimated mesh; the number for each part where the number of parts is known; the
 #: least such bound

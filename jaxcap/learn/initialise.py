@@ -12,7 +12,7 @@ from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..body.symmetry import symmetrise
 from ..geometry.procrustes import group_moments
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from ..rig.rig import rig_mesh
 from .parts.parts import find_parts
 from .parts.surface import make_surface_graph, membership

@@ -16,7 +16,7 @@ from ..body.skeleton import Skeleton
 from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from .blend.linear import VERTICES, improve_linear_skin
 from .blend.variable_projection import optimise_all_vertices
 from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arguments import checked
 from ..errors import InputError
-from ..observe import MarkerFrames
+from ..observe.markers import MarkerFrames
 from .samples import BLOCK_SECONDS, JointSamples
 
 #: sine of the least angle at which markers define a plane

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..observe import MarkerFrames
+from ..observe.markers import MarkerFrames
 from .rotation_centres.centres import CentreMethod
 from .rotation_centres.joint import Joint
 from .segments.gaps import is_static

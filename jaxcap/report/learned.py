@@ -13,7 +13,7 @@ from ..body.pose import Motion
 from ..io.system.atomic import atomic_path
 from ..io.table import write_json
 from ..learn.learn_body import COARSE_PREFIX
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from .pictures import error_pictures, new_figure
 from .render import INK
 from .scores import Scores

@@ -10,7 +10,7 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..io.system.atomic import atomic_path
 from ..metrics import scan_to_surface
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 from .render import INK, PAPER, draw_surface, rotate_view, set_frame, view_axes
 from .scores import Scores, posed_vertices
 

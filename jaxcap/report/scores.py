@@ -11,7 +11,7 @@ from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..metrics import scan_to_surface
-from ..observe import MeshSequence
+from ..observe.meshes import MeshSequence
 
 
 class MeshScore(NamedTuple):

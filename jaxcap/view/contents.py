@@ -11,7 +11,7 @@ from ..body.pose import Motion, Pose, rest_pose
 from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
 from ..markers.subject import Subject
-from ..observe import MarkerFrames
+from ..observe.markers import MarkerFrames
 from .figures.clouds import DisplayClouds
 from .figures.posing import PosedMotion
 

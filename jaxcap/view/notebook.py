@@ -13,7 +13,8 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry.camera import Camera
 from ..io.meshes.clouds import NO_FACES, Scans
-from ..observe import Cloud, MarkerFrames
+from ..observe.clouds import Cloud
+from ..observe.markers import MarkerFrames
 from .app import serve_contents
 from .contents import Contents, Markers, make_take
 from .figures.clouds import DisplayClouds

@@ -25,7 +25,7 @@ from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 from jaxcap.markers.subject import marker_positions
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 from tests.markers_limb import moving, seen_by, truth
 
 BODY = chain_body("linear", 10, 8)

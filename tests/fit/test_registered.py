@@ -13,7 +13,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.errors import InputError
 from jaxcap.fit.fit_meshes import _fit_all, fit_meshes, procrustes_poses
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 from jaxcap.report.scores import score_meshes, total_scores
 
 FRAMES = 3

@@ -7,7 +7,8 @@ from scipy.spatial import cKDTree
 
 from jaxcap.errors import InputError
 from jaxcap.geometry.morton_order import spatial_order
-from jaxcap.observe import make_cloud, padded_size, stack_clouds, thin_cloud
+from jaxcap.observe import stack_clouds, thin_cloud
+from jaxcap.observe.clouds import make_cloud, padded_size
 
 
 def unit(rng, count: int) -> np.ndarray:

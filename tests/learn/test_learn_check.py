@@ -12,7 +12,7 @@ from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.errors import InputError
 from jaxcap.learn.check import check_meshes
 from jaxcap.learn.parts.check_parts import check_learned, check_parts
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 TUBE = trimesh.creation.capsule(height=1.0, radius=0.12, count=[24, 12])
 FACES = np.array(TUBE.faces)

@@ -24,7 +24,7 @@ from jaxcap.learn.skeleton.limbs import (
 from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.weights.rest_vertices import solve_rest_vertices
 from jaxcap.learn.weights.weights import improve_weights
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 from tests.helpers import random_pose
 
 NONE = np.zeros((0, 2), int)

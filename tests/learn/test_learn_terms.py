@@ -16,7 +16,7 @@ from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.joints import JointProblem, improve_joints, make_curvature
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 from tests.energy.test_terms import FeetOnFloor
 from tests.learn.test_learn_projection import arm
 from tests.learn.test_learn_steps import NONE

@@ -28,7 +28,7 @@ from jaxcap.limits.primitive_matching import match_primitives
 from jaxcap.limits.project import project_motion
 from jaxcap.limits.samples import JointSamples, gather_samples, parse_joints
 from jaxcap.limits.voxels import voxelise
-from jaxcap.observe import make_markers
+from jaxcap.observe.markers import make_markers
 
 SHOULDER = make_skeleton(
     ("shoulder", "elbow"),

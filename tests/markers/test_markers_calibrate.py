@@ -11,7 +11,7 @@ from jaxcap.markers.calibration.calibration_parameters import prior_precision, s
 from jaxcap.markers.calibration.gauge_freedom import gauge_constraints, gauge_directions
 from jaxcap.markers.calibration.observability import bone_length_deviations, centre_covariances
 from jaxcap.markers.calibration.residuals import marker_residuals
-from jaxcap.observe import MarkerFrames
+from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 
 SUBJECT = truth()

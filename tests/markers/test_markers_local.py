@@ -11,7 +11,7 @@ from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
 from jaxcap.markers.skeleton.tree import find_tree
 from jaxcap.markers.subject import marker_positions
-from jaxcap.observe import make_markers
+from jaxcap.observe.markers import make_markers
 from tests.markers_scene import PUPPET, puppet
 
 PARENTS = {frozenset((k, parent)) for k, (parent, _, _) in enumerate(PUPPET) if parent >= 0}

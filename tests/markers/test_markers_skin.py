@@ -11,7 +11,7 @@ from jaxcap.markers.calibration.soft_tissue import (
     skin_features,
     skin_shifts,
 )
-from jaxcap.observe import MarkerFrames
+from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 
 SUBJECT = truth()

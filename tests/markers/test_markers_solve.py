@@ -11,7 +11,7 @@ from jaxcap.io.markers.subject import load_subject, save_subject
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.solve_frame import SearchCriteria
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
-from jaxcap.observe import MarkerFrames
+from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import moving, seen_by, truth
 
 SUBJECT = truth()

@@ -16,7 +16,7 @@ from jaxcap.io.registry import read_markers
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.markers.body_shape.shape import bone_lengths, fit_shape
 from jaxcap.markers.body_shape.surface import attach_markers, surface_landmarks, vertex_markers
-from jaxcap.observe import make_markers
+from jaxcap.observe.markers import make_markers
 
 BODY = chain_body()
 PERSON = Traits(sex=0.8, age=45.0, weight=0.7, muscle=0.4, stature=0.3)

@@ -18,7 +18,7 @@ from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 from jaxcap.io.system.lock import run_lock
-from jaxcap.observe import make_cloud
+from jaxcap.observe.clouds import make_cloud
 
 SKL = """KBSKEL 3
 hips TRANSLATE NULL

@@ -17,7 +17,7 @@ from jaxcap.fit.correspondence.correspond import (
     within_aperture,
 )
 from jaxcap.geometry.camera import look_at
-from jaxcap.observe import make_cloud
+from jaxcap.observe.clouds import make_cloud
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 VERTICES, FACES = np.asarray(BALL.vertices, float), np.asarray(BALL.faces)

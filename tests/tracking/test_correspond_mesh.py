@@ -11,7 +11,7 @@ from jaxcap.fit.correspondence.correspond import (
     make_mesh_scan,
     make_scan,
 )
-from jaxcap.observe import make_cloud
+from jaxcap.observe.clouds import make_cloud
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
 VERTICES, FACES = np.asarray(BALL.vertices, float), np.asarray(BALL.faces)

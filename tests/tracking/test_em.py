@@ -21,7 +21,7 @@ from jaxcap.fit.tracking.em import (
     make_mixture,
     uniform_priors,
 )
-from jaxcap.observe import Cloud
+from jaxcap.observe.clouds import Cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

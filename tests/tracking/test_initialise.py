@@ -15,7 +15,7 @@ from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, rotated
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe import make_cloud
+from jaxcap.observe.clouds import make_cloud
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON, LAYOUT = BODY.skeleton, dof_layout(BODY.skeleton)

@@ -27,7 +27,7 @@ from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_sur
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe import Cloud, make_cloud
+from jaxcap.observe.clouds import Cloud, make_cloud
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton

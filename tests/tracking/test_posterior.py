@@ -14,7 +14,7 @@ from jaxcap.fit.correspondence.posterior import log_likelihood, posterior, updat
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.geometry.morton_order import spatial_order
-from jaxcap.observe import Cloud
+from jaxcap.observe.clouds import Cloud
 
 SETTINGS = {"normal_threshold": 0.4, "outlier": 0.1, "box_volume": 8.0}
 NUM_PARTS = 6

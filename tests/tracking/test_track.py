@@ -19,7 +19,8 @@ from jaxcap.fit.tracking.track import track, track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker, start_state
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe import Cloud, make_cloud, stack_clouds
+from jaxcap.observe import stack_clouds
+from jaxcap.observe.clouds import Cloud, make_cloud
 
 POINTS, NOISE, FRAMES, JUNK = 600, 0.003, 6, 3
 TRACES: list[int] = []

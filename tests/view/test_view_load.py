@@ -31,7 +31,8 @@ from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.io.table import write_json
 from jaxcap.markers.subject import make_subject
 from jaxcap.metrics import scan_to_surface
-from jaxcap.observe import MeshSequence, make_markers
+from jaxcap.observe.markers import make_markers
+from jaxcap.observe.meshes import MeshSequence
 from jaxcap.view import live
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.figures.clouds import DisplayCloud, DisplayClouds

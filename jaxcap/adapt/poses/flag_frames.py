@@ -15,7 +15,8 @@ from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import Judgement, judge_evidence
 from ...geometry.camera import Camera
 from ...geometry.closest import nearest_on_surface
-from ...observe import Cloud, thin_cloud
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
 from ..task import AdaptState, AdaptTask
 
 #: number of points of a scan with measured distances

@@ -19,8 +19,8 @@ from ...fit.correspondence.visibility import visible_vertices
 from ...fit.problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
-from ...observe import Cloud
 from ...observe import Scan as FileScan
+from ...observe.clouds import Cloud
 from ..objective import PoseTerms, mean_squared_distance, pose_problem
 
 #: tried factors of a step's length: also above one, as nearest neighbours slow a surface down

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.spatial import KDTree
 
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 
 #: sample points of a cloud's distance field: radii and heights about its middle, as shares of the body's
 #: height, and the number of directions

@@ -24,7 +24,8 @@ from ...fit.tracking.initialise import (
     rotated_starts,
 )
 from ...fit.tracking.track_frame import Tracker
-from ...observe import Cloud, thin_cloud
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
 from ..task import AdaptTask, make_task_tracker
 from .similarity import DIRECTIONS, DistanceField, distance_field, rotated_distances
 

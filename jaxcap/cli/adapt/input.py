@@ -5,8 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from ...adapt.check import check_cameras
@@ -25,7 +23,7 @@ from ...io.meshes.clouds import Scans
 from ...observe import Scan
 from ..console.console import progress, warn
 from ..motions import load_motion
-from ..sources import Up, up_rotation
+from ..sources import Up, up_rotation, upright_camera
 
 #: minimum number, and minimum share, of usable scans
 MIN_SCANS, MIN_USABLE_SHARE = 3, 0.5
@@ -106,18 +104,12 @@ def warn_of_lost(state: AdaptState, scans: Scans) -> None:
 def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:
     """Load the cameras of a calibration in metres, in the coordinates of the scans with y up. Raises
     `InputError` if they cannot have observed the scans of these frames."""
-    cameras = [_upright(camera, up) for camera in read_cameras(path)]
+    cameras = [upright_camera(camera, up) for camera in read_cameras(path)]
     turn = up_rotation(up)
     check_cameras(
         cameras, [scans[n].points @ turn.T for n in select_evenly(frames, COMPARED_SCANS)], str(path)
     )
     return tuple(cameras)
-
-
-def _upright(camera: Camera, up: Up) -> Camera:
-    """Rotate the world of a camera so that y is up."""
-    turn = jnp.asarray(up_rotation(up), camera.rotation.dtype)
-    return eqx.tree_at(lambda c: c.rotation, camera, camera.rotation @ turn.T)
 
 
 def first_pose(path: Path, skeleton: Skeleton) -> Pose:

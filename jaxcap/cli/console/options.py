@@ -35,6 +35,7 @@ CloudsSpec = tyro.conf.Positional[
         ),
     ]
 ]
+DepthSpec = Annotated[tuple[str, ...], arg(metavar="IMAGES...", help_behavior_hint="")]
 OptionalBody = Annotated[
     str | None,
     arg(metavar="BODY", help_behavior_hint="", help=f"Body of the motion: {BODY_FORMATS}."),

@@ -13,7 +13,7 @@ from ...io.meshes.vertex_list import read_vertex_list
 from ...io.registry import write_markers
 from ...markers.body_shape.vertex_markers import vertex_frames
 from ...markers.motion.gap_filling import joint_frames
-from ...observe import make_markers
+from ...observe.markers import make_markers
 from ..console.console import pluralise, say
 
 

@@ -12,7 +12,7 @@ from ...errors import InputError, user_message
 from ...io.markers.marker_file import check_extent, group_by_subject, median_extent, select_subject
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
 from ..console.options import OptionalFile, OptionalUnit, arg
 from .takes import UNIT_ASKED

@@ -15,7 +15,7 @@ from ...io.system.lock import run_lock
 from ...markers.motion.gap_filling import fill_gaps
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.subject import Subject, marker_body
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, score_markers, summarise_residuals
 from ..console.console import print_table, say, warn
 from ..console.heartbeat import set_activity

@@ -17,7 +17,7 @@ from ...markers.motion.inverse_kinematics import MarkerSolution
 from ...markers.motion.label_matching import match_markers
 from ...markers.motion.stream import make_streamer, stream_frame
 from ...markers.subject import Subject
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 
 
 class Latency(NamedTuple):

@@ -15,7 +15,7 @@ from ...io.markers.marker_file import check_extent, select_subject
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
 from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, say, warn
 from ..console.options import arg
 from ..outputs import check_absent, check_parent

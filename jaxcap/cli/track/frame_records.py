@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
+from ...fit.judgement.evidence import NUM_DIRECTIONS
 from ...fit.judgement.normal_values import initial_values
 from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import UNSEEN, Judgement
@@ -107,17 +108,18 @@ def row_width(template: TrackedFrame) -> int:
     return len(pack(template, 0.0))
 
 
-def row_template(tracker: Tracker, like: Pose | None = None) -> TrackedFrame:
+def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 0) -> TrackedFrame:
     """Make a frame with the shapes and types of all frames of a run.
 
-    `like` is a pose of the precision that the run began with, that of the body by default. The function
+    `like` is a pose of the precision that the run began with, that of the body by default. `num_cameras` is the number of
+    known cameras of the clouds. The function
     samples the body's surface, so call it once.
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
     statistics = FrameStatistics(number, number, number, number)
     surface = sampled_surface(tracker.body)
-    usual = initial_values(surface)
+    usual = initial_values(surface, num_cameras or NUM_DIRECTIONS)
     support = jnp.zeros(len(surface.joints), number.dtype)
     judgement = Judgement(
         usual.level, number, number, support, surface.names, surface.joints, surface.part_parents

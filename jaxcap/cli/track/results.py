@@ -14,9 +14,9 @@ from ...errors import InputError
 from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal
 from ...io.archives.npz import save_motion
-from ...io.meshes.clouds import Scans
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
+from ...observe.clouds import Cloud
 from .frame_records import CLOUD_AT, Results, hash_cloud_name
 
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
@@ -57,16 +57,16 @@ def make_writable(folder: Path) -> None:
         ) from None
 
 
-def fingerprint(tracker: Tracker, scans: Scans) -> dict[str, object]:
+def fingerprint(tracker: Tracker, first: Cloud) -> dict[str, object]:
     """Compute the fingerprint of the inputs: hashes of the body with its limits and of the first cloud. Later
     clouds may be repaired, or added after the solved ones, before a run resumes (`check_same_clouds`)."""
     body = hashlib.sha256()
     for leaf in jax.tree.leaves(tracker):
         body.update(np.asarray(leaf).tobytes())
-    first = hashlib.sha256(np.ascontiguousarray(scans[0].points).tobytes())
+    cloud = hashlib.sha256(np.asarray(first.points).tobytes())
     return {
         "body arrays": body.hexdigest(),
-        "first cloud": first.hexdigest(),
+        "first cloud": cloud.hexdigest(),
         "precision": str(tracker.body.vertices.dtype),
     }
 

@@ -15,15 +15,29 @@ from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
-from ...io.meshes.clouds import Scans, read_clouds
+from ...io.meshes.clouds import read_clouds
 from ...io.system.lock import run_lock
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
-from ..console.options import BodySpec, CloudsSpec, Cst, Flag, OptionalCount, Skl, Unit, Up, Vj, arg
+from ..console.options import (
+    BodySpec,
+    CloudsSpec,
+    Cst,
+    DepthSpec,
+    Flag,
+    OptionalCount,
+    OptionalFile,
+    Skl,
+    Unit,
+    Up,
+    Vj,
+    arg,
+)
 from ..console.timed import timed
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
-from ..sources import Clouds, load_body, load_cloud
+from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .depth import DepthClouds, load_depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
@@ -34,15 +48,28 @@ SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": Fal
 
 @dataclass
 class Track:
-    """Fit a body to a sequence of point clouds; write motion.bvh, motion.npz, and the statistics of each
+    """Fit a body to a sequence of point clouds or depth images; write motion.bvh, motion.npz, and the statistics of each
     frame in statistics.csv and statistics.json.
 
     An interrupted run continues with --resume. The result is the same as without the interruption."""
 
     body: BodySpec
-    clouds: CloudsSpec
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output folder."""
+    clouds: CloudsSpec = ()
+    depth: DepthSpec = ()
+    """Depth images instead of CLOUDS: for each camera a folder, a quoted glob ('cam0/*.png', 16 bits) or an .npz with
+    the array `depth` (F, H, W). The person is found in each image, unless --masks is given."""
+    cameras: OptionalFile = None
+    """Cameras of --depth, .json: intrinsics as written by Open3D, RealSense or OpenCV, or calibrated cameras as written
+    by `jaxcap scan`."""
+    masks: DepthSpec = ()
+    """Masks of the person in the images of --depth, for each camera a folder or a quoted glob."""
+    depth_scale: float = 1000.0
+    """Units of --depth in a metre: 1000 for millimetres."""
+    partial: Flag = False
+    """The clouds show a part of the body: hold what they do not show by the prior of people's poses. Always so with
+    --depth."""
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None
@@ -67,8 +94,8 @@ class Track:
     """Expected share of points that are not on the body."""
     damping: float = 1.0
     """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
-    iterations: int = 3
-    """Number of iterations of expectation maximisation per frame."""
+    iterations: OptionalCount = None
+    """Number of iterations of expectation maximisation per frame: by default 3, or 6 with --depth or --partial."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
@@ -95,21 +122,32 @@ class Track:
             prior=self.prior,
         )
         rate = find_rate(self.rate, self.clouds)
-        scans = read_clouds(self.clouds, self.first, self.last, self.unit)
+        clouds = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
-        load_cloud(scans, 0, body, self.up)
+        begun = clouds[0]
         tracker = self.tracker(body, terms)
-        header = {**self.settings(), **fingerprint(tracker, scans), **pose_layout(body.skeleton)}
+        header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
         make_writable(self.out)
         print_rate(rate)
         with run_lock(self.out):
-            self.track(tracker, scans, rate, header)
+            self.track(tracker, clouds, rate, header)
 
-    def track(self, tracker: Tracker, scans: Scans, rate: Rate, header: dict[str, object]) -> None:
+    def open_clouds(self, body: Body) -> Clouds | DepthClouds:
+        """Open the clouds, or the depth images. Raises `InputError`."""
+        if not self.depth:
+            return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up)
+        frames = (self.first, self.last)
+        return load_depth_clouds(
+            self.depth, self.cameras, self.masks, self.depth_scale, frames, body, self.up
+        )
+
+    def track(
+        self, tracker: Tracker, clouds: Clouds | DepthClouds, rate: Rate, header: dict[str, object]
+    ) -> None:
         """Track all remaining frames, and write the results, while the lock excludes other runs in the
         folder."""
         path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
-        template = row_template(tracker)
+        template = row_template(tracker, num_cameras=len(self.depth))
         going_on = self.resume and path.is_file()
         journal = (
             resume_journal(path, header, row_width(template))
@@ -117,13 +155,13 @@ class Track:
             else create_journal(path, header, row_width(template))
         )
         with journal:
-            check_same_clouds(journal, scans.names)
+            check_same_clouds(journal, clouds.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.track_remaining(tracker, scans, journal, last)
+            self.track_remaining(tracker, clouds, journal, last)
         set_activity("writing the results")
-        rows = journal.read(slice(results_width(template)))[: len(scans)]
+        rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
-        write_results(self.out, body.skeleton, results, rate.frames, scans.names)
+        write_results(self.out, body.skeleton, results, rate.frames, clouds.names)
         say(
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
@@ -135,9 +173,9 @@ class Track:
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
                 "Check the unit, the up axis and the body."
             )
-        if len(rows) < len(scans):
+        if len(rows) < len(clouds):
             raise KeyboardInterrupt(
-                f"stopped after {len(rows)} of {len(scans)} frames, which are written; --resume continues"
+                f"stopped after {len(rows)} of {len(clouds)} frames, which are written; --resume continues"
             )
 
     def check(self) -> None:
@@ -151,19 +189,35 @@ class Track:
             "--sigma0": (self.sigma0, 0 < self.sigma0 < np.inf, "above 0 metres"),
             "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
             "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
-            "--iterations": (self.iterations, self.iterations >= 1, "at least 1"),
+            "--iterations": (self.iterations, self.iterations is None or self.iterations >= 1, "at least 1"),
             "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
         }
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
+        if not (self.clouds or self.depth):
+            raise InputError("No clouds were given; give CLOUDS, or depth images with --depth.")
+        if self.clouds and self.depth:
+            raise InputError("CLOUDS and --depth were both given; give one of them.")
+        given = {"--cameras": self.cameras is not None, "--masks": bool(self.masks)}
+        for name, there in given.items():
+            if there and not self.depth:
+                raise InputError(f"{name} is for depth images; give these with --depth.")
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
-        numbers = ("normal_angle", "sigma0", "outlier", "damping", "iterations", "limit_weight")
-        choices = ("vertices", "unit", "up", "estimate_priors", "initialise")
+        numbers = (
+            "normal_angle",
+            "sigma0",
+            "outlier",
+            "damping",
+            "iterations",
+            "limit_weight",
+            "depth_scale",
+        )
+        choices = ("vertices", "unit", "up", "estimate_priors", "initialise", "partial")
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
     def tracker(self, body: Body, terms: tuple[AbstractEnergy, ...]) -> Tracker:
@@ -173,16 +227,18 @@ class Track:
             damping=self.damping,
             estimate_priors=self.estimate_priors,
         )
-        return make_tracker(body, mixture, terms, iterations=self.iterations)
+        return make_tracker(
+            body, mixture, terms, iterations=self.iterations, partial=self.partial or bool(self.depth)
+        )
 
     def track_remaining(
-        self, tracker: Tracker, scans: Scans, journal: Journal, last: TrackedFrame | None
+        self, tracker: Tracker, clouds: Clouds | DepthClouds, journal: Journal, last: TrackedFrame | None
     ) -> None:
         """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
-        steps = self.steps(tracker, scans, journal.count, last)
+        steps = self.steps(tracker, clouds, journal.count, last)
         try:
-            for frame, took in progress(steps, len(scans), min(journal.count, len(scans))):
-                journal.append(pack(frame, took, scans.names[journal.count]))
+            for frame, took in progress(steps, len(clouds), min(journal.count, len(clouds))):
+                journal.append(pack(frame, took, clouds.names[journal.count]))
         except KeyboardInterrupt:
             if not journal.count:
                 journal.path.unlink()
@@ -192,13 +248,13 @@ class Track:
             raise InputError(f"{user_message(error)}{kept}") from None
 
     def steps(
-        self, tracker: Tracker, scans: Scans, begin: int, last: TrackedFrame | None
+        self, tracker: Tracker, clouds: Clouds | DepthClouds, begin: int, last: TrackedFrame | None
     ) -> Iterator[tuple[TrackedFrame, float]]:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
         return timed(
             track_frames(
                 tracker,
-                iter(Clouds(scans, tracker.body, self.up)[begin:]),
+                iter(clouds[begin:]),
                 last,
                 search=SEARCHES[self.initialise],
                 sigma=self.sigma0,

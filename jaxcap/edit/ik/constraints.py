@@ -14,7 +14,7 @@ from ...arguments import check_fields, checked
 from ...body.body import Body, take_vertices
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
-from ...observe import padded_size
+from ...observe.clouds import padded_size
 from .held_points import ConstrainedSkin
 
 #: metres from a joint's centre to the points that constrain its orientation; a rotation by a twentieth of a

@@ -18,7 +18,7 @@ from ...body.body import Body, posed_vertices
 from ...body.pose import Motion, concatenate_poses, shift_roots, take_poses
 from ...fit.fit_meshes import fit_meshes
 from ...geometry.procrustes import nearest_rotation
-from ...observe import MeshSequence
+from ...observe.meshes import MeshSequence
 from .soles import motion_floor_height
 from .transfer import make_transfer, transfer_pose
 

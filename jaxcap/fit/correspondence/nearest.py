@@ -12,7 +12,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 from .part_blocks import BLOCK, Parts
 
 #: Points in a tile.

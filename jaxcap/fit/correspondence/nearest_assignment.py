@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 
 from ...arguments import checked
 from ...geometry.closest import nearest_on_surface
-from ...observe import Cloud, as_cloud, padded_size, unit_normals
 from ...observe import Scan as FileScan
+from ...observe.clouds import Cloud, as_cloud, padded_size, unit_normals
 
 
 class IndexedScan(NamedTuple):

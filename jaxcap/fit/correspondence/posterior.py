@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 from .nearest import nearest_vertices
 from .part_blocks import Parts
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import pose_body
 from ...body.pose import Pose
 from ...geometry.camera import Camera, is_in_image, project
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 from .inside import inside_degrees
 from .surface import MIN_DISTANCE, STRIDE, SampledSurface
 

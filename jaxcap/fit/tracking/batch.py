@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...errors import InputError
-from ...observe import Cloud, Scan, stack_clouds
+from ...observe import Scan, stack_clouds
+from ...observe.clouds import Cloud
 from .em import FrameStatistics
 from .track_frame import Tracker, TrackState, check_sigma, start_state, track_frame
 

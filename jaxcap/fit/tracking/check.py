@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from ...body.body import Body
 from ...errors import InputError
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 
 #: metres per unit, for common units of files
 _UNITS = {

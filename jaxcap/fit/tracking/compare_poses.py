@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose, difference
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
 from .recover import reset_velocity, track_frame_jit
-from .track_frame import Tracker, TrackState, start_state
+from .track_frame import Tracker, TrackState, penalty, start_state
 
 #: standard deviation at which poses are compared, metres
 COMPARISON_SIGMA = 0.02
@@ -29,8 +29,9 @@ def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, "
     estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
     volume = box_volume(cloud)
     found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+    density = found.log_likelihood - penalty(tracker, cloud, pose)
     # a NaN pose explains nothing
-    return jnp.where(jnp.isfinite(found.log_likelihood), found.log_likelihood, -jnp.inf)
+    return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
 
 def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:

@@ -10,7 +10,7 @@ from ...body.pose import Pose
 from ...energy.data.points import PointToPlane
 from ...energy.data.sufficient_statistics import rigid_moments
 from ...energy.energy import AbstractEnergy, Sum, terms_of
-from ...observe import Cloud
+from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from ..correspondence.part_blocks import Parts
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma

@@ -17,11 +17,12 @@ from ...energy.energy import Sum, unweighted
 from ...energy.priors.limits import JointLimits
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
-from ...observe import Cloud, Scan, as_cloud, thin_cloud
+from ...observe import Scan, thin_cloud
+from ...observe.clouds import Cloud, as_cloud
 from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_parts
 from .em import Estimate, box_volume, em_step, uniform_priors
-from .track_frame import Tracker
+from .track_frame import Tracker, frame_terms, penalty
 
 _LOG = logging.getLogger(__name__)
 
@@ -42,9 +43,9 @@ def anneal(
     Large deviations attract a distant body, small ones fit it (deterministic annealing, Ueda and Nakano
     1998).
 
-    Returns the estimate and its mean log-likelihood at a standard deviation common to all starts.
+    Returns the estimate and its mean log-density, posterior, at a standard deviation common to all starts.
     """
-    prior = Sum((RestPrior(tracker.rest_deviations), *tracker.terms))
+    prior = Sum(frame_terms(tracker, cloud))
     volume = box_volume(cloud)
 
     def step(estimate, sigma):
@@ -55,7 +56,7 @@ def anneal(
     last, statistics = jax.lax.scan(
         step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
     )
-    likelihood = statistics.log_likelihood[-1]
+    likelihood = statistics.log_likelihood[-1] - penalty(tracker, cloud, last.pose)
     return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
 

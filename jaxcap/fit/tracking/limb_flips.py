@@ -14,7 +14,8 @@ from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Pose
 from ...geometry import rotation
-from ...observe import Cloud, thin_cloud
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
 from .initialise import FINE_POINTS, anneal_each
 from .track_frame import Tracker
 

@@ -8,8 +8,9 @@ from jaxtyping import PRNGKeyArray
 
 from ...body.pose import Pose
 from ...energy.priors.prior import tangent_deviations
-from ...observe import Cloud, thin_cloud
-from ..judgement.evidence import gather_evidence
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
+from ..judgement.evidence import NUM_DIRECTIONS, gather_evidence
 from ..judgement.normal_values import (
     NormalValues,
     initial_values,
@@ -38,7 +39,7 @@ MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
 #: share of outliers above which the body is not in the cloud, and the next frame starts at the last good pose
 MAX_OUTLIER_SHARE = 0.5
 #: number of directions in the search for a body that jumped
-NUM_DIRECTIONS = 4
+NUM_JUMP_DIRECTIONS = 4
 
 track_frame_jit = eqx.filter_jit(track_frame)
 
@@ -130,7 +131,7 @@ def track_first_frame(
     for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
         state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
-    usual = initial_values(surface)
+    usual = initial_values(surface, len(cloud.views) or NUM_DIRECTIONS)
     frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, usual, SearchPause())
     return finish_frame(tracker, frame, pose)
 
@@ -161,7 +162,8 @@ def judge_frame(
 def _compare(
     surface: SampledSurface, usual: NormalValues, pose: Pose, cloud: Cloud
 ) -> tuple[Judgement, NormalValues]:
-    evidence = gather_evidence(surface, pose, cloud, sensor_directions(usual))
+    cameras = [view.camera for view in cloud.views]
+    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(usual))
     return judge_evidence(surface, usual, evidence), update_values(usual, evidence)
 
 
@@ -224,7 +226,7 @@ def search_frame(
     starts = _join(
         perturbed_starts(skeleton, here, 7, wide, keys[0]),
         subtree_starts(skeleton, here, 7, wide, keys[1]),
-        rotated_starts(coarse, few, previous, NUM_DIRECTIONS, jnp.asarray(up, previous.rotations.dtype)),
+        rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, jnp.asarray(up, previous.rotations.dtype)),
     )
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, starts, sigmas)

@@ -15,8 +15,10 @@ from ...body.body import Body
 from ...body.pose import Motion, Pose, rest_pose, stack_poses
 from ...energy.check import UserTerms
 from ...errors import InputError
-from ...observe import Cloud, CloudFrames, Scan, as_cloud
+from ...observe import Scan
+from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
+from ..judgement.evidence import NUM_DIRECTIONS
 from ..judgement.normal_values import initial_values
 from ..judgement.surface import sampled_surface
 from .check import check_cloud
@@ -131,7 +133,8 @@ def _track_frames(
                     tracker, *reached, candidates(number), pose, cloud, margin
                 )
                 if state is not frame.state:
-                    usual, patience = initial_values(surface), SearchPause()
+                    usual = initial_values(surface, len(cloud.views) or NUM_DIRECTIONS)
+                    patience = SearchPause()
                     frame = judge_frame(surface, cloud, state, statistics, usual, patience, frame.searches)
                     frame = finish_frame(tracker, frame, pose)
         else:

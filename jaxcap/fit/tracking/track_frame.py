@@ -6,17 +6,30 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
-from ...body.body import Body
+from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, difference, retract
 from ...energy.check import UserTerms, sum_user_terms
-from ...energy.energy import AbstractEnergy, Sum, terms_of
+from ...energy.data.free_space import FreeSpace
+from ...energy.energy import AbstractEnergy, Sum, terms_of, weighted
+from ...energy.priors.gaussian import GaussianPrior, human_prior
 from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
-from ...observe import Cloud
+from ...energy.priors.self_collision import SelfCollision, make_self_collision
+from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
 from ..correspondence.part_blocks import Parts, make_parts
 from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
 
+#: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
+ITERATIONS, PARTIAL_ITERATIONS = 3, 6
+#: number of points that count as one independent measurement against the prior of people, as the errors of
+#: neighbouring points are alike
+POINTS_PER_MEASUREMENT = 180.0
+#: number of vertices that are tested for free space; their weight relative to the points'; and the standard deviation
+#: of a violation, metres
+NUM_TESTED, FREE_SPACE_WEIGHT, FREE_SPACE_DEVIATION = 1500, 0.21, 0.02
+#: weight of a depth of one standard deviation inside of another part of the body, for each point of a cloud
+COLLISION_WEIGHT = 1e-2
 #: largest initial standard deviation in metres: larger ones are in another unit
 MAX_SIGMA = 5.0
 
@@ -32,6 +45,9 @@ class Tracker(eqx.Module):
     #: standard deviations of joints from rest in their own frames, for coordinates that a cloud does not
     #: determine
     rest_deviations: Float[Array, "J 3"]
+    #: of bodies that are seen in part: the prior of people's poses, and limbs inside of other parts
+    people: GaussianPrior | None
+    collision: SelfCollision | None
     #: share of the last change in the prediction of a frame
     momentum: Float[Array, ""]
     #: factor on the last frame's sigma at the start of a frame, and its least value in metres
@@ -65,13 +81,18 @@ def make_tracker(
     momentum: float = 1.0,
     sigma_growth: float = 1.5,
     sigma_start: float = 0.015,
-    iterations: int = 3,
+    iterations: int | None = None,
+    partial: bool = False,
 ) -> Tracker:
     """Make a `Tracker` for a body.
 
     **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
     and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
-    anatomy (`body.people.anatomy`); `terms` are further energies, in units of a log-likelihood.
+    anatomy (`body.people.anatomy`); `partial`, the clouds show a part of the body, as those of one depth camera
+    do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
+    keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
+    `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
+    `terms` are further energies, in units of a log-likelihood.
 
     **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
     """
@@ -80,6 +101,8 @@ def make_tracker(
     check_at_least(where, 0, momentum=momentum)
     check_positive(where, sigma_growth=sigma_growth)
     check_positive(where, "metres", sigma_start=sigma_start)
+    default = PARTIAL_ITERATIONS if partial else ITERATIONS
+    iterations = default if iterations is None else iterations
     check_at_least(where, 1, iterations=iterations)
     own = sum_user_terms(where, terms, body)
     bones = body.skin.dominant_bones()
@@ -89,6 +112,8 @@ def make_tracker(
         mixture=make_mixture() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
+        people=human_prior(body.skeleton) if partial else None,
+        collision=make_self_collision(body) if partial else None,
         momentum=as_number(momentum),
         sigma_growth=as_number(sigma_growth),
         sigma_start=as_number(sigma_start),
@@ -116,6 +141,39 @@ def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 
     return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
 
 
+def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+    """Return the terms of a frame besides its points."""
+    return (RestPrior(tracker.rest_deviations), *tracker.terms, *partial_terms(tracker, cloud))
+
+
+def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+    """Return the terms that hold what the points do not show: people's poses, self-collision, and free space."""
+    total, terms = jnp.sum(cloud.weights), []
+    if tracker.people is not None:
+        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.people))
+    if tracker.collision is not None:
+        terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
+    if cloud.views:
+        count = len(tracker.body.vertices)
+        rows = jnp.linspace(0, count - 1, min(NUM_TESTED, count)).astype(jnp.int32)
+        weights = jnp.full(len(rows), FREE_SPACE_WEIGHT / len(rows)) * total / len(cloud.views)
+        deviation = jnp.asarray(FREE_SPACE_DEVIATION)
+        terms += [FreeSpace(rows, weights, view, deviation) for view in cloud.views]
+    return tuple(terms)
+
+
+def penalty(tracker: Tracker, cloud: Cloud, pose: Pose) -> Float[Array, ""]:
+    """Compute half the energy of `partial_terms` for each point of the cloud.
+
+    Subtracted from the mean log-likelihood of the points it compares poses by their posterior density.
+    """
+    terms, total = partial_terms(tracker, cloud), jnp.sum(cloud.weights)
+    if not terms:
+        return jnp.zeros((), total.dtype)
+    r = Sum(terms).residual(pose_body(tracker.body, pose))
+    return 0.5 * jnp.sum(r * r) / jnp.maximum(total, 1.0)
+
+
 @checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
@@ -124,8 +182,7 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     """
     skeleton, before = tracker.body.skeleton, state.estimate
     predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
-    rest = RestPrior(tracker.rest_deviations)
-    prior = Sum((PosePrior(predicted, tracker.motion_deviations), rest, *tracker.terms))
+    prior = Sum((PosePrior(predicted, tracker.motion_deviations), *frame_terms(tracker, cloud)))
     volume = box_volume(cloud)
     sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..system.atomic import atomic_path
 from ..text import unit_scale
 from .c3d_child import load_c3d

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...errors import InputError
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..text import MAX_NUMBER, check_rate, likely_units, unit_scale
 
 #: bounds in metres of the longest side of the markers of one frame

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
 from ..text import check_rate, parse_floats, read_text, shortened, unit_scale

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import InputError
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
 from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale

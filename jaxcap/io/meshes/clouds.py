@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from ...arguments import checked
 from ...errors import InputError
-from ...observe import Cloud
 from ...observe import Scan as Scan
+from ...observe.clouds import Cloud
 from ..archives.archive import array_names, load_arrays
 from ..kinds import wrong_arrays_error
 from ..system.atomic import atomic_path

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ...arguments import checked
 from ...errors import InputError
-from ...observe import unit_normals
+from ...observe.clouds import unit_normals
 from ..gltf.gltf_scene import check_scene
 from ..kinds import wrong_kind_error
 from ..system.atomic import atomic_path, write_text

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ...arguments import checked
 from ...errors import InputError
-from ...observe import MeshSequence
+from ...observe.meshes import MeshSequence
 from ..archives.archive import array_names, load_arrays
 from ..archives.npz import save_arrays
 from ..kinds import wrong_arrays_error

@@ -22,7 +22,7 @@ from ...energy.priors.prior import RestPrior
 from ...fit.solve import solve
 from ...geometry import rotation
 from ...geometry.procrustes import rigid_fit
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from .anatomical import anatomical_markers
 from .shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS, Measurements, search_shape
 from .surface import SurfaceMarkers, surface_landmarks, vertex_markers

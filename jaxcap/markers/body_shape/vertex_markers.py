@@ -8,7 +8,7 @@ import numpy as np
 from ...arguments import checked
 from ...body.body import Body, posed_vertices, take_vertices
 from ...body.pose import Motion
-from ...observe import MarkerFrames, make_markers
+from ...observe.markers import MarkerFrames, make_markers
 
 
 @checked

@@ -14,7 +14,7 @@ from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.symmetry import bone_pairs
 from ...energy.check import UserTerms, sum_user_terms
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body

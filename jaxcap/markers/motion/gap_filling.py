@@ -10,7 +10,7 @@ from ...arguments import checked
 from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..calibration.residuals import rest_positions
 from ..subject import Subject
 from .label_matching import match_markers

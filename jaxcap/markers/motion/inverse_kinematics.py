@@ -13,7 +13,7 @@ from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...energy.check import UserTerms, sum_user_terms
 from ...geometry.stacking import concatenate
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body

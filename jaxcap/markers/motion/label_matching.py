@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..subject import Subject
 
 

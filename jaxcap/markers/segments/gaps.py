@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...arguments import checked
 from ...geometry.procrustes import rigid_fit
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 
 #: number of markers that carry another through a gap, and of frames compared to choose them
 NUM_PREDICTORS, FRAMES_COMPARED = 6, 50

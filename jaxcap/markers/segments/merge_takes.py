@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...arguments import checked
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 
 
 @checked

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ...io.system.atomic import atomic_path
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..pictures import new_figure
 from ..render import INK
 

@@ -11,7 +11,7 @@ from ...io.system.atomic import atomic_path
 from ...markers.motion.gap_filling import joint_frames, predicted_positions
 from ...markers.motion.label_matching import match_markers
 from ...markers.subject import Subject
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from ..pictures import new_figure, round_up
 from ..render import INK, PAPER, distinct_colours, set_frame
 

@@ -11,7 +11,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...io.table import write_json
 from ...markers.subject import Subject
-from ...observe import MarkerFrames
+from ...observe.markers import MarkerFrames
 from .marker_pictures import draw_residuals, draw_skeleton
 
 

@@ -14,7 +14,7 @@ from ...fit.correspondence.posterior import posterior
 from ...geometry.closest import nearest_on_surface
 from ...geometry.mesh import vertex_normals
 from ...geometry.normals import estimate_normals
-from ...observe import Cloud, ordered_cloud, unit_normals
+from ...observe.clouds import Cloud, ordered_cloud, unit_normals
 from ...report.pictures import HEAT_COLOURS
 from ...report.render import distinct_colours
 from .clouds import DisplayCloud, sample_rows

@@ -8,7 +8,7 @@ import trimesh
 from jaxcap.errors import InputError
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.meshes.meshes import read_meshes, read_named_meshes, save_meshes, triangulate
-from jaxcap.observe import MeshSequence
+from jaxcap.observe.meshes import MeshSequence
 
 BALL = trimesh.creation.icosphere(subdivisions=1)
 FACES = np.array(BALL.faces)

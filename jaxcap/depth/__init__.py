@@ -1,0 +1,5 @@
+"""Depth images of people: the person in an image, and clouds that know what their cameras saw."""
+
+from ..lazy_imports import attach
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,0 +1,94 @@
+"""Limbs that are inside of other parts of the body."""
+
+from collections.abc import Collection
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...arguments import check_fields, checked
+from ...body.body import Body, Posed, pose_body
+from ...body.pose import rest_pose
+from ...body.skeleton import Skeleton
+from ..data.soft_object import SoftObject, make_soft_object, soft_distance
+from ..energy import AbstractEnergy, safe_sqrt
+
+#: parts of a person's limbs that must not be inside of others, without their side
+ARM = ("ForeArm", "Hand", "FingerBase", "HandFinger1")
+LEG = ("Leg", "Foot", "ToeBase")
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+#: number of points of a limb, and depth that is allowed everywhere, as skin is soft, metres
+NUM_POINTS, ALLOWED_DEPTH = 48, 0.01
+
+
+class LimbCollision(eqx.Module):
+    """Points of a limb, and the parts that they must not be inside of."""
+
+    others: SoftObject
+    #: at rest, metres, and the bones that move them
+    points: Float[Array, "N 3"]
+    bones: Int[Array, "N"]
+    #: depth in the others that is allowed, metres: more where the limb is inside of them at rest
+    allowed: Float[Array, "N"]
+
+
+class SelfCollision(AbstractEnergy):
+    """`sum_i w_i max(depth_i - allowed_i, 0)^2` over points of limbs inside of other parts of the body.
+
+    Parts are soft objects (`SoftObject`), and points move rigidly with their bones.
+    """
+
+    limbs: tuple[LimbCollision, ...]
+    #: weight of a point, per metre squared
+    weight: Float[Array, ""]
+
+    def __check_init__(self):
+        check_fields(self)
+
+    def residual(self, posed: Posed) -> Float[Array, "R"]:
+        depths = []
+        for limb in self.limbs:
+            r, t = posed.transforms.rotations[limb.bones], posed.transforms.translations[limb.bones]
+            points = jnp.einsum("nab,nb->na", r, limb.points) + t
+            depth = -soft_distance(limb.others, posed, points)
+            depths.append(jnp.maximum(depth - limb.allowed * posed.pose.scale, 0.0))
+        return safe_sqrt(self.weight) * jnp.concatenate(depths)
+
+
+@checked
+def make_self_collision(body: Body, deviation: float | int = 0.01) -> SelfCollision | None:
+    """Make the collisions of a person's arms with the trunk, the legs and each other, and of the lower legs.
+
+    None if the joints do not have the names of the embedded human. **Arguments:** `deviation`, the standard deviation of
+    a depth, metres.
+    """
+    skeleton = body.skeleton
+    if not {"LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg", "Spine"} <= set(skeleton.names):
+        return None
+    whole, limbs = make_soft_object(body), []
+    for side, other in (("Left", "Right"), ("Right", "Left")):
+        far = [f"{other}{name}" for name in ("Arm", *ARM)]
+        thighs = ["LeftUpLeg", "RightUpLeg"]
+        limbs.append(
+            _limb(body, whole, _bones(skeleton, ARM, side), _bones(skeleton, [*TRUNK, *far, *thighs]))
+        )
+        near = _bones(skeleton, ("UpLeg", *LEG), other)
+        limbs.append(_limb(body, whole, _bones(skeleton, LEG, side), near))
+    return SelfCollision(tuple(limbs), jnp.asarray(deviation**-2, body.vertices.dtype))
+
+
+def _bones(skeleton: Skeleton, names: Collection[str], side: str = "") -> list[int]:
+    return [skeleton.index(side + name) for name in names if side + name in skeleton.names]
+
+
+def _limb(body: Body, whole: SoftObject, own: list[int], others: list[int]) -> LimbCollision:
+    bones = np.asarray(body.skin.dominant_bones())
+    rows = np.flatnonzero(np.isin(bones, own))
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, NUM_POINTS).astype(int))]
+    kept = np.flatnonzero(np.isin(np.asarray(whole.bones), others))
+    parts = SoftObject(whole.bones[kept], whole.centres[kept], whole.precisions[kept], whole.stiffness)
+    points, skeleton = body.vertices[rows], body.skeleton
+    depth = -soft_distance(parts, pose_body(body, rest_pose(skeleton)), points)
+    allowed = jnp.maximum(depth, 0.0) + ALLOWED_DEPTH
+    return LimbCollision(parts, points, jnp.asarray(bones[rows]), allowed)

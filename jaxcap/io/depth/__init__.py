@@ -1,0 +1,1 @@
+"""Depth images, masks, and the intrinsics of their cameras."""

@@ -1,0 +1,65 @@
+"""Single images: depths and masks as PNG or TIFF, by Pillow."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...errors import InputError
+from ...geometry.camera import MAX_PIXELS
+from ..system.reader_errors import reader_of
+
+SUFFIXES = (".png", ".tif", ".tiff")
+
+
+@reader_of("a depth image")
+def read_depth_image(path: str | Path, depth_scale: float = 1000.0) -> Float[np.ndarray, "H W"]:
+    """Read a depth image, metres; zero for pixels without measurement.
+
+    **Arguments:** `depth_scale`, the number of the file's units in a metre, for whole numbers; images of floating
+    point numbers are in metres.
+
+    **Raises:** `InputError` if the file is no image, or has colours or eight bits, which cannot be depths.
+    """
+    image = _read(path)
+    if image.ndim != 2 or image.dtype in (np.uint8, np.bool_):
+        found = f"{image.shape[2]} channels" if image.ndim > 2 else "8 bits"
+        raise InputError(
+            f"{path}: the image has {found}, so it is a picture and no depth image; expected one channel of 16 bits."
+        )
+    return depths_in_metres(image, depth_scale)
+
+
+def depths_in_metres(image: np.ndarray, depth_scale: float) -> Float[np.ndarray, "*F H W"]:
+    """Convert depths to metres: whole numbers by their scale; zero where they are not finite or not above zero."""
+    metres = image / depth_scale if image.dtype.kind in "iu" else image.astype(float)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(metres) & (metres > 0), metres, 0.0)
+
+
+@reader_of("a mask")
+def read_mask(path: str | Path) -> Bool[np.ndarray, "H W"]:
+    """Read a mask: true where any channel but transparency is not zero.
+
+    **Raises:** `InputError` if the file is no image.
+    """
+    image = _read(path)
+    return (image if image.ndim == 2 else image[..., :3].max(-1)) > 0
+
+
+def _read(path: str | Path) -> np.ndarray:
+    from PIL import Image, UnidentifiedImageError
+
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: this is no depth image; expected {', '.join(SUFFIXES)}.")
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file; check the path.")
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise InputError(
+                    f"{path}: the image has {image.width} x {image.height} pixels; expected at most {MAX_PIXELS}."
+                )
+            return np.array(image)
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: the image cannot be read: {error}.") from None

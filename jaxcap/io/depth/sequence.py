@@ -1,0 +1,158 @@
+"""Sequences of depth images of one or several cameras, loaded on demand."""
+
+import glob
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple, overload
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...arguments import checked
+from ...errors import InputError
+from ...value_checks import check_positive
+from ..archives.archive import load_arrays
+from ..system.paths import select_range
+from ..system.reader_errors import reader_of
+from .images import SUFFIXES, depths_in_metres, read_depth_image, read_mask
+
+#: names of the arrays of an `.npz`, the first that it has
+_DEPTH_NAMES, _MASK_NAMES = ("depth", "depth_mm", "depths"), ("mask", "masks")
+
+
+class DepthFrame(NamedTuple):
+    """The depth images of all cameras in one frame."""
+
+    name: str
+    #: metres along the optical axis; zero for pixels without measurement
+    depths: tuple[Float[np.ndarray, "H W"], ...]
+    #: the pixels of the person in each; None where they are not known
+    masks: tuple[Bool[np.ndarray, "H W"] | None, ...]
+
+
+class DepthFrames(Sequence):
+    """Frames of depth images; `names` and `len` load nothing."""
+
+    def __init__(self, names: Sequence[str], load: Callable[[int], DepthFrame]):
+        self.names, self._load = tuple(names), load
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, frame: int) -> DepthFrame: ...
+    @overload
+    def __getitem__(self, frame: slice) -> "DepthFrames": ...
+    def __getitem__(self, frame):
+        if isinstance(frame, slice):
+            numbers = range(len(self))[frame]
+            return DepthFrames([self.names[i] for i in numbers], lambda i: self._load(numbers[i]))
+        return self._load(range(len(self))[frame])
+
+
+@checked
+@reader_of("depth images")
+def read_depths(
+    sources: str | Path | Sequence[str | Path],
+    masks: str | Path | Sequence[str | Path] = (),
+    first: int | None = None,
+    last: int | None = None,
+    depth_scale: float = 1000.0,
+) -> DepthFrames:
+    """Open sequences of depth images, one for each camera, with equally many frames.
+
+    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images, or an `.npz` with the array
+    `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W); `masks`, if they are known, likewise, as images;
+    `first` and `last`, both included, count frames from 0; `depth_scale`, the number of the file's units in a metre.
+
+    **Raises:** `InputError` if nothing is found, or cameras have different numbers of frames; also, when it is loaded,
+    if an image is invalid.
+    """
+    check_positive("read_depths", "units in a metre", depth_scale=depth_scale)
+    cameras = [_open(source, depth_scale) for source in _listed(sources)]
+    if not cameras:
+        raise InputError("No depth images were given; give a folder, a glob or an .npz for each camera.")
+    known = [_open_masks(source) for source in _listed(masks)]
+    if known and len(known) != len(cameras):
+        raise InputError(
+            f"There are masks of {len(known)} cameras, but depth images of {len(cameras)}; give masks of each camera."
+        )
+    count = len(cameras[0].names)
+    for camera in (*cameras, *known):
+        if len(camera.names) != count:
+            raise InputError(
+                f"{camera.names[0]}: this sequence has {len(camera.names)} images, but {cameras[0].names[0]} has {count}; "
+                "give as many images of each camera."
+            )
+    chosen = select_range(list(range(count)), first, last, cameras[0].names[0])
+
+    def load(number: int) -> DepthFrame:
+        frame = chosen[number]
+        shown = [camera.load(frame) for camera in cameras]
+        given = [mask.load(frame)[1] for mask in known] or [mask for _, mask in shown]
+        return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(given))
+
+    return DepthFrames([cameras[0].names[frame] for frame in chosen], load)
+
+
+class _Images(NamedTuple):
+    """The images of one camera: loads depth and mask of a frame."""
+
+    names: list[str]
+    load: Callable[[int], tuple[np.ndarray, np.ndarray | None]]
+
+
+def _listed(sources: str | Path | Sequence[str | Path]) -> list[str | Path]:
+    return [sources] if isinstance(sources, str | Path) else list(sources)
+
+
+def _open(source: str | Path, depth_scale: float) -> _Images:
+    path = Path(source)
+    if path.suffix.lower() == ".npz" and not path.is_dir():
+        return _stack(path, depth_scale)
+    paths = _image_files(source)
+    return _Images(
+        [str(path) for path in paths], lambda frame: (read_depth_image(paths[frame], depth_scale), None)
+    )
+
+
+def _open_masks(source: str | Path) -> _Images:
+    paths = _image_files(source)
+
+    def load(frame: int):
+        mask = read_mask(paths[frame])
+        return mask, mask
+
+    return _Images([str(path) for path in paths], load)
+
+
+def _image_files(source: str | Path) -> list[Path]:
+    path = Path(source)
+    if path.is_dir():
+        found = [one for one in path.iterdir() if one.suffix.lower() in SUFFIXES]
+    else:
+        found = [Path(one) for one in glob.glob(str(source))]
+    if not found:
+        raise InputError(
+            f"{source}: there are no images; give a folder, a glob such as 'cam0/*.png', or an .npz."
+        )
+    return sorted(found, key=lambda one: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", one.name)])
+
+
+def _stack(path: Path, depth_scale: float) -> _Images:
+    arrays = load_arrays(path, lambda name: name in (*_DEPTH_NAMES, *_MASK_NAMES))
+    depth = next((arrays[name] for name in _DEPTH_NAMES if name in arrays), None)
+    mask = next((arrays[name] for name in _MASK_NAMES if name in arrays), None)
+    if depth is None or depth.ndim != 3 or depth.dtype.kind not in "fiu":
+        raise InputError(f"{path}: the file has no array 'depth' of numbers (F, H, W).")
+    if mask is not None and mask.shape != depth.shape and mask.dtype == np.uint8:
+        # eight pixels of a row in a byte
+        mask = np.unpackbits(mask, axis=-1, count=depth.shape[-1])
+    if mask is not None and mask.shape != depth.shape:
+        raise InputError(f"{path}: 'mask' has the shape {mask.shape}; expected {depth.shape}, as 'depth'.")
+
+    def load(frame: int):
+        return depths_in_metres(depth[frame], depth_scale), None if mask is None else mask[frame] > 0
+
+    return _Images([f"{path}[{frame}]" for frame in range(len(depth))], load)

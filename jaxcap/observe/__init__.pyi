@@ -1,0 +1,7 @@
+"""Observations of sensors: point clouds, depth images, mesh sequences and optical markers."""
+
+from .clouds import Scan as Scan
+from .clouds import stack_clouds as stack_clouds
+from .clouds import thin_cloud as thin_cloud
+from .depth import DepthView as DepthView
+from .depth import make_depth_view as make_depth_view

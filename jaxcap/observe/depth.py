@@ -1,0 +1,90 @@
+"""Depth images of one camera, with the pixels that belong to the person."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy.ndimage import distance_transform_edt
+
+from ..arguments import as_jax_array, check_fields, checked
+from ..errors import InputError
+from ..geometry.camera import Camera
+
+#: longest side of the images of a view, pixels: larger images are reduced
+MAX_VIEW_SIDE = 320
+
+
+class DepthView(eqx.Module):
+    """What a camera saw in one frame: where the person's surface is, and where the person is not.
+
+    Images are `(height, width)` of the camera.
+    """
+
+    camera: Camera
+    #: depth of the measured surface along the optical axis, metres; zero where nothing was measured
+    depth: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
+    #: distance to the person's nearest pixel where background was measured, pixels; zero elsewhere
+    outside: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+@checked
+def make_depth_view(
+    camera: Camera, depth: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"], where: str = "the image"
+) -> DepthView:
+    """Make a view from a depth image and the mask of the person.
+
+    Images with more than `MAX_VIEW_SIDE` pixels on a side are reduced: a reduced pixel belongs to the person if any
+    of its pixels does, and has the smallest depth of these.
+
+    **Arguments:** `depth`, metres, zero where nothing was measured; `where` names the image in messages.
+
+    **Raises:** `InputError` if the images are not of the camera's size, or no pixel of the person was measured.
+    """
+    size = (camera.height, camera.width)
+    for name, image in (("depth", depth), ("mask", person)):
+        if image.shape != size:
+            raise InputError(
+                f"{where}: its {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {size[1]} x {size[0]}, "
+                "as the camera."
+            )
+    measured = np.isfinite(depth) & (depth > 0)
+    if not (person & measured).any():
+        raise InputError(
+            f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
+        )
+    step = -(-max(size) // MAX_VIEW_SIDE)
+    person, background = person & measured, ~person & measured
+    person_depth = _reduce(np.where(person, depth, np.inf), step)
+    background_depth = _reduce(np.where(background, depth, np.inf), step)
+    shown = np.isfinite(person_depth)
+    empty = ~shown & np.isfinite(background_depth)
+    depth = np.where(shown, person_depth, np.where(empty, background_depth, 0.0))
+    outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
+    return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
+
+
+def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h w"]:
+    """Take the least value of each block of `step` rows and columns."""
+    height, width = (-(-side // step) for side in image.shape)
+    padded = np.full((height * step, width * step), np.inf)
+    padded[: image.shape[0], : image.shape[1]] = image
+    return padded.reshape(height, step, width, step).min((1, 3))
+
+
+def reduce_camera(camera: Camera, step: int) -> Camera:
+    """Return the camera of images with blocks of `step` rows and columns as pixels."""
+    if step == 1:
+        return camera
+    # the centre of a block of pixels is (step - 1) / 2 after its first pixel
+    middle = (camera.principal_point - (step - 1) / 2) / step
+    return Camera(
+        camera.rotation,
+        camera.translation,
+        camera.focal / step,
+        jnp.asarray(middle),
+        -(-camera.width // step),
+        -(-camera.height // step),
+    )

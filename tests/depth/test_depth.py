@@ -1,0 +1,205 @@
+"""Depth images: files, the person in a room, and clouds that know what their cameras saw."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+import jaxcap as jc
+from jaxcap.depth import cloud_of_depths, find_person
+from jaxcap.errors import InputError
+from jaxcap.geometry.camera import look_at, project
+from jaxcap.io.cameras import read_cameras
+from jaxcap.io.depth.sequence import read_depths
+from jaxcap.observe import make_depth_view
+from jaxcap.scanner.depth import make_ray_mesh, render_depth
+
+BODY = jc.human(resolution="low")
+CAMERA = look_at([0.0, 0.4, 2.6], [0.0, 0.1, 0.0], 160, 120, 60)
+
+
+def room(shift=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+    """A person on a floor before a wall: depths, and the person's pixels."""
+    vertices, faces = np.asarray(BODY.vertices, float) + shift, np.asarray(BODY.faces)
+    low = vertices[:, 1].min()
+    floor = [[-4, low, -2], [4, low, -2], [4, low, 3], [-4, low, 3]]
+    wall = [[-4, low, -2], [4, low, -2], [4, 3, -2], [-4, 3, -2]]
+    both = np.concatenate([vertices, floor, wall])
+    count = len(vertices)
+    squares = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]) + count
+    depth = render_depth(CAMERA, make_ray_mesh(both, np.concatenate([faces, squares]))).depth
+    alone = render_depth(CAMERA, make_ray_mesh(vertices, faces)).depth
+    return depth, (alone > 0) & (np.abs(alone - depth) < 1e-6)
+
+
+def test_a_person_is_found_before_floor_and_wall():
+    depth, person = room()
+    found = find_person(CAMERA, depth)
+    assert np.sum(found & person) / np.sum(found | person) > 0.9
+
+
+def test_a_room_without_a_person_is_refused():
+    depth, _ = room((0.0, 50.0, 0.0))
+    with pytest.raises(InputError, match="no surface has the size of a person; check the unit"):
+        find_person(CAMERA, np.where(depth > 0, depth, 3.0))
+    with pytest.raises(InputError, match="nothing was measured"):
+        find_person(CAMERA, np.zeros_like(depth))
+    depth, _ = room()
+    with pytest.raises(InputError, match="no surface has the size of a person"):
+        find_person(CAMERA, depth / 1000.0)
+
+
+def test_a_cloud_of_depths_is_on_the_surface_and_keeps_the_view():
+    depth, person = room()
+    cloud = cloud_of_depths([CAMERA], [depth], [person])
+    points = np.asarray(cloud.points)[np.asarray(cloud.weights) > 0]
+    from jaxcap.metrics import scan_to_surface
+
+    off = scan_to_surface(points, np.asarray(BODY.vertices, float), np.asarray(BODY.faces))
+    assert np.median(off) < 0.004
+    (view,) = cloud.views
+    assert (np.asarray(view.depth) > 0).sum() > 0
+    found = cloud_of_depths([CAMERA], [depth])
+    assert abs(len(found.points) - len(cloud.points)) < 0.3 * len(cloud.points)
+
+
+def test_images_that_do_not_fit_their_camera_are_refused():
+    depth, person = room()
+    with pytest.raises(InputError, match="the image has 159 x 120 pixels; expected 160 x 120, as the camera"):
+        cloud_of_depths([CAMERA], [depth[:, 1:]])
+    with pytest.raises(InputError, match="2 depth images of 1 cameras"):
+        cloud_of_depths([CAMERA], [depth, depth])
+    with pytest.raises(InputError, match="no pixel of the person was measured"):
+        make_depth_view(CAMERA, depth, np.zeros_like(person))
+
+
+def test_large_images_are_reduced_to_the_nearest_surface():
+    camera = look_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], 640, 480, 60)
+    depth = np.full((480, 640), 3.0)
+    depth[100:301, 200:401] = 2.0
+    view = make_depth_view(camera, depth, depth < 2.5)
+    assert np.asarray(view.depth).shape == (240, 320)
+    assert (view.camera.height, view.camera.width) == (240, 320)
+    # a block with one pixel of the person is the person's
+    assert np.asarray(view.depth)[150, 200] == 2.0 and np.asarray(view.outside)[150, 200] == 0.0
+    assert np.asarray(view.outside)[150, 210] == 10.0
+    # a point projects to the same place
+    point = jnp.array([[0.2, 0.1, 0.3]])
+
+    (large,), _ = project(camera, point)
+    (small,), _ = project(view.camera, point)
+    np.testing.assert_allclose(np.asarray(small), (np.asarray(large) - 0.5) / 2, atol=1e-4)
+
+
+def test_images_are_read_as_they_were_written(tmp_path):
+    rng = np.random.default_rng(0)
+    stack = rng.integers(500, 4000, (11, 12, 16)).astype(np.uint16)
+    stack[:, 0] = 0
+    for number, image in enumerate(stack):
+        Image.fromarray(image).save(tmp_path / f"d{number}.png")
+        Image.fromarray(((image > 2000) * 255).astype(np.uint8)).save(tmp_path / f"m{number}.tif")
+    np.savez(tmp_path / "stack.npz", depth=stack / np.float32(1000), mask=stack > 2000)
+    files = read_depths(str(tmp_path / "d*.png"), str(tmp_path / "m*.tif"))
+    array = read_depths(tmp_path / "stack.npz")
+    assert len(files) == len(array) == 11
+    for number in (0, 2, 10):
+        for frames in (files, array):
+            np.testing.assert_allclose(frames[number].depths[0], stack[number] / 1000, atol=1e-6)
+            np.testing.assert_array_equal(frames[number].masks[0], stack[number] > 2000)
+    assert files[10].name.endswith("d10.png")
+    assert len(read_depths(str(tmp_path / "d*.png"), first=3, last=5)) == 3
+
+
+def test_pictures_and_missing_images_are_refused(tmp_path):
+    Image.fromarray(np.zeros((12, 16, 3), np.uint8)).save(tmp_path / "photo.png")
+    with pytest.raises(InputError, match="3 channels, so it is a picture and no depth image"):
+        read_depths(str(tmp_path / "photo.png"))[0]
+    (tmp_path / "broken.png").write_bytes(b"\x89PNG nothing")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_depths(str(tmp_path / "broken.png"))[0]
+    with pytest.raises(InputError, match="there are no images"):
+        read_depths(str(tmp_path / "none*.png"))
+    np.savez(tmp_path / "other.npz", points=np.zeros((3, 3)))
+    with pytest.raises(InputError, match="no array 'depth'"):
+        read_depths(tmp_path / "other.npz")
+    Image.fromarray(np.zeros((12, 16), np.uint16)).save(tmp_path / "one.png")
+    with pytest.raises(InputError, match="masks of 2 cameras"):
+        read_depths(str(tmp_path / "one.png"), [str(tmp_path / "one.png")] * 2)
+    with pytest.raises(InputError, match="has 3 images, but"):
+        read_depths([str(tmp_path / "one.png"), str(tmp_path / "*o*.png")])
+    with pytest.raises(InputError, match="depth_scale"):
+        read_depths(str(tmp_path / "one.png"), depth_scale=0.0)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"width": 640, "height": 480, "intrinsic_matrix": [525, 0, 0, 0, 520, 0, 319.5, 239.5, 1]},
+        {
+            "width": 640,
+            "height": 480,
+            "fx": 525,
+            "fy": 520,
+            "ppx": 319.5,
+            "ppy": 239.5,
+            "coeffs": [0, 0, 0, 0, 0],
+        },
+        {
+            "image_width": 640,
+            "image_height": 480,
+            "camera_matrix": {"rows": 3, "cols": 3, "data": [525, 0, 319.5, 0, 520, 239.5, 0, 0, 1]},
+        },
+    ],
+    ids=["Open3D", "RealSense", "OpenCV"],
+)
+def test_intrinsics_of_other_programs(content, tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(content))
+    (camera,) = read_cameras(path)
+    np.testing.assert_allclose(camera.focal, [525, 520])
+    np.testing.assert_allclose(camera.principal_point, [319.5, 239.5])
+    assert (camera.width, camera.height) == (640, 480)
+    # a point before the camera, above its axis, is high in the image
+    pixel, depth = project(camera, jnp.array([0.0, 0.5, -2.0]))
+    assert float(depth) == pytest.approx(2.0) and float(pixel[1]) < 239.5
+
+
+def test_incomplete_intrinsics_and_distorting_lenses_are_refused(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({"fx": 525, "fy": 525, "width": 640, "height": 480}))
+    with pytest.raises(InputError, match="intrinsics of the camera are incomplete"):
+        read_cameras(path)
+    good = {"width": 640, "height": 480, "fx": 525, "fy": 520, "ppx": 319.5, "ppy": 239.5}
+    path.write_text(json.dumps(good | {"coeffs": [0.1, 0, 0, 0, 0]}))
+    with pytest.raises(InputError, match="the lens distorts images"):
+        read_cameras(path)
+    path.write_text(json.dumps(good | {"fx": -1}))
+    with pytest.raises(InputError, match="focal lengths"):
+        read_cameras(path)
+
+
+def test_a_half_seen_body_keeps_its_arms_out_of_the_trunk_and_its_hidden_legs_straight():
+    """One camera sees a person from the hips up: what it sees is met, and what it does not see stays as people are."""
+    camera = look_at([0.0, 0.35, 1.5], [0.0, 0.35, 0.0], 160, 120, 60)
+    body = jc.human(resolution="low", joints="tracking")
+    vertices = np.asarray(body.vertices, float)
+    depth = render_depth(camera, make_ray_mesh(vertices, np.asarray(body.faces))).depth
+    cloud = cloud_of_depths([camera], [np.where(depth > 0, depth, 3.0)], [depth > 0])
+    tracker = jc.make_tracker(body, partial=True)
+    from jaxcap.fit.tracking.track import track_frames
+
+    shifted = jc.rest_pose(body.skeleton)
+    shifted = jc.Pose(
+        shifted.translations.at[0].add(np.array([0.05, 0.03, 0.0])), shifted.rotations, shifted.scale
+    )
+    (frame,) = track_frames(tracker, [cloud], shifted, search=False)
+    posed, truth = (jc.pose_body(body, pose) for pose in (frame.pose, jc.rest_pose(body.skeleton)))
+    names = body.skeleton.names
+    seen = [names.index(name) for name in ("Head", "LeftArm", "RightArm", "Spine1")]
+    apart = np.linalg.norm(np.asarray(posed.joints) - np.asarray(truth.joints), axis=1)
+    assert apart[seen].max() < 0.03
+    legs = [names.index(name) for name in ("LeftFoot", "RightFoot")]
+    assert np.asarray(posed.joints)[legs, 1].max() < np.asarray(posed.joints)[0, 1] - 0.5
+    assert "LeftFoot" in frame.unseen
