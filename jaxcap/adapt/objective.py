@@ -31,7 +31,7 @@ LIKELIHOOD_WEIGHT = 0.003**2 * PAIRS_PER_MEASUREMENT
 
 
 class PoseTerms(eqx.Module):
-    """What a pose is fitted with in addition to its pairs."""
+    """The terms of a pose's objective in addition to its pairs."""
 
     prior: AbstractEnergy
     #: weight of the prior relative to the mean squared distance of a pair, metres squared
@@ -193,8 +193,8 @@ def temporal_energy(
     """
     q = poses.rotations
     intervals = jnp.ones(len(q) - 1) if intervals is None else intervals
-    apart = second_difference(q[:-2], q[1:-1], q[2:], intervals[:-1], intervals[1:])
-    return jnp.sum(apart**2) / (apart.shape[0] * apart.shape[1])
+    differences = second_difference(q[:-2], q[1:-1], q[2:], intervals[:-1], intervals[1:])
+    return jnp.sum(differences**2) / (differences.shape[0] * differences.shape[1])
 
 
 @eqx.filter_jit

@@ -15,7 +15,7 @@ from .person import find_person
 
 #: side of the cubes that keep one point each, metres
 VOXEL = 0.012
-#: largest difference in depth of neighbouring pixels on one surface, metres, at a distance of one metre
+#: largest difference in depth of neighbouring pixels on one surface, metres
 GAP = 0.03
 
 
@@ -46,11 +46,6 @@ def cloud_of_depths(
     people, views = [], []
     for number, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         where = name if len(cameras) == 1 else f"{name}, camera {number}"
-        if depth.shape != (camera.height, camera.width):
-            raise InputError(
-                f"{where}: the image has {depth.shape[1]} x {depth.shape[0]} pixels; expected {camera.width} x "
-                f"{camera.height}, as the camera."
-            )
         known = None if masks is None else masks[number]
         person = find_person(camera, depth, where) if known is None else known
         views.append(make_depth_view(camera, depth, person, where))

@@ -6,10 +6,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from ..arguments import checked
 from ..errors import InputError
-from ..geometry.camera import Camera, depth_points
+from ..geometry.camera import Camera
+from ..observe.depth import check_image_size_of
+from ..scanner.depth import measured_points
 
 #: image size for the search, pixels on the longest side
 SEARCH_SIDE = 160
@@ -47,10 +50,13 @@ def find_person(
 
     **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages.
 
-    **Raises:** `InputError` if no surface has the size of a person.
+    **Raises:** `InputError` if the image has another size than the camera's, or no surface has the size of a person.
     """
+    check_image_size_of(camera, depth, "image", where)
     step = max(1, -(-max(depth.shape) // SEARCH_SIDE))
-    points = depth_points(camera, depth)[::step, ::step]
+    points = np.zeros((*depth.shape, 3))
+    points[depth > 0] = measured_points(camera, depth)
+    points = points[::step, ::step]
     z = depth[::step, ::step]
     measured = z > 0
     if not measured.any():
@@ -97,8 +103,6 @@ def _extent(points: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
-    from scipy.spatial import KDTree
-
     return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())
 
 

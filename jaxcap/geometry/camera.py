@@ -80,14 +80,6 @@ def unproject(
     return (there - camera.translation) @ camera.rotation
 
 
-def depth_points(camera: Camera, depth: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
-    """Compute the point of each pixel in the world, metres; the camera's position where the depth is zero."""
-    (fx, fy), (cx, cy) = np.asarray(camera.focal, float), np.asarray(camera.principal_point, float)
-    across, down = np.meshgrid((np.arange(depth.shape[1]) - cx) / fx, (np.arange(depth.shape[0]) - cy) / fy)
-    there = np.stack([across, down, np.ones_like(across)], -1) * depth[..., None]
-    return (there - np.asarray(camera.translation, float)) @ np.asarray(camera.rotation, float)
-
-
 def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
     """Test which points lie in front of the camera and within its image, occluded or not."""
     pixels, depth = project(camera, points)

@@ -1,7 +1,6 @@
 """Depth images of one camera, with the pixels that belong to the person."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy.ndimage import distance_transform_edt
@@ -15,7 +14,7 @@ MAX_VIEW_SIDE = 320
 
 
 class DepthView(eqx.Module):
-    """What a camera saw in one frame: where the person's surface is, and where the person is not.
+    """A depth image of one frame, divided into the person and measured background.
 
     Images are `(height, width)` of the camera.
     """
@@ -43,19 +42,14 @@ def make_depth_view(
 
     **Raises:** `InputError` if the images are not of the camera's size, or no pixel of the person was measured.
     """
-    size = (camera.height, camera.width)
-    for name, image in (("depth", depth), ("mask", person)):
-        if image.shape != size:
-            raise InputError(
-                f"{where}: its {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {size[1]} x {size[0]}, "
-                "as the camera."
-            )
+    check_image_size_of(camera, depth, "image", where)
+    check_image_size_of(camera, person, "mask", where)
     measured = np.isfinite(depth) & (depth > 0)
     if not (person & measured).any():
         raise InputError(
             f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
         )
-    step = -(-max(size) // MAX_VIEW_SIDE)
+    step = -(-max(depth.shape) // MAX_VIEW_SIDE)
     person, background = person & measured, ~person & measured
     person_depth = _reduce(np.where(person, depth, np.inf), step)
     background_depth = _reduce(np.where(background, depth, np.inf), step)
@@ -64,6 +58,15 @@ def make_depth_view(
     depth = np.where(shown, person_depth, np.where(empty, background_depth, 0.0))
     outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
     return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
+
+
+def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
+    """Check that an image has the size of its camera's images. Raises `InputError`."""
+    if image.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "
+            f"{camera.height}, as the camera."
+        )
 
 
 def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h w"]:
@@ -84,7 +87,7 @@ def reduce_camera(camera: Camera, step: int) -> Camera:
         camera.rotation,
         camera.translation,
         camera.focal / step,
-        jnp.asarray(middle),
+        middle,
         -(-camera.width // step),
         -(-camera.height // step),
     )

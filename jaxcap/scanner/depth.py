@@ -76,6 +76,13 @@ def camera_rays(camera: Camera) -> Float[np.ndarray, "H W 3"]:
     return _rays(camera.width, camera.height, *focal, *middle)
 
 
+def measured_points(camera: Camera, depth: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "N 3"]:
+    """Compute the points of the measured pixels in the world, row by row, metres."""
+    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
+    measured = depth > 0
+    return (camera_rays(camera)[measured] * depth[measured][:, None] - translation) @ rotation
+
+
 @functools.lru_cache(maxsize=32)
 def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     across, down = np.meshgrid((np.arange(width) - cx) / fx, (np.arange(height) - cy) / fy)

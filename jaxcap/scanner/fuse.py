@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry.camera import Camera
-from .depth import camera_rays
+from .depth import camera_rays, measured_points
 
 
 class Scan(NamedTuple):
@@ -131,10 +131,8 @@ def image_normals(
 
 def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute points and normals of the measured pixels, row by row, in world coordinates."""
-    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
-    measured = depth > 0
-    there = camera_rays(camera)[measured] * depth[measured][:, None]
-    return (there - translation) @ rotation, image_normals(camera, depth, gap, window) @ rotation
+    normals = image_normals(camera, depth, gap, window) @ np.asarray(camera.rotation, float)
+    return measured_points(camera, depth), normals
 
 
 def _is_continuous(depths: np.ndarray, gap: float) -> np.ndarray:

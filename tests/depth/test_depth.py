@@ -10,9 +10,11 @@ from PIL import Image
 import jaxcap as jc
 from jaxcap.depth import cloud_of_depths, find_person
 from jaxcap.errors import InputError
+from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry.camera import look_at, project
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.depth.sequence import read_depths
+from jaxcap.metrics import scan_to_surface
 from jaxcap.observe import make_depth_view
 from jaxcap.scanner.depth import make_ray_mesh, render_depth
 
@@ -55,8 +57,6 @@ def test_a_cloud_of_depths_is_on_the_surface_and_keeps_the_view():
     depth, person = room()
     cloud = cloud_of_depths([CAMERA], [depth], [person])
     points = np.asarray(cloud.points)[np.asarray(cloud.weights) > 0]
-    from jaxcap.metrics import scan_to_surface
-
     off = scan_to_surface(points, np.asarray(BODY.vertices, float), np.asarray(BODY.faces))
     assert np.median(off) < 0.004
     (view,) = cloud.views
@@ -188,8 +188,6 @@ def test_a_half_seen_body_keeps_its_arms_out_of_the_trunk_and_its_hidden_legs_st
     depth = render_depth(camera, make_ray_mesh(vertices, np.asarray(body.faces))).depth
     cloud = cloud_of_depths([camera], [np.where(depth > 0, depth, 3.0)], [depth > 0])
     tracker = jc.make_tracker(body, partial=True)
-    from jaxcap.fit.tracking.track import track_frames
-
     shifted = jc.rest_pose(body.skeleton)
     shifted = jc.Pose(
         shifted.translations.at[0].add(np.array([0.05, 0.03, 0.0])), shifted.rotations, shifted.scale

@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.evidence import NUM_DIRECTIONS
 from ...fit.judgement.normal_values import initial_values
 from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import UNSEEN, Judgement
@@ -119,7 +118,7 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     number = jnp.zeros((), pose.rotations.dtype)
     statistics = FrameStatistics(number, number, number, number)
     surface = sampled_surface(tracker.body)
-    usual = initial_values(surface, num_cameras or NUM_DIRECTIONS)
+    usual = initial_values(surface, num_cameras)
     support = jnp.zeros(len(surface.joints), number.dtype)
     judgement = Judgement(
         usual.level, number, number, support, surface.names, surface.joints, surface.part_parents

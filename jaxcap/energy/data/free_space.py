@@ -1,17 +1,15 @@
 """Surface in front of what a camera measured, and outside of the person's silhouette."""
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...body.body import Body, Posed
+from ...body.body import Posed
 from ...geometry.camera import project
 from ...observe import DepthView
 from .vertices import AbstractVertexEnergy
 
-#: number of tested vertices
-NUM_TESTED = 800
-#: violations up to these are noise: in front of the measured surface, and beside the silhouette, metres
+#: violations below these tolerances are noise: depth in front of the measured surface, and distance from the
+#: silhouette, metres
 FRONT_TOLERANCE, SIDE_TOLERANCE = 0.03, 0.01
 #: beyond this a violation grows only linearly, metres
 LINEAR_FROM = 0.1
@@ -43,40 +41,41 @@ class FreeSpace(AbstractVertexEnergy):
         camera = self.view.camera
         points = posed.vertices[self.vertices]
         pixels, z = project(camera, points)
-        inside = (z > 0) & jnp.all(
-            (pixels > 0) & (pixels < jnp.array([camera.width, camera.height]) - 1.0), -1
-        )
-        pixels = jnp.where(inside[:, None], pixels, 0.0)
+        size = jnp.array([camera.width, camera.height])
+        inside = (z > 0) & jnp.all((pixels > 0) & (pixels < size - 1.0), -1)
+        pixels, z = jnp.where(inside[:, None], pixels, 0.0), jnp.where(inside, z, 1.0)
         column, row = jnp.round(pixels).astype(int).T
-        there, beside = self.view.depth[row, column], self.view.outside[row, column]
-        front = there - z - FRONT_TOLERANCE
-        in_front = inside & (there > 0) & (front > 0)
-        over = in_front & (beside > 0)
-        metres = z / jnp.mean(camera.focal)
-        distance, slope = _bilinear(self.view.outside, pixels)
-        side = distance * metres - SIDE_TOLERANCE
-        amount = jnp.where(over, jnp.maximum(side, 0.0), jnp.where(in_front & ~over, front, 0.0))
-        # d pixels / d x, rows of the camera's rotation
-        r = camera.rotation
-        safe = jnp.where(inside, z, 1.0)
-        across = (
-            camera.focal[None, :, None]
-            * (r[None, :2] - ((pixels - camera.principal_point) / camera.focal)[..., None] * r[2])
-            / safe[:, None, None]
-        )
-        sideways = jnp.einsum("ck,cka->ca", slope, across) * metres[:, None] + distance[:, None] * r[
-            2
-        ] / jnp.mean(camera.focal)
-        direction = jnp.where(
-            (over & (side > 0))[:, None], sideways, jnp.where((in_front & ~over)[:, None], -r[2], 0.0)
-        )
-        # squares up to a limit, then linear: r = sqrt(2 c d - c^2)
-        far = amount > LINEAR_FROM
-        root = jnp.sqrt(jnp.where(far, 2 * LINEAR_FROM * amount - LINEAR_FROM**2, 1.0))
-        value = jnp.where(far, root, amount)
-        rate = jnp.where(far, LINEAR_FROM / root, 1.0)
+        measured, is_background = self.view.depth[row, column], self.view.outside[row, column] > 0
+        front = measured - z - FRONT_TOLERANCE
+        in_front = inside & (measured > 0) & (front > 0)
+        side, sideways = _silhouette_distance(self.view, pixels, z)
+        violation = jnp.where(is_background, side - SIDE_TOLERANCE, front)
+        violates = in_front & (violation > 0)
+        direction = jnp.where(is_background[:, None], sideways, -camera.rotation[2])
+        value, rate = _linear_beyond(jnp.where(violates, violation, 0.0))
         scale = jnp.sqrt(self.weights) / self.deviation
-        return scale * value, (scale * rate)[:, None] * direction
+        return scale * value, (scale * rate)[:, None] * jnp.where(violates[:, None], direction, 0.0)
+
+
+def _silhouette_distance(
+    view: DepthView, pixels: Float[Array, "C 2"], z: Float[Array, "C"]
+) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
+    """Compute the distance from the silhouette at the depth `z`, metres, and its slope by the point's position."""
+    camera, focal = view.camera, jnp.mean(view.camera.focal)
+    across, forward = camera.rotation[:2], camera.rotation[2]
+    distance, slope = _bilinear(view.outside, pixels)
+    rays = (pixels - camera.principal_point) / camera.focal
+    # derivative of the pixel by the position
+    rates = camera.focal[:, None] * (across - rays[..., None] * forward) / z[:, None, None]
+    sideways = jnp.einsum("ck,cka->ca", slope, rates) * z[:, None] + distance[:, None] * forward
+    return distance * z / focal, sideways / focal
+
+
+def _linear_beyond(violation: Float[Array, "C"]) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
+    """Compute `r`, whose square is that of a violation `v` up to `c = LINEAR_FROM`, then `2 c v - c^2`; and its slope."""
+    far = violation > LINEAR_FROM
+    root = jnp.sqrt(jnp.where(far, 2 * LINEAR_FROM * violation - LINEAR_FROM**2, 1.0))
+    return jnp.where(far, root, violation), jnp.where(far, LINEAR_FROM / root, 1.0)
 
 
 def _bilinear(image: Float[Array, "H W"], pixels: Float[Array, "C 2"]):
@@ -88,9 +87,3 @@ def _bilinear(image: Float[Array, "H W"], pixels: Float[Array, "C 2"]):
     value = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
     slope = jnp.stack([(1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)], -1)
     return value, slope
-
-
-def sample_tested(body: Body, count: int = NUM_TESTED) -> Int[np.ndarray, "C"]:
-    """Choose vertices spread over the surface, by area."""
-    rows = np.linspace(0, len(body.vertices) - 1, min(count, len(body.vertices))).astype(int)
-    return np.unique(rows)

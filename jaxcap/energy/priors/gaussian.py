@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -30,7 +31,7 @@ class GaussianPrior(AbstractEnergy):
     """
 
     #: indices of the joints
-    joints: tuple[int, ...]
+    joints: tuple[int, ...] = eqx.field(static=True)
     mean: Float[Array, "J 3"]
     #: lower triangular `L`, with `L L^T` the inverse of the covariance
     factor: Float[Array, "D D"]

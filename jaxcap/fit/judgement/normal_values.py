@@ -35,14 +35,17 @@ class NormalValues(eqx.Module):
     flagged: Float[Array, ""]
 
 
-def initial_values(surface: SampledSurface, directions: int = NUM_DIRECTIONS) -> NormalValues:
-    """Make the statistics before the first frame; `directions` is the number of cameras where these are
-    known.
-    """
+def initial_values(surface: SampledSurface, num_cameras: int = 0) -> NormalValues:
+    """Make the statistics before the first frame; `num_cameras` is zero if the cameras are not known."""
     level = jnp.zeros((NUM_ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
     return NormalValues(
-        none, level, jnp.full_like(level, INITIAL_DEVIATION), level, jnp.zeros(directions, level.dtype), none
+        none,
+        level,
+        jnp.full_like(level, INITIAL_DEVIATION),
+        level,
+        jnp.zeros(num_cameras or NUM_DIRECTIONS, level.dtype),
+        none,
     )
 
 

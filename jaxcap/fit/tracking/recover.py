@@ -10,7 +10,7 @@ from ...body.pose import Pose
 from ...energy.priors.prior import tangent_deviations
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
-from ..judgement.evidence import NUM_DIRECTIONS, gather_evidence
+from ..judgement.evidence import gather_evidence
 from ..judgement.normal_values import (
     NormalValues,
     initial_values,
@@ -131,7 +131,7 @@ def track_first_frame(
     for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
         state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
-    usual = initial_values(surface, len(cloud.views) or NUM_DIRECTIONS)
+    usual = initial_values(surface, len(cloud.views))
     frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, usual, SearchPause())
     return finish_frame(tracker, frame, pose)
 

@@ -18,7 +18,6 @@ from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
-from ..judgement.evidence import NUM_DIRECTIONS
 from ..judgement.normal_values import initial_values
 from ..judgement.surface import sampled_surface
 from .check import check_cloud
@@ -133,7 +132,7 @@ def _track_frames(
                     tracker, *reached, candidates(number), pose, cloud, margin
                 )
                 if state is not frame.state:
-                    usual = initial_values(surface, len(cloud.views) or NUM_DIRECTIONS)
+                    usual = initial_values(surface, len(cloud.views))
                     patience = SearchPause()
                     frame = judge_frame(surface, cloud, state, statistics, usual, patience, frame.searches)
                     frame = finish_frame(tracker, frame, pose)

@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...geometry.camera import Camera, check_image_size
 from ..kinds import INTRINSICS_KEYS
 
-#: a camera of which only intrinsics are known is at the origin, looks along -z, and y is up
+#: rotation of a camera without extrinsics, at the origin: it looks along -z, with y up
 FORWARD = np.diag([1.0, -1.0, -1.0])
 
 

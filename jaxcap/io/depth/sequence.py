@@ -1,7 +1,6 @@
 """Sequences of depth images of one or several cameras, loaded on demand."""
 
 import glob
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, overload
@@ -13,7 +12,7 @@ from ...arguments import checked
 from ...errors import InputError
 from ...value_checks import check_positive
 from ..archives.archive import load_arrays
-from ..system.paths import select_range
+from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
 from .images import SUFFIXES, depths_in_metres, read_depth_image, read_mask
 
@@ -137,7 +136,7 @@ def _image_files(source: str | Path) -> list[Path]:
         raise InputError(
             f"{source}: there are no images; give a folder, a glob such as 'cam0/*.png', or an .npz."
         )
-    return sorted(found, key=lambda one: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", one.name)])
+    return sorted(found, key=natural_sort_key)
 
 
 def _stack(path: Path, depth_scale: float) -> _Images:

@@ -36,7 +36,7 @@ def find_files(
     if Path(text).is_dir():
         found = _folder(Path(text), (*SUFFIXES, *extra_suffixes))
     elif glob.has_magic(text) and not Path(text).is_file():
-        found = sorted((Path(path) for path in glob.glob(text)), key=_natural_sort_key)
+        found = sorted((Path(path) for path in glob.glob(text)), key=natural_sort_key)
         if not found:
             raise InputError(f"{text}: no file matches this pattern; check the path.")
     else:
@@ -60,7 +60,7 @@ def order_files(
     """
     for source in sources:
         _check_single_frame(Path(source), len(sources))
-    paths = sorted(map(Path, sources), key=_natural_sort_key)
+    paths = sorted(map(Path, sources), key=natural_sort_key)
     for path, after in itertools.pairwise(paths):
         if path == after:
             raise InputError(f"{path}: this file is given twice; each file is one frame.")
@@ -130,7 +130,7 @@ def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
 def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     paths = sorted(
         (p for p in folder.iterdir() if p.suffix.lower() in suffixes_read and p.is_file()),
-        key=_natural_sort_key,
+        key=natural_sort_key,
     )
     suffixes = sorted({path.suffix.lower() for path in paths})
     if not paths:
@@ -166,7 +166,7 @@ def _check_no_gaps(paths: list[Path]) -> list[Path]:
     return paths
 
 
-def _natural_sort_key(path: Path) -> list:
+def natural_sort_key(path: Path) -> list:
     """Return a sort key that puts 2 before 10."""
     return [
         (int(word), "") if word.isdigit() else (-1, word) for word in re.split(r"(\d+)", str(path)) if word
