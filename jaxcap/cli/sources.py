@@ -1,8 +1,7 @@
 """Loading of bodies and clouds from command line arguments."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, overload
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,6 +17,7 @@ from ..fit.correspondence.correspond import IndexedScan, make_mesh_scan, make_sc
 from ..fit.tracking.check import check_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera
+from ..io.lazy_frames import LazyFrames
 from ..io.meshes.clouds import Scans
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
@@ -96,29 +96,13 @@ def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
     return make_cloud(points, normals, name=scan.name)
 
 
-class Clouds(Sequence):
+class Clouds(LazyFrames[Cloud]):
     """The frames of a sequence as `load_cloud` returns them, each read on access."""
 
     def __init__(self, scans: Scans, body: Body, up: Up = "y"):
+        super().__init__(scans.names, lambda frame: load_cloud(scans, frame, body, up))
         self._scans, self._body = scans, body
         self._up: Up = up
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The name of each frame."""
-        return self._scans.names
-
-    def __len__(self) -> int:
-        return len(self._scans)
-
-    @overload
-    def __getitem__(self, index: int) -> Cloud: ...
-    @overload
-    def __getitem__(self, index: slice) -> "Clouds": ...
-    def __getitem__(self, index):
-        if isinstance(index, slice):
-            return Clouds(self._scans[index], self._body, self._up)
-        return load_cloud(self._scans, index, self._body, self._up)
 
     def mesh(self, frame: int) -> IndexedScan:
         """Load a frame with its triangles, if it has any."""

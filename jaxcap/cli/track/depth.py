@@ -2,50 +2,17 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import overload
 
 from ...body.body import Body
 from ...depth.clouds import cloud_of_depths
 from ...errors import InputError
 from ...fit.tracking.check import check_cloud
-from ...geometry.camera import Camera
 from ...io.cameras import read_cameras
-from ...io.depth.sequence import DepthFrames, read_depths
+from ...io.depth.sequence import read_depths
+from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
 from ..console.options import Up
 from ..sources import upright_camera
-
-
-class DepthClouds(Sequence):
-    """Clouds of the person in depth images, with what their cameras saw, y up."""
-
-    def __init__(self, frames: DepthFrames, cameras: Sequence[Camera], body: Body):
-        self._frames, self._cameras, self._body = frames, tuple(cameras), body
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The name of each frame."""
-        return self._frames.names
-
-    @property
-    def num_cameras(self) -> int:
-        """The number of cameras."""
-        return len(self._cameras)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    @overload
-    def __getitem__(self, index: int) -> Cloud: ...
-    @overload
-    def __getitem__(self, index: slice) -> "DepthClouds": ...
-    def __getitem__(self, index):
-        if isinstance(index, slice):
-            return DepthClouds(self._frames[index], self._cameras, self._body)
-        frame = self._frames[index]
-        cloud = cloud_of_depths(self._cameras, frame.depths, frame.masks, name=frame.name)
-        check_cloud(self._body, cloud, frame.name)
-        return cloud
 
 
 def load_depth_clouds(
@@ -56,8 +23,8 @@ def load_depth_clouds(
     frames: tuple[int | None, int | None],
     body: Body,
     up: Up,
-) -> DepthClouds:
-    """Open depth images with their cameras.
+) -> LazyFrames[Cloud]:
+    """Open depth images as clouds of the person with what their cameras saw, y up.
 
     **Arguments:** `scale`, units of the images in a metre; `frames`, first and last, both included; `up`, the vertical
     of the cameras' world.
@@ -75,4 +42,12 @@ def load_depth_clouds(
             f"{cameras}: there are {len(known)} cameras, but --depth names {len(depths)} sequences of images; give a "
             "folder, a quoted glob such as 'cam0/*.png', or an .npz for each camera."
         )
-    return DepthClouds(read_depths(list(depths), list(masks), *frames, depth_scale=scale), known, body)
+    images = read_depths(list(depths), list(masks), *frames, depth_scale=scale)
+
+    def load(number: int) -> Cloud:
+        frame = images[number]
+        cloud = cloud_of_depths(known, frame.depths, frame.masks, name=frame.name)
+        check_cloud(body, cloud, frame.name)
+        return cloud
+
+    return LazyFrames(images.names, load)

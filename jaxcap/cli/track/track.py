@@ -15,8 +15,10 @@ from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
+from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...io.system.lock import run_lock
+from ...observe.clouds import Cloud
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -37,7 +39,7 @@ from ..console.timed import timed
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .depth import DepthClouds, load_depth_clouds
+from .depth import load_depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
@@ -132,7 +134,7 @@ class Track:
         with run_lock(self.out):
             self.track(tracker, clouds, rate, header)
 
-    def open_clouds(self, body: Body) -> Clouds | DepthClouds:
+    def open_clouds(self, body: Body) -> LazyFrames[Cloud]:
         """Open the clouds, or the depth images. Raises `InputError`."""
         if not self.depth:
             return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up)
@@ -142,7 +144,7 @@ class Track:
         )
 
     def track(
-        self, tracker: Tracker, clouds: Clouds | DepthClouds, rate: Rate, header: dict[str, object]
+        self, tracker: Tracker, clouds: LazyFrames[Cloud], rate: Rate, header: dict[str, object]
     ) -> None:
         """Track all remaining frames, and write the results, while the lock excludes other runs in the
         folder."""
@@ -232,7 +234,7 @@ class Track:
         )
 
     def track_remaining(
-        self, tracker: Tracker, clouds: Clouds | DepthClouds, journal: Journal, last: TrackedFrame | None
+        self, tracker: Tracker, clouds: LazyFrames[Cloud], journal: Journal, last: TrackedFrame | None
     ) -> None:
         """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
         steps = self.steps(tracker, clouds, journal.count, last)
@@ -248,7 +250,7 @@ class Track:
             raise InputError(f"{user_message(error)}{kept}") from None
 
     def steps(
-        self, tracker: Tracker, clouds: Clouds | DepthClouds, begin: int, last: TrackedFrame | None
+        self, tracker: Tracker, clouds: LazyFrames[Cloud], begin: int, last: TrackedFrame | None
     ) -> Iterator[tuple[TrackedFrame, float]]:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
         return timed(

@@ -3,7 +3,7 @@
 import glob
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +12,7 @@ from ...arguments import checked
 from ...errors import InputError
 from ...value_checks import check_positive
 from ..archives.archive import load_arrays
+from ..lazy_frames import LazyFrames
 from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
 from .images import SUFFIXES, depths_in_metres, read_depth_image, read_mask
@@ -30,26 +31,6 @@ class DepthFrame(NamedTuple):
     masks: tuple[Bool[np.ndarray, "H W"] | None, ...]
 
 
-class DepthFrames(Sequence):
-    """Frames of depth images; `names` and `len` load nothing."""
-
-    def __init__(self, names: Sequence[str], load: Callable[[int], DepthFrame]):
-        self.names, self._load = tuple(names), load
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @overload
-    def __getitem__(self, frame: int) -> DepthFrame: ...
-    @overload
-    def __getitem__(self, frame: slice) -> "DepthFrames": ...
-    def __getitem__(self, frame):
-        if isinstance(frame, slice):
-            numbers = range(len(self))[frame]
-            return DepthFrames([self.names[i] for i in numbers], lambda i: self._load(numbers[i]))
-        return self._load(range(len(self))[frame])
-
-
 @checked
 @reader_of("depth images")
 def read_depths(
@@ -58,7 +39,7 @@ def read_depths(
     first: int | None = None,
     last: int | None = None,
     depth_scale: float = 1000.0,
-) -> DepthFrames:
+) -> LazyFrames[DepthFrame]:
     """Open sequences of depth images, one for each camera, with equally many frames.
 
     **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images, or an `.npz` with the array
@@ -92,7 +73,7 @@ def read_depths(
         given = [mask.load(frame)[1] for mask in known] or [mask for _, mask in shown]
         return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(given))
 
-    return DepthFrames([cameras[0].names[frame] for frame in chosen], load)
+    return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
 
 
 class _Images(NamedTuple):

@@ -1,8 +1,7 @@
 """Sequences of clouds: numbered files, folders, globs, or one `.npz`; loaded on demand."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +12,7 @@ from ...observe import Scan as Scan
 from ...observe.clouds import Cloud
 from ..archives.archive import array_names, load_arrays
 from ..kinds import wrong_arrays_error
+from ..lazy_frames import LazyFrames
 from ..system.atomic import atomic_path
 from ..system.paths import find_files, order_files, select_range
 from ..system.reader_errors import reader_of
@@ -26,36 +26,19 @@ NO_FACES = np.zeros((0, 3), int)
 FrameLoader = Callable[[int], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
 
 
-class Scans(Sequence):
+class Scans(LazyFrames[Scan]):
     """A sequence of clouds that are loaded on demand.
 
-    An element has points, normals or None, and triangles (`NO_FACES` for a cloud). `names` and `len` load
-    nothing.
+    An element has points, normals or None, and triangles (`NO_FACES` for a cloud).
     """
 
     def __init__(self, names: Sequence[str], load: FrameLoader):
-        self.names, self._load = tuple(names), load
+        def load_checked(frame: int) -> Scan:
+            points, normals, faces = load(frame)
+            check_points(points, names[frame])
+            return Scan(names[frame], points, normals, faces)
 
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @overload
-    def __getitem__(self, frame: int) -> Scan: ...
-    @overload
-    def __getitem__(self, frame: slice) -> "Scans": ...
-    def __getitem__(self, frame):
-        if isinstance(frame, slice):
-            numbers = range(len(self))[frame]
-            return Scans([self.names[i] for i in numbers], lambda i: self._load(numbers[i]))
-        return self._scan(range(len(self))[frame])
-
-    def _scan(self, frame: int) -> Scan:
-        points, normals, faces = self._load(frame)
-        check_points(points, self.names[frame])
-        return Scan(self.names[frame], points, normals, faces)
-
-    def __iter__(self) -> Iterator[Scan]:
-        return (self._scan(frame) for frame in range(len(self)))
+        super().__init__(names, load_checked)
 
 
 @checked
