@@ -1,11 +1,11 @@
 """Compare how other programs read our files: `python -m benchmarks.exchange --programs FOLDER`.
 
 Bodies with motions go out as `.glb`, USD and `.bvh`. Khronos's validator reads the first; Blender imports all three, and
-its joints and evaluated vertices are held to ours; three.js loads the `.glb` in a browser without a window, and its
-skinned vertices and two pictures are held to ours; OpenUSD skins what is in the USD file. Programs are installed under
-FOLDER where they are not there, in environments of their own; one that does not install is told and left out.
-`--case NAME BODY MOTION` adds a body of your own. Bodies that do not blend linearly are linearised first, and it is the
-linearised body that others are held to; `linear_mm` is how far that one is from the body itself.
+its joints and evaluated vertices are compared with ours; three.js loads the `.glb` in a browser without a window, and its
+skinned vertices and two pictures are compared with ours; OpenUSD skins what is in the USD file. Programs are installed under
+FOLDER where they are not there, in environments of their own; one that does not install is reported and skipped.
+`--case NAME BODY MOTION` adds a body of your own. Bodies that do not blend linearly are linearised first, and
+others are compared with the linearised body; `linear_mm` is its difference from the body itself.
 """
 
 import argparse

@@ -148,17 +148,17 @@ def main() -> None:
             f"{solver}: median {np.median(taken):.1f} ms, 99th percentile {np.percentile(taken, 99):.1f} ms"
         )
     if not options.no_browser and find_chromium() is not None:
-        shown = browser_milliseconds(body, options.jacobian, options.rest)
+        shown = browser_milliseconds(body, options.moves, options.rest)
         figures |= {
             "browser_median_ms": float(np.median(shown)),
             "browser_p90_ms": float(np.percentile(shown, 90)),
-            "browser_share_answered": len(shown) / options.jacobian,
+            "browser_share_answered": len(shown) / options.moves,
         }
         progress(
-            f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.jacobian} moves"
+            f"in the browser: median {np.median(shown):.0f} ms, of {len(shown)} of {options.moves} moves"
         )
     sizes = {
-        "vertices": len(body.vertices), "constraints": len(JOINTS), "frames": options.frames, "moves": options.jacobian,
+        "vertices": len(body.vertices), "constraints": len(JOINTS), "frames": options.frames, "moves": options.moves,
     }  # fmt: skip
     finish("ik_latency", figures, {"solve_median_ms": ("<=", 30.0)}, sizes, seconds)
 

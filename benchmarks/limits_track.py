@@ -1,7 +1,7 @@
 """Measure the benefit of learned joint limits in tracking: `python -m benchmarks.limits_track`.
 
-The embedded human performs five takes of CMU's subject 02, seen from the front of its pelvis by what
-stands for a pair of stereo cameras: 300 points of the right arm at most, 15 mm of noise along each
+The embedded human performs five takes of CMU's subject 02, seen from the front of its pelvis by a
+simulated stereo camera: 300 points of the right arm at most, 15 mm of noise along each
 axis, a fifth of them missing, depth in steps of 20 mm. A soft object follows, each frame from the one
 before, by as many Gauss-Newton steps without limits, with limits as an energy, and with limits before
 all else (strict priorities). The rest of the body is known. Limits of shoulder, elbow and hand, each

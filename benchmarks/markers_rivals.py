@@ -162,13 +162,13 @@ def main() -> None:
         told = determined_errors(scene, own, joints, turning)
         reached = {
             "solve_joints_mm": 1000 * float(away[:, turning].mean()),
-            "solve_told_mm": 1000 * float(told.mean()),
+            "solve_determined_mm": 1000 * float(told.mean()),
             "solve_markers_mm": float(outcome["markers_mm"]),
             "solve_ms": 1000 * float(outcome["solve_seconds"]),
         }
         if "calibrate_seconds" in outcome:
             reached["calibrate_joints_mm"] = 1000 * float(away[chosen][:, turning].mean())
-            reached["calibrate_told_mm"] = 1000 * float(told[chosen].mean())
+            reached["calibrate_determined_mm"] = 1000 * float(told[chosen].mean())
             reached["calibrate_seconds"] = float(outcome["calibrate_seconds"])
         figures.update({f"{name}_{figure}": value for figure, value in reached.items()})
         progress(f"{name}: " + ", ".join(f"{figure} {value:.4g}" for figure, value in reached.items()))

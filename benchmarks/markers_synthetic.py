@@ -61,7 +61,7 @@ def calibration_errors(scene: Scene, found: Calibration) -> dict[str, np.ndarray
     known = (deviations < 0.005) & (turned[ends] > MIN_ANGLE) & (turned[starts] > MIN_ANGLE)
     between = np.abs(off) <= NORMAL90 * deviations
     return {
-        "told_mm": 1000 * float(np.mean(told)),
+        "determined_mm": 1000 * float(np.mean(told)),
         "full_mm": 1000 * float(np.mean(full)),
         "length_mm": 1000 * float(np.abs(off[known]).mean()) if known.any() else float("nan"),
         "inside": between,
@@ -93,20 +93,20 @@ def main() -> None:
             found = calibrate(scene.frames, scene.template, num_frames=options.count)
             taken.append(time.perf_counter() - start)
             rows.append(calibration_errors(scene, found))
-            good = found.converged and rows[-1]["told_mm"] < (15.0 if case == "skin" else 5.0)
+            good = found.converged and rows[-1]["determined_mm"] < (15.0 if case == "skin" else 5.0)
             converged += good
             progress(
-                f"{case} {take} seed {seed}: {rows[-1]['told_mm']:.2f} mm ({rows[-1]['full_mm']:.2f} in full), lengths "
+                f"{case} {take} seed {seed}: {rows[-1]['determined_mm']:.2f} mm ({rows[-1]['full_mm']:.2f} in full), lengths "
                 f"{rows[-1]['length_mm']:.2f} mm, inside {np.mean(rows[-1]['inside']):.2f}, {taken[-1]:.1f} s, "
                 f"{'converged' if good else 'NOT converged'}; {len(found.messages)} messages"
             )
-        for name in ("told_mm", "full_mm", "length_mm"):
+        for name in ("determined_mm", "full_mm", "length_mm"):
             figures[f"{case}_{name}"] = float(np.nanmean([row[name] for row in rows]))
         figures[f"{case}_converged_share"] = converged / options.seeds
         figures[f"{case}_covered_share"] = float(np.mean(np.concatenate([row["inside"] for row in rows])))
         seconds[case] = taken
     limits = {
-        "noise_told_mm": ("<=", 1.5), "gaps_told_mm": ("<=", 2.5), "skin_told_mm": ("<=", 6.0),
+        "noise_determined_mm": ("<=", 1.5), "gaps_determined_mm": ("<=", 2.5), "skin_determined_mm": ("<=", 6.0),
         "skin_length_mm": ("<=", 3.0), "noise_covered_share": (">=", 0.85),
         **{f"{case}_converged_share": (">=", 0.95) for case in CASES},
     }  # fmt: skip

@@ -4,7 +4,7 @@
     result = timer(tracked, body, clouds)
     finish("track", figures={"error_mm": 4.2}, limits={"error_mm": ("<=", 5.0)}, seconds=timer.seconds)
 
-A figure stands in `figures`, what it is held to in `limits`. The line on standard output
+`figures` are the measured values, `limits` their bounds. The line on standard output
 is JSON; everything else that a benchmark says goes to standard error by `progress`.
 """
 

@@ -242,7 +242,7 @@ def _write_texts(folder: Path) -> None:
         "names.json": {"format": "jaxcap joint names", "version": 1, "names": {"root": "part0", "spine": "", "head": None}},
         "report.json": {"frames": 3, "unit": "m"},
         "scan.json": {"views": 8, "body arrays": "abc"},
-        "statistics.json": {"rate": 30.0, "frames": [{"frame": 0, "state": "lost", "sigma": 0.1, "cloud": "a"}]},
+        "statistics.json": {"rate": 30.0, "frames": [{"frame": 0, "verdict": "lost", "sigma": 0.1, "cloud": "a"}]},
     }  # fmt: skip
     for name, content in contents.items():
         (folder / name).write_text(json.dumps(content))

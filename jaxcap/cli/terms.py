@@ -27,8 +27,8 @@ FloorHeight = Annotated[
     arg(
         metavar="METRES",
         help_behavior_hint="",
-        help="Height of the floor along the up axis, metres. The surface of the body, or the markers of a subject, stay above "
-        "the floor. Default: no floor.",
+        help="Height of the floor along the up axis, metres. Vertices of the body, or markers of a subject, below the "
+        "floor are penalised. Default: no floor.",
     ),
 ]
 PriorFile = Annotated[

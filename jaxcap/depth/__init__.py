@@ -1,4 +1,4 @@
-"""Depth images of people: the person in an image, and clouds that know what their cameras saw."""
+"""Depth images of people: the person in an image, and clouds with their depth images."""
 
 from ..lazy_imports import attach
 

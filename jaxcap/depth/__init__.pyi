@@ -1,4 +1,4 @@
-"""Depth images of people: the person in an image, and clouds that know what their cameras saw."""
+"""Depth images of people: the person in an image, and clouds with their depth images."""
 
 from .clouds import cloud_of_depths as cloud_of_depths
 from .person import find_person as find_person

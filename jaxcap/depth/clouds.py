@@ -1,4 +1,4 @@
-"""Clouds of the person in depth images, which know what their cameras saw."""
+"""Clouds of the person in depth images, with these images."""
 
 from collections.abc import Sequence
 

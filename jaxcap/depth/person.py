@@ -45,8 +45,9 @@ def find_person(
 ) -> Bool[np.ndarray, "H W"]:
     """Find the pixels of the person that is nearest to the camera.
 
-    Floors and walls are planes with many points. What is left falls into connected surfaces. The nearest one of a
-    person's size begins the person, and pieces next to it of a smaller size are added, such as an arm before the trunk.
+    Floors and walls are planes with many points. The remaining pixels are grouped into connected
+    surfaces. The nearest surface of a person's size is the person. Smaller surfaces next to it are added, such as an
+    arm in front of the trunk.
 
     **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages.
 

@@ -97,7 +97,7 @@ def test_statistics_of_every_frame(finished):
     for number, (row, same) in enumerate(zip(rows, report["frames"], strict=True)):
         assert int(row["frame"]) == number
         assert row["cloud"] == f"clouds.npz[{number}]"
-        assert row["state"] == "good"
+        assert row["verdict"] == "good"
         for name in ("energy", "sigma", "outlier_share", "mean_distance", "seconds"):
             assert float(row[name]) == same[name]
         assert 0.0 <= same["outlier_share"] < 0.3
@@ -263,7 +263,7 @@ def test_lost_frames_are_told(inputs, tmp_path, capsys, monkeypatch):
     main([str(word) for word in command(inputs, tmp_path / "out")])
     assert f"2 of {FRAMES} frames are lost: 1, 3" in capsys.readouterr().err
     rows = json.loads((tmp_path / "out" / "statistics.json").read_text())["frames"]
-    assert [row["state"] for row in rows] == ["good", "lost", "good", "lost", "good"]
+    assert [row["verdict"] for row in rows] == ["good", "lost", "good", "lost", "good"]
 
 
 def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkeypatch):

@@ -44,7 +44,7 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
     motion = load_motion(tmp_path / "motion.npz")
     with open(tmp_path / "statistics.json") as file:
         frames = json.load(file)["frames"]
-    assert [frame["state"] for frame in frames] == ["good", "good"]
+    assert [frame["verdict"] for frame in frames] == ["good", "good"]
     assert "LeftFoot" in frames[0]["unseen"]
     assert np.abs(np.asarray(motion[1].translations)[0]).max() < 0.03
 

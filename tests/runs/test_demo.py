@@ -83,7 +83,7 @@ def test_demo_leaves_all_it_promises(tmp_path, capsys):
     }  # fmt: skip
     assert read_bvh(tmp_path / "demo" / "motion.bvh")[1].num_frames == 15
     frames = json.loads((tmp_path / "demo" / "statistics.json").read_text())["frames"]
-    assert [frame["state"] for frame in frames] == ["good"] * 15
+    assert [frame["verdict"] for frame in frames] == ["good"] * 15
     # and again: an earlier demo is replaced where that is asked for
     again = ["demo", "-o", tmp_path / "demo", "--seconds", "0.2", "--points", "1500", "--vertices", "1500"]
     assert "give --overwrite to replace them" in fails(capsys, *again)

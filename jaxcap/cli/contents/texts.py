@@ -68,13 +68,13 @@ def describe_statistics(path: Path) -> None:
     text = read_text(path)
     try:
         if path.suffix.lower() == ".json":
-            states = [row["state"] for row in parse_json(text, path)["frames"]]
+            verdicts = [row["verdict"] for row in parse_json(text, path)["frames"]]
         else:
             head, *rows = (line.split(",") for line in text.splitlines() if line.strip())
-            states = [row[head.index("state")] for row in rows]
+            verdicts = [row[head.index("verdict")] for row in rows]
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(f"{path}: these are not the statistics of a run; remove the file.") from None
-    say(f"statistics: {pluralise(len(states), 'frame')}, {states.count('lost')} lost")
+    say(f"statistics: {pluralise(len(verdicts), 'frame')}, {verdicts.count('lost')} lost")
 
 
 def describe_journal(path: Path) -> str:

@@ -24,7 +24,7 @@ def load_depth_clouds(
     body: Body,
     up: Up,
 ) -> LazyFrames[Cloud]:
-    """Open depth images as clouds of the person with what their cameras saw, y up.
+    """Open depth images as clouds of the person with their depth images, y up.
 
     **Arguments:** `scale`, units of the images in a metre; `frames`, first and last, both included; `up`, the vertical
     of the cameras' world.

@@ -100,7 +100,7 @@ def write_results(
         "sigma": statistics.sigma,
         "outlier_share": statistics.outlier_share,
         "mean_distance": statistics.mean_distance,
-        "state": np.array([verdict for verdict, _ in results.verdicts]),
+        "verdict": np.array([verdict for verdict, _ in results.verdicts]),
         "reasons": np.array(["; ".join(reasons) for _, reasons in results.verdicts]),
         "unseen": np.array(["; ".join(parts) for parts in results.unseen]),
         "seconds": results.seconds,

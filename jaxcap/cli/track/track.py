@@ -70,8 +70,8 @@ class Track:
     depth_scale: float = 1000.0
     """Units of --depth in a metre: 1000 for millimetres."""
     partial: Flag = False
-    """The clouds show a part of the body: hold what they do not show by the prior of people's poses. Always so with
-    --depth."""
+    """The clouds show only a part of the body. A prior of human poses and self-collision then determine the other joints.
+    Implied by --depth."""
     skl: Skl = None
     vj: Vj = None
     cst: Cst = None

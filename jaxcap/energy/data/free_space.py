@@ -1,4 +1,4 @@
-"""Surface in front of what a camera measured, and outside of the person's silhouette."""
+"""Penalty of body surface in space that a depth camera measured as empty."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int

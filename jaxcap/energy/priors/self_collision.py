@@ -58,7 +58,9 @@ class SelfCollision(AbstractEnergy):
 
 @checked
 def make_self_collision(body: Body, deviation: float | int = 0.01) -> SelfCollision | None:
-    """Make the collisions of a person's arms with the trunk, the legs and each other, and of the lower legs.
+    """Make the self-collision energy of a person's arms and lower legs.
+
+    Arms must not be inside of the trunk, the thighs and each other, and lower legs not inside of the other leg.
 
     None if the joints do not have the names of the embedded human. **Arguments:** `deviation`, the standard deviation of
     a depth, metres.

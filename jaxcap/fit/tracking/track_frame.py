@@ -147,7 +147,7 @@ def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
 
 
 def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
-    """Return the terms that hold what the points do not show: people's poses, self-collision, and free space."""
+    """Return the terms that determine unobserved joints: pose prior, self-collision, and free space."""
     total, terms = jnp.sum(cloud.weights), []
     if tracker.people is not None:
         terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.people))
