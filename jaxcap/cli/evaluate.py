@@ -69,7 +69,7 @@ class Evaluate:
         if motion.num_frames != len(scans):
             raise InputError(
                 f"{self.motion}: the motion has {motion.num_frames} frames, but there are {len(scans)} clouds; "
-                "select clouds with --first and --last."
+                "give one cloud for each frame: select clouds with --first and --last, or frames with `jaxcap edit cut`."
             )
         turn, rng = up_rotation(self.up), np.random.default_rng(0)
         truth = None if self.truth is None else read_truth(self.truth, body.skeleton, motion.num_frames)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from ..io.depth.images import SUFFIXES as IMAGE_SUFFIXES
 from ..io.kinds import identify, wrong_kind_error
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (
@@ -24,6 +25,7 @@ from .contents.bodies import (
     describe_motion_file,
     describe_skinned,
 )
+from .contents.depth import describe_depth
 from .contents.folders import describe_clouds, describe_folder
 from .contents.next_verb import suggest_commands
 from .contents.texts import (
@@ -71,6 +73,8 @@ class Info:
         if path.is_dir():
             return describe_folder(path, unit)
         if not split_clip(path)[0].is_file():
+            if path.suffix.lower() in IMAGE_SUFFIXES:
+                return describe_depth(path)
             return describe_clouds(self.file, unit)
         kind = identify(path)
         match kind:
@@ -96,6 +100,8 @@ class Info:
                 return describe_journal(path)
             case "text":
                 return describe_text(path)
+            case "depth" if path.suffix.lower() != ".npz":
+                return describe_depth(path)
             case "picture":
                 return "picture"
             case None:

@@ -27,13 +27,13 @@ FloorHeight = Annotated[
     arg(
         metavar="METRES",
         help_behavior_hint="",
-        help="Height of the floor along the up axis, metres. Vertices of the body, or markers of a subject, below the "
-        "floor are penalised. Default: no floor.",
+        help="Height of the floor along the up axis, metres. Vertices or markers below the floor are "
+        "penalised. Default: no floor.",
     ),
 ]
 PriorFile = Annotated[
     OptionalFile,
-    arg(help="Pose prior for the skeleton of the body or subject: a result of `jaxcap prior learn`."),
+    arg(help="Pose prior for the skeleton: a result of `jaxcap prior learn`."),
 ]
 
 

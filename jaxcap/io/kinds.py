@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import InputError
 from .archives.archive import array_names, read_format_name
+from .depth.images import DEPTH_ARRAYS, is_depth_image
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
@@ -52,6 +53,7 @@ KIND_NAMES = {
     "run": "the folder of a tracking run",
     "scans": "a folder of scans",
     "folder": "a folder",
+    "depth": "a depth image",
     "picture": "an image or a document",
 }
 #: the plurals of `KIND_NAMES`
@@ -92,6 +94,7 @@ KIND_PLURALS = {
     "run": "folders of tracking runs",
     "scans": "folders of scans",
     "folder": "folders",
+    "depth": "depth images",
     "picture": "images or documents",
 }
 #: keys of the intrinsics of a camera, as other programs write them
@@ -137,6 +140,8 @@ def identify(path: str | Path) -> str | None:
         return "skinned"
     if suffix in _ARCHIVE_SUFFIXES:
         return _npz(path)
+    if is_depth_image(path):
+        return "depth"
     kind = _json(path) if suffix == ".json" else "mesh" if suffix in GLTF else _SUFFIXES.get(suffix)
     return "rigged" if kind == "mesh" and find_rig_files(path) else kind
 
@@ -151,6 +156,8 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
         return "arrays"
     if "poses" in there and {"trans", "mocap_framerate", "mocap_frame_rate"} & there:
         return "amass"
+    if there & set(DEPTH_ARRAYS):
+        return "depth"
     if "joints" in there and "points" not in there:
         return "joints"
     if "vertices" in there and {"faces", "face_counts"} & there:

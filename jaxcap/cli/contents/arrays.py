@@ -20,6 +20,7 @@ from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
 from ..console.console import say
 from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size
+from .depth import describe_depth
 from .folders import describe_clouds
 from .listing import print_list
 
@@ -41,6 +42,8 @@ def describe_arrays(path: Path, unit: str) -> str:
         return tell[kind](path)
     if kind == "meshes":
         return describe_meshes(path, unit)
+    if kind == "depth":
+        return describe_depth(path)
     if kind == "clouds":
         return describe_clouds(str(path), unit)
     if kind == "keys":

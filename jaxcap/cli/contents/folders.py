@@ -14,6 +14,7 @@ from ...io.meshes.mesh import SUFFIXES
 from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
 from .bodies import describe_motion, format_size
+from .depth import describe_depth
 from .texts import describe_journal, describe_statistics
 
 #: maximum number of files of a folder that are identified
@@ -39,6 +40,8 @@ def describe_folder(folder: Path, unit: str) -> str:
             f"{folder}: this folder has no file that a verb reads; `jaxcap demo -o {folder}/demo` makes an "
             "example."
         )
+    if there["depth"] == sum(there.values()):
+        return describe_depth(folder)
     for one, count in there.most_common():
         say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")
     return f"folder of {there.most_common(1)[0][0]}"

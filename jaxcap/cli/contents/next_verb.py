@@ -42,6 +42,18 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "joints": (("evaluate BODY MOTION CLOUDS --truth {file}", "compares a motion with them"),),
     "mesh": (("rig {file} -o body.npz", "makes a body of it"),),
     "cloud": (("track human {file} -o tracked", "fits a body"),),
+    "depth": (
+        (
+            "track human --depth {file} --cameras CAMERAS.json -o tracked",
+            "fits a body, given the intrinsics of the camera",
+        ),
+    ),
+    "folder of depth": (
+        (
+            "track human --depth {file} --cameras CAMERAS.json -o tracked",
+            "fits a body, given the intrinsics of the camera",
+        ),
+    ),
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
     "skl": (("rig MESH -o body.npz --skeleton {file}", "binds a mesh to it"),),
     "cst": (("track MESH CLOUDS -o tracked --cst {file}", "enforces these limits"),),
@@ -51,7 +63,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("markers fit {file} -o subject.npz", "calibrates a subject"),
     ),
     "statistics": (("view {folder}", "shows the run"),),
-    "cameras": (("adapt human CLOUDS -o actor.npz --cameras {file}", "uses them for visibility"),),
+    "cameras": (
+        ("track human --depth IMAGES --cameras {file} -o tracked", "fits a body to depth images"),
+        ("adapt human CLOUDS -o actor.npz --cameras {file}", "uses them for visibility"),
+    ),
     "constraints": (("ik human --constraints {file} -o pose.npz", "solves for the pose"),),
     "scan": (("info {folder}", "describes the scans"),),
     "vertices": (

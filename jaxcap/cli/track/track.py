@@ -68,7 +68,7 @@ class Track:
     masks: DepthSpec = ()
     """Masks of the person in the images of --depth, for each camera a folder or a quoted glob."""
     depth_scale: float = 1000.0
-    """Units of --depth in a metre: 1000 for millimetres."""
+    """Number of units of --depth in one metre: 1000 if the images are in millimetres."""
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses and self-collision then determine the other joints.
     Implied by --depth."""

@@ -10,6 +10,21 @@ from ...geometry.camera import MAX_PIXELS
 from ..system.reader_errors import reader_of
 
 SUFFIXES = (".png", ".tif", ".tiff")
+#: names of the array of depth images in an `.npz`
+DEPTH_ARRAYS = ("depth", "depth_mm", "depths")
+
+
+def is_depth_image(path: str | Path) -> bool:
+    """Test by its header if an image has one channel of more than eight bits."""
+    from PIL import Image
+
+    if Path(path).suffix.lower() not in SUFFIXES:
+        return False
+    try:
+        with Image.open(path) as image:
+            return image.mode.startswith(("I", "F"))
+    except (OSError, SyntaxError, Image.DecompressionBombError):
+        return False
 
 
 @reader_of("a depth image")

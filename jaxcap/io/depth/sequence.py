@@ -15,10 +15,10 @@ from ..archives.archive import load_arrays
 from ..lazy_frames import LazyFrames
 from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
-from .images import SUFFIXES, depths_in_metres, read_depth_image, read_mask
+from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
 
-#: names of the arrays of an `.npz`, the first that it has
-_DEPTH_NAMES, _MASK_NAMES = ("depth", "depth_mm", "depths"), ("mask", "masks")
+#: names of the array of masks in an `.npz`
+_MASK_NAMES = ("mask", "masks")
 
 
 class DepthFrame(NamedTuple):
@@ -71,6 +71,8 @@ def read_depths(
         frame = chosen[number]
         shown = [camera.load(frame) for camera in cameras]
         given = [mask.load(frame)[1] for mask in known] or [mask for _, mask in shown]
+        for camera, mask, (depth, _), person in zip(cameras, known, shown, given, strict=False):
+            _check_mask(person, mask.names[frame], depth, camera.names[frame])
         return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(given))
 
     return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
@@ -81,6 +83,19 @@ class _Images(NamedTuple):
 
     names: list[str]
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]]
+
+
+def _check_mask(mask: Bool[np.ndarray, "h w"], name: str, depth: Float[np.ndarray, "H W"], of: str) -> None:
+    if mask.shape != depth.shape:
+        raise InputError(
+            f"{name}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, but the depth image {of} has "
+            f"{depth.shape[1]} x {depth.shape[0]}; give masks of the size of the depth images."
+        )
+    if not (mask & (depth > 0)).any():
+        raise InputError(
+            f"{name}: the mask has no pixel with a depth in {of}; pixels of the person must not be zero in the mask. Correct "
+            "the mask, or give no masks, so that the person is searched for."
+        )
 
 
 def _listed(sources: str | Path | Sequence[str | Path]) -> list[str | Path]:
@@ -121,8 +136,8 @@ def _image_files(source: str | Path) -> list[Path]:
 
 
 def _stack(path: Path, depth_scale: float) -> _Images:
-    arrays = load_arrays(path, lambda name: name in (*_DEPTH_NAMES, *_MASK_NAMES))
-    depth = next((arrays[name] for name in _DEPTH_NAMES if name in arrays), None)
+    arrays = load_arrays(path, lambda name: name in (*DEPTH_ARRAYS, *_MASK_NAMES))
+    depth = next((arrays[name] for name in DEPTH_ARRAYS if name in arrays), None)
     mask = next((arrays[name] for name in _MASK_NAMES if name in arrays), None)
     if depth is None or depth.ndim != 3 or depth.dtype.kind not in "fiu":
         raise InputError(f"{path}: the file has no array 'depth' of numbers (F, H, W).")

@@ -74,7 +74,8 @@ def select_range(items: list, first: int | None, last: int | None, where: str) -
         raise InputError(f"{where}: there are no frames; expected at least one.")
     if not 0 <= start <= end < len(items):
         raise InputError(
-            f"{where}: the frames are 0 to {len(items) - 1}; expected {start} to {end} among them; change `first` or `last`."
+            f"{where}: the frames are 0 to {len(items) - 1}; `first` is {start} and `last` is {end}; give numbers from 0 to "
+            f"{len(items) - 1}."
         )
     return items[start : end + 1]
 
@@ -135,7 +136,8 @@ def _folder(folder: Path, suffixes_read: Sequence[str]) -> list[Path]:
     suffixes = sorted({path.suffix.lower() for path in paths})
     if not paths:
         raise InputError(
-            f"{folder}: the folder contains no clouds or meshes; give a folder with {', '.join(suffixes_read)} files."
+            f"{folder}: the folder contains no clouds or meshes ({', '.join(suffixes_read)}); `jaxcap info {folder}` "
+            "describes its contents."
         )
     if len(suffixes) > 1:
         raise InputError(

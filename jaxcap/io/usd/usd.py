@@ -54,7 +54,7 @@ def write_usd(path: str | Path, body: Body, motion: Motion | None = None) -> Non
         from pxr import Tf, Usd, UsdUtils
     except ImportError:
         raise InputError(
-            f"{path}: writing USD needs the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
+            f"{path}: writing USD needs the library usd-core, which is not installed; run pip install -e '.[usd]' in a checkout of jaxcap."
         ) from None
     check_linear_skin(path, body, "USD")
     check_motion(path, body.skeleton, motion)

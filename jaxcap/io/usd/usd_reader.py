@@ -63,7 +63,7 @@ def read_usd_body(path: str | Path) -> tuple[Body, Motion | None]:
         from pxr import Tf, Usd
     except ImportError:
         raise InputError(
-            f"{path}: reading USD needs the library usd-core, which is not installed; run pip install 'jaxcap[usd]'."
+            f"{path}: reading USD needs the library usd-core, which is not installed; run pip install -e '.[usd]' in a checkout of jaxcap."
         ) from None
     check_text(path)
     check_usd(path)

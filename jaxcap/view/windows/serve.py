@@ -50,7 +50,7 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         import viser
     except ImportError:
         raise InputError(
-            'viser is not installed, and windows need it; run pip install "jaxcap[view]".'
+            'viser is not installed, and windows need it; run pip install -e ".[view]" in a checkout of jaxcap.'
         ) from None
     # viser silently tries the next port, so it gets one that we have just bound
     free = _free_port(host, port)
@@ -65,7 +65,7 @@ def open_server(port: int | None = None, host: str = HOST, title: str | None = N
         close_server(server)
         raise InputError(
             f"viser {viser.__version__}: the server of this version cannot be guarded against other pages; "
-            'run pip install "jaxcap[view]" for a supported version.'
+            'run pip install -e ".[view]" in a checkout of jaxcap for a supported version.'
         )
     if server.get_port() != free:
         close_server(server)
