@@ -29,7 +29,6 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw_views
 from jaxcap.fit.judgement.normal_values import initial_values
 from jaxcap.fit.judgement.surface import sampled_surface
 from jaxcap.fit.tracking.recover import (
@@ -41,6 +40,7 @@ from jaxcap.fit.tracking.recover import (
 )
 from jaxcap.fit.tracking.track_frame import start_state
 from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 #: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres
 MAX_RIGHT_ERROR, MIN_WRONG_ERROR = 60.0, 150.0
@@ -316,7 +316,7 @@ def picture(path: Path, name: str, body: jc.Body, judged: list[JudgedPose]) -> N
         middle = vertices.mean(0) * [1.0, 0.0, 1.0]
         title = f"{kind}: {one.tracked.verdict}"
         distances = scan_to_surface(points, vertices, faces)
-        views.append(View(title, vertices - middle, points - middle, distances))
+        views.append(FrameView(title, vertices - middle, points - middle, distances))
     draw_views(path, views, faces, name)
     progress(f"picture: {path}")
 

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.edit.linear.influences import limit_influences
 from jaxcap.edit.linear.linearise import linear_motion, linear_pose, linearise
 from jaxcap.edit.linear.weights import fit_linear_weights
