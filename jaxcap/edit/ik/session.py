@@ -173,16 +173,6 @@ def end_drag(session: IkSession) -> IkSession:
     return session._replace(undo_states=(*session.undo_states, begun)[-MAX_UNDO_STEPS:], redo_states=())
 
 
-def move_constraint(
-    session: IkSession,
-    point: int | str,
-    target: Position | None = None,
-    orientation: Quaternion | None = None,
-) -> IkSession:
-    """Move a target in one step: `begin_drag`, `drag`, `end_drag`."""
-    return end_drag(drag(begin_drag(session), point, target, orientation))
-
-
 def remove_orientation(session: IkSession, point: str) -> IkSession:
     """Remove the orientation from the constraint on a joint."""
     return _add_undo_step(
