@@ -17,7 +17,7 @@ from ...body.pose import Pose, project, rest_pose
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.prior import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
-from .places import point_positions
+from .point_positions import point_positions
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: number of undo steps that a session keeps
