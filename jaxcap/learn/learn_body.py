@@ -255,7 +255,7 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
             motion=Motion(made.poses, before.motion.rate),
             pairs=made.pairs,
             damping=FIRST_DAMPING,
-            history=(*before.history, (stage.prefix + "graft", value)),
+            history=(*before.history, (stage.prefix + "edit", value)),
         )
         for number in range(TRIAL_ROUNDS):
             after = _round(after, stage, far=number == 0)
