@@ -46,7 +46,7 @@ class Written(NamedTuple):
     usd: Path
     #: None where the format cannot hold the case
     bvh: Path | None
-    linear: jc.edit.LinearisedBody
+    linear: jc.edit.LinearBlendBody
     motion: jc.Motion
 
 
@@ -124,7 +124,7 @@ def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body
 
 def write_case(folder: Path, case: Case, tolerance: float) -> Written:
     """Write a case as `.glb`, `.usdc`, and `.bvh` of its skeleton in centimetres."""
-    linear = jc.edit.linearise(case.body, case.motion.poses, tolerance, max_influences=case.influences)
+    linear = jc.edit.to_linear_blend(case.body, case.motion.poses, tolerance, max_influences=case.influences)
     motion = jc.edit.linear_motion(linear, case.motion)
     glb, usd = folder / f"{case.name}.glb", folder / f"{case.name}.usdc"
     for path in (glb, usd):

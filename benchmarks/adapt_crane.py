@@ -20,8 +20,8 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.prepare import make_adapt_task
-from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 POINTS, RATE = 8000, 30.0
 
@@ -62,7 +62,7 @@ def main() -> None:
         each, views = distances(last, clouds), []
         for n in (round(share * (count - 1)) for share in (0.0, 0.33, 0.66, 1.0)):
             vertices = np.asarray(_posed(last.body, last.motion[n]).vertices)
-            views.append(View(f"frame {n}", vertices, np.asarray(clouds[n].points), each[n]))
+            views.append(FrameView(f"frame {n}", vertices, np.asarray(clouds[n].points), each[n]))
         draw_views(options.picture, views, np.asarray(last.body.faces), "The human, adapted to a performer")
     finish(
         "adapt_crane",

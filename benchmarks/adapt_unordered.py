@@ -23,9 +23,9 @@ from benchmarks._scenes import human_motion, rotation_about_y, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
 from jaxcap.adapt.prepare import make_adapt_task
-from jaxcap.demo.picture import View, draw_views
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 #: the actors and the takes that their poses are of
 PEOPLE = {
@@ -133,7 +133,7 @@ def picture(path: Path, state: AdaptState, scene: Scene) -> None:
         vertices = np.asarray(_posed(state.body, state.motion[frame]).vertices)
         title = f"frame {frame}: {1000 * np.median(off[frame]):.1f} mm"
         points = np.asarray(scene.clouds[frame].points)[np.asarray(scene.clouds[frame].weights) > 0]
-        views.append(View(title, vertices, points, off[frame]))
+        views.append(FrameView(title, vertices, points, off[frame]))
     draw_views(path, views, np.asarray(state.body.faces), "Frames with the largest errors")
 
 

@@ -24,7 +24,7 @@ from benchmarks._learning import (
 )
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw_views
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 
 def main() -> None:
@@ -59,7 +59,9 @@ def main() -> None:
         if options.picture and name == "held_out":
             shown = sorted({round(share * (len(meshes) - 1)) for share in (0.0, 0.33, 0.66, 1.0)})
             views = [
-                View(f"{distances[f].mean():.1f} mm", posed[f], np.asarray(meshes[f]), distances[f] / 1000)
+                FrameView(
+                    f"{distances[f].mean():.1f} mm", posed[f], np.asarray(meshes[f]), distances[f] / 1000
+                )
                 for f in shown
             ]
             draw_views(options.picture, views, np.asarray(run.body.faces), "crane, learned, held-out meshes")

@@ -12,8 +12,8 @@ import numpy as np
 import jaxcap as jc
 from benchmarks.report import finish, progress
 from jaxcap.body.limits.primitives import STIFFNESS, signed_distance
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import retract
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.problem import linearise
 

@@ -102,7 +102,8 @@ class Outcome(NamedTuple):
 def gauss_newton_step(energy: jc.AbstractEnergy, body: jc.Body, pose: jc.Pose) -> jc.Pose:
     residual, jacobian = linearise(energy, body, pose)
     damping = jnp.full(jacobian.shape[1], DAMPING, jacobian.dtype)
-    return jc.retract(body.skeleton, pose, damped_step(residual, jacobian, damping))
+    step, solved = damped_step(residual, jacobian, damping)
+    return jc.retract(body.skeleton, pose, jnp.where(solved, step, 0.0))
 
 
 def arm_body(body: jc.Body) -> jc.Body:

@@ -11,7 +11,7 @@ tracker would, so that they end in the nearest pose that explains some of it. Wh
 a frame without a main joint that is off by more than 60 mm is right, one with a joint off by more than 150 mm is wrong, made or
 tracked, and what lies between is told but not counted. A flag is any verdict but `good`; a tracked frame is also flagged where
 the joints that are off by so much are named as parts that no points show. In `slow` scenes a limb leaves the points by half a
-degree a frame, for ten seconds, and each frame teaches what is usual; in `swapped` ones the first frame has its legs in each
+degree a frame, for ten seconds, and each frame updates the baseline; in `swapped` ones the first frame has its legs in each
 other's place. Run it from the root of the checkout.
 """
 
@@ -29,8 +29,7 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw_views
-from jaxcap.fit.judgement.normal_values import initial_values
+from jaxcap.fit.judgement.baseline import initial_baseline
 from jaxcap.fit.judgement.surface import sampled_surface
 from jaxcap.fit.tracking.recover import (
     SearchPause,
@@ -41,6 +40,7 @@ from jaxcap.fit.tracking.recover import (
 )
 from jaxcap.fit.tracking.track_frame import start_state
 from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 #: largest error of the main joints up to which a frame is right, and beyond which a made one is wrong, millimetres
 MAX_RIGHT_ERROR, MIN_WRONG_ERROR = 60.0, 150.0
@@ -163,15 +163,15 @@ class Scene:
         self.body, self.clouds, self.errors, self.others = body, clouds, errors, others
         self.every, self.rng = every, np.random.default_rng(seed)
 
-    def fitted(self, pose: jc.Pose, cloud: jc.Cloud, usual) -> TrackedFrame:
+    def fitted(self, pose: jc.Pose, cloud: jc.Cloud, baseline) -> TrackedFrame:
         state = start_state(self.tracker, pose, 0.02)
         for _ in range(STEPS):
             state, statistics = track_frame_jit(self.tracker, reset_velocity(self.tracker, state), cloud)
-        return judge_frame(self.surface, cloud, state, statistics, usual, SearchPause())
+        return judge_frame(self.surface, cloud, state, statistics, baseline, SearchPause())
 
     def run(self, start: jc.Pose | None, search: bool | Literal["auto"] = False) -> list[JudgedPose]:
         judged, frames = [], jc.fit.track_frames(self.tracker, self.clouds, start, search=search, sigma=0.05)
-        usual, parts = None, parts_of(self.body)
+        baseline, parts = None, parts_of(self.body)
         for number, (frame, cloud) in enumerate(zip(frames, self.clouds, strict=True)):
             errors = self.errors(number, frame.pose)
             # the crane's errors are of parts
@@ -179,9 +179,9 @@ class Scene:
                 JudgedPose("right", number, errors, frame, cloud, parts if len(errors) == len(parts) else ())
             )
             if self.every and number % self.every == self.every - 1:
-                assert usual is not None
+                assert baseline is not None
                 for kind, pose in make_wrong_poses(self.body, frame.pose, self.rng).items():
-                    made = self.fitted(pose, cloud, usual)
+                    made = self.fitted(pose, cloud, baseline)
                     judged.append(JudgedPose(kind, number, self.errors(number, made.pose), made, cloud))
                 if self.others:
                     other, joints = self.others[number % len(self.others)]
@@ -191,12 +191,12 @@ class Scene:
                     moved = eqx.tree_at(
                         lambda c: c.points, other, other.points + jnp.asarray(shift, other.points.dtype)
                     )
-                    made = self.fitted(frame.pose, moved, usual)
+                    made = self.fitted(frame.pose, moved, baseline)
                     main = [self.body.skeleton.index(name) for name in MAIN_JOINTS]
                     differences = joints_of(self.body, made.pose)[main] - (joints + shift)[main]
                     errors = 1000 * np.linalg.norm(differences, axis=1)
                     judged.append(JudgedPose("other_person", number, errors, made, moved))
-            usual = frame.normal_values
+            baseline = frame.baseline
         return judged
 
 
@@ -210,15 +210,15 @@ def parts_of(body: jc.Body) -> tuple[frozenset[str], ...]:
 
 
 def slow_fault(scene: Scene, motion: jc.Motion, joint: str) -> list[JudgedPose]:
-    """Judge true poses with one joint that rotates further in each frame; good frames update the usual values."""
-    judged, usual = [], initial_values(scene.surface)
+    """Judge true poses with one joint that rotates further in each frame; good frames update the baseline."""
+    judged, baseline = [], initial_baseline(scene.surface)
     for number, cloud in enumerate(scene.clouds):
         turn = Rotation.from_rotvec([0.0, 0.0, np.radians(SLOW * max(0, number - 10))])
         pose = rotate_joint(motion[number], scene.body.skeleton.index(joint), turn)
         state = start_state(scene.tracker, pose, 0.02)
         _, statistics = track_frame_jit(scene.tracker, reset_velocity(scene.tracker, state), cloud)
-        frame = judge_frame(scene.surface, cloud, state, statistics, usual, SearchPause())
-        usual = frame.normal_values
+        frame = judge_frame(scene.surface, cloud, state, statistics, baseline, SearchPause())
+        baseline = frame.baseline
         judged.append(JudgedPose("slow", number, scene.errors(number, pose), frame, cloud))
     return judged
 
@@ -316,7 +316,7 @@ def picture(path: Path, name: str, body: jc.Body, judged: list[JudgedPose]) -> N
         middle = vertices.mean(0) * [1.0, 0.0, 1.0]
         title = f"{kind}: {one.tracked.verdict}"
         distances = scan_to_surface(points, vertices, faces)
-        views.append(View(title, vertices - middle, points - middle, distances))
+        views.append(FrameView(title, vertices - middle, points - middle, distances))
     draw_views(path, views, faces, name)
     progress(f"picture: {path}")
 

@@ -27,7 +27,7 @@ from benchmarks._scenes import CAPTURE_RATE, RATE, cmu_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.edit.matching.limbs import find_limbs
 from jaxcap.edit.matching.names import parse_joint_name
-from jaxcap.edit.matching.reference import joint_transforms
+from jaxcap.edit.matching.upright_pose import joint_transforms
 from jaxcap.io.registry import read_motion
 
 TAKES = ("02_01", "02_05", "01_01")

@@ -23,8 +23,8 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._scenes import NOISE, ScannedFrame, Visible, human_motion, scan_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import joint_errors, scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 TAKES = ("02_05", "02_07", "01_01")
 #: mean joint error of a frame above which it is lost, whatever the tracker says, millimetres
@@ -96,7 +96,7 @@ def picture(path: Path, take: str, body: jc.Body, scans: list[ScannedFrame], tra
         middle = vertices.mean(0) * [1.0, 0.0, 1.0]
         distances = scan_to_surface(points, vertices, faces)
         title = f"frame {frame}: mean joint error {tracked.errors[frame].mean():.1f} mm"
-        views.append(View(title, vertices - middle, points - middle, distances))
+        views.append(FrameView(title, vertices - middle, points - middle, distances))
     draw_views(path, views, faces, f"CMU {take}, tracked")
     progress(f"picture: {path}")
 

@@ -21,8 +21,8 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.demo.picture import View, draw_views
 from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 _posed = eqx.filter_jit(jc.pose_body)
 
@@ -81,7 +81,7 @@ def main() -> None:
         for f in shown:
             points = np.asarray(clouds[f].points, float)
             distances = scan_to_surface(points, meshes[f].astype(float), np.asarray(body.faces))
-            views.append(View(f"frame {f}: {errors[f]:.1f} mm", meshes[f], points, distances))
+            views.append(FrameView(f"frame {f}: {errors[f]:.1f} mm", meshes[f], points, distances))
         draw_views(options.picture, views, np.asarray(body.faces), "crane, tracked")
         progress(f"picture: {options.picture}")
     figures = {

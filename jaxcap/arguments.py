@@ -20,11 +20,11 @@ from typing import Any, Literal, TypeVar, Union
 import numpy as np
 
 from .errors import InputError, is_user_error, user_message
+from .units import BODY_SIZE, UNIT_NAMES, UNITS, units_within
 
 Function = TypeVar("Function", bound=Callable)
-#: largest width of a body or scene, metres; sizes of other units, metres
+#: largest width of a body or scene, metres
 MAX_EXTENT = 50.0
-_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 #: length of each named dimension, with the field or argument that has it
 Lengths = dict[str, tuple[Any, str]]
 
@@ -79,7 +79,7 @@ def check_metres(where: str, name: str, points: np.ndarray) -> None:
         return
     extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
     if extent > MAX_EXTENT:
-        likely = {unit: f"{size:g}" for unit, size in _UNITS.items() if 0.3 <= extent * size <= 3.0}
+        likely = {UNIT_NAMES[unit]: f"{UNITS[unit]:g}" for unit in units_within(extent, *BODY_SIZE)}
         unit = (
             f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or give the "
             "unit when reading the file"

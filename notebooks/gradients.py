@@ -31,13 +31,7 @@ jax.config.update("jax_enable_x64", True)
 import jaxcap as jc
 from jaxcap.body.kinematics import world_axes
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.body.vertex_jacobian import (
-    ball_operator,
-    cone_gradient,
-    point_jacobian,
-    revolute_operator,
-    translate_operator,
-)
+from jaxcap.fit.linearise import vertex_jacobian
 from jaxcap.geometry import rotation
 from jaxcap.report.plots import BLUE, GREEN, RED, label_point, style_chart
 
@@ -70,12 +64,29 @@ def moved(d):
 autodiff = jax.jit(jax.jacfwd(moved))(jnp.zeros(skeleton.num_dofs))
 
 # %% [markdown]
-# **Closed form**: `point_jacobian`, which tracking uses by way of the skin, and the paper's own 4 x 4 operators, one joint's number
+# **Closed form**: `vertex_jacobian`, which tracking uses by way of the skin, and the paper's own 4 x 4 operators, one joint's number
 # after the other: eq. 8 for what slides, eq. 10 for what turns about an axis, eqs. 12 and 13 for a ball joint's update.
 
 # %%
 posed = eqx.filter_jit(jc.pose_body)(body, pose)
-closed = point_jacobian(posed, jnp.arange(len(vertices)))
+closed = eqx.filter_jit(vertex_jacobian)(posed)
+
+
+def translate_operator(axis):
+    """Differentiate points under a translation along the world axis (eq. 8)."""
+    return np.pad(np.asarray(axis)[:, None], ((0, 1), (3, 0)))
+
+
+def revolute_operator(axis, centre):
+    """Differentiate points under a rotation about the world axis through the centre of a joint (eq. 10)."""
+    columns = np.concatenate([np.cross(axis, np.eye(3)), -np.cross(axis, centre)[None]]).T
+    return np.pad(columns, ((0, 1), (0, 0)))
+
+
+def ball_operator(turn, centre, number):
+    """Differentiate points under one number of a ball joint's update, about a column of its rotation (eqs. 12, 13)."""
+    return revolute_operator(turn[:, number], centre)
+
 
 points = np.concatenate([posed.vertices, np.ones((300, 1))], 1)
 shifts, turns = world_axes(skeleton, pose, posed.transforms)
@@ -85,9 +96,7 @@ for joint, kind in enumerate(KINDS):
     for number in range(3):
         slot = layout.translations[joint, number]
         if slot < skeleton.num_dofs:
-            paper[:, :, slot] = (
-                rides * (points @ np.asarray(translate_operator(shifts[joint, number])).T)[:, :3]
-            )
+            paper[:, :, slot] = rides * (points @ translate_operator(shifts[joint, number]).T)[:, :3]
         slot = layout.rotations[joint, number]
         if slot < skeleton.num_dofs:
             centre = posed.joints[joint]
@@ -95,7 +104,7 @@ for joint, kind in enumerate(KINDS):
                 operator = ball_operator(posed.transforms.rotations[joint], centre, number)
             else:
                 operator = revolute_operator(turns[joint, number], centre)
-            paper[:, :, slot] = rides * (points @ np.asarray(operator).T)[:, :3]
+            paper[:, :, slot] = rides * (points @ operator.T)[:, :3]
 
 print(f"closed form against autodiff: {np.abs(closed - autodiff).max():.1e}")
 print(f"the paper's operators against autodiff: {np.abs(paper - autodiff).max():.1e}")
@@ -140,6 +149,11 @@ plt.show()
 # %%
 def cosine(d, axis, q):
     return axis @ rotation.rotate(rotation.multiply(q, rotation.exp(d)), axis)
+
+
+def cone_gradient(axis, turn):
+    """Compute the gradient of a cone's cosine by the joint's update (eq. 16)."""
+    return jnp.cross(axis, turn.T @ axis)
 
 
 axis = jnp.array([0.0, -1.0, 0.0])

@@ -138,7 +138,7 @@ plt.show()
 # %% [markdown]
 # ## To files
 #
-# `jaxcap track` and `jaxcap fit` take the body; `jc.edit.linearise` and `jc.write_gltf` bring it to other programs ([files](../docs/files.md)).
+# `jaxcap track` and `jaxcap fit` take the body; `jc.edit.to_linear_blend` and `jc.write_gltf` bring it to other programs ([files](../docs/files.md)).
 
 # %%
 folder = Path(tempfile.mkdtemp())

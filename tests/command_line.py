@@ -10,11 +10,11 @@ import pytest
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.cli import main
 from jaxcap.cli.console import heartbeat
 from jaxcap.cli.console.groups import JAXCAP
 from jaxcap.cli.console.verbs import Group, Verb
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.scanner.scan import scan_frame

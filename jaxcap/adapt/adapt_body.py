@@ -221,7 +221,7 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
             yield state._replace(motion=motion, lost=tuple(sorted(lost)), within=done, tracked=frame)
     motion = _interpolate_missing(task, poses)
     state = state._replace(motion=motion, lost=tuple(sorted(lost)), within=0, tracked=None)
-    # normal values need all frames; for the first ones keep the tracker's own judgement
+    # the baseline needs all frames; for the first ones keep the tracker's own judgement
     state = flag_frames(task, state) if stage.frames is None else state
     return append_history(
         task, state, str(stage), select_evenly(task.scanned) if stage.frames is None else there[-1:]

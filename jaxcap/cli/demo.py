@@ -10,9 +10,8 @@ import numpy as np
 from ..body.body import pose_body
 from ..body.kinematics import forward_kinematics, joint_positions
 from ..body.people.human import human
+from ..body.people.performance import walk_and_wave
 from ..body.pose import Motion
-from ..demo.performance import walk_and_wave
-from ..demo.picture import View, draw_views
 from ..errors import InputError
 from ..fit.tracking.track import track_frames, verdict_sentences
 from ..fit.tracking.track_frame import make_tracker
@@ -22,6 +21,7 @@ from ..io.system.atomic import atomic_path, write_text
 from ..io.system.lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe.clouds import make_cloud
+from ..report.distance_pictures import FrameView, draw_views
 from ..scanner.scan import scan_frame
 from ..scanner.settings import Scanner
 from .console.console import print_table, progress, say, warn
@@ -145,7 +145,7 @@ class Demo:
             points = np.asarray(clouds[number].points)[np.asarray(clouds[number].weights) > 0][:SHOWN]
             vertices = np.asarray(pose_body(body, motion[number]).vertices)
             views.append(
-                View(
+                FrameView(
                     f"frame {number}: mean joint error {1000 * errors[number].mean():.1f} mm",
                     vertices,
                     points,

@@ -25,11 +25,11 @@ from .interpolation import resample as resample
 from .keys import Keys as Keys
 from .keys import find_keys as find_keys
 from .keys import interpolate_keys as interpolate_keys
-from .linear.influences import limit_influences as limit_influences
-from .linear.linearise import LinearisedBody as LinearisedBody
-from .linear.linearise import linear_motion as linear_motion
-from .linear.linearise import linear_pose as linear_pose
-from .linear.linearise import linearise as linearise
+from .linear_blend.convert import LinearBlendBody as LinearBlendBody
+from .linear_blend.convert import linear_motion as linear_motion
+from .linear_blend.convert import linear_pose as linear_pose
+from .linear_blend.convert import to_linear_blend as to_linear_blend
+from .linear_blend.influences import limit_influences as limit_influences
 from .matching.match import match_joints as match_joints
 from .matching.matches import JointMatches as JointMatches
 from .matching.matches import UnmatchedJoints as UnmatchedJoints

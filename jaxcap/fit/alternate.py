@@ -123,7 +123,7 @@ def minimise_reweighted(
     return ReweightingResult(y, problem, tuple(history), settled)
 
 
-def anneal(
+def anneal_problem(
     make_problem: Callable[[Any, Any], AbstractProblem],
     start: Any,
     solver: LevenbergMarquardt,

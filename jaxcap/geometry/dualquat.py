@@ -4,7 +4,7 @@ A dual quaternion `q0 + e qe` with `e^2 = 0` rotates by `q0` and then translates
 `qe = (0, t) q0 / 2` (Adaptation, appendix A.1; Kavan, Collins, Zara and O'Sullivan 2008). `d` and `-d` are
 the same motion. Every function works on one `(8,)` or on any stack `(..., 8)` of them.
 
-Blends stay unnormalised: `apply` and `to_rigid` divide by the squared length of the real part, so that
+Blends stay unnormalised: `apply` divides by the squared length of the real part, so that
 derivatives need no square root.
 """
 
@@ -96,14 +96,6 @@ def pull_back(
     turned = cross(m, v0)
     by_ve = [a0 * m[i] + turned[i] for i in range(3)]
     return n[:, :, None] * jnp.stack([dot(m, lever) - along * a0, *by_v0, -mv, *by_ve], -1)
-
-
-@partial(jax.jit, inline=True)
-def to_rigid(d: DualQuaternion) -> tuple[rotation.Quaternion, rotation.Vector]:
-    """Convert to the unit quaternion and translation of the motion that `d` is a multiple of."""
-    a0, v0, ae, ve = d[..., :1], d[..., 1:4], d[..., 4:5], d[..., 5:]
-    squared = _squared(d)
-    return d[..., :4] / jnp.sqrt(squared), 2.0 * (a0 * ve - ae * v0 + jnp.cross(v0, ve)) / squared
 
 
 @partial(jax.jit, inline=True)

@@ -130,7 +130,7 @@ def write_motion(
 def write_body(path: str | Path, body: Body, motion: Motion | None = None) -> None:
     """Write a body with linear blend skinning as `.glb`, `.usda`, `.usdc` or `.usdz`.
 
-    An optional motion becomes its animation. Convert other bodies by `jaxcap.edit.linearise` first.
+    An optional motion becomes its animation. Convert other bodies by `jaxcap.edit.to_linear_blend` first.
 
     **Raises:** `InputError` as `write_gltf` and `write_usd` do.
     """

@@ -16,37 +16,6 @@ MAX_NUMBER = 1e15
 #: lower and upper bound of frame rates, frames per second
 RATE_RANGE = (1e-6, 1e6)
 
-#: metres in one unit
-UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-#: bounds of the longest side of a body, and its usual value, metres
-BODY, USUAL = (0.3, 3.0), 1.7
-
-
-def unit_scale(unit: str | float) -> float:
-    """Return the metres in one `unit`: a key of `UNITS`, or that number itself, also as text.
-
-    **Raises:** `InputError` for any other value.
-    """
-    if unit in UNITS:
-        return UNITS[str(unit)]
-    try:
-        unit = float(unit)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"'{unit}' is not a unit of length; give one of {', '.join(UNITS)}, or the metres in one unit, such as 0.0564."
-        ) from None
-    if not (math.isfinite(unit) and unit > 0):
-        raise InputError(f"{unit} metres is not a unit of length; give a number above zero.")
-    return float(unit)
-
-
-def likely_units(length: float, size: tuple[float, float] = BODY) -> list[str]:
-    """Return the units in which a length would lie within a `size` in metres, the likeliest first."""
-    likely = [
-        unit for unit in ("m", "mm", "cm", "in", "dm", "ft") if size[0] <= length * UNITS[unit] <= size[1]
-    ]
-    return sorted(likely, key=lambda unit: abs(math.log(length * UNITS[unit] / USUAL)))
-
 
 def read_text(path: str | Path) -> str:
     """Read a text file with any line ending, with or without a byte order mark.

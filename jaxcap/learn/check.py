@@ -11,10 +11,10 @@ from scipy.sparse.csgraph import connected_components
 from ..errors import InputError
 from ..geometry.mesh import mesh_edges, triangle_sides
 from ..observe.meshes import MeshSequence
+from ..units import BODY_SIZE, likely_units
 
-#: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
-USUAL_SIZE, POSSIBLE_SIZE = (0.3, 3.0), (0.02, 30.0)
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "dm": 0.1, "ft": 0.3048}
+#: sizes of a body in metres outside of which the unit is certainly wrong; outside `BODY_SIZE` it probably is
+POSSIBLE_SIZE = (0.02, 30.0)
 #: poses change the size of a body by less than this factor, a wrong unit by more
 MAX_POSE_RATIO = 2.0
 #: an edge whose length differs by more than this factor is taken to join other vertices
@@ -148,16 +148,15 @@ def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
 
 
 def _size(extent: float) -> list[str]:
-    if USUAL_SIZE[0] <= extent <= USUAL_SIZE[1]:
+    if BODY_SIZE[0] <= extent <= BODY_SIZE[1]:
         return []
-    likely = [unit for unit, metres in _UNITS.items() if USUAL_SIZE[0] <= extent * metres <= USUAL_SIZE[1]]
-    likely.sort(key=lambda unit: abs(np.log(extent * _UNITS[unit] / 1.7)))
+    likely = likely_units(extent, *BODY_SIZE)
     hint = (
         f"the unit is probably {likely[0]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely
         else "check the unit"
     )
-    message = f"The meshes are {extent:.4g} m long; expected a body of {USUAL_SIZE[0]:g} to {USUAL_SIZE[1]:g} m; {hint}."
+    message = f"The meshes are {extent:.4g} m long; expected a body of {BODY_SIZE[0]:g} to {BODY_SIZE[1]:g} m; {hint}."
     if not POSSIBLE_SIZE[0] <= extent <= POSSIBLE_SIZE[1]:
         raise InputError(message)
     return [message]

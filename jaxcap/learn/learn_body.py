@@ -17,8 +17,6 @@ from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
-from .blend.linear import VERTICES, improve_linear_skin
-from .blend.variable_projection import optimise_all_vertices
 from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
 from .initialise import (
     InitialBody,
@@ -34,6 +32,8 @@ from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
 from .structure.skeleton_edit import EditedBody
 from .structure.structure_search import exchange_joints
+from .variable_projection.improve import optimise_all_vertices
+from .variable_projection.rounds import VERTICES, improve_linear_skin
 from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices
 from .weights.weights import improve_weights
 
@@ -255,7 +255,7 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
             motion=Motion(made.poses, before.motion.rate),
             pairs=made.pairs,
             damping=FIRST_DAMPING,
-            history=(*before.history, (stage.prefix + "graft", value)),
+            history=(*before.history, (stage.prefix + "edit", value)),
         )
         for number in range(TRIAL_ROUNDS):
             after = _round(after, stage, far=number == 0)

@@ -1,5 +1,6 @@
 """From raw optical markers to a skeleton and its motion."""
 
+from .body_shape.shape import bone_lengths as bone_lengths
 from .body_shape.shape import fit_shape as fit_shape
 from .body_shape.vertex_markers import vertex_frames as vertex_frames
 from .calibration.calibrate import Calibration as Calibration

@@ -11,12 +11,15 @@ from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import LinearSkin
 from ..errors import InputError
 from ..geometry import rotation
+from ..units import UNIT_NAMES, units_within
 from .heat import smooth_weights, surface_operators
 from .register import find_closest, register, sample_surface, search_tree
 from .template import Template, load_template, pose_template
 
 #: limits of a person's height, metres
 SHORTEST, TALLEST = 0.3, 3.0
+#: usual heights of people, metres; they suggest the unit of a mesh
+USUAL_HEIGHT = (1.0, 2.2)
 #: height to which the mesh is scaled, metres; all lengths of a registration are for this height
 STATURE = 1.75
 #: mean distance between template and mesh at that height above which the registration failed, metres
@@ -83,9 +86,12 @@ def person_height(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 
     height = float(np.ptp(vertices[np.unique(faces), "xyz".index(up)]))
     if SHORTEST <= height <= TALLEST:
         return height
-    units = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
-    likely = [unit for unit, metres in units.items() if 1.0 <= height * metres <= 2.2]
-    advice = f"its unit is probably {likely[0]}; scale it to metres" if likely else "scale it to metres"
+    likely = units_within(height, *USUAL_HEIGHT)
+    advice = (
+        f"its unit is probably {UNIT_NAMES[likely[0]]}; scale it to metres"
+        if likely
+        else "scale it to metres"
+    )
     raise InputError(
         f"The mesh is {height:.4g} m tall along {up}; expected the height of a person, {SHORTEST:g} to "
         f"{TALLEST:g} m; {advice}, or name the axis that points up."

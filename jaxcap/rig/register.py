@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from ..body.body import Posed
 from ..body.pose import Pose, rest_pose
-from ..fit.alternate import anneal
+from ..fit.alternate import anneal_problem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
 from .heat import area_normals
@@ -135,7 +135,7 @@ def _refine(
             template, posed.vertices, *(jnp.asarray(part, posed.vertices.dtype) for part in parts)
         )
 
-    person = anneal(remake, start.person, LevenbergMarquardt(damping=DAMPING), scales)
+    person = anneal_problem(remake, start.person, LevenbergMarquardt(damping=DAMPING), scales)
     residual = _residual(pose_template(template, person), areas, surface, search)
     return Registration(person, start.log_size, residual)
 

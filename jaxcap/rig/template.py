@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, Posed, pose_body
 from ..body.kinematics import Transforms
+from ..body.people.anatomy import BODY_REGIONS
 from ..body.people.human import human
 from ..body.pose import Pose, difference, rest_pose, retract
 from ..body.skeleton import dof_layout
@@ -21,7 +22,6 @@ BUILDS = (
     ({"muscle": 1.0}, {"muscle": 0.0}),
     ({"height": 1.85}, {"height": 1.60}),
 )
-TRUNK = ("Hips", "LowerBack", "Spine", "Spine1")
 AVERAGE = {"sex": 0.5}
 #: standard deviations (radians) of joints from rest, by the first match in their names
 JOINT_DEVIATIONS = (
@@ -86,7 +86,7 @@ def _human_body(options: dict[str, float]) -> Body:
 
 def _group(name: str) -> str:
     """Return the stretch group of a bone: its other side, the whole trunk, neck or hand."""
-    if name in TRUNK:
+    if name in BODY_REGIONS["trunk"]:
         return "Trunk"
     if "Thumb" in name or "Finger" in name:
         return "Hand"

@@ -24,10 +24,10 @@ from jaxcap.adapt.shape.rounds import gauss_newton_step
 from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.energy.data.pairs import PairDistances, pair_directions
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.fit.correspondence.correspond import (

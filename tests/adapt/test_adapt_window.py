@@ -12,7 +12,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 from jaxcap.adapt.objective import PoseTerms, temporal_energy, window_problem
 from jaxcap.adapt.poses.sliding_window import smooth_poses
-from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, empty_boxes, make_box_chart, make_pose_boxes
+from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
@@ -130,7 +130,7 @@ def test_no_window_is_left_worse_than_it_was(rng, boxed):
     """Far from the solution, where whole steps go too far; pairs are the same all along."""
     poses, pairs = scene(rng, 6)
     poses = [retract(SKELETON, pose, jnp.asarray(0.5 * rng.normal(size=DOFS))) for pose in poses]
-    boxes = some_boxes(poses, 1.0) if boxed else empty_boxes()
+    boxes = some_boxes(poses, 1.0) if boxed else make_pose_boxes((), np.zeros((0, 3)), np.zeros((0, 3)))
     told = [poses]
     for _ in range(4):
         told.append(smooth_poses(BODY, told[-1], lambda n, _: pairs[n], PoseTerms(PRIOR, WEIGHT, boxes), float(TEMPORAL), frames=6, steps=1))  # fmt: skip

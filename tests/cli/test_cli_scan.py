@@ -8,12 +8,12 @@ import pytest
 from command_line import fails, runs, tree
 
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import Motion
 from jaxcap.cli import main
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.scan import scan as scan_module
 from jaxcap.cli.scan.rate import find_rate
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras
 from jaxcap.io.archives.npz import load_body, load_motion, save_body, save_motion

@@ -14,8 +14,8 @@ from jaxcap.edit.matching.limbs import find_limbs
 from jaxcap.edit.matching.match import match_joints
 from jaxcap.edit.matching.matches import UnmatchedJoints
 from jaxcap.edit.matching.names import parse_joint_name
-from jaxcap.edit.matching.person import find_person
-from jaxcap.edit.matching.reference import joint_transforms
+from jaxcap.edit.matching.person_joints import identify_joints
+from jaxcap.edit.matching.upright_pose import joint_transforms
 from jaxcap.edit.retargeting.hinges import hinge_axis
 from jaxcap.edit.retargeting.plan import plan_retarget
 from jaxcap.edit.retargeting.retarget import retarget
@@ -214,7 +214,7 @@ def test_two_equal_chains_are_no_arms():
         for step in range(6):
             rows.append((f"{limb}{'abcdef'[step]}", above, (0.3 * side, 0.3 * (step + 1), 0)))
             above = rows[-1][0]
-    person = find_person(build(rows))
+    person = identify_joints(build(rows))
     assert not person.parts and person.pelvis == -1
 
 

@@ -12,7 +12,6 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.limits.limits import Cone, make_joint_ranges
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.body.vertex_jacobian import cone_gradient
 from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks, joint_landmarks
 from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
@@ -20,6 +19,7 @@ from jaxcap.energy.energy import energies
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior, ReferencePrior, RestPrior
 from jaxcap.geometry import rotation
+from tests.kineben import cone_gradient
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

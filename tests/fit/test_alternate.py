@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
-from jaxcap.fit.alternate import alternate, anneal
+from jaxcap.fit.alternate import alternate, anneal_problem
 from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -41,7 +41,7 @@ def test_stages_end_at_the_last_whatever_it_is_worth():
         met.append(np.asarray(y))
         return Towards(jnp.array([stage, 2.0 * stage]), jnp.asarray(stage**2))
 
-    found = anneal(remake, jnp.zeros(2), SOLVER, (1.0, 3.0), steps=20)
+    found = anneal_problem(remake, jnp.zeros(2), SOLVER, (1.0, 3.0), steps=20)
     np.testing.assert_allclose(found, [3.0, 6.0], atol=1e-9)
     # each stage begins where the last one ended
     np.testing.assert_allclose(met, [[0.0, 0.0], [1.0, 2.0]], atol=1e-9)

@@ -20,7 +20,7 @@ SOLVES = re.compile(
 ALLOWED: dict[str, str] = {}
 #: verbs that end in the solution of equations
 VERB = re.compile(
-    r"^(try_)?(solve|cho_solve|lstsq|inv|inverse|least_squares|spsolve|factor(ise)?|cg|damped_step)(_|$)"
+    r"^(solve|cho_solve|lstsq|inv|inverse|least_squares|spsolve|factor(ise)?|cg|damped_step)(_|$)"
 )
 #: names of what damps a step, or bounds it
 DAMPING = re.compile(r"damp|lambda|marquardt|trust|step_size|radius", re.IGNORECASE)

@@ -139,9 +139,9 @@ def test_both_solvers_find_the_same_minimum_and_so_does_qr(rng):
 def test_a_large_damping_gives_the_direction_of_the_gradient(rng):
     residual, jacobian = jnp.asarray(rng.normal(size=12)), jnp.asarray(rng.normal(size=(12, 5)))
     downhill = -jacobian.T @ residual
-    step = damped_step(residual, jacobian, jnp.full(5, 1e9))
+    step, _ = damped_step(residual, jacobian, jnp.full(5, 1e9))
     np.testing.assert_allclose(step * 1e9, downhill, rtol=1e-7)
-    newton = damped_step(residual, jacobian, jnp.zeros(5))
+    newton, _ = damped_step(residual, jacobian, jnp.zeros(5))
     np.testing.assert_allclose(newton, np.linalg.lstsq(jacobian, -residual)[0], rtol=1e-11)
 
 
@@ -253,7 +253,7 @@ def read_out(parameters):
         energy, body, pose = pose_of(parameters)
 
         def polish(_, pose):
-            step = damped_step(*linearise(energy, body, pose), jnp.zeros(SKELETON.num_dofs))
+            step, _ = damped_step(*linearise(energy, body, pose), jnp.zeros(SKELETON.num_dofs))
             return retract(body.skeleton, pose, step)
 
         return read(pose), read(jax.lax.fori_loop(0, 40, polish, jax.lax.stop_gradient(pose)))

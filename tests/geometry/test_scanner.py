@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.demo.performance import walk_and_wave
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, project, ring_of_cameras, unproject
 from jaxcap.io.meshes.mesh import read_mesh

@@ -10,8 +10,6 @@ import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.fit.solvers.equalities import Equalities
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.blend.blend import Blend, BlendProblem, optimise_blend
-from jaxcap.learn.blend.variable_projection import improve_body, optimise_all_vertices, sample_vertices
 from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.skeleton.joints import improve_joints, make_curvature
 from jaxcap.learn.skeleton.limbs import (
@@ -22,6 +20,8 @@ from jaxcap.learn.skeleton.limbs import (
     read_bone_state,
 )
 from jaxcap.learn.skeleton.reparent import bone_motions
+from jaxcap.learn.variable_projection.improve import improve_body, optimise_all_vertices, sample_vertices
+from jaxcap.learn.variable_projection.problem import Blend, BlendProblem, optimise_blend
 from jaxcap.learn.weights.rest_vertices import solve_rest_vertices
 from jaxcap.learn.weights.weights import improve_weights
 from jaxcap.observe.meshes import MeshSequence

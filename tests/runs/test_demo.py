@@ -9,10 +9,10 @@ from command_line import fails, runs
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.demo.performance import walk_and_wave
-from jaxcap.demo.picture import View, draw_views
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.skeletons.bvh import read_bvh
+from jaxcap.report.distance_pictures import FrameView, draw_views
 
 _pose_body = eqx.filter_jit(pose_body)
 
@@ -57,7 +57,7 @@ def test_sampling_is_by_area(rng):
 def test_picture_shows_body_and_cloud(body, tmp_path, rng):
     vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
     points, _ = sample_surface(vertices, faces, 500, rng)
-    view = View("a view", vertices, points, np.zeros(500))
+    view = FrameView("a view", vertices, points, np.zeros(500))
     draw_views(tmp_path / "with.png", [view], faces, "title")
     draw_views(
         tmp_path / "without.png", [view._replace(points=points[:1], distances=np.zeros(1))], faces, "title"

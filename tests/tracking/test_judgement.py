@@ -1,4 +1,4 @@
-"""Verdicts on poses in clouds: what is counted, by which part, and against what is usual."""
+"""Verdicts on poses in clouds: what is counted, by which part, and against what baseline."""
 
 import dataclasses
 
@@ -14,15 +14,15 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.fit.correspondence.visibility import visible_vertices
+from jaxcap.fit.judgement.baseline import (
+    initial_baseline,
+    mark_flagged,
+    median_baseline,
+    sensor_directions,
+    update_baseline,
+)
 from jaxcap.fit.judgement.evidence import _visible_in_camera, gather_evidence
 from jaxcap.fit.judgement.inside import inside_degrees
-from jaxcap.fit.judgement.normal_values import (
-    initial_values,
-    mark_flagged,
-    median_values,
-    sensor_directions,
-    update_values,
-)
 from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_surface
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
@@ -33,7 +33,7 @@ BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton
 SURFACE = sampled_surface(BODY)
 REST = rest_pose(SKELETON)
-NOTHING = initial_values(SURFACE)
+NOTHING = initial_baseline(SURFACE)
 NOBODY = sensor_directions(NOTHING)
 POINTS = 3000
 _pose_body = eqx.filter_jit(pose_body)
@@ -59,21 +59,23 @@ def scan(pose: Pose, rng, kept=lambda points, normals: np.ones(len(points), bool
 
 
 def learned(frames: int, rng):
-    """What is usual after some right frames."""
-    usual = NOTHING
+    """The baseline after some right frames."""
+    baseline = NOTHING
     for _ in range(frames):
-        usual = update_values(
-            usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(usual))
+        baseline = update_baseline(
+            baseline, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(baseline))
         )
-    return usual
+    return baseline
 
 
 def in_front(points, normals):
     return normals[:, 2] > 0
 
 
-def judged(usual, pose: Pose, cloud: Cloud):
-    return judge_evidence(SURFACE, usual, gather_evidence(SURFACE, pose, cloud, sensor_directions(usual)))
+def judged(baseline, pose: Pose, cloud: Cloud):
+    return judge_evidence(
+        SURFACE, baseline, gather_evidence(SURFACE, pose, cloud, sensor_directions(baseline))
+    )
 
 
 def test_regions_are_limbs():
@@ -114,12 +116,12 @@ def test_a_clump_of_points_is_counted_where_it_is(rng):
 def test_a_limb_without_points_is_empty_by_its_area(rng):
     arm = np.asarray([name == "left arm" for name in SURFACE.names])
     away, cloud = turned(REST, LeftArm=0.9), scan(REST, rng)
-    usual = update_values(NOTHING, gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY))
-    evidence = gather_evidence(SURFACE, away, cloud, sensor_directions(usual))
+    baseline = update_baseline(NOTHING, gather_evidence(SURFACE, REST, scan(REST, rng), NOBODY))
+    evidence = gather_evidence(SURFACE, away, cloud, sensor_directions(baseline))
     area = float(SURFACE.areas @ arm[SURFACE.regions])
     assert 0.3 * area < float(jnp.sum(evidence.empty[arm])) < area
     assert float(jnp.sum(evidence.empty[~arm])) < 0.005
-    for known, verdict in ((usual, "lost"), (NOTHING, "doubtful")):
+    for known, verdict in ((baseline, "lost"), (NOTHING, "doubtful")):
         judgement = judge_evidence(SURFACE, known, evidence)
         assert judgement.verdict == verdict
         assert any("left arm" in reason for reason in judgement.reasons)
@@ -129,21 +131,21 @@ def test_a_limb_without_points_is_empty_by_its_area(rng):
 @pytest.mark.parametrize("kept", [lambda points, normals: np.ones(len(points), bool), in_front])
 def test_right_frames_are_good_and_wrong_ones_are_not(rng, kept):
     """Whole, and by a sensor that nobody has spoken of: what it cannot see is no fault."""
-    usual = NOTHING
+    baseline = NOTHING
     for frame in range(6):
         pose = turned(REST, LeftArm=0.1 * frame, RightLeg=-0.1 * frame, RightUpLeg=0.1 * frame)
-        evidence = gather_evidence(SURFACE, pose, scan(pose, rng, kept), sensor_directions(usual))
-        judgement = judge_evidence(SURFACE, usual, evidence)
+        evidence = gather_evidence(SURFACE, pose, scan(pose, rng, kept), sensor_directions(baseline))
+        judgement = judge_evidence(SURFACE, baseline, evidence)
         assert judgement.verdict == "good", judgement.reasons
         assert judgement.reasons == ()
-        usual = update_values(usual, evidence)
+        baseline = update_baseline(baseline, evidence)
     cloud = scan(pose, rng, kept)
     for wrong in (turned(pose, RightLeg=1.5), turned(pose, LeftArm=1.0), turned(pose, LeftForeArm=2.0)):
-        judgement = judged(usual, wrong, cloud)
+        judgement = judged(baseline, wrong, cloud)
         assert judgement.verdict == "lost"
         assert judgement.reasons
     nothing = dataclasses.replace(cloud, weights=jnp.zeros_like(cloud.weights))
-    assert judged(usual, pose, nothing).verdict == "lost"
+    assert judged(baseline, pose, nothing).verdict == "lost"
 
 
 def test_clothes_are_usual_once_they_were_seen(rng):
@@ -164,12 +166,12 @@ def test_clothes_are_usual_once_they_were_seen(rng):
     assert first.reasons[0] == "unexplained points near the trunk"
     one_by_one = NOTHING
     for frame in evidence:
-        one_by_one = update_values(one_by_one, frame)
-    at_once = median_values(jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence))
-    for usual in (one_by_one, at_once):
-        again = judged(usual, poses[2], clothed(poses[2]))
+        one_by_one = update_baseline(one_by_one, frame)
+    at_once = median_baseline(jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence))
+    for baseline in (one_by_one, at_once):
+        again = judged(baseline, poses[2], clothed(poses[2]))
         assert again.verdict == "good", (again.shares, again.reasons)
-        assert judged(usual, turned(poses[2], RightArm=1.0), clothed(poses[2])).verdict == "lost"
+        assert judged(baseline, turned(poses[2], RightArm=1.0), clothed(poses[2])).verdict == "lost"
 
 
 @pytest.mark.parametrize("distance", [0.5, 0.8, 1.1])
@@ -220,14 +222,14 @@ def test_a_camera_sees_what_its_depth_buffer_says():
 
 def test_a_fault_that_grows_slowly_does_not_become_usual(rng):
     """An arm leaves the points by half a degree a frame; each frame differs from the one before by less than the noise does."""
-    usual, verdicts = learned(5, rng), []
+    baseline, verdicts = learned(5, rng), []
     for angle in np.radians(np.arange(0, 60, 0.5)):
         pose, cloud = turned(REST, LeftArm=float(angle)), scan(REST, rng)
-        evidence = gather_evidence(SURFACE, pose, cloud, sensor_directions(usual))
-        judgement = judge_evidence(SURFACE, usual, evidence)
+        evidence = gather_evidence(SURFACE, pose, cloud, sensor_directions(baseline))
+        judgement = judge_evidence(SURFACE, baseline, evidence)
         verdicts.append(judgement.verdict)
         # the worst that may happen: that all that is not lost is learned from
-        usual = usual if judgement.verdict == "lost" else update_values(usual, evidence)
+        baseline = baseline if judgement.verdict == "lost" else update_baseline(baseline, evidence)
     assert verdicts[0] == "good"
     assert "good" not in verdicts[-20:]
 
@@ -239,11 +241,11 @@ def test_a_body_that_always_ran_through_itself_is_not_usual(rng):
     for name, sign in (("LeftUpLeg", -1.0), ("RightUpLeg", 1.0)):
         change[layout.rotations[SKELETON.index(name)][2]] = 0.35 * sign
     crossed = retract(SKELETON, REST, jnp.asarray(change))
-    usual = NOTHING
+    baseline = NOTHING
     for _ in range(4):
-        evidence = gather_evidence(SURFACE, crossed, scan(crossed, rng), sensor_directions(usual))
-        judgement = judge_evidence(SURFACE, usual, evidence)
-        usual = update_values(usual, evidence)
+        evidence = gather_evidence(SURFACE, crossed, scan(crossed, rng), sensor_directions(baseline))
+        judgement = judge_evidence(SURFACE, baseline, evidence)
+        baseline = update_baseline(baseline, evidence)
     assert float(np.max(evidence.inside)) > 0.02
     assert judgement.verdict != "good"
     assert any("leg inside another part" in reason for reason in judgement.reasons)
@@ -251,7 +253,7 @@ def test_a_body_that_always_ran_through_itself_is_not_usual(rng):
 
 def test_parts_without_points_are_told(rng):
     """A forearm that no camera sees explains nothing and is missed by nothing, and yet its pose is a guess."""
-    usual = learned(3, rng)
+    baseline = learned(3, rng)
     joints = np.asarray(_pose_body(BODY, REST).joints)
     elbow = joints[SKELETON.index("LeftForeArm")]
 
@@ -259,8 +261,8 @@ def test_parts_without_points_are_told(rng):
         return points[:, 0] * np.sign(elbow[0]) < abs(elbow[0]) - 0.04
 
     def unseen(kept):
-        evidence = gather_evidence(SURFACE, REST, scan(REST, rng, kept), sensor_directions(usual))
-        return judge_evidence(SURFACE, usual, evidence).unseen
+        evidence = gather_evidence(SURFACE, REST, scan(REST, rng, kept), sensor_directions(baseline))
+        return judge_evidence(SURFACE, baseline, evidence).unseen
 
     assert not unseen(lambda points, normals: np.ones(len(points), bool))
     assert not unseen(in_front)
@@ -269,9 +271,9 @@ def test_parts_without_points_are_told(rng):
 
 def test_parts_beside_one_without_points_need_more_of_them(rng):
     """A forearm that takes a few points of the trunk is as much of a guess as the upper arm that has none."""
-    usual = learned(3, rng)
+    baseline = learned(3, rng)
     judgement = judge_evidence(
-        SURFACE, usual, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(usual))
+        SURFACE, baseline, gather_evidence(SURFACE, REST, scan(REST, rng), sensor_directions(baseline))
     )
     there = {"LeftArm": 0.0, "LeftForeArm": 0.4, "RightForeArm": 0.4}
     support = np.array([there.get(part, 1.0) for part in judgement.parts])
@@ -280,15 +282,15 @@ def test_parts_beside_one_without_points_need_more_of_them(rng):
 
 def test_a_fault_at_the_limit_does_not_flicker(rng):
     """After a frame that was not good, one has to lie further within the limits."""
-    usual = learned(3, rng)
+    baseline = learned(3, rng)
     cloud = scan(turned(REST, LeftArm=0.12), rng)
-    after = [judged(known, REST, cloud) for known in (usual, mark_flagged(usual))]
+    after = [judged(known, REST, cloud) for known in (baseline, mark_flagged(baseline))]
     np.testing.assert_array_equal(after[0].shares, after[1].shares)
     doubt = [float(one.doubt) for one in after]
     assert doubt[1] < doubt[0]
     between = [dataclasses.replace(one, shares=np.full((3, 18), np.mean(doubt))) for one in after]
     assert [one.verdict for one in between] == ["good", "doubtful"]
     assert (
-        float(update_values(mark_flagged(usual), gather_evidence(SURFACE, REST, cloud, NOBODY)).flagged)
+        float(update_baseline(mark_flagged(baseline), gather_evidence(SURFACE, REST, cloud, NOBODY)).flagged)
         == 0.0
     )

@@ -6,7 +6,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
-from jaxcap.demo.performance import walk_and_wave
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.fit.tracking.limb_flips import flip_limb_ends, limb_ends
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation

@@ -10,7 +10,7 @@ import trimesh
 from jaxcap.adapt.poses.pose import DEPTH_BUFFER_SIZE
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.demo.performance import walk_and_wave
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.geometry.camera import is_in_image, look_at, ring_of_cameras
 

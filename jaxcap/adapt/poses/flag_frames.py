@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
+from ...fit.judgement.baseline import median_baseline, sensor_directions
 from ...fit.judgement.evidence import Evidence, gather_evidence
-from ...fit.judgement.normal_values import median_values, sensor_directions
 from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import Judgement, judge_evidence
 from ...geometry.camera import Camera
@@ -33,7 +33,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
     """Judge the poses of all frames by one rule, and record the `lost` frames and their `reasons`.
 
     A frame is judged by part (`fit.judgement`) and by its median distance from the body. Both are compared
-    with the normal values of all frames, whatever their order. A `final` motion is also judged by an absolute
+    with the baseline of all frames, whatever their order. A `final` motion is also judged by an absolute
     distance.
     """
     reasons = dict.fromkeys(task.missing, NO_SCAN)
@@ -54,7 +54,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
 
 
 def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
-    """Compare each scanned frame by part with the usual values of all frames."""
+    """Compare each scanned frame by part with the baseline of all frames."""
     surface = sampled_surface(state.body)
 
     def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
@@ -63,9 +63,9 @@ def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     evidence = gather(task.cameras)
     if not task.cameras:
         # estimate the sensors from all frames together
-        evidence = gather(sensor_directions(median_values(_stack(evidence))))
-    usual = median_values(_stack(evidence))
-    return [judge_evidence(surface, usual, one) for one in evidence]
+        evidence = gather(sensor_directions(median_baseline(_stack(evidence))))
+    baseline = median_baseline(_stack(evidence))
+    return [judge_evidence(surface, baseline, one) for one in evidence]
 
 
 def _stack(evidence: list[Evidence]) -> Evidence:

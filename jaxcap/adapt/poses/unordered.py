@@ -114,7 +114,7 @@ class _Search:
     def __init__(self, task: AdaptTask, body: Body):
         height = float(body_height(body))
         self.tracker = make_task_tracker(task, body)
-        self.coarse = coarse_tracker(task.template, self.tracker)
+        self.coarse = coarse_template_tracker(task.template, self.tracker)
         # a frame is read several times in a row
         self.cloud = functools.lru_cache(2)(task.cloud)
         self.shapes = {frame: distance_field(self.cloud(frame), height) for frame in task.scanned}
@@ -159,7 +159,7 @@ class _Search:
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *picked)
 
 
-def coarse_tracker(template: Body, tracker: Tracker) -> Tracker:
+def coarse_template_tracker(template: Body, tracker: Tracker) -> Tracker:
     """Make a tracker of fewer vertices for searches.
 
     Its triangles depend only on the template, so that another body does not compile again.

@@ -171,11 +171,6 @@ def make_pose_boxes(
     return PoseBoxes(tuple(joints), jnp.asarray(lower, float), jnp.asarray(upper, float))
 
 
-def empty_boxes() -> PoseBoxes:
-    """Create boxes of no joint, which limit nothing."""
-    return make_pose_boxes((), np.zeros((0, 3)), np.zeros((0, 3)))
-
-
 def rotating_joints(skeleton: Skeleton) -> tuple[int, ...]:
     """List the joints whose rotations are part of a pose: all that rotate except roots.
 

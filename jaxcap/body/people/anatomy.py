@@ -1,10 +1,17 @@
-"""Standard deviations of the joint rotations of a human skeleton from rest."""
+"""Regions of a human body by the names of its joints, and standard deviations of its joints from rest."""
 
 import numpy as np
 from jaxtyping import Float
 
 from ..skeleton import Skeleton
 
+#: joints of the embedded human in each region of the body, without their side
+BODY_REGIONS: dict[str, tuple[str, ...]] = {
+    "trunk": ("Hips", "LowerBack", "Spine", "Spine1"),
+    "head": ("Neck", "Neck1", "Head"),
+    "arm": ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandFinger1", "Thumb"),
+    "leg": ("HipJoint", "UpLeg", "Leg", "Foot", "ToeBase"),
+}
 #: radians of twist about the bone, of flexion, and sideways, by the joint's name without its
 #: side; about a third of the ranges of motion of adults (Kapandji, The Physiology of the Joints)
 DEVIATIONS: dict[str, tuple[float, float, float]] = {

@@ -11,7 +11,8 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
-from ...io.text import BODY, UNITS, likely_units, shortened
+from ...io.text import shortened
+from ...units import BODY_SIZE, UNITS, likely_units
 from ..console.console import pluralise, say
 from ..motions import extent, load_motion, warn_of_clip
 from .listing import indented, print_list
@@ -68,10 +69,10 @@ def describe_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
     describe_motion(motion)
     describe_skeleton(skeleton)
     reach = extent(skeleton)
-    if unit is not None or BODY[0] <= reach <= BODY[1] or skeleton.num_joints == 1:
+    if unit is not None or BODY_SIZE[0] <= reach <= BODY_SIZE[1] or skeleton.num_joints == 1:
         return "motion", unit
     own = DEFAULT_UNITS[".bvh"]
-    likely = likely_units(reach / UNITS[own])
+    likely = likely_units(reach / UNITS[own], *BODY_SIZE)
     fits = (
         f"in {likely[0]} it would have the size of a person"
         if likely

@@ -5,7 +5,7 @@ from pathlib import Path
 from ...body.body import Body
 from ...body.people.sample import sample_poses
 from ...body.pose import Motion
-from ...edit.linear.linearise import linear_motion, linearise
+from ...edit.linear_blend.convert import linear_motion, to_linear_blend
 from ...io.registry import write_body
 from ..console.console import say, warn
 
@@ -18,17 +18,17 @@ def write_linear_body(
     **Raises:** `InputError` if the file cannot be written; `ValueError` if a number is not positive.
     """
     poses = sample_poses(body.skeleton) if motion is None else motion.poses
-    linearised = linearise(body, poses, tolerance, max_influences=influences)
-    linear, joints = linearised.body, body.skeleton.num_joints
-    write_body(target, linear, None if motion is None else linear_motion(linearised, motion))
+    converted = to_linear_blend(body, poses, tolerance, max_influences=influences)
+    linear, joints = converted.body, body.skeleton.num_joints
+    write_body(target, linear, None if motion is None else linear_motion(converted, motion))
     virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]
     say(
         f"{target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones; "
-        f"largest error {1000 * linearised.error:.2g} mm, mean {1000 * linearised.mean_error:.2g} mm, "
+        f"largest error {1000 * converted.error:.2g} mm, mean {1000 * converted.mean_error:.2g} mm, "
         f"over {count} {'sampled poses' if motion is None else 'frames'}"
     )
-    if linearised.error > tolerance:
+    if converted.error > tolerance:
         warn(
-            f"{target}: {1000 * linearised.error:.2g} mm, the largest error of a vertex, exceeds the tolerance of "
+            f"{target}: {1000 * converted.error:.2g} mm, the largest error of a vertex, exceeds the tolerance of "
             f"{1000 * tolerance:.2g} mm; increase --influences"
         )

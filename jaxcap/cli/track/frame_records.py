@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.normal_values import initial_values
+from ...fit.judgement.baseline import initial_baseline
 from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em import FrameStatistics
@@ -118,10 +118,10 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     number = jnp.zeros((), pose.rotations.dtype)
     statistics = FrameStatistics(number, number, number, number)
     surface = sampled_surface(tracker.body)
-    usual = initial_values(surface, num_cameras)
+    baseline = initial_baseline(surface, num_cameras)
     support = jnp.zeros(len(surface.joints), number.dtype)
     judgement = Judgement(
-        usual.level, number, number, support, surface.names, surface.joints, surface.part_parents
+        baseline.level, number, number, support, surface.names, surface.joints, surface.part_parents
     )
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, usual, SearchPause(), 0.0)
+    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchPause(), 0.0)

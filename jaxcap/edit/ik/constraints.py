@@ -15,7 +15,7 @@ from ...body.body import Body, take_vertices
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
 from ...observe.clouds import padded_size
-from .held_points import ConstrainedSkin
+from .constrained_skin import ConstrainedSkin
 
 #: metres from a joint's centre to the points that constrain its orientation; a rotation by a twentieth of a
 #: radian counts as much as a translation by a centimetre

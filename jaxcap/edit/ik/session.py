@@ -17,7 +17,7 @@ from ...body.pose import Pose, project, rest_pose
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.prior import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
-from .places import point_positions
+from .point_positions import point_positions
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: number of undo steps that a session keeps
@@ -171,16 +171,6 @@ def end_drag(session: IkSession) -> IkSession:
     if begun is None or begun is session.state:
         return session
     return session._replace(undo_states=(*session.undo_states, begun)[-MAX_UNDO_STEPS:], redo_states=())
-
-
-def move_constraint(
-    session: IkSession,
-    point: int | str,
-    target: Position | None = None,
-    orientation: Quaternion | None = None,
-) -> IkSession:
-    """Move a target in one step: `begin_drag`, `drag`, `end_drag`."""
-    return end_drag(drag(begin_drag(session), point, target, orientation))
 
 
 def remove_orientation(session: IkSession, point: str) -> IkSession:

@@ -10,8 +10,7 @@ from ...errors import user_message
 from .matches import JointMatches, UnmatchedJoints, initial_name_table
 from .names import Side
 from .pairing import SIDES, follow_twist_joints, pair_equal_names, pair_joints
-from .person import Person, find_person
-from .reference import find_upright_pose
+from .person_joints import PersonJoints, identify_joints
 from .sides import UnknownSides, swap_sides, toes_point_backward
 from .table import (
     Table,
@@ -22,6 +21,7 @@ from .table import (
     make_table,
     override_roles,
 )
+from .upright_pose import find_upright_pose
 
 #: least number of matched joints
 MIN_MATCHES = 3
@@ -54,7 +54,7 @@ def match_joints(
     neither at rest nor in the motion.
     """
     table = make_table(source, target, names or {})
-    there = find_person(target, known_target_names(source, target, table))
+    there = identify_joints(target, known_target_names(source, target, table))
     here = _find_source_person(source, target, there, table)
     try:
         stood = find_upright_pose(target, there, None, "target", known_limb_sides(there, table))
@@ -81,14 +81,16 @@ def match_joints(
     return found._replace(warnings=(*_check_facing(found, table), *_check_limbs(found, table)))
 
 
-def _find_source_person(source: Skeleton, target: Skeleton, target_person: Person, table: Table) -> Person:
+def _find_source_person(
+    source: Skeleton, target: Skeleton, target_person: PersonJoints, table: Table
+) -> PersonJoints:
     """Find the person of the source by names, tree and table."""
     return override_roles(
-        find_person(source, known_source_names(target, target_person, table)), target_person, table
+        identify_joints(source, known_source_names(target, target_person, table)), target_person, table
     )
 
 
-def _resolve_contradiction(person: Person, error: UnknownSides) -> Person:
+def _resolve_contradiction(person: PersonJoints, error: UnknownSides) -> PersonJoints:
     """Exchange the sides of a person if they are swapped; remove the limbs if the sides are unknown."""
     return swap_sides(person) if error.swapped else person._replace(parts={}, fingers={})
 
@@ -96,7 +98,7 @@ def _resolve_contradiction(person: Person, error: UnknownSides) -> Person:
 def _make_error(
     sentence: str,
     skeletons: tuple[Skeleton, Skeleton],
-    persons: tuple[Person, Person],
+    persons: tuple[PersonJoints, PersonJoints],
     table: Table,
     pairs: Mapping[int, int] | None = None,
     *,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from .reference import UprightPose
+from .upright_pose import UprightPose
 
 
 class UnmatchedJoints(InputError):

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...body.skeleton import Skeleton
 from .names import Side, normalise_name
-from .person import Person
+from .person_joints import PersonJoints
 from .table import Table
 
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -17,7 +17,7 @@ MIN_END_DISTANCE = 0.05
 Followed = dict[int, tuple[int, int, float]]
 
 
-def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int, int], Followed]:
+def pair_joints(source: PersonJoints, target: PersonJoints, table: Table) -> tuple[dict[int, int], Followed]:
     """Pair corresponding joints from target to source, and choose the source joints that each target joint
     follows.
 
@@ -50,7 +50,7 @@ def pair_joints(source: Person, target: Person, table: Table) -> tuple[dict[int,
     return pairs, followed
 
 
-def _follow_trunk(source: Person, target: Person, table: Table) -> Followed:
+def _follow_trunk(source: PersonJoints, target: PersonJoints, table: Table) -> Followed:
     """Choose the joints that the spine and the neck of the target follow."""
     if source.pelvis < 0 or target.pelvis < 0:
         return {}
@@ -127,7 +127,7 @@ def _matched_descendants(target: Skeleton, joint: int, pairs: Mapping[int, int])
 
 
 def follow_twist_joints(
-    source: Skeleton, target: Person, pairs: Mapping[int, int], followed: Followed
+    source: Skeleton, target: PersonJoints, pairs: Mapping[int, int], followed: Followed
 ) -> None:
     """Make upper arms and thighs follow the far ends of the source's bones if these have twist joints.
 

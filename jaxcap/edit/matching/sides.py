@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .names import Side
-from .person import LIMB_PARTS, Person
+from .person_joints import LIMB_PARTS, PersonJoints
 
 #: least forward component of the toes, relative to their lengths, that determines the sides
 MIN_TOE_DIRECTION = 0.3
@@ -22,11 +22,11 @@ class UnknownSides(ValueError):
 
 
 def resolve_sides(
-    person: Person,
+    person: PersonJoints,
     positions: Float[np.ndarray, "J 3"],
     up: Float[np.ndarray, "3"],
     known_sides: Collection[str] = (),
-) -> Person:
+) -> PersonJoints:
     """Determine left and right of limbs without sides in their names.
 
     The joint positions are those of a pose that stands along `up`. Limbs with sides determine the others;
@@ -71,19 +71,19 @@ def resolve_sides(
 
 
 def toes_point_backward(
-    person: Person, positions: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None
+    person: PersonJoints, positions: Float[np.ndarray, "J 3"], axes: Float[np.ndarray, "3 3"] | None
 ) -> bool:
     """Check whether the toes point backward for a person with `axes` left, up and front."""
     forward = None if axes is None else _toe_direction(person, positions, axes[:, 1])
     return forward is not None and axes is not None and bool(forward @ axes[:, 2] < 0)
 
 
-def swap_sides(person: Person) -> Person:
+def swap_sides(person: PersonJoints) -> PersonJoints:
     """Exchange left and right of a person."""
     return _swap_limb_sides(_swap_limb_sides(person, "leg"), "arm")
 
 
-def _lateral_steps(person: Person, positions: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
+def _lateral_steps(person: PersonJoints, positions: np.ndarray, up: np.ndarray) -> dict[str, np.ndarray]:
     """Compute horizontal steps from right to left, for the types of limbs whose sides are known."""
     found = {}
     for kind, part in (("leg", "thigh"), ("arm", "upper_arm")):
@@ -93,7 +93,7 @@ def _lateral_steps(person: Person, positions: np.ndarray, up: np.ndarray) -> dic
     return found
 
 
-def _toe_direction(person: Person, positions: np.ndarray, up: np.ndarray) -> np.ndarray | None:
+def _toe_direction(person: PersonJoints, positions: np.ndarray, up: np.ndarray) -> np.ndarray | None:
     """Compute the horizontal direction of the toes; None without toes or a clear direction."""
     feet = [
         (person.parts.get((side, "foot")), person.parts.get((side, "toes"))) for side in ("left", "right")
@@ -112,7 +112,7 @@ def _toe_direction(person: Person, positions: np.ndarray, up: np.ndarray) -> np.
     )
 
 
-def _swap_limb_sides(person: Person, kind: str) -> Person:
+def _swap_limb_sides(person: PersonJoints, kind: str) -> PersonJoints:
     """Exchange left and right of one type of limb."""
     own = {*LIMB_PARTS[kind], *(("palm",) if kind == "arm" else ())}
     other: dict[Side, Side] = {"left": "right", "right": "left"}

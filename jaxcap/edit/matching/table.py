@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ...body.skeleton import Skeleton
 from .names import JointName, Side, normalise_name, parse_joint_name
-from .person import LIMB_PARTS, Person
+from .person_joints import LIMB_PARTS, PersonJoints
 
 #: a joint without a match by the table is skipped, and belongs to no body part
 NO_PART = JointName(None, ("none",), None, True)
@@ -59,7 +59,7 @@ def known_target_names(source: Skeleton, target: Skeleton, table: Table) -> dict
     }
 
 
-def known_source_names(target: Skeleton, person: Person, table: Table) -> dict[int, JointName]:
+def known_source_names(target: Skeleton, person: PersonJoints, table: Table) -> dict[int, JointName]:
     """Read the source's joints in the table by their roles in the `person` of the target."""
     roles: dict[int, JointName] = {}
     for part, joints in (("pelvis", (person.pelvis,)), ("spine", person.spine), ("neck", person.neck)):
@@ -76,7 +76,7 @@ def known_source_names(target: Skeleton, person: Person, table: Table) -> dict[i
     return said | dict.fromkeys(table.none, NO_PART)
 
 
-def known_limb_sides(person: Person, table: Table) -> set[str]:
+def known_limb_sides(person: PersonJoints, table: Table) -> set[str]:
     """Find the types of limbs whose sides the table gives, by the `person` of the target."""
     return {
         kind
@@ -86,7 +86,7 @@ def known_limb_sides(person: Person, table: Table) -> set[str]:
     }
 
 
-def override_roles(source: Person, target: Person, table: Table) -> Person:
+def override_roles(source: PersonJoints, target: PersonJoints, table: Table) -> PersonJoints:
     """Replace roles in the source's person by the joints of the table, at the `target`'s roles."""
     given = table.source_joints
     parts = {key: joint for key, joint in source.parts.items() if joint not in given}
@@ -101,7 +101,7 @@ def override_roles(source: Person, target: Person, table: Table) -> Person:
         return tuple(here) or tuple(table.pairs[joint] for joint in there if joint in table.pairs)
 
     kinds = known_limb_sides(target, table)
-    return Person(
+    return PersonJoints(
         single(source.pelvis, target.pelvis),
         chain(source.spine, target.spine),
         chain(source.neck, target.neck),
@@ -113,7 +113,7 @@ def override_roles(source: Person, target: Person, table: Table) -> Person:
 
 
 def initial_pairs(
-    source: Skeleton, target: Skeleton, person: Person | None, pairs: Mapping[int, int], table: Table
+    source: Skeleton, target: Skeleton, person: PersonJoints | None, pairs: Mapping[int, int], table: Table
 ) -> dict[int, int]:
     """Choose pairs for an initial table: those of the table, then limbs by equal names, then other pairs
     found.
@@ -140,7 +140,7 @@ def initial_pairs(
     return chosen | rest
 
 
-def _limb_joints(person: Person) -> list[tuple[list[int], tuple[int, ...]]]:
+def _limb_joints(person: PersonJoints) -> list[tuple[list[int], tuple[int, ...]]]:
     """List the joints of each limb, with and without clavicle and toes."""
     sides: tuple[Side, Side] = ("left", "right")
     return [

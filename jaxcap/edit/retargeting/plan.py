@@ -24,8 +24,8 @@ from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
 from ..matching.match import SIDES, match_joints
 from ..matching.matches import JointMatches
-from ..matching.person import far_end
-from ..matching.reference import joint_transforms
+from ..matching.person_joints import far_end
+from ..matching.upright_pose import joint_transforms
 from .hinges import hinge_axis, rest_hinge_axis, twist_between
 
 #: default vertical, if no legs determine it

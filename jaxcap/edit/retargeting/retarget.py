@@ -14,7 +14,7 @@ from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose, rest_pose, universal_angles
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
-from ..matching.reference import joint_transforms
+from ..matching.upright_pose import joint_transforms
 from .plan import UP, RetargetPlan, plan_retarget
 
 #: share of frames in which a motion may be below its floor

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed, pose_body
+from ...body.people.anatomy import BODY_REGIONS
 from ...body.pose import rest_pose
 from ...body.skeleton import Skeleton
 from ..data.soft_object import SoftObject, make_soft_object, soft_distance
@@ -17,7 +18,7 @@ from ..energy import AbstractEnergy, safe_sqrt
 #: parts of a person's limbs that must not be inside of others, without their side
 ARM = ("ForeArm", "Hand", "FingerBase", "HandFinger1")
 LEG = ("Leg", "Foot", "ToeBase")
-TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+TRUNK = (*BODY_REGIONS["trunk"], *BODY_REGIONS["head"])
 #: number of points of a limb, and depth that is allowed everywhere, as skin is soft, metres
 NUM_POINTS, ALLOWED_DEPTH = 48, 0.01
 

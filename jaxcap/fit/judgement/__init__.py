@@ -1,1 +1,1 @@
-"""Judgement of a posed body's fit to a cloud, by part, compared with the normal values of a sequence."""
+"""Judgement of a posed body's fit to a cloud, by part, compared with the baseline of a sequence."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body
+from ...body.people.anatomy import BODY_REGIONS
 from ...body.skeleton import Skeleton
 from ...geometry.morton_order import spatial_order
 from .inside import inside_degrees
@@ -19,13 +20,6 @@ NUM_SAMPLES = 1536
 STRIDE, MIN_DISTANCE = 2, 0.016
 #: parts with a smaller share of the area are judged together with their parent
 MIN_AREA = 0.012
-#: names of the regions of human joints in sentences, without their side
-LIMBS: dict[str, tuple[str, ...]] = {
-    "trunk": ("Hips", "LowerBack", "Spine", "Spine1"),
-    "head": ("Neck", "Neck1", "Head"),
-    "arm": ("Shoulder", "Arm", "ForeArm", "Hand", "FingerBase", "HandFinger1", "Thumb"),
-    "leg": ("HipJoint", "UpLeg", "Leg", "Foot", "ToeBase"),
-}
 _SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
 
 
@@ -132,7 +126,7 @@ def region_name(joint: str) -> str:
     """Name the limb of a joint in words, such as "left leg"; the joint's own name where it is not a human's."""
     sided = [(words, joint.removeprefix(side)) for side, words in _SIDES.items() if joint.startswith(side)]
     for side, plain in (*sided, ("", joint)):
-        for limb, names in LIMBS.items():
+        for limb, names in BODY_REGIONS.items():
             if plain in names:
                 return f"{side} {limb}".strip()
     return joint

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .baseline import INSIDE, Baseline, stack_evidence
 from .evidence import NUM_POINTS, Evidence
-from .normal_values import INSIDE, NormalValues, stack_evidence
 from .surface import SampledSurface
 
 #: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
@@ -25,7 +25,7 @@ SAMPLING = 3.0
 #: multiple of the good frames' deviations that an excess has to exceed, too
 DEVIATIONS = 5.0
 #: largest factor on the limits in a sequence that varies much, and factor on the limits of an excess over the
-#: sequence's beginning (`NormalValues.base`)
+#: sequence's beginning (`Baseline.first_level`)
 MAX_FACTOR = 2.0
 #: share of the expected points below which a part is unseen; a part adjacent to an unseen one needs more, as
 #: points of an occluder may be assigned to it
@@ -33,16 +33,16 @@ UNSEEN, UNSEEN_ADJACENT = 0.3, 0.5
 #: share of the limits at which a frame is doubtful; and the same after a frame that was not good, so that
 #: noise does not hide a persistent fault for a frame
 DOUBTFUL_SHARE, DOUBTFUL_SHARE_AFTER = 0.7, 0.6
-#: factor on the limits at which a first frame, without normal values, is lost
+#: factor on the limits at which a first frame, without a baseline, is lost
 FIRST_FRAME_FACTOR = 10.0
 
 
 class Judgement(eqx.Module):
-    """A frame compared with a sequence's normal values: shares of the limits at which a frame is lost."""
+    """A frame compared with a sequence's baseline: shares of the limits at which a frame is lost."""
 
     #: of each row of `stack_evidence`, by region and, last, of the whole body
     shares: Float[Array | np.ndarray, "3 Q"]
-    #: one, or more for a first frame without normal values
+    #: one, or more for a first frame without a baseline
     tolerance: Float[Array | np.ndarray, ""]
     #: share of a limit at which the frame is doubtful
     doubt: Float[Array | np.ndarray, ""]
@@ -95,26 +95,30 @@ class Judgement(eqx.Module):
 
 
 @eqx.filter_jit
-def judge_evidence(surface: SampledSurface, usual: NormalValues, evidence: Evidence) -> Judgement:
-    """Compare the evidence of a frame with the normal values.
+def judge_evidence(surface: SampledSurface, baseline: Baseline, evidence: Evidence) -> Judgement:
+    """Compare the evidence of a frame with the baseline.
 
-    Before the first frame there are none (`initial_values`). Absolute limits then make a frame doubtful, and
+    Before the first frame it has no frames (`initial_baseline`). Absolute limits then make a frame doubtful, and
     `FIRST_FRAME_FACTOR` times wider ones lost, because clothes leave as much unexplained as a slightly wrong
     limb. A fault that grows slowly enough to become normal is detected by comparison with the level of the
     first frames.
     """
-    plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], usual.level.dtype)
+    plain = jnp.asarray([[row[0]] * len(surface.names) + [row[1]] for row in LIMITS], baseline.level.dtype)
     # self-intersection is never normal, however frequent
-    level, base = usual.level.at[INSIDE].set(0.0), usual.base.at[INSIDE].set(0.0)
-    limits = _limits(plain, usual.level)
-    limits = jnp.clip(DEVIATIONS * usual.deviation, limits, MAX_FACTOR * limits)
+    level, first_level = baseline.level.at[INSIDE].set(0.0), baseline.first_level.at[INSIDE].set(0.0)
+    limits = _limits(plain, baseline.level)
+    limits = jnp.clip(DEVIATIONS * baseline.deviation, limits, MAX_FACTOR * limits)
     value = stack_evidence(evidence)
     shares = jnp.maximum(
         (value - level) / limits,
-        jnp.where(usual.frames > 0, (value - base) / (MAX_FACTOR * _limits(plain, usual.base)), 0.0),
+        jnp.where(
+            baseline.frames > 0,
+            (value - first_level) / (MAX_FACTOR * _limits(plain, baseline.first_level)),
+            0.0,
+        ),
     )
-    tolerance = jnp.where(usual.frames > 0, 1.0, FIRST_FRAME_FACTOR).astype(limits.dtype)
-    doubt = jnp.where(usual.flagged > 0, DOUBTFUL_SHARE_AFTER, DOUBTFUL_SHARE).astype(limits.dtype)
+    tolerance = jnp.where(baseline.frames > 0, 1.0, FIRST_FRAME_FACTOR).astype(limits.dtype)
+    doubt = jnp.where(baseline.flagged > 0, DOUBTFUL_SHARE_AFTER, DOUBTFUL_SHARE).astype(limits.dtype)
     return Judgement(
         shares, tolerance, doubt, evidence.support, surface.names, surface.joints, surface.part_parents
     )

@@ -22,7 +22,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Shaped
 
 from ..solvers.equalities import Equalities
-from .cholesky import rounding_bound, unit_scale
+from .cholesky import diagonal_scale, rounding_bound
 from .structured import AbstractFactor, AbstractStructuredMatrix
 
 _einsum = partial(jnp.einsum, precision="highest")
@@ -69,7 +69,7 @@ class BlockBanded(AbstractStructuredMatrix):
         which all devices compute fast.
         """
         frames, width, dofs, _ = self.blocks.shape
-        scale = unit_scale(self.diagonal())
+        scale = diagonal_scale(self.diagonal())
         even = self.blocks * scale[:, None, :, None] * stack_previous(scale, width)[:, :, None, :]
         there = jnp.arange(frames)[:, None] >= jnp.arange(width)
         even = jnp.where(there[:, :, None, None], even, 0.0)

@@ -27,7 +27,7 @@ def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> Choles
     A row of zeros has the scale one, so that an unknown without data does not move.
     """
     size, dtype = len(matrix), matrix.dtype
-    scale = unit_scale(jnp.diagonal(matrix))
+    scale = diagonal_scale(jnp.diagonal(matrix))
     if size == 0:
         return CholeskyFactor(matrix, scale)
     even = matrix * scale[:, None] * scale
@@ -35,7 +35,7 @@ def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> Choles
     return CholeskyFactor(jnp.linalg.cholesky(even + ridge * jnp.eye(size, dtype=dtype)), scale)
 
 
-def unit_scale(diagonal: Float[Array, "*N"]) -> Float[Array, "*N"]:
+def diagonal_scale(diagonal: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """Compute the scale that makes a diagonal one; one where the diagonal is not positive."""
     positive = diagonal > 0
     return jnp.where(positive, 1.0 / jnp.sqrt(jnp.where(positive, diagonal, 1.0)), 1.0)

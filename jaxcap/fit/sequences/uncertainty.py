@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.skeleton import dof_layout
 from ...errors import InputError
-from ..linear.cholesky import unit_scale
+from ..linear.cholesky import diagonal_scale
 from ..solvers.implicit import free_unknowns
 from .problem import SequenceEstimate, SequenceProblem
 from .solve import SequenceSolution
@@ -96,7 +96,7 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     free = free_unknowns(info)
     arrow = arrow.restricted(free)
     # on a unit diagonal, undetermined coordinates get the smallest resolvable curvature
-    x, s = (_unit_scale(part, tolerance) for part in arrow.diagonal())
+    x, s = (_diagonal_scale(part, tolerance) for part in arrow.diagonal())
     arrow = arrow.rescaled(x, s)
     arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
     factor = arrow.frames.factorise()
@@ -121,10 +121,10 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     return poses, variance * shared * _outer(s * units[1]), directions, unobservable, still
 
 
-def _unit_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
+def _diagonal_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
     """Compute the scale to a unit diagonal, except for curvatures below the rounding error of the largest."""
     largest = jnp.max(diagonal, initial=0.0)
-    return unit_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
+    return diagonal_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
 
 
 def _constrained_eigh(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):

@@ -56,7 +56,7 @@ class GaussNewton(AbstractManifoldSolver):
         del fn, options, tags
         units, unravel = ravel_pytree(args.scales())
         residual, jacobian = args.linearise(y)
-        full, solved = try_damped_step(residual, jacobian, self.damping * jnp.ones_like(units))
+        full, solved = damped_step(residual, jacobian, self.damping * jnp.ones_like(units))
         full = jnp.where(solved, full, 0.0)
 
         def too_high(carry):
@@ -103,16 +103,8 @@ def energy_of(problem: AbstractProblem, y) -> Float[Array, ""]:
 
 def damped_step(
     residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
-) -> Float[Array, "D"]:
-    """Compute `-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5); zero where that fails."""
-    step, solved = try_damped_step(residual, jacobian, damping)
-    return jnp.where(solved, step, 0.0)
-
-
-def try_damped_step(
-    residual: Float[Array, "R"], jacobian: Float[Array, "R D"], damping: Float[Array, "D"]
 ) -> tuple[Float[Array, "D"], Bool[Array, ""]]:
-    """Compute the step of `damped_step`, and whether it is finite.
+    """Compute `-(J^T J + diag(damping))^-1 J^T r` by Cholesky (Kineben, eq. 5), and whether it is finite.
 
     The matrix is first scaled to a unit diagonal, so that float32 loses no digits to units, and a bound of
     the rounding error is added to the diagonal. If rounding errors exceed it, the step is NaN.

@@ -6,15 +6,8 @@ from jaxtyping import Float
 from ...body.body import Body
 from ...errors import InputError
 from ...observe.clouds import Cloud
+from ...units import UNIT_NAMES, UNITS, units_within
 
-#: metres per unit, for common units of files
-_UNITS = {
-    "millimetres (mm)": 1e-3,
-    "centimetres (cm)": 1e-2,
-    "decimetres (dm)": 0.1,
-    "inches (in)": 0.0254,
-    "feet (ft)": 0.3048,
-}
 #: size of a cloud relative to its body beyond which its unit is wrong; outliers and floors extend far
 MAX_RATIO, MIN_RATIO = 8.0, 0.02
 #: size of a cloud relative to its body within which a unit is plausible
@@ -45,15 +38,17 @@ def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> Non
     extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
     if MIN_RATIO * height <= extent <= MAX_RATIO * height:
         return
-    shares = {unit: extent * size / height for unit, size in _UNITS.items()}
     # centimetres and inches are too similar for partly visible people
-    likely = [unit for unit, share in shares.items() if MIN_UNIT_RATIO < share < MAX_UNIT_RATIO]
+    likely = units_within(extent / height, MIN_UNIT_RATIO, MAX_UNIT_RATIO)
     if not likely:
         # with a floor or a room around it
-        nearest = min(shares, key=lambda unit: abs(np.log(shares[unit])))
-        likely = [nearest] if abs(np.log(shares[nearest])) < np.log(4.0) else []
+        errors = {unit: abs(np.log(extent * metres / height)) for unit, metres in UNITS.items()}
+        nearest = min(errors, key=lambda unit: errors[unit])
+        likely = [nearest] if errors[nearest] < np.log(4.0) else []
     if extent > height and likely:
-        hint = f"it looks like {' or '.join(likely)}: give that unit"
+        hint = (
+            f"it looks like {' or '.join(f'{UNIT_NAMES[unit]} ({unit})' for unit in likely)}: give that unit"
+        )
     else:
         hint = "check the units of both"
     raise InputError(f"{name} is {extent:.4g} m long, but the body {height:.4g} m; {hint}.")

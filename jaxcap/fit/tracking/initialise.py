@@ -35,7 +35,7 @@ COMPARISON_SIGMA = 0.02
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 
 
-def anneal(
+def anneal_pose(
     tracker: Tracker, cloud: Cloud, start: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Estimate, Float[Array, ""]]:
     """Fit a pose by expectation maximisation with a given, falling standard deviation at every step.
@@ -64,10 +64,10 @@ def anneal(
 def anneal_each(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
-    """Run `anneal` from each of P stacked starts; poses and scores in their order."""
+    """Run `anneal_pose` from each of P stacked starts; poses and scores in their order."""
 
     def one(start):
-        estimate, score = anneal(tracker, cloud, start, sigmas)
+        estimate, score = anneal_pose(tracker, cloud, start, sigmas)
         return estimate.pose, score
 
     return jax.lax.map(one, starts)

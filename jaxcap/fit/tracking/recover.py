@@ -10,14 +10,14 @@ from ...body.pose import Pose
 from ...energy.priors.prior import tangent_deviations
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
-from ..judgement.evidence import gather_evidence
-from ..judgement.normal_values import (
-    NormalValues,
-    initial_values,
+from ..judgement.baseline import (
+    Baseline,
+    initial_baseline,
     mark_flagged,
     sensor_directions,
-    update_values,
+    update_baseline,
 )
+from ..judgement.evidence import gather_evidence
 from ..judgement.surface import SampledSurface
 from ..judgement.verdict import Judgement, judge_evidence
 from .em import Estimate, FrameStatistics
@@ -75,8 +75,8 @@ class TrackedFrame(eqx.Module):
     state: TrackState
     #: pose of the last frame that was not lost, including this one
     trusted: Pose
-    #: normal values, from the good frames so far
-    normal_values: NormalValues
+    #: statistics of the good frames so far
+    baseline: Baseline
     search_pause: SearchPause
     #: number of searches so far, including this frame's
     searches: float
@@ -124,15 +124,15 @@ def track_first_frame(
     """Track the first frame from a pose near it.
 
     The standard deviation falls from `sigma`, over repeated tracking of the same cloud, which uses the
-    function that is compiled anyway. No normal values are known yet, and limits are absolute.
+    function that is compiled anyway. There is no baseline yet, and limits are absolute.
     """
     last = min(sigma, FIRST_SIGMA)
     state = start_state(tracker, pose, sigma)
     for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
         state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
-    usual = initial_values(surface, len(cloud.views))
-    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, usual, SearchPause())
+    baseline = initial_baseline(surface, len(cloud.views))
+    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline, SearchPause())
     return finish_frame(tracker, frame, pose)
 
 
@@ -141,30 +141,30 @@ def judge_frame(
     cloud: Cloud,
     state: TrackState,
     statistics: FrameStatistics,
-    usual: NormalValues,
+    baseline: Baseline,
     patience: SearchPause,
     searches: float = 0.0,
 ) -> TrackedFrame:
-    """Compare a frame with the normal values `usual`, and update these if it is good.
+    """Compare a frame with the `baseline`, and update this if the frame is good.
 
     Doubtful frames would gradually make their faults normal. The first frame that is not lost has nothing to
     be compared with, and updates them.
     """
     pose = state.estimate.pose
-    judgement, renewed = _compare(surface, usual, pose, cloud)
+    judgement, renewed = _compare(surface, baseline, pose, cloud)
     lost = judgement.verdict == "lost" or not _finite(pose)
-    teaches = not lost and (judgement.verdict == "good" or float(usual.frames) == 0)
-    renewed = renewed if teaches else mark_flagged(usual)
+    teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
+    renewed = renewed if teaches else mark_flagged(baseline)
     return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, patience, searches)
 
 
 @eqx.filter_jit
 def _compare(
-    surface: SampledSurface, usual: NormalValues, pose: Pose, cloud: Cloud
-) -> tuple[Judgement, NormalValues]:
+    surface: SampledSurface, baseline: Baseline, pose: Pose, cloud: Cloud
+) -> tuple[Judgement, Baseline]:
     cameras = [view.camera for view in cloud.views]
-    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(usual))
-    return judge_evidence(surface, usual, evidence), update_values(usual, evidence)
+    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline))
+    return judge_evidence(surface, baseline, evidence), update_baseline(baseline, evidence)
 
 
 def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> TrackedFrame:
@@ -200,13 +200,13 @@ def search_frame(
     surface: SampledSurface,
     coarse: Tracker,
     frame: TrackedFrame,
-    usual: NormalValues,
+    baseline: Baseline,
     previous: Pose,
     cloud: Cloud,
     key: PRNGKeyArray,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> TrackedFrame:
-    """Search for a frame, which was compared with `usual`, from many starts (Kineben, section 6, "global
+    """Search for a frame, which was compared with `baseline`, from many starts (Kineben, section 6, "global
     refinement").
 
     Starts are neighbours of the frame's own pose and of the last trusted one, `previous`, whole and limb by
@@ -235,7 +235,7 @@ def search_frame(
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
     patience = SearchPause(0.0, frame.search_pause.length)
     found = judge_frame(
-        surface, cloud, reset_velocity(tracker, state), statistics, usual, patience, frame.searches + 1.0
+        surface, cloud, reset_velocity(tracker, state), statistics, baseline, patience, frame.searches + 1.0
     )
     if choose_better(found, frame) is frame:
         return failed

@@ -18,7 +18,7 @@ from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
-from ..judgement.normal_values import initial_values
+from ..judgement.baseline import initial_baseline
 from ..judgement.surface import sampled_surface
 from .check import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
@@ -80,7 +80,7 @@ def track_frames(
     tracked pose only for one with a mean log-likelihood better by more than `margin`.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
-    sensor, compared with the normal values of the previous frames. A frame that is not good is searched for
+    sensor, compared with the baseline of the previous frames. A frame that is not good is searched for
     from many starts; after a search without success the next one waits, twice as long each time. A frame that
     nothing explains is `lost`, and tracking goes on.
 
@@ -132,12 +132,12 @@ def _track_frames(
                     tracker, *reached, candidates(number), pose, cloud, margin
                 )
                 if state is not frame.state:
-                    usual = initial_values(surface, len(cloud.views))
+                    baseline = initial_baseline(surface, len(cloud.views))
                     patience = SearchPause()
-                    frame = judge_frame(surface, cloud, state, statistics, usual, patience, frame.searches)
+                    frame = judge_frame(surface, cloud, state, statistics, baseline, patience, frame.searches)
                     frame = finish_frame(tracker, frame, pose)
         else:
-            before, trusted, usual = frame.state.estimate.pose, frame.trusted, frame.normal_values
+            before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
             state, statistics = track_frame_jit(tracker, frame.state, cloud)
             # a lost frame may have led away from the correct pose
             others = [
@@ -150,11 +150,13 @@ def _track_frames(
                 )
             if frame.lost:
                 state = reset_velocity(tracker, state)
-            frame = judge_frame(surface, cloud, state, statistics, usual, frame.search_pause, frame.searches)
+            frame = judge_frame(
+                surface, cloud, state, statistics, baseline, frame.search_pause, frame.searches
+            )
             if needs_search(frame):
                 coarse = begin_search(number, frame.reasons, frame.searches)
                 key = jax.random.key(number)
-                found = search_frame(tracker, surface, coarse, frame, usual, trusted, cloud, key, up)
+                found = search_frame(tracker, surface, coarse, frame, baseline, trusted, cloud, key, up)
                 if candidates is not None and found.pose is not frame.pose:
                     # the end of a search may be worse than its start
                     likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)

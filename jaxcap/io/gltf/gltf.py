@@ -3,7 +3,7 @@
 Every joint is a node with its own frame: at rest it has the position of the joint's centre and the joint's
 orientation, so its x axis is the twist axis. One node above the roots carries the scale of the poses. glTF
 uses linear blend skinning (Khronos, glTF 2.0, section 3.7.3), as `LinearSkin` does; convert other skins by
-`jaxcap.edit.linearise` first.
+`jaxcap.edit.to_linear_blend` first.
 """
 
 from pathlib import Path

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
+from ...units import unit_scale
 from ..system.atomic import atomic_path
-from ..text import unit_scale
 from .c3d_child import load_c3d
 from .c3d_header import declared_size, read_header
 from .marker_file import MarkerFile, make_marker_file, parse_unit, shift_from_origin

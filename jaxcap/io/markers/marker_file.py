@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
-from ..text import MAX_NUMBER, check_rate, likely_units, unit_scale
+from ...units import UNIT_NAMES, likely_units, unit_scale
+from ..text import MAX_NUMBER, check_rate
 
 #: bounds in metres of the longest side of the markers of one frame
 BODY_SIZE_RANGE = (0.2, 5.0)
@@ -23,7 +24,6 @@ _UNIT_WORDS = {
     "in": ("in", "inch", "inche", '"'),
     "ft": ("ft", "foot", "feet"),
 }
-UNIT_NAMES = {name: words[-1] + "s" for name, words in _UNIT_WORDS.items()} | {"in": "inches", "ft": "feet"}
 
 
 class MarkerFile(NamedTuple):
@@ -147,7 +147,7 @@ def check_extent(
     if np.isnan(extent) or size[0] <= extent <= size[1]:
         return
     length = extent / scale
-    likely = likely_units(length, size)
+    likely = likely_units(length, *size)
     hint = (
         f"this looks like {UNIT_NAMES[likely[0]]}: {option_hint.format(likely[0])}"
         if likely

@@ -15,9 +15,10 @@ import numpy as np
 
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
+from ...units import unit_scale
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
-from ..text import check_rate, parse_floats, read_text, shortened, unit_scale
+from ..text import check_rate, parse_floats, read_text, shortened
 from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, shift_from_origin
 from .trc import parse_positions
 

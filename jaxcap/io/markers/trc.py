@@ -12,9 +12,10 @@ import numpy as np
 
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
+from ...units import UNITS, unit_scale
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
-from ..text import UNITS, check_rate, parse_floats, parse_int, read_text, shortened, unit_scale
+from ..text import check_rate, parse_floats, parse_int, read_text, shortened
 from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, parse_unit, shift_from_origin
 
 #: cells that are allowed in a file of any size

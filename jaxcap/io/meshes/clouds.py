@@ -10,13 +10,14 @@ from ...arguments import checked
 from ...errors import InputError
 from ...observe import Scan as Scan
 from ...observe.clouds import Cloud
+from ...units import unit_scale
 from ..archives.archive import array_names, load_arrays
 from ..kinds import wrong_arrays_error
 from ..lazy_frames import LazyFrames
 from ..system.atomic import atomic_path
 from ..system.paths import find_files, order_files, select_range
 from ..system.reader_errors import reader_of
-from ..text import MAX_NUMBER, unit_scale
+from ..text import MAX_NUMBER
 from .mesh import check_faces, check_points, read_mesh, vertex_normals
 
 _ARRAYS = ("points", "vertices", "normals", "offsets", "faces")

@@ -13,12 +13,13 @@ from jaxtyping import Float, Int
 from ...arguments import checked
 from ...errors import InputError
 from ...observe.clouds import unit_normals
+from ...units import BODY_SIZE, UNIT_NAMES, likely_units, unit_scale
 from ..gltf.gltf_scene import check_scene
 from ..kinds import wrong_kind_error
 from ..system.atomic import atomic_path, write_text
 from ..system.inside import InsideResolver
 from ..system.reader_errors import reader_of
-from ..text import BODY, MAX_NUMBER, likely_units, unit_scale
+from ..text import MAX_NUMBER
 from .obj import read_obj, write_obj
 from .off import read_off
 from .ply_check import check_ply
@@ -27,14 +28,6 @@ from .ply_check import check_ply
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
 #: suffixes that `write_mesh` supports
 WRITABLE_SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb")
-_UNIT_NAMES = {
-    "m": "metres",
-    "cm": "centimetres",
-    "mm": "millimetres",
-    "in": "inches",
-    "dm": "decimetres",
-    "ft": "feet",
-}
 
 
 class Mesh(NamedTuple):
@@ -171,12 +164,12 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
 
     **Raises:** `InputError` with the likely unit.
     """
-    if BODY[0] <= extent <= BODY[1]:
+    if BODY_SIZE[0] <= extent <= BODY_SIZE[1]:
         return
     length = float(extent) / unit_scale(unit)
-    likely = likely_units(length)
+    likely = likely_units(length, *BODY_SIZE)
     hint = (
-        f"looks like {_UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
+        f"looks like {UNIT_NAMES[likely[0]]}: pass unit='{likely[0]}' or --unit {likely[0]}"
         if likely
         else "is not a body in any known unit: check the unit"
     )

@@ -10,12 +10,13 @@ from jaxtyping import Float, Int
 from ...arguments import checked
 from ...errors import InputError
 from ...observe.meshes import MeshSequence
+from ...units import unit_scale
 from ..archives.archive import array_names, load_arrays
 from ..archives.npz import save_arrays
 from ..kinds import wrong_arrays_error
 from ..system.paths import find_files
 from ..system.reader_errors import reader_of
-from ..text import check_rate, shortened, unit_scale
+from ..text import check_rate, shortened
 from .mesh import check_points, read_mesh
 
 FORMAT = "jaxcap meshes"

@@ -21,8 +21,9 @@ from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
+from ...units import unit_scale
 from ..system.reader_errors import reader_of
-from ..text import RATE_RANGE, parse_float_table, parse_floats, parse_int, read_text, shortened, unit_scale
+from ..text import RATE_RANGE, parse_float_table, parse_floats, parse_int, read_text, shortened
 from .bvh_writer import BvhWriter, write_bvh
 from .twist_axes import END_SUFFIX, twist_orientations
 

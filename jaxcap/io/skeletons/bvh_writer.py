@@ -17,8 +17,8 @@ from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
+from ...units import unit_scale
 from ..system.atomic import atomic_path
-from ..text import unit_scale
 from .twist_axes import is_end_joint
 
 _ROTATION_CHANNELS = "Zrotation Xrotation Yrotation"

@@ -21,9 +21,10 @@ import numpy as np
 from ...arguments import checked
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
+from ...units import unit_scale
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
-from ..text import Words, shortened, unit_scale
+from ..text import Words, shortened
 from .twist_axes import with_twist_axes
 
 #: largest number of letters of a joint's name

@@ -33,7 +33,8 @@ def check_linear_skin(path: Path, body: Body, format_name: str) -> None:
     """Check that the skin of a body is linear, as the format `format_name` requires. Raises `InputError`."""
     if not isinstance(body.skin, (LinearSkin, RigidSkin)):
         raise InputError(
-            f"{path}: {format_name} supports linear blend skinning only, and this body has a {type(body.skin).__name__}; linearise it first."
+            f"{path}: {format_name} supports linear blend skinning only, and this body has a {type(body.skin).__name__}; "
+            "convert it by `jaxcap.edit.to_linear_blend` first."
         )
 
 

@@ -116,6 +116,7 @@ def fit_shape(
     return ShapeFit(body, pose, traits, Traits(*map(float, spread)), surface, residuals, messages)
 
 
+@checked
 def bone_lengths(skeleton: Skeleton, min_length: float = 0.02) -> dict[tuple[str, str], float]:
     """Compute the distance of each joint from its parent, metres, by both names.
 

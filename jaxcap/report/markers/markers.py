@@ -133,7 +133,7 @@ def report_markers(
                 "centres": np.asarray(skeleton.centres, float).tolist(),
             },
             "bones": [bone._asdict() for bone in list_bones(skeleton)],
-            "told": list(notes),
+            "messages": list(notes),
             **(extra or {}),
         },
     )

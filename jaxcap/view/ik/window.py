@@ -16,7 +16,7 @@ from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...edit.ik import session as ik
 from ...edit.ik.constraints import Position, Quaternion
-from ...edit.ik.places import bone_rotations, point_positions
+from ...edit.ik.point_positions import bone_rotations, point_positions
 from ...edit.ik.session import IkSession
 from ...errors import user_message
 from ..figures.eye import BEGIN, FIELD, place_camera

@@ -79,6 +79,7 @@ def test_the_report_has_every_marker(folder):
     assert set(rows) == set(LABELS)
     assert all(1e-5 < row["rms"] < 1e-3 for row in rows.values())
     assert rows[MISSING]["seen"] == 0.5 and rows["trunk0"]["seen"] == 1.0
+    assert all(isinstance(sentence, str) for sentence in report["messages"])
     for name in ("skeleton.png", "residuals.png"):
         picture = imread(folder / "report" / name)[..., :3]
         assert picture.shape[0] > 400 and 0.005 < (picture.mean(2) < 0.8).mean() < 0.9

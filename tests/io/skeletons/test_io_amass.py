@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.demo.performance import walk_and_wave
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.registry import read_motion, read_skeleton

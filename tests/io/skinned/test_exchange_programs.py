@@ -15,8 +15,8 @@ from benchmarks._exchange import Case, chain, make_truth
 from benchmarks._programs.run import in_blender, validate
 from benchmarks.exchange import check_blender, check_three, check_usd, check_validator, compare, prepare_case
 from benchmarks.report import missed_limits
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.skin import swing_twist_from
-from jaxcap.demo.performance import walk_and_wave
 
 PROGRAMS = Path(os.environ.get("JAXCAP_PROGRAMS") or Path.home() / ".cache" / "jaxcap" / "programs")
 pytestmark = pytest.mark.slow

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.demo.performance import walk_and_wave
-from jaxcap.edit.linear.influences import limit_influences
+from jaxcap.edit.linear_blend.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf.gltf import write_gltf
 from jaxcap.io.gltf.gltf_reader import read_gltf, read_gltf_body

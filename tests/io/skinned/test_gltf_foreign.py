@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.pose import Motion, stack_poses
-from jaxcap.edit.linear.influences import limit_influences
+from jaxcap.edit.linear_blend.influences import limit_influences
 from jaxcap.errors import InputError
 from jaxcap.io.gltf.gltf import write_gltf
 from jaxcap.io.gltf.gltf_clock import count_grid_steps

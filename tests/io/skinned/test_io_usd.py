@@ -123,7 +123,7 @@ def test_what_cannot_be_written_is_said(tmp_path, rng, monkeypatch):
     motion = stack_poses([random_pose(body.skeleton, rng)])
     for name, given, moves, said in (
         ("body.usd", body, motion, "use .usda, .usdc, .usdz"),
-        ("body.usda", chain_body("swing_twist"), motion, "linearise it first"),
+        ("body.usda", chain_body("swing_twist"), motion, "to_linear_blend` first"),
         ("body.usda", body, motion.slice(slice(0, 0)), "no frames"),
         ("none/body.usdz", body, motion, "cannot be written"),
         ("none/body.usda", body, motion, "cannot be written"),

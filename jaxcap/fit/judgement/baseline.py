@@ -17,29 +17,29 @@ INITIAL_DEVIATION, MIN_DEVIATION = 0.002, 0.0005
 NUM_ROWS, INSIDE = 3, 2
 #: number of good frames after which the level is compared with its value at that time, to detect slowly
 #: growing faults
-NUM_BASE_FRAMES = 30
+NUM_FIRST_FRAMES = 30
 
 
-class NormalValues(eqx.Module):
+class Baseline(eqx.Module):
     """Levels and deviations of the observed values (`stack_evidence`) in the good frames so far."""
 
     #: number of frames
     frames: Float[Array, ""]
     level: Float[Array, "3 Q"]
     deviation: Float[Array, "3 Q"]
-    #: the level of the first `NUM_BASE_FRAMES` good frames
-    base: Float[Array, "3 Q"]
+    #: the level of the first `NUM_FIRST_FRAMES` good frames
+    first_level: Float[Array, "3 Q"]
     #: share of the surface visible from each direction that has points
     coverage: Float[Array, "D"]
     #: one after a frame that was not good, otherwise zero
     flagged: Float[Array, ""]
 
 
-def initial_values(surface: SampledSurface, num_cameras: int = 0) -> NormalValues:
+def initial_baseline(surface: SampledSurface, num_cameras: int = 0) -> Baseline:
     """Make the statistics before the first frame; `num_cameras` is zero if the cameras are not known."""
     level = jnp.zeros((NUM_ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)
-    return NormalValues(
+    return Baseline(
         none,
         level,
         jnp.full_like(level, INITIAL_DEVIATION),
@@ -59,44 +59,46 @@ def stack_evidence(evidence: Evidence) -> Float[Array, "*frames 3 Q"]:
     return jnp.concatenate([values, jnp.sum(values, -1, keepdims=True)], -1)
 
 
-def sensor_directions(usual: NormalValues) -> Float[Array, "D"]:
+def sensor_directions(baseline: Baseline) -> Float[Array, "D"]:
     """Find the directions of a sequence's sensors, one or zero; all zero before the first frame."""
-    best = jnp.max(usual.coverage)
-    return ((usual.coverage >= best - COVERAGE_TOLERANCE) & (usual.frames > 0)).astype(usual.level.dtype)
-
-
-@eqx.filter_jit
-def update_values(usual: NormalValues, evidence: Evidence) -> NormalValues:
-    """Update the statistics with one more frame, which was judged to be right."""
-    first = usual.frames == 0
-    rate = jnp.maximum(1.0 / (usual.frames + 1.0), MIN_RATE)
-    value = stack_evidence(evidence)
-    bound = CLIP * usual.deviation
-    step = jnp.where(first, value - usual.level, jnp.clip(value - usual.level, -bound, bound))
-    # the mean absolute deviation of a normal distribution is 0.8 of its standard deviation
-    spread = jnp.where(first, usual.deviation, 1.25 * jnp.abs(step))
-    slow = jnp.maximum(1.0 / (usual.frames + 3.0), MIN_RATE)
-    level = usual.level + rate * step
-    return NormalValues(
-        usual.frames + 1.0,
-        level,
-        jnp.maximum(usual.deviation + slow * (spread - usual.deviation), MIN_DEVIATION),
-        jnp.where(usual.frames < NUM_BASE_FRAMES, level, usual.base),
-        usual.coverage + rate * (evidence.coverage - usual.coverage),
-        jnp.zeros_like(usual.flagged),
+    best = jnp.max(baseline.coverage)
+    return ((baseline.coverage >= best - COVERAGE_TOLERANCE) & (baseline.frames > 0)).astype(
+        baseline.level.dtype
     )
 
 
-def mark_flagged(usual: NormalValues) -> NormalValues:
+@eqx.filter_jit
+def update_baseline(baseline: Baseline, evidence: Evidence) -> Baseline:
+    """Update the statistics with one more frame, which was judged to be right."""
+    first = baseline.frames == 0
+    rate = jnp.maximum(1.0 / (baseline.frames + 1.0), MIN_RATE)
+    value = stack_evidence(evidence)
+    bound = CLIP * baseline.deviation
+    step = jnp.where(first, value - baseline.level, jnp.clip(value - baseline.level, -bound, bound))
+    # the mean absolute deviation of a normal distribution is 0.8 of its standard deviation
+    spread = jnp.where(first, baseline.deviation, 1.25 * jnp.abs(step))
+    slow = jnp.maximum(1.0 / (baseline.frames + 3.0), MIN_RATE)
+    level = baseline.level + rate * step
+    return Baseline(
+        baseline.frames + 1.0,
+        level,
+        jnp.maximum(baseline.deviation + slow * (spread - baseline.deviation), MIN_DEVIATION),
+        jnp.where(baseline.frames < NUM_FIRST_FRAMES, level, baseline.first_level),
+        baseline.coverage + rate * (evidence.coverage - baseline.coverage),
+        jnp.zeros_like(baseline.flagged),
+    )
+
+
+def mark_flagged(baseline: Baseline) -> Baseline:
     """Mark the statistics after a frame that was not judged to be right.
 
     They are not updated from it, and the limit of a good frame is stricter for the next one.
     """
-    return eqx.tree_at(lambda u: u.flagged, usual, jnp.ones_like(usual.flagged))
+    return eqx.tree_at(lambda values: values.flagged, baseline, jnp.ones_like(baseline.flagged))
 
 
 @eqx.filter_jit
-def median_values(evidence: Evidence) -> NormalValues:
+def median_baseline(evidence: Evidence) -> Baseline:
     """Compute the statistics of frames in any order, stacked `(F, ...)`: medians, and median absolute
     deviations.
 
@@ -107,6 +109,6 @@ def median_values(evidence: Evidence) -> NormalValues:
     # 1.48 of it is the standard deviation of a normal distribution
     deviation = jnp.maximum(1.48 * jnp.median(jnp.abs(values - level), 0), MIN_DEVIATION)
     frames = jnp.full((), float(len(values)), level.dtype)
-    return NormalValues(
+    return Baseline(
         frames, level, deviation, level, jnp.median(evidence.coverage, 0), jnp.zeros((), level.dtype)
     )

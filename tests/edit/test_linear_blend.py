@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.people.human import human
+from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
-from jaxcap.demo.performance import walk_and_wave
-from jaxcap.edit.linear.influences import limit_influences
-from jaxcap.edit.linear.linearise import linear_motion, linear_pose, linearise
-from jaxcap.edit.linear.weights import fit_linear_weights
+from jaxcap.edit.linear_blend.convert import linear_motion, linear_pose, to_linear_blend
+from jaxcap.edit.linear_blend.influences import limit_influences
+from jaxcap.edit.linear_blend.weights import fit_linear_weights
 from jaxcap.io.archives.npz import load_body, save_body, save_motion
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 from tests.io.skinned.test_gltf import check_against_pose_body
@@ -74,7 +74,7 @@ def test_a_human_with_twisted_arms():
         rotations = rotations.at[:, joint].set(turns.as_quat(scalar_first=True))
     performance = eqx.tree_at(lambda m: m.poses.rotations, performance, rotations)
     given, held = performance.slice(slice(0, None, 2)), performance.slice(slice(1, None, 2))
-    found = linearise(body, given.poses, tolerance=0.002)
+    found = to_linear_blend(body, given.poses, tolerance=0.002)
     errors = _apart(body, found.body, given.poses, linear_motion(found, given).poses)
     assert errors.max() == pytest.approx(found.error)
     assert errors.mean() == pytest.approx(found.mean_error)
@@ -99,7 +99,7 @@ def test_bones_of_every_vertex_are_exact_in_every_pose(skin, rng):
     virtual bones are functions of the joints."""
     body = _nonlinear(skin)
     given = stack_poses([random_pose(body.skeleton, rng, 0.5) for _ in range(6)]).poses
-    found = linearise(body, given, tolerance=1e-9, max_influences=8, max_virtual_bones=1000)
+    found = to_linear_blend(body, given, tolerance=1e-9, max_influences=8, max_virtual_bones=1000)
     assert found.error < 1e-8
     others = stack_poses([random_pose(body.skeleton, rng, 0.7, scale) for scale in (1.0, 1.3, 0.8)])
     assert _apart(body, found.body, others.poses, linear_motion(found, others).poses).max() < 1e-6
@@ -115,12 +115,12 @@ def test_fewer_bones_for_a_looser_tolerance(rng, tmp_path):
     motion = stack_poses([random_pose(body.skeleton, rng, 0.4) for _ in range(12)], rate=20.0)
     counts = []
     for tolerance in (0.02, 0.001):
-        found = linearise(body, motion.poses, tolerance)
+        found = to_linear_blend(body, motion.poses, tolerance)
         assert found.error <= tolerance
         counts.append(found.body.skeleton.num_joints)
     assert counts == sorted(counts)
     assert counts[0] < counts[-1]
-    few = linearise(body, motion.poses, 1e-6, max_virtual_bones=5)
+    few = to_linear_blend(body, motion.poses, 1e-6, max_virtual_bones=5)
     assert few.body.skeleton.num_joints <= body.skeleton.num_joints + 5
     assert few.error > 1e-6
     longer = linear_motion(found, motion)
@@ -146,7 +146,7 @@ def test_convert_to_glb_tells_the_error(tmp_path, capsys, rng):
     assert told.count("\n") == 1
     assert "48 vertices, 9 joints" in told
     assert "over 12 frames" in told
-    found = linearise(load_body(tmp_path / "body.npz"), motion.poses, 0.001)
+    found = to_linear_blend(load_body(tmp_path / "body.npz"), motion.poses, 0.001)
     assert f"largest error {1000 * found.error:.2g} mm" in told
     # what is in the file is what the body does
     check_against_pose_body(tmp_path / "body.glb", found.body, linear_motion(found, motion), (0, 5, 11))
@@ -183,11 +183,11 @@ def test_weights_are_the_best_ones_on_the_simplex(rng):
 def test_what_blends_linearly_already_stays(rng):
     body = chain_body("linear")
     poses = stack_poses([random_pose(body.skeleton, rng) for _ in range(3)])
-    whole = linearise(body, poses.poses, max_influences=9)
+    whole = to_linear_blend(body, poses.poses, max_influences=9)
     assert whole.error < 1e-12
     np.testing.assert_array_equal(linear_motion(whole, poses).poses.rotations, poses.poses.rotations)
     np.testing.assert_array_equal(linear_pose(whole, poses[0]).rotations, poses[0].rotations)
-    few = linearise(body, poses.poses, max_influences=2)
+    few = to_linear_blend(body, poses.poses, max_influences=2)
     errors = _apart(body, few.body, poses.poses, poses.poses)
     assert errors.max() > 0.001
     assert few.error == pytest.approx(errors.max())
@@ -213,7 +213,7 @@ def test_sampled_poses_keep_to_their_kinds():
     assert 0.3 < angles[:, 2].max() < np.sqrt(3) + 1e-9
 
 
-def test_what_cannot_be_linearised_is_said(rng):
+def test_what_cannot_be_converted_is_said(rng):
     body = _nonlinear("swing-twist")
     poses = stack_poses([random_pose(body.skeleton, rng)]).poses
     other = stack_poses([rest_pose(take_joints(body.skeleton, 4))])
@@ -223,8 +223,8 @@ def test_what_cannot_be_linearised_is_said(rng):
         ((body, poses, 0.0), "positive"),
     ):
         with pytest.raises(ValueError, match=sentence):
-            linearise(*arguments)
+            to_linear_blend(*arguments)
     with pytest.raises(ValueError, match="at least 1"):
         sample_poses(body.skeleton, 0)
     with pytest.raises(ValueError, match="4 joints"):
-        linear_motion(linearise(body, poses), other)
+        linear_motion(to_linear_blend(body, poses), other)

@@ -16,7 +16,7 @@ from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...errors import user_message
 from ...geometry.axes import nearest_axis
-from .person import Person, snap_to_axis, trunk_direction
+from .person_joints import PersonJoints, snap_to_axis, trunk_direction
 from .sides import UnknownSides, resolve_sides
 
 #: largest cosine between trunk and legs of a standing person, and least length of a leg relative to its bones
@@ -29,7 +29,7 @@ MAX_FRAMES, MAX_AXIS_ANGLE = 300, np.radians(25.0)
 class UprightPose(NamedTuple):
     """A pose in which a person stands upright; J joints."""
 
-    person: Person
+    person: PersonJoints
     #: (J, 3) positions, metres
     places: Float[np.ndarray, "J 3"]
     #: (J, 4) world rotations from rest
@@ -43,7 +43,11 @@ class UprightPose(NamedTuple):
 
 
 def find_upright_pose(
-    skeleton: Skeleton, person: Person, motion: Motion | None, which: str, known_sides: Collection[str] = ()
+    skeleton: Skeleton,
+    person: PersonJoints,
+    motion: Motion | None,
+    which: str,
+    known_sides: Collection[str] = (),
 ) -> UprightPose:
     """Find an upright pose of a person: rest, or else the straightest frame of a motion.
 
@@ -105,7 +109,7 @@ def joint_transforms(
     return places, turns
 
 
-def upright_score(person: Person, positions: Float[np.ndarray, "J 3"]) -> float:
+def upright_score(person: PersonJoints, positions: Float[np.ndarray, "J 3"]) -> float:
     """Rate how straight a person stands.
 
     The score is above zero if the legs point away from the trunk, and two for a straight line. It is one if
@@ -132,7 +136,7 @@ def upright_score(person: Person, positions: Float[np.ndarray, "J 3"]) -> float:
 
 
 def _make_upright_pose(
-    person: Person,
+    person: PersonJoints,
     positions: np.ndarray,
     rotations: np.ndarray,
     frame: int | None,

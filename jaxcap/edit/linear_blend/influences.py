@@ -22,8 +22,8 @@ def limit_influences(body: Body, max_influences: int = 4) -> Body:
         raise ValueError(f"The number of influences is {max_influences}; expected at least 1.")
     if not isinstance(body.skin, LinearSkin):
         raise ValueError(
-            f"The body has a {type(body.skin).__name__}, and only a LinearSkin can have limited influences; linearise "
-            "the body."
+            f"The body has a {type(body.skin).__name__}, and only a LinearSkin can have limited influences; "
+            "convert the body by `jaxcap.edit.to_linear_blend`."
         )
     weights = strongest_weights(np.asarray(body.skin.weights), max_influences)
     return eqx.tree_at(lambda b: b.skin, body, LinearSkin(jnp.asarray(weights)))

@@ -43,7 +43,7 @@ _MAX_NEW_VERTICES, _MIN_BLEND_DISTANCE = 16, 0.4
 _NUM_CANDIDATES = 10
 
 
-class LinearisedBody(eqx.Module):
+class LinearBlendBody(eqx.Module):
     """A body with linear blend skinning that approximates one with another skin.
 
     The skeleton of `body` is the source's with the virtual bones appended; `linear_pose` and `linear_motion`
@@ -60,9 +60,9 @@ class LinearisedBody(eqx.Module):
 
 
 @checked
-def linearise(
+def to_linear_blend(
     body: Body, poses: Pose, tolerance: float = 1e-3, *, max_influences: int = 4, max_virtual_bones: int = 256
-) -> LinearisedBody:
+) -> LinearBlendBody:
     """Approximate `body` within `tolerance` by a body with a `LinearSkin` on an extended skeleton.
 
     Virtual bones are added at the vertices of largest error until no vertex is further than `tolerance` from
@@ -79,8 +79,8 @@ def linearise(
     _check(body, poses, tolerance, max_influences, max_virtual_bones)
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
         raise ValueError(
-            f"A body with a {type(body.skin).__name__} cannot be linearised; expected a linear, rigid, swing-twist or "
-            "dual quaternion skin."
+            f"A body with a {type(body.skin).__name__} cannot be converted to linear blend skinning; expected a "
+            "linear, rigid, swing-twist or dual quaternion skin."
         )
     count = poses.rotations.shape[0]
     chosen = np.unique(np.linspace(0, count - 1, min(count, _NUM_POSES)).round().astype(int))
@@ -88,7 +88,7 @@ def linearise(
     if isinstance(body.skin, (LinearSkin, RigidSkin)):
         blend = _limit_blend(body, blend, take_poses(poses, chosen), tolerance, max_influences)
         largest, mean = _errors(body, blend, poses)
-        return LinearisedBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
+        return LinearBlendBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
     while True:
         blend = _add_virtual_bones(
             body, blend, take_poses(poses, chosen), tolerance, max_influences, max_virtual_bones
@@ -98,36 +98,36 @@ def linearise(
         worst = np.argsort(-largest)[:_NUM_ADDED_POSES]
         worst = worst[(largest[worst] > tolerance) & ~np.isin(worst, chosen)]
         if not len(worst):
-            return LinearisedBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
+            return LinearBlendBody(*_assemble(body, blend), error=float(largest.max()), mean_error=mean)
         chosen = np.union1d(chosen, worst)
 
 
 @checked
-def linear_pose(linearised: LinearisedBody, pose: Pose) -> Pose:
-    """Convert a pose of the source to a pose of the linearised body."""
-    if linearised.bones is None:
+def linear_pose(converted: LinearBlendBody, pose: Pose) -> Pose:
+    """Convert a pose of the source to a pose of the converted body."""
+    if converted.bones is None:
         return pose
-    return extended_pose(linearised.source, linearised.bones, pose)
+    return extended_pose(converted.source, converted.bones, pose)
 
 
 @eqx.filter_jit
-def _linear_poses(linearised: LinearisedBody, poses: Pose) -> Pose:
-    return jax.lax.map(lambda pose: linear_pose(linearised, pose), poses)
+def _linear_poses(converted: LinearBlendBody, poses: Pose) -> Pose:
+    return jax.lax.map(lambda pose: linear_pose(converted, pose), poses)
 
 
 @checked
-def linear_motion(linearised: LinearisedBody, motion: Motion) -> Motion:
-    """Convert a motion of the source to a motion of the linearised body.
+def linear_motion(converted: LinearBlendBody, motion: Motion) -> Motion:
+    """Convert a motion of the source to a motion of the converted body.
 
     **Raises:** `ValueError` if the motion has other joints.
     """
     joints = motion.poses.rotations.shape[1]
-    if joints != linearised.source.num_joints:
+    if joints != converted.source.num_joints:
         raise ValueError(
-            f"The motion has {joints} joints, but the source body has {linearised.source.num_joints}; give a motion "
+            f"The motion has {joints} joints, but the source body has {converted.source.num_joints}; give a motion "
             "of the source body."
         )
-    return Motion(_linear_poses(linearised, motion.poses), motion.rate)
+    return Motion(_linear_poses(converted, motion.poses), motion.rate)
 
 
 def _check(body: Body, poses: Pose, tolerance: float, max_influences: int, max_virtual_bones: int) -> None:
@@ -144,7 +144,9 @@ def _check(body: Body, poses: Pose, tolerance: float, max_influences: int, max_v
         ("largest number of virtual bones", max_virtual_bones),
     ):
         if not value > 0:
-            raise ValueError(f"The {name} of a linearised body is {value}; give a positive number.")
+            raise ValueError(
+                f"The {name} of a body with linear blend skinning is {value}; give a positive number."
+            )
 
 
 class _Blend(NamedTuple):

@@ -29,7 +29,7 @@ from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractProblem
 from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives, bone_transforms, move_bones
 from ..weights.weights_and_rest import bone_images, expand_weights, optimise_vertices
-from .projected import BoneJacobian, ProjectedHessian, VertexDirections, flat_bones
+from .hessian import BoneJacobian, ProjectedHessian, VertexDirections, flat_bones
 
 #: stiffness of a joint rotation by one radian, and of a centre shift by one metre, as shares of r
 ROTATION_STIFFNESS, CENTRE_STIFFNESS = 1e-2, 1.0

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.pose import Motion, Pose
-from ..body.skeleton import Skeleton
-from ..geometry import rotation
+from ...geometry import rotation
+from ..pose import Motion, Pose
+from ..skeleton import Skeleton
 
 X, Z = np.eye(3)[[0, 2]]
 #: steps a second, of both feet together, and swings of the waving hand

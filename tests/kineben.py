@@ -1,45 +1,7 @@
-"""Jacobians of posed vertices by the parameters of a pose, in closed form.
-
-These are derivatives at `d = 0` of the vertices of `pose_body(body, retract(skeleton, pose, d))`. The
-body's skin computes them from the rates of its joints (`AbstractSkin.jacobian`, `pose_jacobian`). The paper's
-own operators (Kineben, eqs. 8 to 16) are at the end.
-"""
+"""The paper's own derivatives of posed points (Kineben, eqs. 8 to 16), as 4 x 4 operators."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
-
-from .body import Posed
-from .geometric_jacobian import pose_jacobian
-
-
-def point_jacobian(posed: Posed, vertices: Int[Array, "C"]) -> Float[Array, "C 3 D"]:
-    """Compute the derivative of posed vertices by the tangent, metres per unit.
-
-    **Arguments:** `vertices (C,)` are indices of body vertices.
-    """
-    axes = jnp.eye(3, dtype=posed.vertices.dtype)
-    return directional_jacobian(posed, vertices, jnp.broadcast_to(axes, (len(vertices), 3, 3)))
-
-
-def projected_jacobian(
-    posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C 3"]
-) -> Float[Array, "C D"]:
-    """Compute rows `n_v . dx_v/dd` along directions `n (C, 3)`, for point-to-plane distances.
-
-    The `(C, 3, D)` Jacobian is never formed.
-    """
-    return directional_jacobian(posed, vertices, directions[:, None])[:, 0]
-
-
-def directional_jacobian(
-    posed: Posed, vertices: Int[Array, "C"], directions: Float[Array, "C R 3"]
-) -> Float[Array, "C R D"]:
-    """Compute rows `n_v . dx_v/dd` along R directions for each of the chosen vertices."""
-    body = posed.body
-    rates = pose_jacobian(body.skeleton, posed.pose, posed.transforms)
-    return body.skin.take(vertices).jacobian(
-        body.vertices[vertices], directions, body.skeleton, posed.pose, posed.transforms, rates
-    )
+from jaxtyping import Array, Float
 
 
 def translate_operator(axis: Float[Array, "3"]) -> Float[Array, "4 4"]:

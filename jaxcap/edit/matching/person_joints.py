@@ -16,7 +16,7 @@ from .names import ARM, FINGERS, LEG, JointName, Side, parse_joint_name
 LIMB_PARTS = {"leg": (*LEG, "toes"), "arm": ("clavicle", *ARM)}
 
 
-class Person(NamedTuple):
+class PersonJoints(NamedTuple):
     """The joints of a skeleton by their roles in a person; -1 or empty if there is none."""
 
     pelvis: int
@@ -43,7 +43,7 @@ class Person(NamedTuple):
         )
 
 
-def find_person(skeleton: Skeleton, known_names: Mapping[int, JointName] | None = None) -> Person:
+def identify_joints(skeleton: Skeleton, known_names: Mapping[int, JointName] | None = None) -> PersonJoints:
     """Find a person in a skeleton, by joint names and the kinematic tree, independently of the pose.
 
     **Arguments:** `known_names` replaces the information in the names of some joints.
@@ -68,11 +68,11 @@ def find_person(skeleton: Skeleton, known_names: Mapping[int, JointName] | None 
         for kind, found in (("leg", limbs.legs), ("arm", limbs.arms))
         if found and not any(limb.side for limb in found)
     )
-    return Person(pelvis, spine, neck, head, parts, fingers, sideless)
+    return PersonJoints(pelvis, spine, neck, head, parts, fingers, sideless)
 
 
 def trunk_direction(
-    person: Person, positions: Float[np.ndarray, "... J 3"]
+    person: PersonJoints, positions: Float[np.ndarray, "... J 3"]
 ) -> Float[np.ndarray, "... 3"] | None:
     """Compute the direction from the hips to the shoulders or the head; None if the person has neither."""
     thighs = [joint for (_, part), joint in person.parts.items() if part == "thigh"]
@@ -85,7 +85,7 @@ def trunk_direction(
     return along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
 
 
-def far_end(skeleton: Skeleton, person: Person, side: Side, kind: str, last: int) -> int | None:
+def far_end(skeleton: Skeleton, person: PersonJoints, side: Side, kind: str, last: int) -> int | None:
     """Find the joint at the far end of a hand or a foot: toes, palm, a finger, or else its only child; None
     if there is none.
 

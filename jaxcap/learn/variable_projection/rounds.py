@@ -8,7 +8,7 @@ from ...body.pose import Motion
 from ..state import LearnState
 from ..structure.skeleton_edit import EditedBody
 from ..structure.structure_search import exchange_joints
-from .variable_projection import improve_body
+from .improve import improve_body
 
 #: the number of vertices from which bones are learned
 VERTICES = 2000

@@ -1,1 +1,0 @@
-"""A small performance, scanned and tracked."""

@@ -1,1 +1,0 @@
-"""Joint optimisation of all unknowns of a body with linear blend skinning."""

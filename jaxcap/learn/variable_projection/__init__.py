@@ -1,0 +1,1 @@
+"""Joint optimisation of all unknowns of a body with linear blend skinning, by variable projection."""
