@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.body import Body, body_height
-from ...body.decimate import attach_points, attached_positions, reduce_body
+from ...body.decimate import reduce_body
 from ...body.pose import Pose
 from ...fit.correspondence.part_blocks import make_parts
 from ...fit.tracking.compare_poses import log_likelihood, track_from
@@ -24,6 +24,7 @@ from ...fit.tracking.initialise import (
     rotated_starts,
 )
 from ...fit.tracking.track_frame import Tracker
+from ...geometry.attachment import attach_points, attached_positions
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ..task import AdaptTask, make_task_tracker

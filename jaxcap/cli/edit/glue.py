@@ -80,10 +80,10 @@ class Glue:
         vertices = np.asarray(pose_body(body, fitted[self.frame]).vertices, float)
         self.check_size(scan, vertices)
         try:
-            glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)
+            attachment = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)
         except ValueError as error:
             raise InputError(f"{self.scan}: {user_message(error)}") from None
-        off = np.abs(np.asarray(glue.normal_offsets))
+        off = np.abs(np.asarray(attachment.heights))
         if (off > WARNING_DISTANCE).any():
             warn(
                 f"{self.scan}: {100 * (off > WARNING_DISTANCE).mean():.1f} % of the points are more than {1000 * WARNING_DISTANCE:.0f} mm away from the "
@@ -92,7 +92,7 @@ class Glue:
         self.begin()
         numbers = range(first, last + 1)
         for frame in progress(numbers, len(numbers), label="gluing"):
-            self.write(frame, scan, np.asarray(animate_scan(glue, body, motion[frame]), float), colours)
+            self.write(frame, scan, np.asarray(animate_scan(attachment, body, motion[frame]), float), colours)
         said = "with their colours" if colours is not None else "without colours, as the scan has none"
         say(
             f"{len(numbers)} meshes of {len(scan.vertices)} points and {len(scan.faces)} triangles, {said}, are in {self.out}"
