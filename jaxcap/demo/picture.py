@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry.mesh import area_normals
+
 
 class View(NamedTuple):
     """One frame of the figure; metres, y up."""
@@ -81,7 +83,7 @@ def _shade(axis, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     from matplotlib.collections import PolyCollection
 
     corners = vertices[faces]
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = area_normals(corners)
     # averaged normals of the corners, so that triangle edges do not show
     smooth = np.zeros_like(vertices)
     for corner in range(3):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arguments import checked
-from .mesh import Floats, area_normals, unit_normals
+from .mesh import Floats, area_normals, unit_vectors
 
 
 class Attachment(eqx.Module):
@@ -45,7 +45,7 @@ def attach_to_triangles(
 
     triangles = vertices[corners]
     barycentric = trimesh.triangles.points_to_barycentric(triangles, points, "cross")
-    normals = unit_normals(area_normals(triangles))
+    normals = unit_vectors(area_normals(triangles))
     return Attachment(corners, barycentric, np.sum((points - triangles[:, 0]) * normals, axis=1))
 
 
@@ -62,4 +62,4 @@ def positions_on_triangles(attachment: Attachment, triangles: Float[Floats, "N 3
     """Compute the positions of attached points from the corners of their triangles, metres."""
     xp = np if isinstance(triangles, np.ndarray) else jnp
     foot = xp.einsum("nc,nca->na", attachment.barycentric, triangles)
-    return foot + attachment.heights[:, None] * unit_normals(area_normals(triangles))
+    return foot + attachment.heights[:, None] * unit_vectors(area_normals(triangles))

@@ -17,12 +17,12 @@ def area_normals(triangles: Float[Floats, "*F 3 3"]) -> Float[Floats, "*F 3"]:
     return (np if isinstance(triangles, np.ndarray) else jnp).cross(b - a, c - a)
 
 
-def unit_normals(normals: Float[Floats, "*N 3"]) -> Float[Floats, "*N 3"]:
-    """Scale normals to unit length, differentiably; one without length stays as it is."""
-    xp = np if isinstance(normals, np.ndarray) else jnp
-    squared = xp.sum(normals * normals, -1, keepdims=True)
-    degenerate = squared < jnp.finfo(normals.dtype).tiny
-    return normals / xp.sqrt(xp.where(degenerate, 1.0, squared))
+def unit_vectors(vectors: Float[Floats, "*N 3"]) -> Float[Floats, "*N 3"]:
+    """Scale vectors to length one, differentiably; those without length stay as they are."""
+    xp = np if isinstance(vectors, np.ndarray) else jnp
+    squared = xp.sum(vectors * vectors, -1, keepdims=True)
+    degenerate = squared < jnp.finfo(vectors.dtype).tiny
+    return vectors / xp.sqrt(xp.where(degenerate, 1.0, squared))
 
 
 def vertex_normals(
@@ -37,8 +37,8 @@ def vertex_normals(
     if isinstance(vertices, np.ndarray):
         total = np.zeros_like(vertices)
         np.add.at(total, np.asarray(faces), across)
-        return unit_normals(total)
-    return unit_normals(jnp.zeros_like(vertices).at[faces].add(across))
+        return unit_vectors(total)
+    return unit_vectors(jnp.zeros_like(vertices).at[faces].add(across))
 
 
 def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V"]:

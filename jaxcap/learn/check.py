@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
-from ..geometry.mesh import mesh_edges, triangle_sides
+from ..geometry.mesh import area_normals, mesh_edges, triangle_sides
 from ..observe.meshes import MeshSequence
 
 #: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
@@ -211,8 +211,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
             f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, "
             f"at most to {shared.max()}."
         )
-    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
-    flat = (np.linalg.norm(np.cross(b - a, c - a), axis=2) <= 1e-12 * extent**2).all(0)
+    flat = (np.linalg.norm(area_normals(vertices[:, faces]), axis=2) <= 1e-12 * extent**2).all(0)
     if flat.any():
         messages.append(
             f"{flat.sum()} triangles have no area in any mesh, such as triangle {int(flat.argmax())}."

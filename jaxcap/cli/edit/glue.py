@@ -12,8 +12,9 @@ from jaxtyping import Float, UInt8
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
 from ...errors import InputError, user_message
+from ...geometry.mesh import vertex_normals
 from ...io.meshes.colours import read_colours
-from ...io.meshes.mesh import Mesh, read_mesh, vertex_normals
+from ...io.meshes.mesh import Mesh, read_mesh
 from ...io.meshes.obj import write_obj
 from ...io.meshes.ply import write_ply
 from ..console.console import progress, say, warn

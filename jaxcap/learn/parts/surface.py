@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ...geometry.mesh import mesh_edges
+from ...geometry.mesh import mesh_edges, vertex_areas
 
 #: frames used to measure distances between pieces of a mesh
 BRIDGE_FRAMES = 16
@@ -132,9 +132,7 @@ def make_connected(
 
 
 def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (rest[faces[:, i]] for i in range(3))
-    triangles = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    areas = np.bincount(faces.ravel(), np.repeat(triangles, 3), len(rest))
+    areas = vertex_areas(rest, faces)
     total = areas.sum()
     # vertices without triangles also belong to a part
     areas = areas / total if total > 0 else areas
