@@ -1,12 +1,13 @@
 """Points attached to the triangles of a surface, which follow every shape of the surface."""
 
+from typing import Any
+
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arguments import checked
-from .mesh import Floats, area_normals, unit_vectors
+from .mesh import Floats, area_normals, array_module, unit_vectors
 
 
 class Attachment(eqx.Module):
@@ -55,11 +56,11 @@ def attached_positions(attachment: Attachment, vertices: Float[Floats, "V 3"]) -
 
     Points on a triangle that has collapsed to a line or a point lie on it.
     """
-    return positions_on_triangles(attachment, vertices[attachment.corners])
+    triangles: Any = vertices[attachment.corners]
+    return positions_on_triangles(attachment, triangles)
 
 
 def positions_on_triangles(attachment: Attachment, triangles: Float[Floats, "N 3 3"]) -> Float[Floats, "N 3"]:
     """Compute the positions of attached points from the corners of their triangles, metres."""
-    xp = np if isinstance(triangles, np.ndarray) else jnp
-    foot = xp.einsum("nc,nca->na", attachment.barycentric, triangles)
+    foot = array_module(triangles).einsum("nc,nca->na", attachment.barycentric, triangles)
     return foot + attachment.heights[:, None] * unit_vectors(area_normals(triangles))

@@ -1,6 +1,6 @@
 """Triangle meshes as arrays: normals, areas, edges and random points. Normals are those of NumPy or JAX arrays."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,15 +11,20 @@ from ..arguments import checked
 Floats = TypeVar("Floats", np.ndarray, Array)
 
 
+def array_module(array: Array | np.ndarray) -> Any:
+    """Return the module of an array's functions, `numpy` or `jax.numpy`."""
+    return np if isinstance(array, np.ndarray) else jnp
+
+
 def area_normals(triangles: Float[Floats, "*F 3 3"]) -> Float[Floats, "*F 3"]:
     """Compute normals of triangles from their corners, with twice the area as length; zero for a degenerate one."""
     a, b, c = (triangles[..., corner, :] for corner in range(3))
-    return (np if isinstance(triangles, np.ndarray) else jnp).cross(b - a, c - a)
+    return array_module(triangles).cross(b - a, c - a)
 
 
 def unit_vectors(vectors: Float[Floats, "*N 3"]) -> Float[Floats, "*N 3"]:
     """Scale vectors to length one, differentiably; those without length stay as they are."""
-    xp = np if isinstance(vectors, np.ndarray) else jnp
+    xp = array_module(vectors)
     squared = xp.sum(vectors * vectors, -1, keepdims=True)
     degenerate = squared < jnp.finfo(vectors.dtype).tiny
     return vectors / xp.sqrt(xp.where(degenerate, 1.0, squared))

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..body.body import Body
+from ..body.body import Body, posed_vertices
 from ..body.pose import Motion
 from ..io.system.atomic import atomic_path
 from ..metrics import scan_to_surface
 from ..observe.meshes import MeshSequence
 from .render import INK, PAPER, draw_surface, rotate_view, set_frame, view_axes
-from .scores import Scores, posed_vertices
+from .scores import Scores
 
 #: number of meshes in a picture, and angles of the views from the front and the side, degrees
 MAX_MESHES, VIEWS = 5, (25.0, 115.0)

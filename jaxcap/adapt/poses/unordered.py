@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from ...body.body import Body, body_height
 from ...body.decimate import reduce_body
-from ...body.pose import Pose
+from ...body.pose import Pose, concatenate_poses
 from ...fit.correspondence.part_blocks import make_parts
 from ...fit.tracking.compare_poses import log_likelihood, track_from
 from ...fit.tracking.initialise import (
@@ -157,7 +157,7 @@ class _Search:
             rows = (best + np.arange(turns) * DIRECTIONS // turns) % DIRECTIONS
             turned = rotated_starts(self.coarse, cloud, found.poses[source], DIRECTIONS, jnp.asarray(UP))
             picked.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], turned))
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *picked)
+        return concatenate_poses(picked)
 
 
 def coarse_tracker(template: Body, tracker: Tracker) -> Tracker:

@@ -1,5 +1,6 @@
 """Points attached to the triangles of a body's surface, such as markers on skin."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...body.body import Posed
@@ -27,7 +28,7 @@ def surface_points(posed: Posed, attachment: Attachment) -> Float[Array, "C 3"]:
 
     Only the corners of their triangles are posed, so that a derivative does not involve the whole skin.
     """
-    body, chosen = posed.body, attachment.corners.reshape(-1)
+    body, chosen = posed.body, jnp.asarray(attachment.corners).reshape(-1)
     few = body.skin.take(chosen)
     corners = few.deform(body.vertices[chosen], body.skeleton, posed.pose, posed.transforms)
     return positions_on_triangles(attachment, corners.reshape(-1, 3, 3))

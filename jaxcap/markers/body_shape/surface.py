@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...body.body import Body, Posed, pose_body
+from ...body.body import Body, Posed, posed_vertices
 from ...body.pose import Pose, rest_pose
 from ...energy.data.surface import SurfaceLandmarks, surface_points
 from ...geometry.attachment import Attachment, attach_points
@@ -54,7 +54,7 @@ def attach_markers(
         if not np.isfinite(place).all():
             raise ValueError(f"The position of marker '{name}' is not finite; attach visible markers only.")
     pose = rest_pose(body.skeleton) if pose is None else pose
-    vertices = np.asarray(_posed_vertices(body, pose), float)
+    vertices = np.asarray(posed_vertices(body, pose), float)
     hold = attach_points(positions, vertices, np.asarray(body.faces))
     far = np.abs(hold.heights) > MAX_DISTANCE
     if far.any():
@@ -127,8 +127,3 @@ def _check_labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
         if names.count(name) > 1:
             raise ValueError(f"The marker label '{name}' occurs twice; give every marker its own label.")
     return names
-
-
-@eqx.filter_jit
-def _posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
-    return pose_body(body, pose).vertices
