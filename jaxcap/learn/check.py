@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
 from ..geometry.mesh import area_normals, mesh_edges, triangle_sides
+from ..geometry.sampling import even_indices
 from ..observe.meshes import MeshSequence
 
 #: sizes of a body in metres: outside the first range the unit is probably wrong, outside the second certainly
@@ -221,7 +222,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
 
 def _motion(vertices: np.ndarray, extent: float) -> list[str]:
     """Raise an error if the distances between some sampled vertices are constant (rigid motion only)."""
-    few = vertices[:, np.linspace(0, vertices.shape[1] - 1, min(60, vertices.shape[1])).astype(int)]
+    few = vertices[:, even_indices(vertices.shape[1], 60)]
     distances = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
     if np.ptp(distances, axis=0).max() < 1e-4 * extent:
         raise InputError(

@@ -31,8 +31,17 @@ def test_vertex_normals_are_weighted_by_area(bumpy):
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     normals = np.asarray(vertex_normals(jnp.asarray(bumpy.vertices), jnp.asarray(bumpy.faces)))
     np.testing.assert_allclose(normals, expected, atol=1e-13)
+    in_numpy = mesh.vertex_normals(np.array(bumpy.vertices), np.array(bumpy.faces))
+    assert isinstance(in_numpy, np.ndarray)
+    np.testing.assert_allclose(in_numpy, expected, atol=1e-13)
     # trimesh counts triangles by their angle: close, not the same, and outwards like ours
     assert (np.sum(normals * bumpy.vertex_normals, axis=1) > 0.99).all()
+
+
+def test_vertex_areas_share_the_triangles_out(bumpy):
+    areas = mesh.vertex_areas(np.vstack([bumpy.vertices, [[9.0, 9, 9]]]), np.array(bumpy.faces))
+    expected = [bumpy.area_faces[(bumpy.faces == vertex).any(1)].sum() / 3 for vertex in range(len(areas))]
+    np.testing.assert_allclose(areas, expected, atol=1e-14)
 
 
 def test_normals_of_an_octahedron_point_from_its_centre():

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...geometry.mesh import area_normals, unit_vectors
-from ...geometry.morton_order import spatial_order
+from ...geometry.sampling import spatial_order
 from .inside import inside_degrees
 
 #: samples of a surface, about 4 cm from each other on a person

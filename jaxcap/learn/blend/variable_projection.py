@@ -15,6 +15,7 @@ from ...body.symmetry import mirrored_bones
 from ...fit.alternate import alternate
 from ...fit.linear.block_arrow import Unknowns
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...geometry.sampling import even_indices
 from ..skeleton.limbs import (
     BoneState,
     TreeTopology,
@@ -179,7 +180,7 @@ def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray,
     ).astype(int)
     groups = (np.flatnonzero(labels == part) for part in range(len(sizes)))
     picked = [
-        group[np.linspace(0, len(group) - 1, share).round().astype(int)]
+        group[even_indices(len(group), share, nearest=True)]
         for group, share in zip(groups, shares, strict=True)
         if share
     ]
@@ -188,7 +189,7 @@ def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray,
     # a constant number of vertices, so that trees of any shape share compiled code
     missing = min(count, len(labels)) - len(some)
     if missing < 0:
-        some = some[np.linspace(0, len(some) - 1, count).astype(int)]
+        some = some[even_indices(len(some), count)]
     elif missing > 0:
-        some = np.concatenate([some, others[np.linspace(0, len(others) - 1, missing).astype(int)]])
+        some = np.concatenate([some, others[even_indices(len(others), missing)]])
     return np.sort(some)
