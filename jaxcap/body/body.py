@@ -91,8 +91,10 @@ def take_vertices(body: Body, rows: Int[Array, "R"], faces: Int[Array, "F 3"] | 
 
 
 @eqx.filter_jit
-def posed_vertices(body: Body, poses: Pose) -> Float[Array, "F V 3"]:
-    """Compute the vertices of a body in every pose of a stack, metres."""
+def posed_vertices(body: Body, poses: Pose) -> Float[Array, "*frames V 3"]:
+    """Compute the vertices of a body in one pose, or in every pose of a stack, metres."""
+    if poses.scale.ndim == 0:
+        return pose_body(body, poses).vertices
     return jax.lax.map(lambda pose: pose_body(body, pose).vertices, poses)
 
 

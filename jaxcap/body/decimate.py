@@ -1,32 +1,16 @@
 """Mesh decimation of bodies, with transfer of shape and skin."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..arguments import checked
-from ..geometry.mesh import triangle_sides
+from ..geometry.attachment import attach_points
+from ..geometry.mesh import area_normals, triangle_sides
 from .body import Body
 
 #: number of vertices of the smallest closed surface, a tetrahedron
 MIN_VERTICES = 4
-
-
-class Attachment(NamedTuple):
-    """Points attached to a surface by their nearest triangles and their heights above them.
-
-    An attachment is valid for any shape of the surface with the same triangles. It reproduces the points
-    exactly on the shape that it was made for.
-    """
-
-    #: vertices of the nearest triangle
-    corners: Int[np.ndarray, "N 3"]
-    #: barycentric coordinates of the foot of the perpendicular; they may leave [0, 1] by a little
-    barycentric: Float[np.ndarray, "N 3"]
-    #: heights above the triangle, metres
-    heights: Float[np.ndarray, "N"]
 
 
 @checked
@@ -105,39 +89,6 @@ def _collapse_edges(
     return np.asarray(vertices, float), np.asarray(faces)
 
 
-def attach_points(
-    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Attachment:
-    """Attach `points` to a surface. Works in metres or any other unit."""
-    import trimesh
-
-    # triangles without area have no normal
-    sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
-    faces = faces[np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0]
-    surface = trimesh.Trimesh(vertices, faces, process=False)
-    _, _, nearest = trimesh.proximity.closest_point(surface, points)
-    corners = faces[nearest]
-    origin, normal = _triangle_planes(vertices, corners)
-    shares = trimesh.triangles.points_to_barycentric(vertices[corners], points, "cross")
-    return Attachment(corners, shares, np.sum((points - origin) * normal, axis=1))
-
-
-def attached_positions(
-    attachment: Attachment, vertices: Float[np.ndarray, "V 3"]
-) -> Float[np.ndarray, "N 3"]:
-    """Compute the positions of attached points on another shape of the surface."""
-    _, normal = _triangle_planes(vertices, attachment.corners)
-    foot = np.einsum("nc,nca->na", attachment.barycentric, vertices[attachment.corners])
-    return foot + attachment.heights[:, None] * normal
-
-
-def _triangle_planes(vertices: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Compute origin and unit normal (each (N, 3)) of triangles."""
-    origin, second, third = np.moveaxis(vertices[corners], 1, 0)
-    normal = np.cross(second - origin, third - origin)
-    return origin, normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
 def _is_closed(faces: np.ndarray) -> bool:
     """Test that every edge has exactly two triangles, once in each direction."""
     edges = triangle_sides(faces)
@@ -148,7 +99,6 @@ def _is_closed(faces: np.ndarray) -> bool:
 
 def _remove_degenerate(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Remove degenerate triangles, then unused vertices."""
-    first, second = np.moveaxis(points[triangles[:, 1:]] - points[triangles[:, :1]], 1, 0)
-    triangles = triangles[np.linalg.norm(np.cross(first, second), axis=1) > 0]
+    triangles = triangles[np.linalg.norm(area_normals(points[triangles]), axis=1) > 0]
     used, places = np.unique(triangles, return_inverse=True)
     return points[used], places.reshape(-1, 3)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import check_fields, check_rate, checked
 from ..errors import InputError
 from ..geometry import rotation
-from ..geometry.stacking import concatenate, stack
+from ..geometry.stacking import concatenate_trees, stack_trees
 from .skeleton import Skeleton, dof_layout
 
 
@@ -81,7 +81,7 @@ def stack_poses(poses: Sequence[Pose], rate: float = 30.0) -> Motion:
     """Stack single poses into a `Motion`, differentiably. Raises `InputError` where there are none."""
     if not poses:
         raise InputError("stack_poses: `poses` is empty; expected at least one pose.")
-    return Motion(jax.tree.map(lambda *leaves: stack(leaves), *poses), rate)
+    return Motion(stack_trees(poses), rate)
 
 
 def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pose:
@@ -91,11 +91,7 @@ def take_poses(poses: Pose, frames: Int[np.ndarray | Array, "K"] | slice) -> Pos
 
 def concatenate_poses(parts: Sequence[Pose]) -> Pose:
     """Concatenate stacks of poses along their frames."""
-    return Pose(
-        concatenate([part.translations for part in parts]),
-        concatenate([part.rotations for part in parts]),
-        concatenate([part.scale for part in parts]),
-    )
+    return concatenate_trees(parts)
 
 
 @partial(jax.jit, inline=True)

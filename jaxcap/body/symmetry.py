@@ -50,20 +50,30 @@ def length_differences(
     is the difference of lengths. Pairs whose parent is a root are omitted: they end no bone, as a root's
     own centre is arbitrary.
     """
-    count = skeleton.num_joints
-    parents = np.array(skeleton.parents)
-    pairs = bone_pairs(skeleton, pairs)
-    total = jnp.zeros(len(pairs), skeleton.centres.dtype)
-    slopes = jnp.zeros((len(pairs), count, 3), skeleton.centres.dtype)
-    rows = np.arange(len(pairs))
-    for side, sign in ((0, 1.0), (1, -1.0)):
-        ends, starts = pairs[:, side], parents[pairs[:, side]]
-        bones = skeleton.centres[ends] - skeleton.centres[starts]
-        lengths = jnp.linalg.norm(bones, axis=1)
-        directions = bones / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
+    return bone_length_differences(skeleton.centres, mirrored_bones(skeleton, pairs))
+
+
+def bone_length_differences(
+    centres: Float[Array, "J 3"], bones: Int[Array | np.ndarray, "B 4"]
+) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
+    """Compute the differences of lengths, metres, and their derivatives by the centres, for `mirrored_bones`."""
+    rows = np.arange(len(bones))
+    total = jnp.zeros(len(bones), centres.dtype)
+    slopes = jnp.zeros((len(bones), *centres.shape), centres.dtype)
+    for (ends, starts), sign in ((bones.T[:2], 1.0), (bones.T[2:], -1.0)):
+        vectors = centres[ends] - centres[starts]
+        lengths = jnp.linalg.norm(vectors, axis=1)
+        directions = vectors / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
         total = total + sign * lengths
         slopes = slopes.at[rows, ends].add(sign * directions).at[rows, starts].add(-sign * directions)
     return total, slopes
+
+
+def mirrored_bones(skeleton: Skeleton, pairs: JointPairs) -> Int[np.ndarray, "B 4"]:
+    """List the left joint, its parent, the right joint and its parent of each pair that ends bones."""
+    left, right = bone_pairs(skeleton, pairs).T
+    parents = np.array(skeleton.parents)
+    return np.stack([left, parents[left], right, parents[right]], 1)
 
 
 def bone_pairs(skeleton: Skeleton, pairs: JointPairs) -> Int[np.ndarray, "B 2"]:

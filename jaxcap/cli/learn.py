@@ -1,6 +1,5 @@
 """`jaxcap learn`: learn a body from registered meshes alone."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -15,6 +14,7 @@ from ..energy.energy import AbstractEnergy
 from ..errors import InputError
 from ..fit.fit_meshes import fit_meshes
 from ..io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..io.archives.journal import hash_file
 from ..io.archives.npz import get_array, save_body, save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.skinned.clip import split_clip
@@ -184,7 +184,7 @@ class Learn:
         )
         skeleton = None if self.skeleton is None else skeleton_digest(self.skeleton)
         skin = "lbs" if self.free_bones else self.skin
-        limits = None if self.limits is None else hashlib.sha256(self.limits.read_bytes()).hexdigest()
+        limits = None if self.limits is None else hash_file(self.limits)
         known = {name: getattr(self, name) for name in names}
         return {**known, "skin": skin, "skeleton": skeleton, "limits": limits}
 
@@ -302,7 +302,7 @@ def skeleton_digest(spec: Path) -> str:
     """Return an identifier of a skeleton: the hash of its file, or the options of `human`."""
     if is_human_spec(str(spec)):
         return str(spec)
-    return hashlib.sha256(split_clip(spec)[0].read_bytes()).hexdigest()
+    return hash_file(split_clip(spec)[0])
 
 
 def split_held_out(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:

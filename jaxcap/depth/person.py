@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
+from ..geometry.mesh import area_normals
 from ..observe.depth import check_image_size_of
 from ..scanner.depth import measured_points
 
@@ -118,7 +119,7 @@ def _on_planes(
         if len(left) < 100:
             break
         triples = left[rng.integers(len(left), size=(NUM_TRIALS, 3))]
-        normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+        normals = area_normals(triples)
         lengths = np.linalg.norm(normals, axis=1)
         good = lengths > 1e-6
         normals, offsets = normals[good] / lengths[good, None], triples[good, 0]

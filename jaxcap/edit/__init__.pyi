@@ -12,10 +12,8 @@ from .gaze_line import gaze_line_of_joint as gaze_line_of_joint
 from .gaze_line import gaze_line_of_vertices as gaze_line_of_vertices
 from .gaze_line import gaze_shares as gaze_shares
 from .gaze_line import human_gaze_line as human_gaze_line
-from .glue import Glue as Glue
 from .glue import animate_scan as animate_scan
 from .glue import glue_scan as glue_scan
-from .glue import glued_points as glued_points
 from .ik.constraints import Constraint as Constraint
 from .ik.constraints import Constraints as Constraints
 from .ik.constraints import make_constraints as make_constraints

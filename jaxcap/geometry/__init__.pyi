@@ -2,6 +2,9 @@
 
 from . import dualquat as dualquat
 from . import rotation as rotation
+from .attachment import Attachment as Attachment
+from .attachment import attach_points as attach_points
+from .attachment import attached_positions as attached_positions
 from .camera import Camera as Camera
 from .camera import look_at as look_at
 from .camera import ring_of_cameras as ring_of_cameras

@@ -5,7 +5,8 @@ A field of errors `e (V, 3)` over a mesh is measured by
     |e|^2 + alpha |L e|^2 = sum e . A e,    A = I + alpha L^T L
 
 with `L` the uniform Laplacian (Adaptation, eqs. 3.19 and 3.20). Errors that neighbours share have a low
-cost, differences between neighbours a high cost.
+cost, differences between neighbours a high cost. Fields of many columns have their Laplacian by patches of
+the mesh.
 """
 
 import equinox as eqx
@@ -119,3 +120,71 @@ def laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_arra
     inverse = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
     inside = scipy.sparse.diags_array((counts > 0).astype(float))
     return (inside - scipy.sparse.diags_array(inverse) @ adjacency).tocsr()
+
+
+class PatchLaplacian(eqx.Module):
+    """The Laplacian of some vertices as small dense matrices, one for each patch of the mesh.
+
+    It is efficient for fields of many columns. A product with patches reads every row little more than
+    once, a sum over neighbours once for each neighbour.
+    """
+
+    #: the vertices that each patch reads, padded with arbitrary ones
+    columns: Int[Array, "B H"]
+    #: `L` from these to the patch's own rows; rows beyond the patch are zero
+    matrices: Float[Array, "B R H"]
+
+
+def make_patch_laplacian(
+    metric: Conformance, vertices: Int[np.ndarray, "S"], size: int = 32
+) -> PatchLaplacian:
+    """Partition the given vertices into patches of about `size`, grown over neighbours."""
+    neighbours, shares = np.asarray(metric.neighbours), np.asarray(metric.inverse_degrees)
+    patches = _grow_patches(neighbours, np.asarray(vertices), size)
+    reads = [np.unique(neighbours[patch]) for patch in patches]
+    reads = [np.union1d(read, patch) for read, patch in zip(reads, patches, strict=True)]
+    # widths in multiples of 16, so that meshes of similar size compile once
+    width = -16 * (-max(len(read) for read in reads) // 16)
+    columns = np.zeros((len(patches), width), int)
+    matrices = np.zeros((len(patches), size, width))
+    for number, (patch, read) in enumerate(zip(patches, reads, strict=True)):
+        columns[number, : len(read)] = read
+        own = np.searchsorted(read, patch)
+        around = np.searchsorted(read, neighbours[patch])
+        rows = np.arange(len(patch))
+        # a padded slot has the vertex itself, and cancels
+        np.add.at(matrices[number], (rows[:, None], around), -shares[patch, None])
+        matrices[number, rows, own] += shares[patch] * neighbours.shape[1]
+    return PatchLaplacian(jnp.asarray(columns), jnp.asarray(matrices, metric.diagonal.dtype))
+
+
+def laplacian_rows(blocks: PatchLaplacian, field: Float[Array, "V C"]) -> Float[Array, "R C"]:
+    """Compute `L e` at the vertices of the blocks, patch by patch, with rows of zeros as padding."""
+    rows = jnp.einsum("brh,bhc->brc", blocks.matrices, field[blocks.columns])
+    return rows.reshape(-1, field.shape[1])
+
+
+def _grow_patches(
+    neighbours: Int[np.ndarray, "V N"], vertices: Int[np.ndarray, "S"], size: int
+) -> list[Int[np.ndarray, "R"]]:
+    """Partition vertices into patches of at most `size`, each grown breadth first."""
+    wanted = np.zeros(len(neighbours), bool)
+    wanted[vertices] = True
+    met = np.zeros(len(neighbours), int)
+    patches: list[np.ndarray] = []
+    patch: list[int] = []
+    for seed in vertices.tolist():
+        queue = [seed] if wanted[seed] else []
+        while queue:
+            vertex = queue.pop(0)
+            if wanted[vertex]:
+                wanted[vertex] = False
+                patch.append(vertex)
+                if len(patch) == size:
+                    patches.append(np.array(patch))
+                    patch, queue = [], []
+            for near in neighbours[vertex].tolist():
+                if met[near] != len(patches) + 1 and wanted[near]:
+                    met[near] = len(patches) + 1
+                    queue.append(near)
+    return [*patches, np.array(patch)] if patch else patches

@@ -1,33 +1,55 @@
-"""Triangle meshes as arrays: normals, edges and random points."""
+"""Triangle meshes as arrays: normals, areas, edges and random points. Normals are those of NumPy or JAX arrays."""
 
-from functools import partial
+from typing import Any, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..arguments import checked
 
-
-def face_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "F 3"]:
-    """Compute normals of the triangles with twice their area as length; zero for a degenerate triangle."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return jnp.cross(b - a, c - a)
+Floats = TypeVar("Floats", np.ndarray, Array)
 
 
-@partial(jax.jit, inline=True)
-def vertex_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "V 3"]:
+def array_module(array: Array | np.ndarray) -> Any:
+    """Return the module of an array's functions, `numpy` or `jax.numpy`."""
+    return np if isinstance(array, np.ndarray) else jnp
+
+
+def area_normals(triangles: Float[Floats, "*F 3 3"]) -> Float[Floats, "*F 3"]:
+    """Compute normals of triangles from their corners, with twice the area as length; zero for a degenerate one."""
+    a, b, c = (triangles[..., corner, :] for corner in range(3))
+    return array_module(triangles).cross(b - a, c - a)
+
+
+def unit_vectors(vectors: Float[Floats, "*N 3"]) -> Float[Floats, "*N 3"]:
+    """Scale vectors to length one, differentiably; those without length stay as they are."""
+    xp = array_module(vectors)
+    squared = xp.sum(vectors * vectors, -1, keepdims=True)
+    degenerate = squared < jnp.finfo(vectors.dtype).tiny
+    return vectors / xp.sqrt(xp.where(degenerate, 1.0, squared))
+
+
+def vertex_normals(
+    vertices: Float[Floats, "V 3"], faces: Int[Array | np.ndarray, "F 3"]
+) -> Float[Floats, "V 3"]:
     """Compute unit normals at the vertices, weighted by triangle area.
 
     A vertex without triangles, or with degenerate ones only, has the zero vector as normal. Differentiable
     also there.
     """
-    across = face_normals(vertices, faces)
-    total = jnp.zeros_like(vertices).at[faces.reshape(-1)].add(jnp.repeat(across, 3, axis=0))
-    squared = jnp.sum(total * total, -1, keepdims=True)
-    degenerate = squared < jnp.finfo(vertices.dtype).tiny
-    return total / jnp.sqrt(jnp.where(degenerate, 1.0, squared))
+    across = area_normals(vertices[faces])[:, None]
+    if isinstance(vertices, np.ndarray):
+        total = np.zeros_like(vertices)
+        np.add.at(total, np.asarray(faces), across)
+        return unit_vectors(total)
+    return unit_vectors(jnp.zeros_like(vertices).at[faces].add(across))
+
+
+def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V"]:
+    """Compute a third of the area of each vertex's triangles, in squared units of `vertices`."""
+    thirds = np.linalg.norm(area_normals(vertices[faces]), axis=1) / 6
+    return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices))
 
 
 def triangle_sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "S 2"]:
@@ -51,7 +73,7 @@ def sample_surface(
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
     """Sample points on a surface uniformly by area, with the unit normals of their triangles."""
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = area_normals(corners)
     areas = np.linalg.norm(normals, axis=1)
     chosen = rng.choice(len(faces), count, p=areas / areas.sum())
     first, second = np.sqrt(rng.uniform(size=count)), rng.uniform(size=count)

@@ -28,6 +28,11 @@ def stack_trees(trees: Sequence):
     return jax.tree.map(lambda *leaves: stack(leaves), *trees)
 
 
+def concatenate_trees(trees: Sequence):
+    """Concatenate trees of arrays, such as stacks of poses, leaf by leaf."""
+    return jax.tree.map(lambda *leaves: concatenate(leaves), *trees)
+
+
 def unstack_trees(stacked, count: int) -> list:
     """Split a tree of stacked arrays into `count` trees."""
     return [jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count)]

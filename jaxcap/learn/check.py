@@ -9,7 +9,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import InputError
-from ..geometry.mesh import mesh_edges, triangle_sides
+from ..geometry.mesh import area_normals, mesh_edges, triangle_sides
+from ..geometry.sampling import even_indices
 from ..observe.meshes import MeshSequence
 from ..units import BODY_SIZE, likely_units
 
@@ -210,8 +211,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
             f"The surface is not a manifold: {(shared > 2).sum()} edges belong to more than two triangles, "
             f"at most to {shared.max()}."
         )
-    a, b, c = (vertices[:, faces[:, corner]] for corner in range(3))
-    flat = (np.linalg.norm(np.cross(b - a, c - a), axis=2) <= 1e-12 * extent**2).all(0)
+    flat = (np.linalg.norm(area_normals(vertices[:, faces]), axis=2) <= 1e-12 * extent**2).all(0)
     if flat.any():
         messages.append(
             f"{flat.sum()} triangles have no area in any mesh, such as triangle {int(flat.argmax())}."
@@ -221,7 +221,7 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
 
 def _motion(vertices: np.ndarray, extent: float) -> list[str]:
     """Raise an error if the distances between some sampled vertices are constant (rigid motion only)."""
-    few = vertices[:, np.linspace(0, vertices.shape[1] - 1, min(60, vertices.shape[1])).astype(int)]
+    few = vertices[:, even_indices(vertices.shape[1], 60)]
     distances = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
     if np.ptp(distances, axis=0).max() < 1e-4 * extent:
         raise InputError(

@@ -14,6 +14,7 @@ from ..body.limits.chart import Chart
 from ..body.limits.limit_surface import LimitSurface, SurfaceLimits, density
 from ..body.limits.primitives import LEVEL, STIFFNESS
 from ..errors import InputError
+from ..geometry.sampling import even_indices
 from .charts import chart_coordinates, find_chart
 from .primitive_matching import match_primitives
 from .samples import JointSamples
@@ -175,7 +176,7 @@ def _with_densities(surface: LimitSurface, coordinates, parent_coordinates) -> L
         jnp.asarray(coordinates[chosen]),
         None if parent_coordinates is None else jnp.asarray(parent_coordinates[chosen]),
     )
-    ranks = np.linspace(0, len(chosen) - 1, min(NUM_DENSITIES, len(chosen))).round().astype(int)
+    ranks = even_indices(len(chosen), NUM_DENSITIES, nearest=True)
     return eqx.tree_at(lambda s: s.densities, surface, jnp.sort(found)[ranks])
 
 

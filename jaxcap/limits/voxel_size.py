@@ -4,6 +4,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from ..geometry.sampling import even_indices
+
 #: degrees of rotation, tried from the finest
 WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)
 #: widths of a child's voxels and of its parent's keyframes, degrees, tried together
@@ -56,7 +58,7 @@ def choose_keyframes(
     combinations of children and parents of different frames, which is the tightest. The loosest is returned
     where none reaches the share.
     """
-    some = np.linspace(0, len(coordinates) - 1, min(len(coordinates), MAX_FRAMES)).astype(int)
+    some = even_indices(len(coordinates), MAX_FRAMES)
     coordinates, parent_coordinates, blocks = coordinates[some], parent_coordinates[some], blocks[some]
     best, least = (np.radians(CHILD_WIDTHS[-1]) / 2, np.radians(KEYFRAMES[-1]) / 2), np.inf
     for key_width in np.radians(KEYFRAMES) / 2:

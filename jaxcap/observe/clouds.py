@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from ..arguments import as_real_array, check_fields, check_metres, checked, describe
 from ..errors import InputError
-from ..geometry.morton_order import spatial_order
 from ..geometry.normals import estimate_normals
+from ..geometry.sampling import spatial_order
 from ..geometry.stacking import stack
 from .depth import DepthView
 

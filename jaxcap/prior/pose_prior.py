@@ -5,14 +5,13 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
 from ..body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
-from ..body.pose import Motion, Pose, local_rotation_vectors
+from ..body.pose import Motion, Pose, concatenate_poses, local_rotation_vectors
 from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_symmetric
 from .gaussian_mixture import MIN_DEVIATION
@@ -120,7 +119,7 @@ def rotation_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J
     **Raises:** `ValueError` if there is no pose, if poses have another number of joints, or if one is not
     finite.
     """
-    stacked = concatenate_poses(poses)
+    stacked = _poses_of_motions(poses)
     if stacked.rotations.ndim != 3 or not len(stacked.rotations):
         raise ValueError("There are no poses to learn from; give poses stacked over frames.")
     joints = stacked.rotations.shape[1]
@@ -135,7 +134,7 @@ def rotation_vectors(skeleton: Skeleton, poses: Poses) -> Float[np.ndarray, "F J
     return vectors
 
 
-def concatenate_poses(poses: Poses) -> Pose:
+def _poses_of_motions(poses: Poses) -> Pose:
     """Concatenate the poses of motions."""
     if isinstance(poses, Pose):
         return poses
@@ -144,4 +143,4 @@ def concatenate_poses(poses: Poses) -> Pose:
         raise ValueError("There are no motions to learn from; give at least one.")
     if len({motion.poses.rotations.shape[1] for motion in motions}) > 1:
         raise ValueError("The motions have different numbers of joints; give motions of one skeleton.")
-    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *(motion.poses for motion in motions))
+    return concatenate_poses([motion.poses for motion in motions])

@@ -8,6 +8,7 @@ from ..arguments import checked
 from ..body.kinematics import joint_paths
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
+from ..geometry.sampling import even_indices
 from ..io.system.atomic import atomic_path
 from .pictures import new_figure
 from .render import INK, set_frame, view_axes
@@ -34,7 +35,7 @@ def draw_strip(
     """
     chosen = np.flatnonzero(marked.any(1))
     chosen = chosen if len(chosen) else np.arange(len(before))
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_FRAMES, len(chosen))).astype(int))]
+    chosen = chosen[even_indices(len(chosen), MAX_FRAMES)]
     rows = [np.asarray(joint_paths(skeleton, motion.poses), float)[chosen] for motion in (before, after)]
     axes = view_axes(rows[0][0])
     canvas, figure = new_figure(1.7 * len(chosen) + 0.3, 5.4)

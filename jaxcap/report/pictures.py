@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..body.body import Body
+from ..body.body import Body, posed_vertices
 from ..body.pose import Motion
+from ..geometry.sampling import even_indices
 from ..io.system.atomic import atomic_path
 from ..metrics import scan_to_surface
 from ..observe.meshes import MeshSequence
 from .render import INK, PAPER, draw_surface, rotate_view, set_frame, view_axes
-from .scores import Scores, posed_vertices
+from .scores import Scores
 
 #: number of meshes in a picture, and angles of the views from the front and the side, degrees
 MAX_MESHES, VIEWS = 5, (25.0, 115.0)
@@ -39,10 +40,7 @@ def error_pictures(
     if not fitted:
         return []
     ranked = sorted(fitted, key=lambda number: scores.meshes[number].mean)
-    shown = [
-        ranked[i]
-        for i in np.unique(np.linspace(0, len(ranked) - 1, min(MAX_MESHES, len(ranked))).round().astype(int))
-    ]
+    shown = [ranked[i] for i in even_indices(len(ranked), MAX_MESHES, nearest=True)]
     meshes = [np.asarray(sequence[number], float) for number in shown]
     posed = [np.asarray(posed_vertices(body, motion[number]), float) for number in shown]
     faces = np.asarray(body.faces)

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry.mesh import area_normals, vertex_normals
+
 PAPER, INK, CLAY = "#ffffff", "#1f2933", np.array([0.80, 0.79, 0.76])
 #: direction towards the light in the view frame, and strength: from the upper left, and a weaker one from the
 #: right
@@ -56,18 +58,14 @@ def draw_surface(
     if len(faces) < MIN_FACES:
         seen, faces, colours = _subdivide(seen, faces, colours)
     corners = seen[faces]
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(seen)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], flat)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = vertex_normals(seen, faces)
     light = np.full(len(seen), AMBIENT)
     for direction, strength in LIGHTS:
         light += strength * np.clip(normals @ (direction / np.linalg.norm(direction)), 0.0, 1.0)
     between = LIGHTS[0][0] / np.linalg.norm(LIGHTS[0][0]) + np.array([0.0, 0.0, 1.0])
     gloss = GLOSS * np.clip(normals @ (between / np.linalg.norm(between)), 0.0, 1.0) ** GLOSS_EXPONENT
     shaded = np.clip(colours * light[:, None] + gloss[:, None], 0.0, 1.0)
-    front = np.flatnonzero(flat[:, 2] > 0)
+    front = np.flatnonzero(area_normals(corners)[:, 2] > 0)
     front = front[np.argsort(corners[front, :, 2].mean(1))]
     paint = shaded[faces[front]].mean(1)
     plot.add_collection(

@@ -3,13 +3,11 @@
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 
 from ..arguments import checked
-from ..body.body import Body, pose_body
-from ..body.pose import Motion, Pose
+from ..body.body import Body, posed_vertices
+from ..body.pose import Motion
 from ..metrics import scan_to_surface
 from ..observe.meshes import MeshSequence
 
@@ -98,9 +96,3 @@ def total_scores(meshes: tuple[MeshScore, ...]) -> Scores:
     # the law of total variance
     sd = np.sqrt(np.mean(spreads**2) + np.mean((means - mean) ** 2))
     return Scores(meshes, float(mean), float(sd), float(np.sqrt(np.mean(rmses**2))))
-
-
-@eqx.filter_jit
-def posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
-    """Pose the vertices of a body; compiled once."""
-    return pose_body(body, pose).vertices

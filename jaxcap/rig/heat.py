@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from ..body.influences import strongest_weights
 from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_sparse
+from ..geometry.mesh import area_normals, vertex_areas, vertex_normals
 from .envelopes import bone_distances, default_tails
 
 #: largest number of bones per vertex
@@ -74,14 +75,6 @@ def prune_weights(
     return strongest_weights(np.where(kept, np.maximum(weights, 0.0), 0.0), count)
 
 
-def area_normals(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Float[np.ndarray, "F 3"]:
-    """Compute the normals of triangles, with lengths of twice their areas."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return np.cross(b - a, c - a)
-
-
 def surface_operators(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[sparse.csc_matrix, Float[np.ndarray, "V"], Float[np.ndarray, "V 3"]]:
@@ -92,8 +85,7 @@ def surface_operators(
     """
     count = len(vertices)
     corners = vertices[faces]
-    across = area_normals(vertices, faces)
-    doubled = np.linalg.norm(across, axis=1)
+    doubled = np.linalg.norm(area_normals(corners), axis=1)
     laplacian = sparse.csc_matrix((count, count))
     for i in range(3):
         a, b = (corners[:, (i + k) % 3] - corners[:, i] for k in (1, 2))
@@ -102,13 +94,9 @@ def surface_operators(
         laplacian += sparse.csc_matrix((0.5 * cotangent, (first, second)), shape=(count, count))
     laplacian = laplacian + laplacian.T
     laplacian = sparse.diags(np.asarray(laplacian.sum(axis=1)).ravel()) - laplacian
-    areas, normals = np.zeros(count), np.zeros((count, 3))
-    for i in range(3):
-        np.add.at(areas, faces[:, i], doubled / 6)
-        np.add.at(normals, faces[:, i], across)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    areas = vertex_areas(vertices, faces)
     areas = np.maximum(areas, 1e-6 * areas.mean())
-    return sparse.csc_matrix(laplacian), areas, normals / np.where(lengths > 0, lengths, 1.0)
+    return sparse.csc_matrix(laplacian), areas, vertex_normals(vertices, faces)
 
 
 def _equilibrium(

@@ -12,7 +12,7 @@ from ..body.pose import Pose, rest_pose
 from ..fit.alternate import anneal_problem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
-from .heat import area_normals
+from ..geometry.mesh import area_normals, vertex_areas
 from .problem import TemplateProblem
 from .template import Build, Person, Template, average_build, pose_template
 
@@ -63,7 +63,7 @@ def sample_surface(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES
 ) -> SampledSurface:
     """Sample random points on a surface, the same in every call."""
-    across = area_normals(vertices, faces)
+    across = area_normals(vertices[faces])
     areas = np.linalg.norm(across, axis=1)
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(faces), count, p=areas / areas.sum())
@@ -126,7 +126,8 @@ def _refine(
     scales: tuple[float, ...],
 ) -> Registration:
     """Take a step with new closest points at each of the scales."""
-    areas = _vertex_areas(template)
+    body = template.body
+    areas = vertex_areas(np.asarray(body.vertices, float), np.asarray(body.faces))
 
     def remake(person: Person, scale: float) -> TemplateProblem:
         posed = pose_template(template, person)
@@ -174,13 +175,6 @@ def _residual(posed: Posed, areas: np.ndarray, surface: SampledSurface, search: 
         0.5 * np.average(np.minimum(there, CLIP_DISTANCE), weights=areas)
         + 0.5 * np.minimum(back, CLIP_DISTANCE).mean()
     )
-
-
-def _vertex_areas(template: Template) -> Float[np.ndarray, "V"]:
-    vertices, faces = np.asarray(template.body.vertices, float), np.asarray(template.body.faces)
-    areas = np.zeros(len(vertices))
-    np.add.at(areas, faces.ravel(), np.repeat(np.linalg.norm(area_normals(vertices, faces), axis=1) / 6, 3))
-    return areas
 
 
 def _features(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "N 6"]:

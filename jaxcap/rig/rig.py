@@ -11,6 +11,7 @@ from ..body.body import Body
 from ..body.skeleton import Skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin
 from ..errors import InputError
+from ..geometry.mesh import area_normals
 from .envelopes import assign_bones, default_radii, default_tails
 from .heat import heat_weights
 from .place_human import place_human
@@ -83,6 +84,5 @@ def _check_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"
             f"Triangle {wrong[0]} has the vertices {faces[wrong[0]].tolist()}; expected 0 to "
             f"{len(vertices) - 1}; correct the triangle or leave it out."
         )
-    corners = vertices[faces]
-    if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
+    if not area_normals(vertices[faces]).any():
         raise InputError("All triangles of the mesh have zero area; give a mesh with a surface.")

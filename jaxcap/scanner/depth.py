@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry.camera import Camera
+from ..geometry.mesh import area_normals, unit_vectors
 
 
 class RayMesh(NamedTuple):
@@ -34,10 +35,8 @@ def make_ray_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 
 
     vertices, faces = np.asarray(vertices, float), np.asarray(faces)
     corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(across, axis=1, keepdims=True)
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
-    return RayMesh(mesh, corners, across / np.where(lengths > 0, lengths, 1.0))
+    return RayMesh(mesh, corners, unit_vectors(area_normals(corners)))
 
 
 def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:

@@ -17,9 +17,10 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.prior import carried_arrays, prior_file, read_priors
-from jaxcap.cli.adapt.state import fingerprint_of, hash_file, keep_state
+from jaxcap.cli.adapt.state import fingerprint_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
 from jaxcap.io.archives import archive
+from jaxcap.io.archives.journal import hash_file
 from jaxcap.io.archives.npz import load_limits
 from jaxcap.io.archives.prior import has_prior, load_boxes, load_priors
 from jaxcap.io.meshes.clouds import read_clouds

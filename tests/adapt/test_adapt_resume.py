@@ -20,7 +20,8 @@ from jaxcap.cli.adapt import adapt as adapt_module
 from jaxcap.cli.adapt.actor import load_finished_run, save_actor
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
-from jaxcap.cli.adapt.state import fingerprint_of, hash_file, keep_state, load_resumed_state
+from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
+from jaxcap.io.archives.journal import hash_file
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.registry import write_motion
 

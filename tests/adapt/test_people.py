@@ -10,10 +10,11 @@ import pytest
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_people, make_person, people_like
-from jaxcap.body.decimate import attach_points, attached_positions, reduce_body
+from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
 from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.geometry.attachment import attach_points, attached_positions
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 

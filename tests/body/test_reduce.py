@@ -6,9 +6,10 @@ import pytest
 import trimesh
 
 from jaxcap.body.body import Body
-from jaxcap.body.decimate import attach_points, attached_positions, decimate, reduce_body
+from jaxcap.body.decimate import decimate, reduce_body
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import AbstractSkin, LinearSkin, RigidSkin
+from jaxcap.geometry.attachment import attach_points, attached_positions
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
-from jaxcap.edit.glue import animate_scan, glue_scan, glued_points
-from jaxcap.geometry import rotation
+from jaxcap.edit.glue import animate_scan, glue_scan
+from jaxcap.geometry.attachment import attached_positions
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +28,14 @@ def scene():
 
 def test_in_the_same_pose_the_scan_is_itself(scene):
     body, pose, vertices, points, glue = scene
-    np.testing.assert_allclose(glued_points(glue, jnp.asarray(vertices)), points, atol=1e-12)
+    np.testing.assert_allclose(attached_positions(glue, jnp.asarray(vertices)), points, atol=1e-12)
     np.testing.assert_allclose(animate_scan(glue, body, pose), points, atol=1e-12)
 
 
 def test_a_rigid_motion_carries_the_scan_along(scene, rng):
     _, _, vertices, points, glue = scene
     turn, shift = Rotation.random(random_state=3), rng.normal(size=3)
-    moved = glued_points(glue, jnp.asarray(turn.apply(vertices.copy()) + shift))
+    moved = attached_positions(glue, jnp.asarray(turn.apply(vertices.copy()) + shift))
     np.testing.assert_allclose(moved, turn.apply(points.copy()) + shift, atol=1e-12)
 
 
@@ -43,7 +43,7 @@ def test_points_hang_on_the_closest_triangle_by_the_foot_of_the_perpendicular(sc
     body, _, vertices, points, glue = scene
     surface = trimesh.Trimesh(vertices, np.asarray(body.faces), process=False)
     nearest, distances, _ = trimesh.proximity.closest_point(surface, points)
-    shares, heights = np.asarray(glue.barycentric), np.asarray(glue.normal_offsets)
+    shares, heights = np.asarray(glue.barycentric), np.asarray(glue.heights)
     np.testing.assert_allclose(shares.sum(1), 1.0, atol=1e-12)
     inside = (shares >= 0).all(1)
     foot = np.einsum("nc,nca->na", shares, vertices[np.asarray(glue.corners)])
@@ -62,26 +62,26 @@ def test_other_poses_keep_the_distance_to_the_triangle(scene, rng):
     a, b, c = np.moveaxis(np.asarray(vertices)[np.asarray(glue.corners)], 1, 0)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    np.testing.assert_allclose(np.sum((points - a) * normal, 1), glue.normal_offsets, atol=1e-9)
+    np.testing.assert_allclose(np.sum((points - a) * normal, 1), glue.heights, atol=1e-9)
 
 
-def test_frames_are_traced_once_and_differentiated(scene):
-    _, _, vertices, _, glue = scene
+def test_frames_are_traced_once_and_differentiated(scene, rng):
+    body, pose, vertices, _, glue = scene
     here = jnp.asarray(vertices)
-    glued_points(glue, here)
-    count = glued_points.__wrapped__._cache_size()
-    for angle in (0.1, 0.2):
-        glued_points(glue, here @ rotation.to_matrix(rotation.exp(jnp.array([0.0, angle, 0.0]))))
-    assert glued_points.__wrapped__._cache_size() == count
-    slope = jax.grad(lambda v: jnp.sum(glued_points(glue, v) ** 2))(here)
+    animate_scan(glue, body, pose)
+    count = animate_scan.__wrapped__._cached._cache_size()
+    for _ in range(2):
+        animate_scan(glue, body, random_pose(body.skeleton, rng, 0.2))
+    assert animate_scan.__wrapped__._cached._cache_size() == count
+    slope = jax.grad(lambda v: jnp.sum(attached_positions(glue, v) ** 2))(here)
     step = 1e-6 * jnp.asarray(np.random.default_rng(0).normal(size=here.shape))
-    value = lambda v: jnp.sum(glued_points(glue, v) ** 2)  # noqa: E731
+    value = lambda v: jnp.sum(attached_positions(glue, v) ** 2)  # noqa: E731
     assert (value(here + step) - value(here - step)) / 2 == pytest.approx(
         float(jnp.sum(slope * step)), rel=1e-5
     )
     # a triangle that is folded up takes its points along, finite in value and slope
     flat = here.at[glue.corners[0]].set(here[glue.corners[0, 0]])
-    assert np.isfinite(glued_points(glue, flat)).all()
+    assert np.isfinite(attached_positions(glue, flat)).all()
     assert np.isfinite(jax.grad(value)(flat)).all()
 
 

@@ -18,8 +18,8 @@ def bumpy(rng) -> trimesh.Trimesh:
     return sphere
 
 
-def test_face_normals_are_twice_the_area_long(bumpy):
-    across = np.asarray(mesh.face_normals(jnp.asarray(bumpy.vertices), jnp.asarray(bumpy.faces)))
+def test_area_normals_are_twice_the_area_long(bumpy):
+    across = np.asarray(mesh.area_normals(jnp.asarray(bumpy.triangles)))
     np.testing.assert_allclose(across, 2 * bumpy.area_faces[:, None] * bumpy.face_normals, atol=1e-14)
 
 
@@ -31,8 +31,17 @@ def test_vertex_normals_are_weighted_by_area(bumpy):
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     normals = np.asarray(vertex_normals(jnp.asarray(bumpy.vertices), jnp.asarray(bumpy.faces)))
     np.testing.assert_allclose(normals, expected, atol=1e-13)
+    in_numpy = mesh.vertex_normals(np.array(bumpy.vertices), np.array(bumpy.faces))
+    assert isinstance(in_numpy, np.ndarray)
+    np.testing.assert_allclose(in_numpy, expected, atol=1e-13)
     # trimesh counts triangles by their angle: close, not the same, and outwards like ours
     assert (np.sum(normals * bumpy.vertex_normals, axis=1) > 0.99).all()
+
+
+def test_vertex_areas_share_the_triangles_out(bumpy):
+    areas = mesh.vertex_areas(np.vstack([bumpy.vertices, [[9.0, 9, 9]]]), np.array(bumpy.faces))
+    expected = [bumpy.area_faces[(bumpy.faces == vertex).any(1)].sum() / 3 for vertex in range(len(areas))]
+    np.testing.assert_allclose(areas, expected, atol=1e-14)
 
 
 def test_normals_of_an_octahedron_point_from_its_centre():

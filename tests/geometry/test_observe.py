@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from jaxcap.errors import InputError
-from jaxcap.geometry.morton_order import spatial_order
+from jaxcap.geometry.sampling import spatial_order
 from jaxcap.observe import stack_clouds, thin_cloud
 from jaxcap.observe.clouds import make_cloud, padded_size
 

@@ -42,13 +42,13 @@ def test_markers_stay_where_they_were_seen_and_as_far_from_the_surface_as_trimes
     markers = attach_markers(BODY, seen, pose)
     np.testing.assert_allclose(places_of(markers, BODY, pose), seen, atol=1e-12)
     surface = trimesh.Trimesh(np.asarray(posed(BODY, pose).vertices), np.asarray(BODY.faces), process=False)
-    corners = np.sort(np.asarray(markers.corners), axis=1)
+    corners = np.sort(np.asarray(markers.attachment.corners), axis=1)
     nearest = trimesh.proximity.closest_point(surface, seen)[2]
     np.testing.assert_array_equal(corners, np.sort(np.asarray(BODY.faces)[nearest], axis=1))
-    inside = (np.asarray(markers.shares) >= 0).all(1)
+    inside = (np.asarray(markers.attachment.barycentric) >= 0).all(1)
     assert inside.any()
     distances = trimesh.proximity.closest_point(surface, seen)[1]
-    np.testing.assert_allclose(np.abs(markers.heights)[inside], distances[inside], atol=1e-12)
+    np.testing.assert_allclose(np.abs(markers.attachment.heights)[inside], distances[inside], atol=1e-12)
 
 
 def test_a_rigid_motion_of_the_body_carries_its_markers(rng):

@@ -13,7 +13,7 @@ from jaxcap.fit.correspondence.part_blocks import make_parts
 from jaxcap.fit.correspondence.posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
-from jaxcap.geometry.morton_order import spatial_order
+from jaxcap.geometry.sampling import spatial_order
 from jaxcap.observe.clouds import Cloud
 
 SETTINGS = {"normal_threshold": 0.4, "outlier": 0.1, "box_volume": 8.0}

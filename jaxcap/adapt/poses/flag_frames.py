@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -15,6 +13,7 @@ from ...fit.judgement.surface import sampled_surface
 from ...fit.judgement.verdict import Judgement, judge_evidence
 from ...geometry.camera import Camera
 from ...geometry.closest import nearest_on_surface
+from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ..task import AdaptState, AdaptTask
@@ -63,13 +62,9 @@ def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     evidence = gather(task.cameras)
     if not task.cameras:
         # estimate the sensors from all frames together
-        evidence = gather(sensor_directions(median_baseline(_stack(evidence))))
-    baseline = median_baseline(_stack(evidence))
+        evidence = gather(sensor_directions(median_baseline(stack_trees(evidence))))
+    baseline = median_baseline(stack_trees(evidence))
     return [judge_evidence(surface, baseline, one) for one in evidence]
-
-
-def _stack(evidence: list[Evidence]) -> Evidence:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *evidence)
 
 
 def distance_limit(distances: Float[np.ndarray, "F"]) -> float:

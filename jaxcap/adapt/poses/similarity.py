@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.spatial import KDTree
 
+from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud
 
 #: sample points of a cloud's distance field: radii and heights about its middle, as shares of the body's
@@ -74,7 +75,7 @@ def is_unordered(cloud: Callable[[int], Cloud], frames: Sequence[int], height: f
     """
     if len(frames) <= MAX_UNTESTED_SCANS:
         return False
-    first = np.unique(np.linspace(0, len(frames) - 2, min(MAX_PAIRS, len(frames) - 1)).astype(int))
+    first = even_indices(len(frames) - 1, MAX_PAIRS)
     rows = np.union1d(first, first + 1)
     shapes = {row: distance_field(cloud(frames[row]), height) for row in rows.tolist()}
     steps = np.array([scan_distance(shapes[row], shapes[row + 1]) for row in first.tolist()])

@@ -7,6 +7,7 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Pose
 from ...fit.correspondence.correspond import IndexedScan, PointPairs
+from ...geometry.sampling import even_indices
 from ...geometry.stacking import stack_trees
 from ...parallel import parallel_map
 from ..objective import Terms, mean_squared_distance, motion_energy, pose_energy, symmetry_energy
@@ -89,5 +90,4 @@ def append_history(
 
 def select_evenly(frames: Sequence[int], count: int = 8) -> list[int]:
     """Select at most `count` frames, spread evenly."""
-    rows = np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)
-    return [frames[row] for row in np.unique(rows)]
+    return [frames[row] for row in even_indices(len(frames), count)]

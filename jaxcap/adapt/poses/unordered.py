@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.body import Body, body_height
-from ...body.decimate import attach_points, attached_positions, reduce_body
-from ...body.pose import Pose
+from ...body.decimate import reduce_body
+from ...body.pose import Pose, concatenate_poses
 from ...fit.correspondence.part_blocks import make_parts
 from ...fit.tracking.compare_poses import log_likelihood, track_from
 from ...fit.tracking.initialise import (
@@ -24,6 +24,7 @@ from ...fit.tracking.initialise import (
     rotated_starts,
 )
 from ...fit.tracking.track_frame import Tracker
+from ...geometry.attachment import attach_points, attached_positions
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ..task import AdaptTask, make_task_tracker
@@ -156,7 +157,7 @@ class _Search:
             rows = (best + np.arange(turns) * DIRECTIONS // turns) % DIRECTIONS
             turned = rotated_starts(self.coarse, cloud, found.poses[source], DIRECTIONS, jnp.asarray(UP))
             picked.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], turned))
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *picked)
+        return concatenate_poses(picked)
 
 
 def coarse_template_tracker(template: Body, tracker: Tracker) -> Tracker:

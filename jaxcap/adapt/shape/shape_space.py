@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 
 from ...arguments import checked
 from ...body.body import Body
-from ...body.decimate import Attachment, attach_points, attached_positions
 from ...body.people.human import human
 from ...body.people.random_humans import human_resolution, sample_humans
 from ...body.shape_modes import ShapeModes, apply_modes
+from ...geometry.attachment import Attachment, attach_points, attached_positions
 from ...geometry.closest import nearest_on_surface
 from ...geometry.linear import solve_symmetric
 

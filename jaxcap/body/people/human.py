@@ -10,8 +10,9 @@ from jaxtyping import Float
 from ...arguments import checked
 from ...assets import asset_path
 from ...geometry import rotation
+from ...geometry.attachment import Attachment, attached_positions
 from ..body import Body
-from ..decimate import Attachment, attached_positions, reduce_body
+from ..decimate import reduce_body
 from ..skeleton import Skeleton, make_skeleton
 from ..skin import LinearSkin
 from ..skin.interpolate import interpolate_weights

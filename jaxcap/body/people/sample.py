@@ -8,6 +8,7 @@ from jaxtyping import Int
 
 from ...arguments import checked
 from ...geometry import rotation
+from ...geometry.sampling import farthest_points
 from ..kinematics import joint_paths
 from ..pose import Pose, project, rest_pose
 from ..skeleton import Skeleton
@@ -55,8 +56,4 @@ def select_diverse_poses(skeleton: Skeleton, poses: Pose, count: int) -> Int[np.
     """
     joints = np.asarray(joint_paths(skeleton, poses), float)
     joints = (joints - joints[:, :1]).reshape(len(joints), -1)
-    chosen, apart = [0], np.linalg.norm(joints - joints[0], axis=1)
-    while len(chosen) < min(count, len(joints)):
-        chosen.append(int(np.argmax(apart)))
-        apart = np.minimum(apart, np.linalg.norm(joints - joints[chosen[-1]], axis=1))
-    return np.unique(chosen)
+    return farthest_points(joints, count, 0)

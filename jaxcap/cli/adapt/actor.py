@@ -9,11 +9,11 @@ import numpy as np
 from ...adapt.task import AdaptState
 from ...errors import InputError
 from ...io.archives.checkpoint import Checkpoint
-from ...io.archives.journal import check_same_header
+from ...io.archives.journal import check_same_header, hash_file
 from ...io.archives.npz import add_limits_prefix, body_arrays, body_of, get_array, load_format, save_arrays
 from ...io.skeletons.body_motion import read_body_motion
 from ...io.text import parse_json
-from .state import REQUIRED_ARRAYS, hash_file, make_checkpoint, restore_state
+from .state import REQUIRED_ARRAYS, make_checkpoint, restore_state
 
 #: prefix of the names of a run's arrays
 RUN = "run."

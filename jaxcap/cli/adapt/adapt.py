@@ -16,6 +16,7 @@ from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ...errors import InputError, user_message
 from ...fit.correspondence.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
+from ...io.archives.journal import hash_files
 from ...io.archives.prior import Priors
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
@@ -46,7 +47,6 @@ from .state import (
     check_results,
     checkpoint_sentence,
     fingerprint_of,
-    hash_file,
     keep_state,
     load_resumed_state,
 )
@@ -164,7 +164,7 @@ class Adapt:
     def adapt_all(self) -> None:
         """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
         known = prior_file(self.body, self.prior)
-        header = {**self.settings(), "prior": hash_file(known), "limits": hash_file(self.limits)}
+        header = self.settings() | hash_files({"prior": known, "limits": self.limits})
         body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
@@ -372,7 +372,7 @@ class Adapt:
             "first",
             "last",
         )
-        files = {"cameras": hash_file(self.cameras), "start": hash_file(self.start)}
+        files = hash_files({"cameras": self.cameras, "start": self.start})
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}

@@ -129,16 +129,6 @@ def fingerprint_of(body: Body, scans: Sequence[str]) -> dict[str, object]:
     return {"template": template.hexdigest(), "scans": len(scans), **each}
 
 
-def hash_file(path: Path | None) -> str | None:
-    """Hash a file, if one is given. Raises `InputError` if it cannot be read."""
-    if path is None:
-        return None
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-
-
 def load_resumed_state(
     path: Path, header: Mapping[str, object], resume: bool, overwrite: bool
 ) -> AdaptState | None:

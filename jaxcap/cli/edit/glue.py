@@ -12,8 +12,9 @@ from jaxtyping import Float, UInt8
 from ...body.body import pose_body
 from ...edit.glue import animate_scan, glue_scan
 from ...errors import InputError, user_message
+from ...geometry.mesh import vertex_normals
 from ...io.meshes.colours import read_colours
-from ...io.meshes.mesh import Mesh, read_mesh, vertex_normals
+from ...io.meshes.mesh import Mesh, read_mesh
 from ...io.meshes.obj import write_obj
 from ...io.meshes.ply import write_ply
 from ..console.console import progress, say, warn
@@ -80,10 +81,10 @@ class Glue:
         vertices = np.asarray(pose_body(body, fitted[self.frame]).vertices, float)
         self.check_size(scan, vertices)
         try:
-            glue = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)
+            attachment = glue_scan(scan.vertices, vertices, np.asarray(body.faces), self.max_distance)
         except ValueError as error:
             raise InputError(f"{self.scan}: {user_message(error)}") from None
-        off = np.abs(np.asarray(glue.normal_offsets))
+        off = np.abs(np.asarray(attachment.heights))
         if (off > WARNING_DISTANCE).any():
             warn(
                 f"{self.scan}: {100 * (off > WARNING_DISTANCE).mean():.1f} % of the points are more than {1000 * WARNING_DISTANCE:.0f} mm away from the "
@@ -92,7 +93,7 @@ class Glue:
         self.begin()
         numbers = range(first, last + 1)
         for frame in progress(numbers, len(numbers), label="gluing"):
-            self.write(frame, scan, np.asarray(animate_scan(glue, body, motion[frame]), float), colours)
+            self.write(frame, scan, np.asarray(animate_scan(attachment, body, motion[frame]), float), colours)
         said = "with their colours" if colours is not None else "without colours, as the scan has none"
         say(
             f"{len(numbers)} meshes of {len(scan.vertices)} points and {len(scan.faces)} triangles, {said}, are in {self.out}"

@@ -9,6 +9,7 @@ import tyro
 
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
+from ...io.archives.journal import hash_file, hash_files
 from ...io.markers.subject import load_subject
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
 from ...io.system.lock import run_lock
@@ -23,7 +24,7 @@ from ..console.options import Flag, OptionalUnit, Up, arg
 from ..outputs import check_parent, is_run_complete, make_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .found import describe_strays
-from .solved import hash_file, read_solved, write_solved
+from .solved import read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,
@@ -141,11 +142,10 @@ class Solve:
         """Collect the settings that affect the results, by the names of the options."""
         files = {"joints": self.joints, "filled": self.filled}
         names = ("unit", "performer", "up", "pieces", "stream", "floor", "limit_weight")
-        terms = {"limits": self.limits, "prior": self.prior}
         return {
             **{name: getattr(self, name) for name in names},
             **{name: [str(path) for path in paths] for name, paths in files.items()},
-            **{name: None if path is None else hash_file(path) for name, path in terms.items()},
+            **hash_files({"limits": self.limits, "prior": self.prior}),
             "report": None if self.report is None else str(self.report),
         }
 

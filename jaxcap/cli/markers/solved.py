@@ -1,6 +1,5 @@
 """The solved trials of a run, in one file that is replaced atomically after each of them."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,14 +7,6 @@ from pathlib import Path
 from ...errors import InputError
 from ...io.archives.journal import check_same_header
 from ...io.table import write_json
-
-
-def hash_file(path: str | Path) -> str:
-    """Compute the SHA-256 of a file. Raises `InputError` if it cannot be read."""
-    try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
 
 
 def read_solved(path: Path, header: Mapping[str, object]) -> dict[str, str]:

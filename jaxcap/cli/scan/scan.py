@@ -13,6 +13,7 @@ from ...body.body import Body, pose_body, posed_vertices
 from ...body.pose import Motion, take_poses
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera, check_views, ring_of_cameras
+from ...geometry.sampling import even_indices
 from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
@@ -97,7 +98,7 @@ class Scan:
         self.check()
         body, _ = load_body(self.body)
         motion = thin_motion(load_body_motion(body, self.motion), self.rate)
-        shown = np.unique(np.linspace(0, len(motion) - 1, CHECKED_FRAMES).round().astype(int))
+        shown = even_indices(len(motion), CHECKED_FRAMES, nearest=True)
         places = np.asarray(posed_vertices(body, take_poses(motion.poses, shown)), float)
         cameras = self.make_cameras(places)
         make_writable(self.out)

@@ -20,6 +20,7 @@ from ...body.influences import strongest_bones
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...geometry.sampling import even_indices
 from .examples import pose_blocks, skeleton_frames, virtual_frames
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
@@ -83,7 +84,7 @@ def to_linear_blend(
             "linear, rigid, swing-twist or dual quaternion skin."
         )
     count = poses.rotations.shape[0]
-    chosen = np.unique(np.linspace(0, count - 1, min(count, _NUM_POSES)).round().astype(int))
+    chosen = even_indices(count, _NUM_POSES, nearest=True)
     blend = _initial_blend(body, max_influences)
     if isinstance(body.skin, (LinearSkin, RigidSkin)):
         blend = _limit_blend(body, blend, take_poses(poses, chosen), tolerance, max_influences)

@@ -16,6 +16,7 @@ from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...errors import user_message
 from ...geometry.axes import nearest_axis
+from ...geometry.sampling import even_indices
 from .person_joints import PersonJoints, snap_to_axis, trunk_direction
 from .sides import UnknownSides, resolve_sides
 
@@ -72,7 +73,7 @@ def find_upright_pose(
                 else "give a skeleton with an upright rest pose."
             )
         )
-    frames = np.unique(np.linspace(0, len(motion) - 1, MAX_FRAMES).astype(int))
+    frames = even_indices(len(motion), MAX_FRAMES)
     places, turns = joint_transforms(skeleton, take_poses(motion.poses, frames))
     scores = np.array([upright_score(person, frame) for frame in places])
     best = int(np.argmax(scores))

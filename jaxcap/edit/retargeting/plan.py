@@ -22,6 +22,7 @@ from ...body.symmetry import left_right_candidates
 from ...geometry import rotation
 from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
+from ...geometry.sampling import even_indices
 from ..matching.match import SIDES, match_joints
 from ..matching.matches import JointMatches
 from ..matching.person_joints import far_end
@@ -175,7 +176,7 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
     if motion is None or len(motion) == 0:
         places, turns = stand.places[None], stand.rotations[None]
     else:
-        frames = np.unique(np.linspace(0, len(motion) - 1, MAX_FRAMES).astype(int))
+        frames = even_indices(len(motion), MAX_FRAMES)
         places, turns = joint_transforms(source, take_poses(motion.poses, frames))
     for side in SIDES:
         for kind in ("leg", "arm"):

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
+from ...geometry.sampling import even_indices
 from ...value_checks import check_deviations, check_direction, check_values
 from .vertices import AbstractVertexEnergy
 
@@ -63,7 +64,7 @@ def make_floor(
     vertical = np.asarray(up, float) / np.linalg.norm(up)
     places, dtype = np.asarray(body.vertices, float) @ vertical, body.vertices.dtype
     lowest = np.argsort(places, kind="stable")[:NUM_LOWEST]
-    others = np.linspace(0, len(places) - 1, min(NUM_SPREAD, len(places))).astype(int)
+    others = even_indices(len(places), NUM_SPREAD)
     rows = np.union1d(lowest, others)
     numbers = (jnp.asarray(number, dtype) for number in (vertical, height, deviation))
     return Floor(jnp.asarray(rows, jnp.int32), *numbers)

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
 from ...geometry.linear import inverse_symmetric
+from ...geometry.mesh import vertex_areas
 from ..energy import AbstractEnergy, safe_sqrt
 
 #: share of an ellipsoid's size around its centre in which the cone of distances is rounded off
@@ -152,7 +153,9 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
         raise ValueError(f"The limit is {primitives} primitives per bone; expected at least one.")
     if blend is not None and not blend > 0:
         raise ValueError(f"The blend length of the primitives is {blend} m; expected a positive length.")
-    vertices, areas = np.asarray(body.vertices, float), _areas(body)
+    vertices = np.asarray(body.vertices, float)
+    # negligible for a vertex without triangles
+    areas = vertex_areas(vertices, np.asarray(body.faces)) + 1e-12
     parts = np.asarray(body.skin.dominant_bones())
     bones, slices, shapes = [], [], []
     for bone in np.unique(parts):
@@ -179,14 +182,6 @@ def make_soft_object(body: Body, primitives: int = 2, blend: float | None = None
         jnp.asarray(precisions, dtype),
         jnp.asarray(stiffness, dtype),
     )
-
-
-def _areas(body: Body) -> Float[np.ndarray, "V"]:
-    """Compute the area around each vertex, square metres; negligible for a vertex without triangles."""
-    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices)) + 1e-12
 
 
 def _slices(vertices, areas, rows, max_slices: int):

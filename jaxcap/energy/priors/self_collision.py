@@ -12,6 +12,7 @@ from ...body.body import Body, Posed, pose_body
 from ...body.people.anatomy import BODY_REGIONS
 from ...body.pose import rest_pose
 from ...body.skeleton import Skeleton
+from ...geometry.sampling import even_indices
 from ..data.soft_object import SoftObject, make_soft_object, soft_distance
 from ..energy import AbstractEnergy, safe_sqrt
 
@@ -88,7 +89,7 @@ def _bones(skeleton: Skeleton, names: Collection[str], side: str = "") -> list[i
 def _limb(body: Body, whole: SoftObject, own: list[int], others: list[int]) -> LimbCollision:
     bones = np.asarray(body.skin.dominant_bones())
     rows = np.flatnonzero(np.isin(bones, own))
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, NUM_POINTS).astype(int))]
+    rows = rows[even_indices(len(rows), NUM_POINTS)]
     kept = np.flatnonzero(np.isin(np.asarray(whole.bones), others))
     parts = SoftObject(whole.bones[kept], whole.centres[kept], whole.precisions[kept], whole.stiffness)
     points, skeleton = body.vertices[rows], body.skeleton

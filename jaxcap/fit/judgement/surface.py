@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import Body
 from ...body.people.anatomy import BODY_REGIONS
 from ...body.skeleton import Skeleton
-from ...geometry.morton_order import spatial_order
+from ...geometry.mesh import area_normals, unit_vectors
+from ...geometry.sampling import spatial_order
 from .inside import inside_degrees
 
 #: samples of a surface, about 4 cm from each other on a person
@@ -72,8 +73,7 @@ def sampled_surface(body: Body) -> SampledSurface:
     moving = sorted(set(movers))
     dtype = body.vertices.dtype
     triangles = vertices[corners]
-    normals = _area_normals(triangles)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = unit_vectors(area_normals(triangles))
     points = np.einsum("sk,ska->sa", shares, triangles)
     samples = Body(
         body.skeleton,
@@ -83,7 +83,7 @@ def sampled_surface(body: Body) -> SampledSurface:
     )
     size, area = (
         np.ptp(vertices, axis=0).max(),
-        0.5 * np.linalg.norm(_area_normals(vertices[faces]), axis=1).sum(),
+        0.5 * np.linalg.norm(area_normals(vertices[faces]), axis=1).sum(),
     )
     apart = jnp.asarray(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
     few = slice(None, None, STRIDE)
@@ -138,18 +138,13 @@ def _even_samples(
     """Sample triangle corners and barycentric shares at equal steps of area along Morton's curve."""
     triangles = vertices[faces]
     order = np.asarray(spatial_order(triangles.mean(1)))
-    passed = np.cumsum(np.linalg.norm(_area_normals(triangles), axis=1)[order])
+    passed = np.cumsum(np.linalg.norm(area_normals(triangles), axis=1)[order])
     steps = np.searchsorted(passed, (np.arange(NUM_SAMPLES) + 0.5) / NUM_SAMPLES * passed[-1])
     # positions within the triangles by Roberts's sequence, which leaves no gaps
     first, second = ((np.arange(NUM_SAMPLES) * np.array([[0.7548776662], [0.5698402910]])) + 0.5) % 1.0
     outside = first + second > 1
     first, second = np.where(outside, 1 - first, first), np.where(outside, 1 - second, second)
     return faces[order[steps]], np.stack([1 - first - second, first, second], 1)
-
-
-def _area_normals(triangles: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "F 3"]:
-    """Compute normals with a length of twice the area."""
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def _adjacent_regions(

@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray
 
-from ...body.pose import Pose
+from ...body.pose import Pose, concatenate_poses
 from ...energy.priors.prior import tangent_deviations
+from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ..judgement.baseline import (
@@ -221,12 +222,15 @@ def search_frame(
     if not float(jnp.sum(few.weights)) > 0:
         return failed
     wide = tangent_deviations(skeleton, 0.05, 0.5)
-    here = _stack(*([frame.pose] if _finite(frame.pose) else []), previous)
+    here = stack_trees([*([frame.pose] if _finite(frame.pose) else []), previous])
     keys = jax.random.split(key, 3)
-    starts = _join(
-        perturbed_starts(skeleton, here, 7, wide, keys[0]),
-        subtree_starts(skeleton, here, 7, wide, keys[1]),
-        rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, jnp.asarray(up, previous.rotations.dtype)),
+    vertical = jnp.asarray(up, previous.rotations.dtype)
+    starts = concatenate_poses(
+        [
+            perturbed_starts(skeleton, here, 7, wide, keys[0]),
+            subtree_starts(skeleton, here, 7, wide, keys[1]),
+            rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
+        ]
     )
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, starts, sigmas)
@@ -249,14 +253,6 @@ def search_frame(
 
 def _finite(pose: Pose) -> bool:
     return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
-
-
-def _stack(*poses: Pose) -> Pose:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *poses)
-
-
-def _join(*stacks: Pose) -> Pose:
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *stacks)
 
 
 def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:

@@ -9,6 +9,7 @@ A record that was torn by the end of the program is detected by its length or it
 again. Records are read in blocks: memory does not grow with their number.
 """
 
+import hashlib
 import json
 import shutil
 import struct
@@ -175,6 +176,19 @@ def check_same_header(path: Path, stored: Mapping[str, object], header: Mapping[
                 f"{path}: this run was started with {name} {_short(stored.get(name))}, not {_short(now.get(name))}; "
                 "resume it with the same settings, or overwrite it."
             )
+
+
+def hash_file(path: str | Path) -> str:
+    """Compute the SHA-256 of a file. Raises `InputError` if it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
+
+
+def hash_files(paths: Mapping[str, Path | None]) -> dict[str, str | None]:
+    """Compute the SHA-256 of files by their names in a header; None for those that are not given."""
+    return {name: None if path is None else hash_file(path) for name, path in paths.items()}
 
 
 def _size(width: int) -> int:

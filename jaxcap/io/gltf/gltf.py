@@ -17,7 +17,7 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..meshes.mesh import vertex_normals
+from ...geometry.mesh import vertex_normals
 from ..skinned.skinned import (
     INFLUENCES_PER_SET,
     bind_frames,

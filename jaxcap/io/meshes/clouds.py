@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ...arguments import checked
 from ...errors import InputError
+from ...geometry.mesh import vertex_normals
 from ...observe import Scan as Scan
 from ...observe.clouds import Cloud
 from ...units import unit_scale
@@ -18,7 +19,7 @@ from ..system.atomic import atomic_path
 from ..system.paths import find_files, order_files, select_range
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER
-from .mesh import check_faces, check_points, read_mesh, vertex_normals
+from .mesh import check_faces, check_points, read_mesh
 
 _ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
 #: the faces of a cloud

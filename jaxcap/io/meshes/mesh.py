@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 
 from ...arguments import checked
 from ...errors import InputError
+from ...geometry.mesh import area_normals
 from ...observe.clouds import unit_normals
 from ...units import BODY_SIZE, UNIT_NAMES, likely_units, unit_scale
 from ..gltf.gltf_scene import check_scene
@@ -138,7 +139,7 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
     if len(faces) == 0:
         raise InputError(f"{where}: it has no faces; a body needs a surface, not a cloud.")
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(area_normals(vertices[faces]), axis=1)
     longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], 0)
     # zero area at the precision of the numbers in a file
     flat = area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
@@ -176,17 +177,6 @@ def check_size(extent: float, where: str | Path, unit: str | float = "m") -> Non
     raise InputError(
         f"{where}: its longest side is {extent:.4g} m; expected 0.3 to 3 m for a body; this {hint}."
     )
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Compute (V, 3) area-weighted unit vertex normals; zero at a vertex without faces."""
-    corners = vertices[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(total, faces[:, corner], across)
-    lengths = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(lengths > 0, lengths, 1.0)
 
 
 def load_by_trimesh(path: Path) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...errors import InputError
+from ...geometry.mesh import triangle_sides
 
 
 class SkinnedSurface(NamedTuple):
@@ -46,7 +47,7 @@ def merge_seams(surface: SkinnedSurface) -> SkinnedSurface:
     Programs split these along seams, as each side has its own texture coordinates or normal.
     """
     faces, count = surface.faces, len(surface.vertices)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = np.sort(triangle_sides(faces), axis=1)
     named, times = np.unique(edges, axis=0, return_counts=True)
     itself = np.arange(1, count + 1)
     itself[named[times == 1]] = 0

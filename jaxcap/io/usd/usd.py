@@ -19,7 +19,7 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..meshes.mesh import vertex_normals
+from ...geometry.mesh import vertex_normals
 from ..skinned.skinned import (
     bind_frames,
     check_linear_skin,

@@ -11,6 +11,7 @@ from ...body.body import Body
 from ...body.kinematics import Transforms, forward_kinematics
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
+from ...geometry.sampling import even_indices
 
 #: parts that stay within this distance of each other or of their position are not distinguishable, share of
 #: the body's length
@@ -43,7 +44,7 @@ def check_parts(
         [f"No vertex belongs to {_listed(bare)}, so that the motion is poorly determined."] if bare else []
     )
     chosen = [
-        (part, rest[rows[np.linspace(0, len(rows) - 1, min(NUM_SAMPLES, len(rows))).astype(int)]])
+        (part, rest[rows[even_indices(len(rows), NUM_SAMPLES)]])
         for part, rows in enumerate(members)
         if rows.size
     ]

@@ -7,7 +7,8 @@ from jaxtyping import Float, Int
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ...geometry.mesh import mesh_edges
+from ...geometry.mesh import mesh_edges, vertex_areas
+from ...geometry.sampling import even_indices, farthest_points
 
 #: frames used to measure distances between pieces of a mesh
 BRIDGE_FRAMES = 16
@@ -40,7 +41,7 @@ def make_surface_graph(
     """Build the graph of a mesh with vertices `rest` at rest and `meshes` over time."""
     count = len(rest)
     edges = mesh_edges(faces)
-    chosen = np.unique(np.linspace(0, len(meshes) - 1, BRIDGE_FRAMES).round().astype(int))
+    chosen = even_indices(len(meshes), BRIDGE_FRAMES, nearest=True)
     places = meshes[chosen].transpose(1, 0, 2).reshape(count, -1).astype(float) / np.sqrt(len(chosen))
     edges = np.concatenate([edges, _coincident(places)])
     bridges = _bridges(places, edges)
@@ -80,7 +81,8 @@ def cut_patches(
     # a sparse matrix treats zero as no edge
     graph = adjacency(surface, np.maximum(surface.lengths, 1e-9 * np.ptp(rest, axis=0).max()))
     graph = graph[vertices][:, vertices]
-    seeds = _farthest_points(points, min(count, len(points)))
+    outermost = int(np.argmax(np.sum((points - points.mean(0)) ** 2, 1)))
+    seeds = farthest_points(points, count, outermost)
     cells = np.zeros(len(points), int)
     for _ in range(LLOYD_ROUNDS):
         _, _, nearest = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
@@ -132,24 +134,12 @@ def make_connected(
 
 
 def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (rest[faces[:, i]] for i in range(3))
-    triangles = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    areas = np.bincount(faces.ravel(), np.repeat(triangles, 3), len(rest))
+    areas = vertex_areas(rest, faces)
     total = areas.sum()
     # vertices without triangles also belong to a part
     areas = areas / total if total > 0 else areas
     areas = np.maximum(areas, 1e-3 / len(rest))
     return areas / areas.sum()
-
-
-def _farthest_points(points: np.ndarray, count: int) -> np.ndarray:
-    """Sample points by farthest point sampling; returns sorted indices."""
-    seeds = [int(np.argmax(np.sum((points - points.mean(0)) ** 2, 1)))]
-    gaps = np.sum((points - points[seeds[0]]) ** 2, 1)
-    while len(seeds) < count and gaps.max() > 0:
-        seeds.append(int(np.argmax(gaps)))
-        gaps = np.minimum(gaps, np.sum((points - points[seeds[-1]]) ** 2, 1))
-    return np.sort(seeds)
 
 
 def _coincident(places: np.ndarray) -> np.ndarray:
@@ -177,7 +167,7 @@ def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
             if piece == largest:
                 continue
             members = np.flatnonzero(pieces == piece)
-            members = members[np.linspace(0, len(members) - 1, min(len(members), BRIDGE_SAMPLES)).astype(int)]
+            members = members[even_indices(len(members), BRIDGE_SAMPLES)]
             gaps = squares[members, None] + squares - 2 * places[members] @ places.T
             gaps[:, pieces == piece] = np.inf
             best = np.unravel_index(np.argmin(gaps), gaps.shape)

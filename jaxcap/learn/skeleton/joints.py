@@ -26,8 +26,7 @@ from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import minimise
 from ...fit.solvers.problem import AbstractProblem
 from ...geometry import rotation
-from ...geometry.laplacian import Conformance, apply
-from ...geometry.patches import PatchLaplacian, laplacian_rows, make_patch_laplacian
+from ...geometry.laplacian import Conformance, PatchLaplacian, apply, laplacian_rows, make_patch_laplacian
 from ..objective import objective
 from .joint_centre_prior import GivenCentres, JointCentrePrior, boundary_centre_prior, given_centre_prior
 

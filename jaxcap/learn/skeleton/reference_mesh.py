@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import group_moments, nearest_rotation, rigid_motions
+from ...geometry.sampling import even_indices
 from ..parts.surface import cut_patches, make_surface_graph, membership
 
 #: the number of patches whose rotations are compared
@@ -19,7 +20,7 @@ def choose_reference_mesh(meshes: Float[np.ndarray, "F V 3"], faces: Int[np.ndar
     after the rotation of the whole body is removed.
     """
     meshes = np.asarray(meshes)
-    chosen = np.unique(np.linspace(0, len(meshes) - 1, min(len(meshes), FRAMES)).round().astype(int))
+    chosen = even_indices(len(meshes), FRAMES, nearest=True)
     first = np.asarray(meshes[0], float)
     surface = make_surface_graph(first, meshes, np.asarray(faces))
     patches = cut_patches(surface, first, PATCHES)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
+from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.parts import Parts
 from ..parts.surface import make_surface_graph
@@ -49,7 +50,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
     """
     rest, faces = np.asarray(rest, float), np.asarray(faces)
     count = parts.num_parts
-    chosen = np.unique(np.linspace(0, len(parts.rotations) - 1, FRAMES).round().astype(int))
+    chosen = even_indices(len(parts.rotations), FRAMES, nearest=True)
     moved = np.einsum("fvab,vb->fva", parts.rotations[chosen][:, parts.labels], rest)
     surface = make_surface_graph(rest, moved + parts.translations[chosen][:, parts.labels], faces)
     areas = np.bincount(parts.labels, surface.areas, count)

@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin
-from ...body.symmetry import bone_pairs as paired_bones
+from ...body.symmetry import mirrored_bones
 from ...fit.alternate import alternate
 from ...fit.linear.block_arrow import Unknowns
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...geometry.sampling import even_indices
 from ..skeleton.limbs import (
     BoneState,
     TreeTopology,
@@ -84,7 +85,7 @@ def improve_body(
     kept = sample_vertices(np.asarray(body.skin.dominant_bones()), samples)
     shown = jnp.swapaxes(targets[:, kept], 0, 1).reshape(len(kept), -1)
     weights = jnp.pad(body.skin.bone_weights(count), ((0, 0), (0, width - count)))
-    twins = _mirrored_bones(body, pairs, width)
+    twins = _padded_bones(body, pairs, width)
     start = Blend(limbs, weights[kept], body.vertices[kept])
     start, _ = _settled(start, tree, shown, jnp.asarray(count))
     solver = LevenbergMarquardt(rtol=min_decrease / 2, damping=jnp.asarray(damping, targets.dtype))
@@ -166,10 +167,9 @@ def _near(y: Blend, tree: TreeTopology, aims, count) -> Int[Array, "V K"]:
 _errors = eqx.filter_jit(blend_residuals)
 
 
-def _mirrored_bones(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
-    parents = np.array(body.skeleton.parents)
-    rows = [(a, parents[a], b, parents[b]) for a, b in paired_bones(body.skeleton, pairs).tolist()]
-    return jnp.asarray(np.array(rows + [(0, 0, 0, 0)] * (width // 2 - len(rows)), np.int32))
+def _padded_bones(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
+    rows = mirrored_bones(body.skeleton, pairs)
+    return jnp.asarray(np.pad(rows, ((0, width // 2 - len(rows)), (0, 0))), jnp.int32)
 
 
 def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray, "S"]:
@@ -180,7 +180,7 @@ def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray,
     ).astype(int)
     groups = (np.flatnonzero(labels == part) for part in range(len(sizes)))
     picked = [
-        group[np.linspace(0, len(group) - 1, share).round().astype(int)]
+        group[even_indices(len(group), share, nearest=True)]
         for group, share in zip(groups, shares, strict=True)
         if share
     ]
@@ -189,7 +189,7 @@ def sample_vertices(labels: Int[np.ndarray, "V"], count: int) -> Int[np.ndarray,
     # a constant number of vertices, so that trees of any shape share compiled code
     missing = min(count, len(labels)) - len(some)
     if missing < 0:
-        some = some[np.linspace(0, len(some) - 1, count).astype(int)]
+        some = some[even_indices(len(some), count)]
     elif missing > 0:
-        some = np.concatenate([some, others[np.linspace(0, len(others) - 1, missing).astype(int)]])
+        some = np.concatenate([some, others[even_indices(len(others), missing)]])
     return np.sort(some)

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ...body.symmetry import bone_length_differences
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linear.cholesky import factorise
@@ -92,20 +93,10 @@ class BlendProblem(AbstractProblem[Blend]):
             lambda u, s: 2.0 * value * s * u**2, self.units, (ROTATION_STIFFNESS, CENTRE_STIFFNESS)
         )
         hessian = hessian.add_diagonal(stiff)
-        constraints = Constraints(equalities=self._equalities(y.bone_state))
+        differences, by_centre = bone_length_differences(y.bone_state.centres, self.mirrored_bones)
+        rows = by_centre.reshape(len(differences), -1) * self.units[1]
+        constraints = Constraints(equalities=Equalities(rows, -differences))
         return ConstrainedInfo(value, moves.vjp(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
-
-    def _equalities(self, limbs: BoneState) -> Equalities:
-        count = len(self.mirrored_bones)
-        differences = jnp.zeros(count, limbs.centres.dtype)
-        rows = jnp.zeros((count, *limbs.centres.shape), differences.dtype)
-        for (end, start), sign in ((self.mirrored_bones.T[:2], 1.0), (self.mirrored_bones.T[2:], -1.0)):
-            bones = limbs.centres[end] - limbs.centres[start]
-            lengths = jnp.linalg.norm(bones, axis=1)
-            slopes = sign * bones / jnp.maximum(lengths, jnp.finfo(lengths.dtype).tiny)[:, None]
-            differences = differences + sign * lengths
-            rows = rows.at[jnp.arange(count), end].add(slopes).at[jnp.arange(count), start].add(-slopes)
-        return Equalities(rows.reshape(count, -1) * self.units[1], -differences)
 
 
 def weighted_rest_positions(y: Blend) -> Float[Array, "V B"]:

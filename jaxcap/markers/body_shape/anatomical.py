@@ -11,6 +11,7 @@ import numpy as np
 
 from ...body.people.human import human
 from ...body.skin.interpolate import clamp_barycentric
+from ...geometry.attachment import Attachment
 from .surface import MARKER_HEIGHT, SurfaceMarkers, attach_markers
 
 #: names without their side: the joint, and the offset from it, metres to the left, up and to the front. The
@@ -67,9 +68,10 @@ def anatomical_markers(
         )
     centres = dict(zip(body.skeleton.names, np.asarray(body.skeleton.centres, float), strict=True))
     near = np.array([centres[table[label][0]] + table[label][1] for label in known])
-    on_skin = attach_markers(body, near, labels=known)
-    shares = jnp.asarray(clamp_barycentric(on_skin.shares), on_skin.shares.dtype)
-    return SurfaceMarkers(on_skin.corners, shares, jnp.full_like(on_skin.heights, height), on_skin.labels)
+    near_skin = attach_markers(body, near, labels=known).attachment
+    barycentric = jnp.asarray(clamp_barycentric(near_skin.barycentric), near_skin.barycentric.dtype)
+    on_skin = Attachment(near_skin.corners, barycentric, jnp.full_like(near_skin.heights, height))
+    return SurfaceMarkers(on_skin, tuple(known))
 
 
 def _landmark_table() -> dict[str, tuple[str, np.ndarray]]:

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
-from ...body.body import Body, Posed, pose_body
-from ...body.decimate import attach_points
+from ...body.body import Body, Posed, posed_vertices
 from ...body.pose import Pose, rest_pose
 from ...energy.data.surface import SurfaceLandmarks, surface_points
+from ...geometry.attachment import Attachment, attach_points
 
 #: a marker farther from the surface is not on this body, or the body is in another pose, metres
 MAX_DISTANCE = 0.3
@@ -19,16 +19,9 @@ MARKER_HEIGHT = 0.0095
 
 
 class SurfaceMarkers(eqx.Module):
-    """M markers on a body's surface, or on that of any body with the same triangles.
+    """M markers on a body's surface, or on that of any body with the same triangles."""
 
-    A marker is `heights` metres above the plane of its triangle, along the normal, over the point with
-    barycentric coordinates `shares` of the `corners`. These are outside [0, 1] where the foot point is
-    beyond the nearest triangle.
-    """
-
-    corners: Int[Array, "M 3"]
-    shares: Float[Array, "M 3"]
-    heights: Float[Array, "M"]
+    attachment: Attachment
     labels: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -38,7 +31,7 @@ class SurfaceMarkers(eqx.Module):
 
     def positions(self, posed: Posed) -> Float[Array, "M 3"]:
         """Compute the marker positions on a posed body, metres."""
-        return surface_points(posed, self.corners, self.shares, self.heights)
+        return surface_points(posed, self.attachment)
 
 
 def attach_markers(
@@ -61,7 +54,7 @@ def attach_markers(
         if not np.isfinite(place).all():
             raise ValueError(f"The position of marker '{name}' is not finite; attach visible markers only.")
     pose = rest_pose(body.skeleton) if pose is None else pose
-    vertices = np.asarray(_posed_vertices(body, pose), float)
+    vertices = np.asarray(posed_vertices(body, pose), float)
     hold = attach_points(positions, vertices, np.asarray(body.faces))
     far = np.abs(hold.heights) > MAX_DISTANCE
     if far.any():
@@ -71,13 +64,7 @@ def attach_markers(
             f"{int(far.sum())} of {len(positions)} markers are more than {MAX_DISTANCE} m from it; pose the body as "
             "in the recording of the markers, and check the unit."
         )
-    dtype = body.vertices.dtype
-    return SurfaceMarkers(
-        jnp.asarray(hold.corners, jnp.int32),
-        jnp.asarray(hold.barycentric, dtype),
-        jnp.asarray(hold.heights, dtype),
-        names,
-    )
+    return SurfaceMarkers(_convert(hold, body.vertices.dtype), names)
 
 
 def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = MARKER_HEIGHT) -> SurfaceMarkers:
@@ -97,13 +84,10 @@ def vertex_markers(body: Body, vertices: Mapping[str, int], height: float = MARK
         triangle, corner = holding[0]
         corners.append(faces[triangle])
         shares.append(np.eye(3)[corner])
-    dtype = body.vertices.dtype
-    return SurfaceMarkers(
-        jnp.asarray(np.reshape(corners, (-1, 3)), jnp.int32),
-        jnp.asarray(np.reshape(shares, (-1, 3)), dtype),
-        jnp.full(len(corners), height, dtype),
-        _check_labels(list(vertices), len(corners)),
+    hold = Attachment(
+        np.reshape(corners, (-1, 3)).astype(int), np.reshape(shares, (-1, 3)), np.full(len(corners), height)
     )
+    return SurfaceMarkers(_convert(hold, body.vertices.dtype), _check_labels(list(vertices), len(corners)))
 
 
 def surface_landmarks(
@@ -116,12 +100,21 @@ def surface_landmarks(
 
     `seen (M,)`, by default all; residuals are in units of `deviation` metres.
     """
-    dtype = markers.shares.dtype
+    dtype = markers.attachment.heights.dtype
     visible = jnp.ones(len(markers.labels), bool) if seen is None else jnp.asarray(seen)
     # positions of markers that are not visible may be anything, NaN too
     targets = jnp.where(visible[:, None], jnp.asarray(positions, dtype), 0.0)
     weights = visible.astype(dtype) / deviation**2
-    return SurfaceLandmarks(markers.corners, markers.shares, markers.heights, targets, weights)
+    return SurfaceLandmarks(markers.attachment, targets, weights)
+
+
+def _convert(attachment: Attachment, dtype) -> Attachment:
+    """Convert an attachment to JAX arrays with the body's dtype."""
+    return Attachment(
+        jnp.asarray(attachment.corners, jnp.int32),
+        jnp.asarray(attachment.barycentric, dtype),
+        jnp.asarray(attachment.heights, dtype),
+    )
 
 
 def _check_labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
@@ -134,8 +127,3 @@ def _check_labels(labels: Sequence[str] | None, count: int) -> tuple[str, ...]:
         if names.count(name) > 1:
             raise ValueError(f"The marker label '{name}' occurs twice; give every marker its own label.")
     return names
-
-
-@eqx.filter_jit
-def _posed_vertices(body: Body, pose: Pose) -> Float[Array, "V 3"]:
-    return pose_body(body, pose).vertices

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.pose import Pose
+from ...geometry.sampling import farthest_points
 from ..subject import Subject
 from .rotation_prior import mean_rotations
 
@@ -15,7 +16,7 @@ def choose_frames(
     usable: Bool[np.ndarray, "F"],
     num_frames: int,
 ) -> np.ndarray:
-    """Choose at most `num_frames` frames, in order, by farthest point sampling (Gonzalez 1985).
+    """Choose at most `num_frames` frames, in order, by farthest point sampling.
 
     The distance of two poses is the sum of the squared differences between their joints' quaternions. A
     joint without visible markers counts as at its mean. Frames with fewer than half of the median number of
@@ -39,14 +40,9 @@ def choose_frames(
     features = _pose_features(subject, poses, used, frames)
     # start with the most typical pose, so that the choice does not depend on the order
     middle = np.sum((features - np.median(features, 0)) ** 2, 1)
-    chosen = [int(np.argmin(middle))]
-    distance = np.sum((features - features[chosen[0]]) ** 2, 1)
     # a pose that is far from all others is more probably wrong than rare
-    distance[middle > 30 * max(float(np.median(middle)), 1e-12)] = 0.0
-    while len(chosen) < num_frames:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.sum((features - features[chosen[-1]]) ** 2, 1))
-    return np.sort(frames[np.unique(chosen)])
+    outlier = middle > 30 * max(float(np.median(middle)), 1e-12)
+    return frames[farthest_points(features, num_frames, int(np.argmin(middle)), outlier)]
 
 
 def _pose_features(subject: Subject, poses: Pose, used, frames) -> Float[np.ndarray, "C N"]:

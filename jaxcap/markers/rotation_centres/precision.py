@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry.sampling import even_indices
+
 #: number of frames that arcs are measured on
 ARC_FRAMES = 150
 #: share of a trajectory's extremes that is ignored
@@ -14,7 +16,7 @@ def swept_arc(track: Float[np.ndarray, "F 3"], centre: Float[np.ndarray, "3"]) -
 
     The 1 % extremes are left out.
     """
-    track = track[np.unique(np.linspace(0, len(track) - 1, min(ARC_FRAMES, len(track))).astype(int))]
+    track = track[even_indices(len(track), ARC_FRAMES)]
     away = track - centre
     lengths = np.linalg.norm(away, axis=1)
     away = away[lengths > 1e-9] / lengths[lengths > 1e-9, None]

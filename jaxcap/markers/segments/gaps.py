@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ...arguments import checked
 from ...geometry.procrustes import rigid_fit
+from ...geometry.sampling import even_indices
 from ...observe.markers import MarkerFrames
 
 #: number of markers that carry another through a gap, and of frames compared to choose them
@@ -243,7 +244,7 @@ def _predict_rigidly(
     if len(others) < 3:
         return None
     shown = np.flatnonzero(seen[:, marker])
-    shown = shown[np.linspace(0, len(shown) - 1, min(FRAMES_COMPARED, len(shown))).astype(int)]
+    shown = shown[even_indices(len(shown), FRAMES_COMPARED)]
     away = np.linalg.norm(positions[shown][:, others] - positions[shown, marker][:, None], axis=2)
     away[~seen[shown][:, others]] = np.nan
     spread = np.sqrt(np.nanmean((away - away[shown == source_frame]) ** 2, axis=0))

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...geometry.sampling import even_indices
+
 #: number of frames that are used, evenly over the take
 MAX_FRAMES = 1200
 #: share of frames that the robust form trims at each end: a marker with a swapped label in 1 % of the frames
@@ -23,9 +25,7 @@ def pair_distance_ranges(
     partitioning). Otherwise it is the range between two quantiles, which is robust to gaps and swapped
     labels. NaN for pairs with too few common frames.
     """
-    chosen = np.unique(
-        np.linspace(0, len(positions) - 1, min(MAX_FRAMES, len(positions))).round().astype(int)
-    )
+    chosen = even_indices(len(positions), MAX_FRAMES, nearest=True)
     if trimmed_fraction == 0:
         chosen = np.arange(len(positions))
     positions, seen = positions[chosen], seen[chosen]
@@ -49,9 +49,7 @@ def median_distances(
     positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"]
 ) -> Float[np.ndarray, "M M"]:
     """Compute the median distance of every pair over the frames with both visible, metres; NaN where none."""
-    chosen = np.unique(
-        np.linspace(0, len(positions) - 1, min(MAX_FRAMES, len(positions))).round().astype(int)
-    )
+    chosen = even_indices(len(positions), MAX_FRAMES, nearest=True)
     positions, seen = positions[chosen], seen[chosen]
     count = positions.shape[1]
     medians = np.full((count, count), np.nan)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...geometry.sampling import even_indices
 from .segment import Segments
 from .segment_frames import SegmentFrames
 
@@ -84,9 +85,7 @@ def relative_motion(
     chosen = np.flatnonzero(usable)
     if len(chosen) < min_frames:
         return None
-    chosen = chosen[
-        np.unique(np.linspace(0, len(chosen) - 1, min(MAX_FRAMES, len(chosen))).round().astype(int))
-    ]
+    chosen = chosen[even_indices(len(chosen), MAX_FRAMES, nearest=True)]
     r, o = frames.rotations[chosen, parent], frames.origins[chosen, parent]
     tracks = np.einsum("fba,fnb->fna", r, positions[chosen][:, members] - o[:, None])
     tracked = seen[chosen][:, members]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.procrustes import nearest_rotation
+from ...geometry.sampling import even_indices
 from ..rotation_centres.centre_estimate import geman_mcclure_weights
 from .segment import Segments
 
@@ -120,7 +121,7 @@ def mean_shape(
     """
     if x.shape[1] < 3 or not (seen.sum(1) >= 3).any():
         return None
-    some = np.unique(np.linspace(0, len(x) - 1, min(MAX_SHAPE_FRAMES, len(x))).round().astype(int))
+    some = even_indices(len(x), MAX_SHAPE_FRAMES, nearest=True)
     if (np.asarray(seen[some].sum(1)) == seen.sum(1).max()).any():
         x, seen = x[some], seen[some]
     counts = np.asarray(seen.sum(1))

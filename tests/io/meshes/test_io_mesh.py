@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 from jaxcap.errors import InputError
+from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.io.meshes.clouds import read_clouds
-from jaxcap.io.meshes.mesh import Mesh, check_mesh, check_size, read_mesh, vertex_normals, write_mesh
+from jaxcap.io.meshes.mesh import Mesh, check_mesh, check_size, read_mesh, write_mesh
 
 OFF = (
     "OFF\n# a comment\n4 3 0\n0 0 0\n1 0 0 # here too\n0 1e0 0\n\n0 0 1\n3 0 2 1\n3 0 1 3 255 0 0\n3 0 3 2\n"

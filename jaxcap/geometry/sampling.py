@@ -1,0 +1,49 @@
+"""Orders and subsets of points: along a space-filling curve, evenly spread, and as far apart as possible."""
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+
+def spatial_order(points: Float[Array | np.ndarray, "N 3"], weights=None) -> np.ndarray:
+    """Compute an order `(N,)` of points along a Morton curve, so that neighbours in space are near in
+    memory.
+
+    Points whose `weights (N,)` are zero come last. In NumPy, once for each cloud.
+    """
+    points = np.asarray(points, float)
+    real = np.ones(len(points), bool) if weights is None else np.asarray(weights) > 0
+    if not real.any():
+        return np.arange(len(points))
+    low, high = points[real].min(0), points[real].max(0)
+    scaled = np.clip((points - low) / max((high - low).max(), 1e-12), 0.0, 1.0)
+    cells = np.where(real[:, None], scaled * 1023, 0.0).astype(np.int64)
+    key = np.zeros(len(points), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.lexsort((key, ~real))
+
+
+def even_indices(count: int, limit: int, nearest: bool = False) -> Int[np.ndarray, "K"]:
+    """Spread at most `limit` of the indices 0 to `count - 1` evenly, first and last included, in ascending order.
+
+    Indices between two integers are rounded down, or to the `nearest` one.
+    """
+    steps = np.linspace(0, count - 1, min(count, limit))
+    return (steps.round() if nearest else steps).astype(int)
+
+
+def farthest_points(
+    features: Float[np.ndarray, "N C"], count: int, first: int, excluded: Bool[np.ndarray, "N"] | None = None
+) -> Int[np.ndarray, "K"]:
+    """Sample at most `count` points by farthest point sampling (Gonzalez 1985), as ascending indices.
+
+    The sample starts with the point `first`. It has neither `excluded` points nor two that coincide.
+    """
+    chosen, distances = [first], np.sum((features - features[first]) ** 2, 1)
+    if excluded is not None:
+        distances[excluded] = 0.0
+    while len(chosen) < count and distances.max() > 0:
+        chosen.append(int(np.argmax(distances)))
+        distances = np.minimum(distances, np.sum((features - features[chosen[-1]]) ** 2, 1))
+    return np.sort(chosen)
