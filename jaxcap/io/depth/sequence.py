@@ -72,7 +72,8 @@ def read_depths(
         shown = [camera.load(frame) for camera in cameras]
         given = [mask.load(frame)[1] for mask in known] or [mask for _, mask in shown]
         for camera, mask, (depth, _), person in zip(cameras, known, shown, given, strict=False):
-            _check_mask(person, mask.names[frame], depth, camera.names[frame])
+            if person is not None:
+                _check_mask(person, mask.names[frame], depth, camera.names[frame])
         return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(given))
 
     return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
