@@ -75,7 +75,7 @@ def test_settings_are_what_was_asked(folder, scene):
     task = asked.task(scene[0], scans, None)
     assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
-    assert task.settings.matching.reach == 0.1
+    assert task.settings.matching.max_distance == 0.1
     assert len(task.settings.matching.aperture) == 4
     assert task.cameras == ()
 

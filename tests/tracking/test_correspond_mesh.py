@@ -59,7 +59,7 @@ def test_every_triangle_of_the_scan_loses_its_worst_point(rng):
 
 
 def test_reach_and_normals_hold_as_for_clouds():
-    assert not (from_body(scan_of(), SURFACE._replace(reach=0.01))[3] > 0).any()
+    assert not (from_body(scan_of(), SURFACE._replace(max_distance=0.01))[3] > 0).any()
     away = make_mesh_scan(POINTS, -POINTS, TRIANGLES)
     assert not (from_body(away)[3] > 0).any()
 

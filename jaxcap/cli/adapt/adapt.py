@@ -314,9 +314,9 @@ class Adapt:
             there = [frame for frame in range(len(scans)) if frame not in missing]
             cameras = load_cameras(self.cameras, scans, there, self.up)
         matching = Matching(
-            angle=self.pair_angle,
-            reach=self.pair_distance,
-            along=self.tangential_weight,
+            max_normal_angle=self.pair_angle,
+            max_distance=self.pair_distance,
+            tangential_weight=self.tangential_weight,
             assignment=ASSIGNMENTS[self.assignment],
             aperture=cameras if self.ignore_occlusion else (),
         )
