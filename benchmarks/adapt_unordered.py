@@ -153,7 +153,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     settings = (
-        AdaptSettings(frames=8, proportion_rounds=3, rounds=(2, 2)) if options.short else AdaptSettings()
+        AdaptSettings(num_frames=8, proportion_rounds=3, rounds=(2, 2)) if options.short else AdaptSettings()
     )
     shared, begin = shared_folder(), time.perf_counter()
     figures, limits = {}, {}

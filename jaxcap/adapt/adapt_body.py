@@ -103,7 +103,7 @@ def _estimate_size_from(
 ) -> AdaptState:
     """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
-    weight = INITIAL_PRIOR_WEIGHT if settings.pose is None else settings.pose
+    weight = INITIAL_PRIOR_WEIGHT if settings.pose_weight is None else settings.pose_weight
     clouds = (task.cloud(n) for n in frames)
     tracked = track_frames(make_task_tracker(task, body), clouds, task.start, search=search)
     poses = [frame.pose for frame in tracked]
@@ -117,20 +117,20 @@ def _estimate_size_from(
         initial_size=size,
     )
     motion = stack_poses(poses, task.rate)
-    state = AdaptState(0, body, size * step, motion, weight=weight)
+    state = AdaptState(0, body, size * step, motion, pose_weight=weight)
     state = append_history(task.subset(frames), state, "size", range(len(frames)))
-    if settings.pose is None:
+    if settings.pose_weight is None:
         # first poses are often at rest, later ones are not: a correct prior has an energy of one per degree
         # of freedom
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
         weight = BALANCE_SHARE * balancing_weight(state.terms[0].data, worth)
-    return state._replace(weight=weight)
+    return state._replace(pose_weight=weight)
 
 
 def _interpolate_missing(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
     """Fill in the poses of all frames by linear interpolation between the known ones."""
     known, every = sorted(poses), []
-    for frame in range(task.frames):
+    for frame in range(task.num_frames):
         if frame in poses:
             every.append(poses[frame])
             continue
@@ -258,12 +258,12 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
     """Smooth all poses in time; those of frames without a scan are interpolated."""
     settings, body, there = task.settings, state.body, task.scanned
     if not state.within:
-        temporal = settings.temporal
-        if temporal is None:
+        temporal_weight = settings.temporal_weight
+        if temporal_weight is None:
             # a wrong pose has a large energy, so its weight would smooth too little
             rough = motion_energy(body.skeleton, state.motion, excluded={*state.lost, *task.missing})
-            temporal = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
-        state = state._replace(temporal=temporal)
+            temporal_weight = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
+        state = state._replace(temporal_weight=temporal_weight)
 
     # every frame is in several windows, and read in each of their steps
     scan_at = functools.lru_cache(WINDOW_FRAMES)(lambda number: task.scan(there[number]))
@@ -275,8 +275,8 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
         body,
         [state.motion[n] for n in there],
         pairs_in,
-        task.pose_terms(state.weight),
-        state.temporal,
+        task.pose_terms(state.pose_weight),
+        state.temporal_weight,
         times=there,
         resume_frame=state.within,
     )

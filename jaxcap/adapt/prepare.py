@@ -35,7 +35,7 @@ def make_adapt_task(
     cameras: Sequence[Camera] = (),
     missing: Sequence[int] = (),
     boxes: PoseBoxes | None = None,
-    shape: ShapePrior | None = None,
+    shape_prior: ShapePrior | None = None,
     mesh: Callable[[int], IndexedScan] | None = None,
     terms: UserTerms = (),
     full_body: Body | None = None,
@@ -69,16 +69,16 @@ def make_adapt_task(
         settings = settings._replace(
             unordered=is_unordered(clouds.__getitem__, scanned, float(body_height(template)))
         )
-    if settings.unordered and (settings.every or settings.temporal):
+    if settings.unordered and (settings.every or settings.temporal_weight):
         raise InputError(
             "The scans are not ordered in time, as adaptation during tracking and a weight of smooth motion require; "
-            "leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or --ordered "
+            "leave these out (every, temporal_weight; --adapt-every, --smoothness), or give unordered=False or --ordered "
             "if the scans are ordered."
         )
     return AdaptTask(
         template=template,
         cloud=clouds.__getitem__,
-        frames=len(clouds),
+        num_frames=len(clouds),
         rate=rate,
         start=start,
         prior=prior if pose_prior is None else prior + pose_prior,
@@ -88,7 +88,7 @@ def make_adapt_task(
         cameras=tuple(cameras),
         missing=missing,
         boxes=boxes,
-        shape=shape,
+        shape_prior=shape_prior,
         mesh=mesh,
         terms=sum_user_terms("adapt_body", terms, template),
     )

@@ -309,7 +309,7 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), AdaptSettings(frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
+                mirrored_joints(template.skeleton), AdaptSettings(num_frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
     assert last.done == len(plan_stages(task.settings))
@@ -329,7 +329,7 @@ def test_the_whole_way_and_again_from_the_middle(scene):
 def test_a_body_is_adapted_while_it_is_tracked(scene):
     """After every frame of the first ten: the body is nearer to the actor before the last frames are tracked."""
     template, actor, motion, clouds = scene
-    settings = AdaptSettings(frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal=0.0)
+    settings = AdaptSettings(num_frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal_weight=0.0)
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
                 mirrored_joints(template.skeleton), settings)  # fmt: skip
     states = list(adapt_body(task))

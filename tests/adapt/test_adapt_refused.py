@@ -54,7 +54,7 @@ def there(body: jc.Body, pose: jc.Pose) -> AdaptState:
 
 def alone(task: AdaptTask, points, normals=None) -> AdaptTask:
     cloud = jc.make_cloud(points, normals)
-    return task._replace(cloud=lambda _: cloud, frames=1)
+    return task._replace(cloud=lambda _: cloud, num_frames=1)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_settings_are_what_was_asked(folder, scene):
     asked = Adapt(*names, assignment="surface", pair_distance=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
     asked.ignore_occlusion, asked.cameras = True, folder / "cameras.json"
     task = asked.task(scene[0], scans, None)
-    assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
+    assert (task.settings.pose_weight, task.settings.shape_weights) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
     assert task.settings.matching.max_distance == 0.1
     assert len(task.settings.matching.aperture) == 4
@@ -293,7 +293,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(task.clouds), template).digests
     header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
-    state = AdaptState(len(plan_stages(AdaptSettings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
+    state = AdaptState(len(plan_stages(AdaptSettings(temporal_weight=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
     keep_state(task.checkpoint_path, state, header)
 
     def full(file, **arrays):

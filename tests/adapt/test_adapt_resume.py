@@ -50,7 +50,7 @@ def words(folder, out, *more) -> tuple:
 def finished_state(scene, **changes) -> AdaptState:
     _, actor, poses, _ = scene
     state = AdaptState(
-        done=len(plan_stages(AdaptSettings(temporal=0.0))),
+        done=len(plan_stages(AdaptSettings(temporal_weight=0.0))),
         body=actor,
         size=1.1,
         motion=stack_poses(poses, 30.0),
@@ -58,7 +58,7 @@ def finished_state(scene, **changes) -> AdaptState:
         chosen=(0, 3),
         history=(("size", 4.0), ("pose", 1 / 3)),
         traits=(0.1, -2 / 3),
-        weight=1e-7 / 3,
+        pose_weight=1e-7 / 3,
         terms=(Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1 / 3, 4e-6, 1e-8)),
     )
     return state._replace(**changes)

@@ -215,10 +215,10 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
 
 def test_a_round_takes_one_step_where_it_is_told_to():
     scene = make_scene()
-    task = task_of(scene, settings=AdaptSettings(frames=3, shape=(1.0, 1.0), simultaneous=True))
+    task = task_of(scene, settings=AdaptSettings(num_frames=3, shape_weights=(1.0, 1.0), simultaneous=True))
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
-    state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)
+    state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), pose_weight=1e-6)
     meetings, chosen = TaskPairs(task), state.chosen
     starts = [state.motion[n] for n in chosen]
     pairs = stack_pairs(meetings.pairs(template, chosen, starts))

@@ -34,7 +34,7 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
-UNORDERED = AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,), unordered=True)
+UNORDERED = AdaptSettings(num_frames=3, proportion_rounds=1, rounds=(1,), unordered=True)
 #: of the chain body, metres
 HEIGHT = 0.7
 
@@ -56,7 +56,7 @@ def mixed(scene):
     for pose in (poses[0], *some):
         vertices = np.asarray(_posed(actor, pose).vertices, float)
         clouds.append(jc.make_cloud(*sample_surface(vertices, np.asarray(actor.faces), POINTS, rng)))
-    task = task_of(scene)._replace(cloud=clouds.__getitem__, frames=len(clouds), settings=UNORDERED)
+    task = task_of(scene)._replace(cloud=clouds.__getitem__, num_frames=len(clouds), settings=UNORDERED)
     return task, actor, [poses[0], *some]
 
 
@@ -179,13 +179,13 @@ def test_nothing_in_a_plan_without_order_couples_frames(mixed):
     assert not UNORDERED.smooth
     assert AdaptSettings().smooth
     task, actor, poses = mixed
-    state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), weight=1e-8)
+    state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), pose_weight=1e-8)
     assert append_history(task, state, "pose", [0]).terms[-1].temporal == 0.0
     ordered = task._replace(settings=AdaptSettings())
     assert append_history(ordered, state, "pose", [0]).terms[-1].temporal > 1e-3
     clouds = [task.cloud(n) for n in task.scanned]
     with pytest.raises(jc.InputError, match="leave these out .*--ordered"):
-        make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
+        make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal_weight=1.0))
 
 
 def test_frames_that_are_off_are_flagged_with_reasons(scene):

@@ -125,7 +125,7 @@ def test_traits_are_told_by_scans(people):
         return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
 
     prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=3, proportion_rounds=4, rounds=(), temporal=0.0)
+    settings = AdaptSettings(num_frames=3, proportion_rounds=4, rounds=(), temporal_weight=0.0)
     task = AdaptTask(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
     *_, last = adapt_body(task)
     assert joints_off(last.body, actor) < 0.012

@@ -21,6 +21,6 @@ def shape_prior_of(task: AdaptTask, state: AdaptState) -> ShapePrior:
     """Return the shape prior of training meshes at the actor's size, or else that of the reference body."""
     return (
         body_shape_prior(reference_body(task, state))
-        if task.shape is None
-        else scale_shape_prior(task.shape, state.size)
+        if task.shape_prior is None
+        else scale_shape_prior(task.shape_prior, state.size)
     )

@@ -40,7 +40,7 @@ def adapt_round(task: AdaptTask, state: AdaptState, pair_cache: TaskPairs, stage
     settings = task.settings
     if stage.pass_number == 0 and stage.round == 1 and task.people is not None:
         state = _replace_by_person(task.people, state)
-    chosen = state.chosen or spread_frames(state, settings.frames, stage.frames)
+    chosen = state.chosen or spread_frames(state, settings.num_frames, stage.frames)
     poses = [state.motion[n] for n in chosen]
     if stage.round == 1:
         poses = list(poses_at(task, state, pair_cache.scans(chosen), poses, steps=6))
@@ -160,7 +160,7 @@ def _problem(
     coefficient_prior: CoefficientPrior,
     mirrored,
 ) -> SequenceProblem:
-    weight, deviation = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
+    weight, deviation = (jnp.asarray(x, float) for x in (state.pose_weight, task.settings.pair_deviation))
     return shared_problem(
         state.body, pairs, task.pose_terms(weight), modes, coefficient_prior, mirrored, deviation
     )
@@ -173,7 +173,7 @@ def _regressed_joint_prior(task: AdaptTask, state: AdaptState) -> CoefficientPri
         make_joint_regressor(reference_body(task, state)), np.asarray(body.vertices, float)
     )
     shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
-    return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint))
+    return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint_deviation))
 
 
 def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
@@ -182,7 +182,7 @@ def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
     The first pass begins with the first weight; later ones begin with the geometric mean of the first and the
     last.
     """
-    first, last = settings.shape
+    first, last = settings.shape_weights
     first = first if stage.pass_number == 1 else np.sqrt(first * last)
     share = (stage.round - 1) / max(settings.rounds[stage.pass_number - 1] - 1, 1)
     return float(first ** (1 - share) * last**share)

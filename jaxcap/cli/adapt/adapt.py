@@ -131,7 +131,7 @@ class Adapt:
     smoothness with the scans."""
     pose_weight: OptionalWeight = None
     """Weight of the pose prior. Default: a tenth of the weight that balances the prior with the scans."""
-    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape
+    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape_weights
     """Weight of the template's shape in the first and in the last round that adapts vertices. With lower weights, the
     body follows the scans more closely, including their noise."""
     first: OptionalCount = None
@@ -218,7 +218,7 @@ class Adapt:
         with RoundProgress(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(
-                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // MAX_CHECKPOINTS)
+                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.num_frames // MAX_CHECKPOINTS)
                 ):
                     if reached.done == 1 and not (reached.within or self.skip_person_check):
                         _check_first_scan(task, reached, first)
@@ -328,11 +328,11 @@ class Adapt:
             start=None if self.start is None else first_pose(self.start, skeleton),
             pose_prior=None if priors is None else form(priors.prior),
             settings=AdaptSettings(
-                frames=self.frames,
-                joint=self.joint_deviation,
-                shape=self.shape_weight,
-                pose=self.pose_weight,
-                temporal=self.smoothness,
+                num_frames=self.frames,
+                joint_deviation=self.joint_deviation,
+                shape_weights=self.shape_weight,
+                pose_weight=self.pose_weight,
+                temporal_weight=self.smoothness,
                 every=self.adapt_every,
                 simultaneous=self.simultaneous,
                 unordered=True if self.unordered else False if self.ordered else None,
@@ -341,7 +341,7 @@ class Adapt:
             cameras=() if self.ignore_occlusion else cameras,
             missing=missing,
             boxes=None if priors is None else priors.boxes,
-            shape=None if priors is None else priors.shape,
+            shape_prior=None if priors is None else priors.shape,
             terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
             mesh=clouds.mesh if self.assignment == "surface" else None,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
