@@ -19,7 +19,7 @@ from ..geometry.camera import Camera
 from ..observe.clouds import Cloud, CloudFrames
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
-from .shape.shape_space import people_like
+from .shape.shape_space import shape_space_like
 from .task import AdaptSettings, AdaptTask, check_settings
 
 
@@ -84,7 +84,7 @@ def make_adapt_task(
         prior=prior if pose_prior is None else prior + pose_prior,
         mirrored=mirrored_joints(skeleton),
         settings=settings,
-        people=people_like(template, full_body),
+        shape_space=shape_space_like(template, full_body),
         cameras=tuple(cameras),
         missing=missing,
         boxes=boxes,

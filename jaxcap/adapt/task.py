@@ -18,7 +18,7 @@ from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior
-from .shape.shape_space import People
+from .shape.shape_space import ShapeSpace
 
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
@@ -105,7 +105,7 @@ class AdaptState(NamedTuple):
     #: the name of each stage, and the root mean square distance of a pair after it, millimetres
     history: tuple[tuple[str, float], ...] = ()
     #: the actor's shape coefficients relative to the template; empty before they are estimated
-    traits: tuple[float, ...] = ()
+    coefficients: tuple[float, ...] = ()
     #: weight of the pose prior
     pose_weight: float = 0.0
     #: the value of each term after each stage, in the order of `history`
@@ -135,7 +135,7 @@ class AdaptTask(NamedTuple):
     mirrored: tuple[tuple[int, int], ...]
     settings: AdaptSettings
     #: the shape space of people with the template's triangles
-    people: People | None = None
+    shape_space: ShapeSpace | None = None
     #: the calibrated, static sensors: vertices that none of them sees are in no pair; empty disables this
     #: test
     cameras: tuple[Camera, ...] = ()

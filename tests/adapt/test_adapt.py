@@ -172,12 +172,12 @@ def test_the_surface_follows_all_its_joints_alike():
 
 
 def test_joints_go_where_the_surface_around_them_goes(rng):
-    beside = make_joint_regressor(BODY)
+    regressor = make_joint_regressor(BODY)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = 1.3 * np.asarray(BODY.vertices) @ turn.T + [1.0, 2.0, 3.0]
     expected = 1.3 * np.asarray(BODY.skeleton.centres) @ turn.T + [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(regress_joints(beside, moved), expected, atol=1e-9)
+    np.testing.assert_allclose(regress_joints(regressor, moved), expected, atol=1e-9)
 
 
 def test_second_differences_of_even_motion_are_none(rng):
@@ -246,7 +246,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
         fit_pose(body, s, motion[n], PoseTerms(prior), matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
-    shape, beside, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
+    shape, regressor, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
     terms, deviation = PoseTerms(prior, jnp.asarray(1e-6)), jnp.asarray(0.003)
     mirrored = mirrored_joints(body.skeleton)
 
@@ -262,9 +262,9 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
 
     told = [distance()]
     for _ in range(3):
-        shifts = regress_joints(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
-        belief = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
-        problem = shared_problem(body, pairs(), terms, modes, belief, mirrored, deviation)
+        shifts = regress_joints(regressor, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
+        coefficient_prior = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
+        problem = shared_problem(body, pairs(), terms, modes, coefficient_prior, mirrored, deviation)
         body, several, _ = gauss_newton_step(problem, stack_trees(poses))
         poses = unstack_trees(several, len(frames))
         body = adapt_shape(body, stack_trees(poses), pairs(), shape, 10.0)

@@ -57,7 +57,7 @@ def finished_state(scene, **changes) -> AdaptState:
         lost=(2,),
         chosen=(0, 3),
         history=(("size", 4.0), ("pose", 1 / 3)),
-        traits=(0.1, -2 / 3),
+        coefficients=(0.1, -2 / 3),
         pose_weight=1e-7 / 3,
         terms=(Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1 / 3, 4e-6, 1e-8)),
     )

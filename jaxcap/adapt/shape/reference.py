@@ -12,8 +12,8 @@ from .shape_space import make_person
 def reference_body(task: AdaptTask, state: AdaptState) -> Body:
     """Return the person with the actor's shape coefficients, or else the template at the actor's size."""
     dtype = task.template.vertices.dtype
-    if task.people is not None and state.traits:
-        return make_person(task.people, jnp.asarray(state.traits, dtype))
+    if task.shape_space is not None and state.coefficients:
+        return make_person(task.shape_space, jnp.asarray(state.coefficients, dtype))
     return scale_body(task.template, jnp.asarray(state.size, dtype))
 
 

@@ -23,7 +23,7 @@ from ..poses.task_pairs import TaskPairs, append_history, poses_at
 from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
 from .joint_regressor import make_joint_regressor, regress_joints
 from .reference import reference_body, shape_prior_of
-from .shape_space import People, fit_coefficients, make_person
+from .shape_space import ShapeSpace, fit_coefficients, make_person
 from .surface import adapt_shape, adapt_together
 
 #: finds the stacked pairs of a body in its poses in a round's frames
@@ -38,8 +38,8 @@ DAMPING = 1e-3
 def adapt_round(task: AdaptTask, state: AdaptState, pair_cache: TaskPairs, stage: Stage) -> AdaptState:
     """Take one round on shared unknowns and the chosen frames' poses; `pair_cache` caches their scans."""
     settings = task.settings
-    if stage.pass_number == 0 and stage.round == 1 and task.people is not None:
-        state = _replace_by_person(task.people, state)
+    if stage.pass_number == 0 and stage.round == 1 and task.shape_space is not None:
+        state = _replace_by_person(task.shape_space, state)
     chosen = state.chosen or spread_frames(state, settings.num_frames, stage.frames)
     poses = [state.motion[n] for n in chosen]
     if stage.round == 1:
@@ -49,18 +49,20 @@ def adapt_round(task: AdaptTask, state: AdaptState, pair_cache: TaskPairs, stage
         return stack_pairs(pair_cache.pairs(body, chosen, poses))
 
     if stage.pass_number == 0:
-        body, poses, traits = _proportions(task, state, poses, pairs_of_all)
+        body, poses, coefficients = _proportions(task, state, poses, pairs_of_all)
         # choose new frames for the adaptation of vertices
         chosen_next = () if stage.round == settings.proportion_rounds else chosen
     else:
         body, poses = _surface(task, state, poses, pairs_of_all, stage)
-        traits, chosen_next = state.traits, chosen
+        coefficients, chosen_next = state.coefficients, chosen
     if task.boxes is not None:
         poses = [clamp_pose(task.boxes, body.skeleton, pose) for pose in poses]
     every = [state.motion[n] for n in range(len(state.motion))]
     for n, pose in zip(chosen, poses, strict=True):
         every[n] = pose
-    state = state._replace(body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, traits=traits)
+    state = state._replace(
+        body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, coefficients=coefficients
+    )
     return append_history(task, state, str(stage), chosen, pair_cache)
 
 
@@ -74,49 +76,52 @@ def spread_frames(state: AdaptState, count: int, num_candidates: int | None = No
     return tuple(there[n] for n in select_diverse_poses(state.body.skeleton, some, count))
 
 
-def _replace_by_person(people: People, state: AdaptState) -> AdaptState:
+def _replace_by_person(shape_space: ShapeSpace, state: AdaptState) -> AdaptState:
     """Replace the body by the most similar person of the shape space, in the same poses."""
-    traits = fit_coefficients(people, state.body)
-    body = make_person(people, traits)
+    coefficients = fit_coefficients(shape_space, state.body)
+    body = make_person(shape_space, coefficients)
     # keep the world position of a root with another rest position
     shift = state.body.skeleton.centres[0] - body.skeleton.centres[0]
     poses = state.motion.poses
     poses = Pose(poses.translations.at[:, 0].add(shift), poses.rotations, poses.scale)
-    return state._replace(body=body, motion=Motion(poses, state.motion.rate), traits=tuple(traits.tolist()))
+    return state._replace(
+        body=body, motion=Motion(poses, state.motion.rate), coefficients=tuple(coefficients.tolist())
+    )
 
 
 def _proportions(
     task: AdaptTask, state: AdaptState, poses: list[Pose], find_pairs: PairFinder
 ) -> tuple[Body, list[Pose], tuple[float, ...]]:
     """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
-    if task.people is None:
-        modes, belief = joint_modes(state.body), _regressed_joint_prior(task, state)
-        body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-        return body, unstack_trees(together, len(poses)), state.traits
-    standing = task.people.template_coefficients + jnp.asarray(state.traits)
+    if task.shape_space is None:
+        modes, coefficient_prior = joint_modes(state.body), _regressed_joint_prior(task, state)
+        body, stacked, _ = _step(task, state, poses, find_pairs, modes, coefficient_prior, task.mirrored)
+        return body, unstack_trees(stacked, len(poses)), state.coefficients
+    from_mean = task.shape_space.template_coefficients + jnp.asarray(state.coefficients)
     # the error of the shape space is the same in all frames, which therefore count as one
-    belief = CoefficientPrior(-standing, jnp.full_like(standing, len(poses) ** -0.5))
-    body, together, amounts = _step(
-        task, state, poses, find_pairs, task.people.modes, belief, (), TANGENTIAL_WEIGHT
+    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, len(poses) ** -0.5))
+    body, stacked, changes = _step(
+        task, state, poses, find_pairs, task.shape_space.modes, coefficient_prior, (), TANGENTIAL_WEIGHT
     )
-    traits = np.array(state.traits) + np.asarray(amounts, float)
-    return body, unstack_trees(together, len(poses)), tuple(traits.tolist())
+    coefficients = np.array(state.coefficients) + np.asarray(changes, float)
+    return body, unstack_trees(stacked, len(poses)), tuple(coefficients.tolist())
 
 
 def _surface(
     task: AdaptTask, state: AdaptState, poses: list[Pose], find_pairs: PairFinder, stage: Stage
 ) -> tuple[Body, list[Pose]]:
     """Adapt joints within the skin and then vertices, or both in one step."""
-    modes, belief = joint_modes(state.body, move_surface=False), _regressed_joint_prior(task, state)
+    modes = joint_modes(state.body, move_surface=False)
+    coefficient_prior = _regressed_joint_prior(task, state)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.simultaneous:
         pairs = find_pairs(state.body, poses)
-        problem = _problem(task, state, pairs, modes, belief, task.mirrored)
-        body, together = adapt_together(problem, stack_trees(poses), pairs, shape, weight)
-        return body, unstack_trees(together, len(poses))
-    body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-    poses = unstack_trees(together, len(poses))
-    return adapt_shape(body, together, find_pairs(body, poses), shape, weight), poses
+        problem = _problem(task, state, pairs, modes, coefficient_prior, task.mirrored)
+        body, stacked = adapt_together(problem, stack_trees(poses), pairs, shape, weight)
+        return body, unstack_trees(stacked, len(poses))
+    body, stacked, _ = _step(task, state, poses, find_pairs, modes, coefficient_prior, task.mirrored)
+    poses = unstack_trees(stacked, len(poses))
+    return adapt_shape(body, stacked, find_pairs(body, poses), shape, weight), poses
 
 
 def _step(
@@ -169,10 +174,10 @@ def _problem(
 def _regressed_joint_prior(task: AdaptTask, state: AdaptState) -> CoefficientPrior:
     """Make the prior of joints at their positions regressed from the surface."""
     body = state.body
-    beside = regress_joints(
-        make_joint_regressor(reference_body(task, state)), np.asarray(body.vertices, float)
-    )
-    shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
+    regressor = make_joint_regressor(reference_body(task, state))
+    regressed = regress_joints(regressor, np.asarray(body.vertices, float))
+    shifts = (regressed - np.asarray(body.skeleton.centres, float)).reshape(-1)
+    shifts = jnp.asarray(shifts, body.vertices.dtype)
     return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint_deviation))
 
 
