@@ -1,6 +1,5 @@
 """Adaptation of a template to the actor in scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
-import functools
 import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
@@ -12,14 +11,17 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspondence.correspond import IndexedScan, PointPairs
+from ..fit.correspondence.correspond import IndexedScan
 from ..fit.tracking.compare_poses import likelier_pose
 from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
+from .history import append_history
 from .objective import balancing_weight, motion_energy
 from .poses.flag_frames import flag_frames
-from .poses.sliding_window import WINDOW_FRAMES, smooth_windows
-from .poses.task_pairs import TaskPairs, append_history, pairs_at, poses_at, select_evenly
+from .poses.pair_cache import make_pair_cache
+from .poses.pose import fit_task_poses
+from .poses.select_frames import select_evenly
+from .poses.sliding_window import smooth_windows
 from .poses.unordered import find_poses
 from .shape.rounds import adapt_round
 from .shape.rounds import shape_weight as shape_weight
@@ -65,7 +67,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
     **Arguments:** `state`, one to resume from; `every`, if above zero, also yields a state after so many
     frames within the stages that process single frames (tracking, single poses and smoothing).
     """
-    meetings = TaskPairs(task)
+    pair_cache = make_pair_cache(task)
     stages = plan_stages(task.settings)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:
@@ -76,7 +78,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
         else:
             assert state is not None
             if stage.name == "adapt":
-                state = adapt_round(task, state, meetings, stage)
+                state = adapt_round(task, state, pair_cache, stage)
             else:
                 state = yield from _STAGES[stage.name](task, state, stage, every)
         if number + 1 == len(stages):
@@ -246,7 +248,7 @@ def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> 
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
-        found = poses_at(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
+        found = fit_task_poses(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
         poses |= dict(zip(some, found, strict=True))
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
@@ -265,16 +267,10 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
             temporal_weight = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
         state = state._replace(temporal_weight=temporal_weight)
 
-    # every frame is in several windows, and read in each of their steps
-    scan_at = functools.lru_cache(WINDOW_FRAMES)(lambda number: task.scan(there[number]))
-
-    def pairs_in(number: int, pose: Pose) -> PointPairs:
-        return pairs_at(task, body, pose, scan_at(number))
-
     windows = smooth_windows(
         body,
         [state.motion[n] for n in there],
-        pairs_in,
+        make_pair_cache(task, there),
         task.pose_terms(state.pose_weight),
         state.temporal_weight,
         times=there,

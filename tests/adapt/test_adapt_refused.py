@@ -22,7 +22,7 @@ from jaxcap.adapt.check import (
     person_sized_groups,
 )
 from jaxcap.adapt.evaluate import compare_stages
-from jaxcap.adapt.poses.task_pairs import pairs_at
+from jaxcap.adapt.poses.pose import pairs_of
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
@@ -90,7 +90,7 @@ def test_scans_of_other_sizes_are_stacked(scene):
     _, actor, poses, clouds = scene
     task = task_of(scene)
     scans = [make_scan(jc.make_cloud(clouds[0][0][:count])) for count in (POINTS, 200)]
-    parts = [pairs_at(task, actor, poses[0], scan) for scan in scans]
+    parts = [pairs_of(actor, poses[0], scan, task.settings.matching) for scan in scans]
     assert len(parts[0].weights) > len(parts[1].weights)
     both = stack_pairs(parts)
     np.testing.assert_allclose(both.weights.sum(1), [part.weights.sum() for part in parts])

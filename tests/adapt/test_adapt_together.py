@@ -12,7 +12,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PAIRS_PER_MEASUREMENT, CoefficientPrior, PoseTerms, shared_problem
-from jaxcap.adapt.poses.task_pairs import TaskPairs
+from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.adapt.shape.rounds import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
@@ -234,15 +234,15 @@ def test_a_round_takes_one_step_where_it_is_told_to():
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
     state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), pose_weight=1e-6)
-    meetings, chosen = TaskPairs(task), state.chosen
-    starts = [state.motion[n] for n in chosen]
-    pairs = stack_pairs(meetings.pairs(template, chosen, starts))
+    pair_cache = make_pair_cache(task)
+    starts = {n: state.motion[n] for n in state.chosen}
+    pairs = stack_pairs(pair_cache.pairs(template, starts))
     # they hold where nothing has changed, and are found anew where a pose has
-    assert meetings.pairs(template, chosen, starts)[1] is meetings.pairs(template, chosen, starts)[1]
-    assert meetings.pairs(template, (5,), starts[:1])[0] is not meetings.pairs(template, (5,), starts[1:2])[0]
+    assert pair_cache.pairs(template, starts)[1] is pair_cache.pairs(template, starts)[1]
+    assert pair_cache.pairs(template, {5: starts[0]})[0] is not pair_cache.pairs(template, {5: starts[2]})[0]
     told = []
     for number in (2, 3):
-        state = adapt_round(task, state, meetings, Stage("adapt", 1, number))
+        state = adapt_round(task, state, pair_cache, Stage("adapt", 1, number))
         told.append(state.terms[-1].data)
     assert pairs.vertices.shape[-1] == 1
     assert told[1] < told[0]

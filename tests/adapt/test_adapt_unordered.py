@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
+from jaxcap.adapt.history import append_history
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.flag_frames import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses.similarity import (
@@ -19,7 +20,6 @@ from jaxcap.adapt.poses.similarity import (
     rotated_distances,
     scan_distance,
 )
-from jaxcap.adapt.poses.task_pairs import append_history
 from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.body.pose import retract, stack_poses

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms
+from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.shape.rounds import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
@@ -96,7 +96,7 @@ def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
     for terms in (None, 100.0 * term):
         task = task_of(scene, settings=settings, terms=terms)
         state = AdaptState(0, actor, 1.0, jc.stack_poses(poses, 10.0), chosen=(0, 1, 2), pose_weight=1e-6)
-        after = adapt_round(task, state, TaskPairs(task), Stage("adapt", 1, 2))
+        after = adapt_round(task, state, make_pair_cache(task), Stage("adapt", 1, 2))
         reached.append(lowest(after.body, [after.motion[n] for n in state.chosen]))
     assert reached[1] > reached[0] + 0.005
 

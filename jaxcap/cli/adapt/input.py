@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...adapt.check import check_cameras
-from ...adapt.poses.task_pairs import select_evenly
+from ...adapt.poses.select_frames import select_evenly
 from ...adapt.task import AdaptState
 from ...body.body import Body
 from ...body.pose import Pose
