@@ -29,7 +29,7 @@ def smooth_poses(
     poses: list[Pose],
     pairs_at: Callable[[int, Pose], PointPairs],
     terms: PoseTerms,
-    temporal: float,
+    temporal_weight: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
@@ -42,14 +42,14 @@ def smooth_poses(
     A step solves damped normal equations, block-banded over the frames, at the best of some lengths. New
     pairs may raise the energy of a window; its best poses are kept.
 
-    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `temporal`, the weight of
+    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `temporal_weight`, the weight of
     the second differences, relative to the mean squared distance of a pair (eqs. 4.3, 4.9); `terms` as in
     `fit_pose`; `times`, the ascending frame numbers of the poses, if some frames between them are missing.
     """
     # the pairs of a frame are found without a scan
     cache = PairCache(lambda frame: frame, lambda _, pose, frame: pairs_at(frame, pose))
     windows = smooth_windows(
-        body, poses, cache, terms, temporal, frames=frames, stride=stride, steps=steps, times=times
+        body, poses, cache, terms, temporal_weight, frames=frames, stride=stride, steps=steps, times=times
     )
     (last,) = deque(windows, maxlen=1)
     return last[0]
@@ -60,7 +60,7 @@ def smooth_windows(
     poses: list[Pose],
     pair_cache: PairCache,
     terms: PoseTerms,
-    temporal: float,
+    temporal_weight: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
@@ -92,7 +92,7 @@ def smooth_windows(
             window = dict(enumerate(unstack_trees(y.poses, last - first), first))
             # unchanged poses keep their pairs: the fixed one, and those from the window before
             pairs = stack_pairs(pair_cache.pairs(body, window))
-            return window_problem(body, pairs, terms, temporal, when[first:last], int(first > 0))
+            return window_problem(body, pairs, terms, temporal_weight, when[first:last], int(first > 0))
 
         estimate = SequenceEstimate(stack_trees(poses[start:stop]), {})
         best = alternate(remake, estimate, solver, rounds=steps, patience=MAX_UPHILL_STEPS)
