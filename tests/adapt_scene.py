@@ -6,8 +6,8 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask
 from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras

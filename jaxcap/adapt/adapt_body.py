@@ -11,7 +11,7 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspondence.correspond import IndexedScan
+from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..fit.tracking.compare_poses import likelier_pose
 from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
@@ -24,15 +24,8 @@ from .poses.select_frames import select_evenly
 from .poses.sliding_window import smooth_windows
 from .poses.unordered import find_poses
 from .shape.rounds import adapt_round
-from .shape.rounds import shape_weight as shape_weight
-from .shape.rounds import spread_frames as spread_frames
 from .shape.scale import fit_size
-from .task import AdaptSettings as AdaptSettings
-from .task import AdaptState as AdaptState
-from .task import AdaptTask as AdaptTask
-from .task import Stage as Stage
-from .task import make_task_tracker
-from .task import plan_stages as plan_stages
+from .task import AdaptState, AdaptTask, Stage, make_task_tracker, plan_stages
 
 _LOG = logging.getLogger(__name__)
 

@@ -18,8 +18,9 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
-from .adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
+from .adapt_body import adapt_body
 from .shape.scale import scale_body
+from .task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres
 BIN_WIDTH, MAX_DISTANCE = 1e-5, 1.0

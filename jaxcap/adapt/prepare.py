@@ -14,7 +14,7 @@ from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
 from ..energy.priors.prior import RestPrior
 from ..errors import InputError
-from ..fit.correspondence.correspond import IndexedScan
+from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
 from ..observe.clouds import Cloud, CloudFrames
 from .poses.similarity import is_unordered

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..adapt.adapt_body import AdaptState, AdaptTask
 from ..adapt.evaluate import Evaluation, Variant, quantile, summarise
 from ..adapt.objective import Terms
+from ..adapt.task import AdaptState, AdaptTask
 from ..arguments import checked
 from ..body.body import Body
 from ..io.system.atomic import write_text

@@ -9,7 +9,7 @@ from command_line import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import (
     CoefficientPrior,
     PoseTerms,
@@ -24,19 +24,16 @@ from jaxcap.adapt.shape.rounds import gauss_newton_step
 from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
+from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.demo.performance import walk_and_wave
-from jaxcap.energy.data.pairs import PairDistances, pair_directions
+from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    SoftAssignment,
-    make_scan,
-    pair_positions,
-)
+from jaxcap.fit.correspondence.correspond import Matching
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
+from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_jacobian, vertex_maps
 from jaxcap.geometry import rotation

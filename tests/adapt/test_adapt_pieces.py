@@ -10,8 +10,9 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt import adapt_body as loop
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import Terms
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.state import keep_state, load_resumed_state
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from jaxcap.adapt.adapt_body import AdaptSettings, Stage, plan_stages, shape_weight
+from jaxcap.adapt.shape.rounds import shape_weight
+from jaxcap.adapt.task import AdaptSettings, Stage, plan_stages
 
 
 def test_the_plan_has_all_stages_and_weights_fall():

@@ -11,7 +11,7 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.check import (
     FitQuality,
     check_actor,
@@ -23,6 +23,7 @@ from jaxcap.adapt.check import (
 )
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.poses.pose import pairs_of
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
@@ -30,7 +31,7 @@ from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.data.pairs import stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 

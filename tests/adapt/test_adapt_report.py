@@ -13,7 +13,6 @@ from command_line import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.adapt.evaluate import (
     BIN_WIDTH,
     Evaluation,
@@ -28,6 +27,7 @@ from jaxcap.adapt.evaluate import (
 )
 from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt

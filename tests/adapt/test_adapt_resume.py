@@ -11,8 +11,8 @@ from adapt_scene import make_scene, write_folder, write_scan
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.adapt.objective import Terms
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import stack_poses

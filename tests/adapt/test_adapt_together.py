@@ -20,9 +20,8 @@ from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
-from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, stack_pairs
+from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import pair_positions
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.geometry.stacking import stack_trees, unstack_trees
 

@@ -9,7 +9,6 @@ from command_line import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.adapt.history import append_history
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.flag_frames import NO_SCAN, distance_limit, flag_frames
@@ -22,6 +21,7 @@ from jaxcap.adapt.poses.similarity import (
 )
 from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
+from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.decimate import attach_points, attached_positions, reduce_body
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
 from jaxcap.demo.performance import walk_and_wave

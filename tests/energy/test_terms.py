@@ -17,7 +17,7 @@ from jaxcap.adapt.shape.rounds import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
-from jaxcap.fit.correspondence.correspond import make_scan
+from jaxcap.fit.correspondence.nearest_assignment import make_scan
 from jaxcap.fit.fit_meshes import fit_meshes
 from jaxcap.fit.tracking.track import track
 from jaxcap.geometry.stacking import stack_trees

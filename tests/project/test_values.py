@@ -12,7 +12,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.fit.correspondence.correspond import as_scan, make_scan
+from jaxcap.fit.correspondence.nearest_assignment import as_scan, make_scan
 from jaxcap.observe import Scan
 from jaxcap.value_checks import check_positive
 

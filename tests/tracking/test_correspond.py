@@ -6,16 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    NearestVertex,
-    SoftAssignment,
-    find_pairs,
-    make_scan,
-    pair_positions,
-    within_aperture,
-)
+from jaxcap.energy.data.pairs import pair_positions
+from jaxcap.fit.correspondence.correspond import Matching, find_pairs, within_aperture
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex, make_scan
+from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.geometry.camera import look_at
 from jaxcap.observe.clouds import make_cloud
 

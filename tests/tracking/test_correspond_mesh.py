@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    find_pairs,
-    make_mesh_scan,
-    make_scan,
-)
+from jaxcap.fit.correspondence.correspond import Matching, find_pairs
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_mesh_scan, make_scan
 from jaxcap.observe.clouds import make_cloud
 
 BALL = trimesh.creation.icosphere(subdivisions=3)

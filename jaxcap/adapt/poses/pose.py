@@ -13,7 +13,8 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import IndexedScan, Matching, as_scan, find_pairs
+from ...fit.correspondence.correspond import Matching, find_pairs
+from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
 from ...fit.correspondence.visibility import visible_vertices
 from ...fit.problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt

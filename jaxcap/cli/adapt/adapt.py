@@ -7,15 +7,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
-from ...adapt.check import check_actor
+from ...adapt.adapt_body import adapt_body
 from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
-from ...adapt.task import Stage
+from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, Stage, plan_stages
 from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ...errors import InputError, user_message
-from ...fit.correspondence.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
+from ...fit.correspondence.correspond import Matching
+from ...fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex
+from ...fit.correspondence.soft_assignment import SoftAssignment
 from ...io.archives.prior import Priors
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
@@ -40,7 +41,15 @@ from ..scan.rate import ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
-from .input import check_input, first_pose, format_explained, load_cameras, warn_of_lost, warn_of_unusable
+from .input import (
+    check_first_scan,
+    check_input,
+    first_pose,
+    format_explained,
+    load_cameras,
+    warn_of_lost,
+    warn_of_unusable,
+)
 from .prior import carried_arrays, prior_file, read_priors
 from .state import (
     check_results,
@@ -221,7 +230,7 @@ class Adapt:
                     task, state, every=max(MIN_CHECKPOINT_FRAMES, task.num_frames // MAX_CHECKPOINTS)
                 ):
                     if reached.done == 1 and not (reached.within or self.skip_person_check):
-                        _check_first_scan(task, reached, first)
+                        check_first_scan(task, reached, first)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
                     bar.update(state.done, _format_progress(task, state, stages))
@@ -376,16 +385,6 @@ class Adapt:
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
-
-
-def _check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
-    """Check that the first scan is of one person; the message names the option to continue anyway."""
-    try:
-        check_actor(task, state, where)
-    except InputError as error:
-        raise InputError(
-            f"{user_message(error)} If the scan does show one person, give --skip-person-check."
-        ) from None
 
 
 def _format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:

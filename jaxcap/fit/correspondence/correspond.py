@@ -8,16 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
-from ...energy.data.pairs import PointPairs as PointPairs
-from ...energy.data.pairs import pair_positions as pair_positions
+from ...energy.data.pairs import PointPairs
 from ...geometry.camera import Camera, is_in_image
-from .nearest_assignment import AbstractAssignment, Assignment, NearestVertex, PosedSurface
-from .nearest_assignment import IndexedScan as IndexedScan
-from .nearest_assignment import NearestOnSurface as NearestOnSurface
-from .nearest_assignment import as_scan as as_scan
-from .nearest_assignment import make_mesh_scan as make_mesh_scan
-from .nearest_assignment import make_scan as make_scan
-from .soft_assignment import SoftAssignment as SoftAssignment
+from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, NearestVertex, PosedSurface
 
 
 class Matching(NamedTuple):
