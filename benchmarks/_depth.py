@@ -139,7 +139,7 @@ def _fit_with_priority(
     def again(_, pose):
         estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, sigma.dtype))
         posed, likely = e_step(body, tracker.parts, tracker.mixture, cloud, volume, estimate)
-        data = data_energy(likely, posed, cloud, sigma, tracker.mixture.tangential)
+        data = data_energy(likely, posed, cloud, sigma, tracker.mixture.tangential_weight)
         return priority_step((jc.JointLimits(limits), Sum((*terms_of(data), *others))), body, pose)
 
     pose = limits.project(body.skeleton, start)

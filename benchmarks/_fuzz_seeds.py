@@ -262,7 +262,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
     save_checkpoint(
         folder / "checkpoint-own.npz", Checkpoint(body, motion, history, {"a": np.ones(3)}), HEADER
     )
-    state = AdaptState(1, body, 1.0, motion, history=history, chosen=(0, 2), traits=(0.1,))
+    state = AdaptState(1, body, 1.0, motion, history=history, chosen=(0, 2), coefficients=(0.1,))
     save_checkpoint(folder / "adapt-own.npz", make_checkpoint(state), HEADER)
     learnt = {
         "pairs": np.zeros((1, 2), int),

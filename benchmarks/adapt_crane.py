@@ -18,8 +18,9 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptState, plan_stages
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.distance_pictures import FrameView, draw_views
 

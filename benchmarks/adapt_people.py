@@ -27,8 +27,9 @@ import jaxcap as jc
 from benchmarks._learning import learn, meshes_of, varied_poses
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptState, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptState, plan_stages
 from jaxcap.body.decimate import reduce_body
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker

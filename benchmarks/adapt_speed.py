@@ -21,14 +21,15 @@ import jaxcap as jc
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.adapt_people import ACTORS, TAKES, first_pose, make_actor, scan_actor
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import plan_stages
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.body.pose import retract
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import make_scan
+from jaxcap.fit.correspondence.nearest_assignment import make_scan
 
 REPEATS, STEPS, AWAY = 9, 10, 0.03
 #: of the prior, about as its balance with the data has it

@@ -21,8 +21,9 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
 from benchmarks._scenes import human_motion, rotation_about_y, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.distance_pictures import FrameView, draw_views
@@ -153,7 +154,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     settings = (
-        AdaptSettings(frames=8, proportion_rounds=3, rounds=(2, 2)) if options.short else AdaptSettings()
+        AdaptSettings(num_frames=8, proportion_rounds=3, rounds=(2, 2)) if options.short else AdaptSettings()
     )
     shared, begin = shared_folder(), time.perf_counter()
     figures, limits = {}, {}

@@ -15,7 +15,7 @@ from jaxcap.body.limits.primitives import STIFFNESS, signed_distance
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import retract
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.fit.problem import linearise
+from jaxcap.fit.linearise import linearise
 
 #: step of the differences, and how near a kink they may straddle it
 STEP = 1e-6

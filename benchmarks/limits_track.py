@@ -37,7 +37,7 @@ from benchmarks.report import finish, progress
 from jaxcap.body.limits.limit_surface import SurfaceLimits
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.energy.data.soft_object import SoftObject, SoftPoints, make_soft_object
-from jaxcap.fit.problem import linearise
+from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solvers.gauss_newton import damped_step
 from jaxcap.fit.task_priority import priority_step
 from jaxcap.limits.learn import learn_limits

@@ -63,7 +63,7 @@ task = jc.make_adapt_task(
     template,
     clouds,
     start=jc.rest_pose(template.skeleton),
-    settings=jc.adapt.AdaptSettings(frames=4, proportion_rounds=3, rounds=(2,), temporal=0.0),
+    settings=jc.adapt.AdaptSettings(num_frames=4, proportion_rounds=3, rounds=(2,), temporal_weight=0.0),
 )
 states = []
 for state in jc.adapt_body(task):

@@ -6,8 +6,8 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask
 from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.priors.prior import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
@@ -56,7 +56,7 @@ def words(folder, *more) -> tuple:
 def task_of(scene, **changes) -> AdaptTask:
     template, _, poses, clouds = scene
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,))
+    settings = AdaptSettings(num_frames=3, proportion_rounds=1, rounds=(1,))
     whole = [jc.make_cloud(*cloud) for cloud in clouds]
     return AdaptTask(template, whole.__getitem__, FRAMES, 10.0, poses[0], prior, (), settings)._replace(
         **changes

@@ -11,7 +11,7 @@ from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
 from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from jaxcap.fit.correspondence.correspond import PointPairs
+from jaxcap.energy.data.pairs import PointPairs
 
 SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
 

@@ -1,13 +1,13 @@
 """Adapt a template body to the actor in a sequence of scans."""
 
-from .adapt_body import AdaptState as AdaptState
 from .objective import PoseTerms as PoseTerms
 from .poses.sliding_window import smooth_poses as smooth_poses
 from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior
-from .shape.shape_space import People as People
-from .shape.shape_space import learn_people as learn_people
-from .shape.shape_space import people_like as people_like
+from .shape.shape_space import ShapeSpace as ShapeSpace
+from .shape.shape_space import learn_shape_space as learn_shape_space
+from .shape.shape_space import shape_space_like as shape_space_like
 from .shape.surface import adapt_together as adapt_together
 from .task import AdaptSettings as AdaptSettings
+from .task import AdaptState as AdaptState
 from .task import AdaptTask as AdaptTask

@@ -1,6 +1,5 @@
 """Adaptation of a template to the actor in scans, in two passes (Adaptation, 4.1.4 and 4.2.1)."""
 
-import functools
 import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 
@@ -12,25 +11,21 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, difference, retract, stack_poses
 from ..body.skeleton import Skeleton
-from ..fit.correspondence.correspond import IndexedScan, PointPairs
+from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..fit.tracking.compare_poses import likelier_pose
 from ..fit.tracking.limb_flips import flip_limb_ends
 from ..fit.tracking.track import track_frames
+from .history import append_history
 from .objective import balancing_weight, motion_energy
 from .poses.flag_frames import flag_frames
-from .poses.sliding_window import WINDOW_FRAMES, smooth_windows
-from .poses.task_pairs import TaskPairs, append_history, pairs_at, poses_at, select_evenly
+from .poses.pair_cache import make_pair_cache
+from .poses.pose import fit_task_poses
+from .poses.select_frames import select_evenly
+from .poses.sliding_window import smooth_windows
 from .poses.unordered import find_poses
 from .shape.rounds import adapt_round
-from .shape.rounds import shape_weight as shape_weight
-from .shape.rounds import spread_frames as spread_frames
 from .shape.scale import fit_size
-from .task import AdaptSettings as AdaptSettings
-from .task import AdaptState as AdaptState
-from .task import AdaptTask as AdaptTask
-from .task import Stage as Stage
-from .task import make_task_tracker
-from .task import plan_stages as plan_stages
+from .task import AdaptState, AdaptTask, Stage, make_task_tracker, plan_stages
 
 _LOG = logging.getLogger(__name__)
 
@@ -65,7 +60,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
     **Arguments:** `state`, one to resume from; `every`, if above zero, also yields a state after so many
     frames within the stages that process single frames (tracking, single poses and smoothing).
     """
-    meetings = TaskPairs(task)
+    pair_cache = make_pair_cache(task)
     stages = plan_stages(task.settings)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:
@@ -76,7 +71,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
         else:
             assert state is not None
             if stage.name == "adapt":
-                state = adapt_round(task, state, meetings, stage)
+                state = adapt_round(task, state, pair_cache, stage)
             else:
                 state = yield from _STAGES[stage.name](task, state, stage, every)
         if number + 1 == len(stages):
@@ -103,7 +98,7 @@ def _estimate_size_from(
 ) -> AdaptState:
     """Estimate poses and size from a body that is the template scaled by `size`."""
     settings, search = task.settings, task.start is None
-    weight = INITIAL_PRIOR_WEIGHT if settings.pose is None else settings.pose
+    weight = INITIAL_PRIOR_WEIGHT if settings.pose_weight is None else settings.pose_weight
     clouds = (task.cloud(n) for n in frames)
     tracked = track_frames(make_task_tracker(task, body), clouds, task.start, search=search)
     poses = [frame.pose for frame in tracked]
@@ -117,20 +112,20 @@ def _estimate_size_from(
         initial_size=size,
     )
     motion = stack_poses(poses, task.rate)
-    state = AdaptState(0, body, size * step, motion, weight=weight)
+    state = AdaptState(0, body, size * step, motion, pose_weight=weight)
     state = append_history(task.subset(frames), state, "size", range(len(frames)))
-    if settings.pose is None:
+    if settings.pose_weight is None:
         # first poses are often at rest, later ones are not: a correct prior has an energy of one per degree
         # of freedom
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
         weight = BALANCE_SHARE * balancing_weight(state.terms[0].data, worth)
-    return state._replace(weight=weight)
+    return state._replace(pose_weight=weight)
 
 
 def _interpolate_missing(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:
     """Fill in the poses of all frames by linear interpolation between the known ones."""
     known, every = sorted(poses), []
-    for frame in range(task.frames):
+    for frame in range(task.num_frames):
         if frame in poses:
             every.append(poses[frame])
             continue
@@ -246,7 +241,7 @@ def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> 
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
-        found = poses_at(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
+        found = fit_task_poses(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
         poses |= dict(zip(some, found, strict=True))
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
@@ -258,25 +253,19 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
     """Smooth all poses in time; those of frames without a scan are interpolated."""
     settings, body, there = task.settings, state.body, task.scanned
     if not state.within:
-        temporal = settings.temporal
-        if temporal is None:
+        temporal_weight = settings.temporal_weight
+        if temporal_weight is None:
             # a wrong pose has a large energy, so its weight would smooth too little
             rough = motion_energy(body.skeleton, state.motion, excluded={*state.lost, *task.missing})
-            temporal = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
-        state = state._replace(temporal=temporal)
-
-    # every frame is in several windows, and read in each of their steps
-    scan_at = functools.lru_cache(WINDOW_FRAMES)(lambda number: task.scan(there[number]))
-
-    def pairs_in(number: int, pose: Pose) -> PointPairs:
-        return pairs_at(task, body, pose, scan_at(number))
+            temporal_weight = BALANCE_SHARE * balancing_weight(state.terms[-1].data, rough)
+        state = state._replace(temporal_weight=temporal_weight)
 
     windows = smooth_windows(
         body,
         [state.motion[n] for n in there],
-        pairs_in,
-        task.pose_terms(state.weight),
-        state.temporal,
+        make_pair_cache(task, there),
+        task.pose_terms(state.pose_weight),
+        state.temporal_weight,
         times=there,
         resume_frame=state.within,
     )

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..errors import InputError
-from ..fit.correspondence.correspond import IndexedScan, make_scan, within_aperture
+from ..fit.correspondence.correspond import within_aperture
+from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
 from ..observe.clouds import Cloud, make_cloud
@@ -179,5 +180,5 @@ def connected_labels(points: Float[np.ndarray, "N 3"], link_length: float) -> In
 
 def _fit_quality_alone(task: AdaptTask, cloud: Cloud) -> FitQuality:
     """Fit the template, with its size, to a cloud alone and measure how well it explains it."""
-    alone = task._replace(cloud=lambda _: cloud, frames=1, start=None, cameras=(), missing=(), mesh=None)
+    alone = task._replace(cloud=lambda _: cloud, num_frames=1, start=None, cameras=(), missing=(), mesh=None)
     return fit_quality(next(adapt_body(alone)), 0, make_scan(cloud))[0]

@@ -18,8 +18,9 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
-from .adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
+from .adapt_body import adapt_body
 from .shape.scale import scale_body
+from .task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres
 BIN_WIDTH, MAX_DISTANCE = 1e-5, 1.0
@@ -98,13 +99,15 @@ def compare_stages(task: AdaptTask, state: AdaptState, *, step: int = 1) -> Iter
         )
     if step < 1:
         raise ValueError(f"The step is {step}; expected at least 1.")
-    stages = Evaluation(tuple(n for n in range(0, task.frames, step) if n not in task.missing))
+    stages = Evaluation(tuple(n for n in range(0, task.num_frames, step) if n not in task.missing))
 
     # tracked before `first frame` too, which adapts to the first frame that is not lost
     size = jnp.asarray(state.size, task.template.vertices.dtype)
     # start with one pose, as an adaptation does: the final poses would help these variants
-    begun = _select_frames(state.motion, task.scanned[:1] * task.frames)
-    template = AdaptState(1, scale_body(task.template, size), state.size, begun, weight=state.weight)
+    begun = _select_frames(state.motion, task.scanned[:1] * task.num_frames)
+    template = AdaptState(
+        1, scale_body(task.template, size), state.size, begun, pose_weight=state.pose_weight
+    )
     tracked = _adapt_until_poses(task, template, 0)
     poses = _fit_poses_independently(task, tracked, stages.measured_frames)
     yield (stages := _append_variant(stages, task, tracked, poses))
@@ -113,7 +116,7 @@ def compare_stages(task: AdaptTask, state: AdaptState, *, step: int = 1) -> Iter
     yield (stages := _append_variant(stages, task, first, poses))
 
     smooth = task.settings.smooth
-    frames = tuple(sorted({*range(min(task.frames, NUM_ANGLE_FRAMES)), *stages.measured_frames}))
+    frames = tuple(sorted({*range(min(task.num_frames, NUM_ANGLE_FRAMES)), *stages.measured_frames}))
     alone = _fit_poses_independently(task, state, frames) if smooth else _select_frames(state.motion, frames)
     if not task.settings.unordered:
         stages = stages._replace(angles=_joint_angles(alone, state.motion if smooth else None))
@@ -180,11 +183,11 @@ def _adapt_until_poses(task: AdaptTask, state: AdaptState, num_adapted_frames: i
     """Adapt a body to the first `num_adapted_frames` frames (none or one), and track it in all frames."""
     own = task.settings
     settings = own._replace(
-        frames=num_adapted_frames,
+        num_frames=num_adapted_frames,
         every=0,
         proportion_rounds=own.proportion_rounds * num_adapted_frames,
         rounds=own.rounds[:num_adapted_frames],
-        temporal=0.0,
+        temporal_weight=0.0,
     )
     left = len(plan_stages(settings)) - 1 - state.done
     for reached in islice(adapt_body(task._replace(settings=settings), state), left):
@@ -194,7 +197,7 @@ def _adapt_until_poses(task: AdaptTask, state: AdaptState, num_adapted_frames: i
 
 def _fit_poses_independently(task: AdaptTask, state: AdaptState, frames: Sequence[int]) -> Motion:
     """Fit the poses of some frames by the stage `pose`, from those of a state."""
-    settings = task.settings._replace(every=0, proportion_rounds=0, rounds=(), temporal=0.0)
+    settings = task.settings._replace(every=0, proportion_rounds=0, rounds=(), temporal_weight=0.0)
     some = task.subset(frames)._replace(settings=settings)
     begun = state._replace(done=len(plan_stages(settings)) - 1, motion=_select_frames(state.motion, frames))
     (found,) = adapt_body(some, begun)

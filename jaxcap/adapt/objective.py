@@ -66,11 +66,11 @@ def window_problem(
     body: Body,
     pairs: PointPairs,
     terms: PoseTerms,
-    temporal: float | Float[Array, ""],
+    temporal_weight: float | Float[Array, ""],
     times: Shaped[Array | np.ndarray, "F"],
     num_fixed: int = 0,
 ) -> SequenceProblem:
-    """Build the problem of a window: the frames' mean of `Q_data + weight Q_pose`, plus `temporal Q_temp`.
+    """Build the problem of a window: the frames' mean of `Q_data + weight Q_pose`, plus `temporal_weight Q_temp`.
 
     These are eqs. 4.3, 4.9 and 4.10. The poses of the first `num_fixed` frames are fixed.
     """
@@ -82,7 +82,7 @@ def window_problem(
         body,
         _sum(weight_frames(shares, data), prior, user),
         jnp.asarray(times, dtype),
-        between=(SmoothRotations(jnp.asarray(temporal / max(frames - 2, 1), dtype)),),
+        between=(SmoothRotations(jnp.asarray(temporal_weight / max(frames - 2, 1), dtype)),),
         boxes=terms.boxes,
         fixed=jnp.arange(frames) < num_fixed,
     )

@@ -14,12 +14,12 @@ from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
 from ..energy.priors.prior import RestPrior
 from ..errors import InputError
-from ..fit.correspondence.correspond import IndexedScan
+from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
 from ..observe.clouds import Cloud, CloudFrames
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
-from .shape.shape_space import people_like
+from .shape.shape_space import shape_space_like
 from .task import AdaptSettings, AdaptTask, check_settings
 
 
@@ -35,7 +35,7 @@ def make_adapt_task(
     cameras: Sequence[Camera] = (),
     missing: Sequence[int] = (),
     boxes: PoseBoxes | None = None,
-    shape: ShapePrior | None = None,
+    shape_prior: ShapePrior | None = None,
     mesh: Callable[[int], IndexedScan] | None = None,
     terms: UserTerms = (),
     full_body: Body | None = None,
@@ -69,26 +69,26 @@ def make_adapt_task(
         settings = settings._replace(
             unordered=is_unordered(clouds.__getitem__, scanned, float(body_height(template)))
         )
-    if settings.unordered and (settings.every or settings.temporal):
+    if settings.unordered and (settings.every or settings.temporal_weight):
         raise InputError(
             "The scans are not ordered in time, as adaptation during tracking and a weight of smooth motion require; "
-            "leave these out (every, temporal; --adapt-every, --smoothness), or give unordered=False or --ordered "
+            "leave these out (every, temporal_weight; --adapt-every, --smoothness), or give unordered=False or --ordered "
             "if the scans are ordered."
         )
     return AdaptTask(
         template=template,
         cloud=clouds.__getitem__,
-        frames=len(clouds),
+        num_frames=len(clouds),
         rate=rate,
         start=start,
         prior=prior if pose_prior is None else prior + pose_prior,
         mirrored=mirrored_joints(skeleton),
         settings=settings,
-        people=people_like(template, full_body),
+        shape_space=shape_space_like(template, full_body),
         cameras=tuple(cameras),
         missing=missing,
         boxes=boxes,
-        shape=shape,
+        shape_prior=shape_prior,
         mesh=mesh,
         terms=sum_user_terms("adapt_body", terms, template),
     )

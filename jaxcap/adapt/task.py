@@ -10,7 +10,8 @@ from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
-from ..fit.correspondence.correspond import IndexedScan, Matching, make_scan
+from ..fit.correspondence.correspond import Matching
+from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..fit.tracking.recover import TrackedFrame
 from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
@@ -18,7 +19,7 @@ from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior
-from .shape.shape_space import People
+from .shape.shape_space import ShapeSpace
 
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
@@ -27,32 +28,32 @@ NUM_ADAPTATIONS = 10
 class AdaptSettings(NamedTuple):
     """The settings of an adaptation.
 
-    Weights are relative to the mean squared distance of a pair, metres squared. The weight of `shape` is
-    relative to the sum of these squares, so that more scans count more.
+    Weights are relative to the mean squared distance of a pair, metres squared, but
+    `shape_weights` to the sum of these squares, so that more scans count more.
     """
 
     #: number of frames that the body is adapted to, spread over the motion
-    frames: int = 40
+    num_frames: int = 40
     #: rounds of joints with their skin, or of shape coefficients if a shape space is known, before vertices
     #: are adapted
     proportion_rounds: int = 6
     #: rounds of vertices and joints in each pass
     rounds: tuple[int, ...] = (5, 6)
-    #: weight of the Laplacian term in the first and the last round
-    shape: tuple[float, float] = (100.0, 3.0)
+    #: weights of the Laplacian term in the first and the last round
+    shape_weights: tuple[float, float] = (100.0, 3.0)
     #: weight of the pose prior; None uses a tenth of the weight that balances it with the data in the first
     #: frames (eq. 4.15)
-    pose: float | None = None
+    pose_weight: float | None = None
     #: weight of second differences; None uses a tenth of the weight that balances them with the data (eq.
     #: 4.16), 0 disables them
-    temporal: float | None = None
+    temporal_weight: float | None = None
     #: adapt during tracking, after every `every` frames (multi-time adaptation); 0 tracks all
     #: frames first and then adapts to the most informative ones (guided adaptation)
     every: int = 0
     #: standard deviation of a joint from its position regressed from the surface, metres
-    joint: float = 0.005
+    joint_deviation: float = 0.005
     #: standard deviation of a pair's distance, metres
-    deviation: float = 0.003
+    pair_deviation: float = 0.003
     matching: Matching = Matching()
     #: solve for vertices, joints and poses in one step of each round, not one after the other
     simultaneous: bool = False
@@ -63,7 +64,7 @@ class AdaptSettings(NamedTuple):
     @property
     def smooth(self) -> bool:
         """True if the motion is smoothed in time."""
-        return self.temporal != 0.0 and not self.unordered
+        return self.temporal_weight != 0.0 and not self.unordered
 
 
 def check_settings(settings: AdaptSettings) -> None:
@@ -72,12 +73,20 @@ def check_settings(settings: AdaptSettings) -> None:
     **Raises:** `InputError` for the first setting that is not.
     """
     where = "AdaptSettings"
-    check_at_least(where, 1, frames=settings.frames)
+    check_at_least(where, 1, num_frames=settings.num_frames)
     check_at_least(
         where, 0, proportion_rounds=settings.proportion_rounds, rounds=settings.rounds, every=settings.every
     )
-    check_at_least(where, 0, shape=settings.shape, pose=settings.pose, temporal=settings.temporal)
-    check_positive(where, "metres", joint=settings.joint, deviation=settings.deviation)
+    check_at_least(
+        where,
+        0,
+        shape_weights=settings.shape_weights,
+        pose_weight=settings.pose_weight,
+        temporal_weight=settings.temporal_weight,
+    )
+    check_positive(
+        where, "metres", joint_deviation=settings.joint_deviation, pair_deviation=settings.pair_deviation
+    )
 
 
 class AdaptState(NamedTuple):
@@ -97,13 +106,13 @@ class AdaptState(NamedTuple):
     #: the name of each stage, and the root mean square distance of a pair after it, millimetres
     history: tuple[tuple[str, float], ...] = ()
     #: the actor's shape coefficients relative to the template; empty before they are estimated
-    traits: tuple[float, ...] = ()
+    coefficients: tuple[float, ...] = ()
     #: weight of the pose prior
-    weight: float = 0.0
+    pose_weight: float = 0.0
     #: the value of each term after each stage, in the order of `history`
     terms: tuple[Terms, ...] = ()
     #: weight of second differences, once it is balanced
-    temporal: float = 0.0
+    temporal_weight: float = 0.0
     #: finished frames of the next stage
     within: int = 0
     #: the last of these frames, if the stage is one of tracking
@@ -118,7 +127,7 @@ class AdaptTask(NamedTuple):
     template: Body
     #: the cloud of a frame
     cloud: Callable[[int], Cloud]
-    frames: int
+    num_frames: int
     rate: float
     #: a pose near that of the first frame; None searches for one
     start: Pose | None
@@ -127,7 +136,7 @@ class AdaptTask(NamedTuple):
     mirrored: tuple[tuple[int, int], ...]
     settings: AdaptSettings
     #: the shape space of people with the template's triangles
-    people: People | None = None
+    shape_space: ShapeSpace | None = None
     #: the calibrated, static sensors: vertices that none of them sees are in no pair; empty disables this
     #: test
     cameras: tuple[Camera, ...] = ()
@@ -136,7 +145,7 @@ class AdaptTask(NamedTuple):
     #: the hard limits of joint rotations
     boxes: PoseBoxes | None = None
     #: the shape prior of training meshes; None uses that of the template, or of the person of the shape space
-    shape: ShapePrior | None = None
+    shape_prior: ShapePrior | None = None
     #: further energies of every frame, in units of a log-likelihood
     terms: AbstractEnergy | None = None
     #: the scan of a frame with its triangles, if scans are meshes; None builds scans from the points of
@@ -146,7 +155,7 @@ class AdaptTask(NamedTuple):
     @property
     def scanned(self) -> list[int]:
         """The frames that have a scan."""
-        return sorted(set(range(self.frames)) - set(self.missing))
+        return sorted(set(range(self.num_frames)) - set(self.missing))
 
     def pose_terms(self, weight: float | Float[Array, ""]) -> PoseTerms:
         """Return the terms of a pose, with the prior at a weight."""
@@ -177,7 +186,7 @@ class AdaptTask(NamedTuple):
         return self._replace(
             cloud=lambda number: self.cloud(frames[number]),
             mesh=None if mesh is None else lambda number: mesh(frames[number]),
-            frames=len(frames),
+            num_frames=len(frames),
             missing=tuple(number for number, frame in enumerate(frames) if frame in self.missing),
         )
 

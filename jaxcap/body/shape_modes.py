@@ -1,4 +1,4 @@
-"""Linear shape modes: joint displacements and vertex displacements of a body at rest, with common amounts."""
+"""Linear shape modes: joint displacements and vertex displacements of a body at rest, with common coefficients."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from .skeleton import Skeleton
 
 
 class ShapeModes(eqx.Module):
-    """Displacements at rest: with amounts `z` the joints are at `c + z . centres` and the vertices at
+    """Displacements at rest: with coefficients `z` the joints are at `c + z . centres` and the vertices at
     `x + z . vertices`, metres."""
 
     centres: Float[Array, "K J 3"]
@@ -18,7 +18,7 @@ class ShapeModes(eqx.Module):
 
 
 def apply_modes(body: Body, modes: ShapeModes, coefficients: Float[Array, "K"]) -> Body:
-    """Displace the joints and the surface of a body by amounts of its modes."""
+    """Displace the joints and the surface of a body by its modes, with a coefficient for each."""
     return eqx.tree_at(
         lambda b: (b.skeleton.centres, b.vertices),
         body,

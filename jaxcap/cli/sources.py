@@ -13,7 +13,7 @@ from ..body.limits.limits import JointRanges
 from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
-from ..fit.correspondence.correspond import IndexedScan, make_mesh_scan, make_scan
+from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan, make_scan
 from ..fit.tracking.check import check_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera

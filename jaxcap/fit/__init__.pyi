@@ -1,15 +1,15 @@
 """Fitting of bodies: least-squares problems, correspondence, tracking."""
 
+from ..energy.data.pairs import pair_positions as pair_positions
 from .correspondence.correspond import Matching as Matching
-from .correspondence.correspond import NearestOnSurface as NearestOnSurface
-from .correspondence.correspond import NearestVertex as NearestVertex
-from .correspondence.correspond import SoftAssignment as SoftAssignment
 from .correspondence.correspond import find_pairs as find_pairs
-from .correspondence.correspond import make_mesh_scan as make_mesh_scan
-from .correspondence.correspond import make_scan as make_scan
-from .correspondence.correspond import pair_positions as pair_positions
+from .correspondence.nearest_assignment import NearestOnSurface as NearestOnSurface
+from .correspondence.nearest_assignment import NearestVertex as NearestVertex
+from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
+from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_parts as make_parts
 from .correspondence.posterior import posterior as posterior
+from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .correspondence.visibility import visible_vertices as visible_vertices
 from .fit_meshes import MeshFit as MeshFit
 from .sequences.problem import SequenceEstimate as SequenceEstimate

@@ -16,7 +16,7 @@ from ..body.skeleton import Skeleton, dof_layout
 from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations
 from .linear.dense import DenseMatrix
-from .linearise import linearise as linearise
+from .linearise import linearise
 from .solvers.descent import ConstrainedInfo, Constraints
 from .solvers.problem import AbstractDenseProblem
 

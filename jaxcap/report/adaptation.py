@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..adapt.adapt_body import AdaptState, AdaptTask
 from ..adapt.evaluate import Evaluation, Variant, quantile, summarise
 from ..adapt.objective import Terms
+from ..adapt.task import AdaptState, AdaptTask
 from ..arguments import checked
 from ..body.body import Body
 from ..io.system.atomic import write_text
@@ -137,7 +137,7 @@ def summary_cards(task: AdaptTask, state: AdaptState, stages: Evaluation) -> Mar
     cards = (
         (f"× {state.size:.3f}", size),
         (f"{before:.1f} mm → {after:.1f} mm", nearer),
-        (f"{task.frames - lost} of {task.frames} frames", followed),
+        (f"{task.num_frames - lost} of {task.num_frames} frames", followed),
     )
     told = [element("div", element("strong", strong), text, class_="card") for strong, text in cards]
     return element("div", *told, class_="cards")
@@ -166,7 +166,7 @@ def measure_notes(task: AdaptTask, stages: Evaluation) -> list[Markup]:
     """Describe the figures of the table."""
     kinds = "; ".join(f"{v.name}: {VARIANTS[v.name]}" for v in stages.variants if v.name in VARIANTS)
     points = int(stages.variants[0].scan_to_body.counts.sum())
-    frames = f"{len(stages.measured_frames)} of {task.frames} frames were measured, with {points:,} points in total."
+    frames = f"{len(stages.measured_frames)} of {task.num_frames} frames were measured, with {points:,} points in total."
     notes = (
         f"{kinds[:1].upper()}{kinds[1:]}.",
         f"{frames} Lost frames are included. {NOISE_NOTE}",
@@ -194,7 +194,7 @@ def settings_table(task: AdaptTask, settings: Mapping[str, object]) -> Markup:
         for name, value in settings.items()
     ]
     rows += [
-        ["number of scans", str(task.frames)],
+        ["number of scans", str(task.num_frames)],
         ["vertices of the body", str(len(task.template.vertices))],
     ]
     rows += [["joints of the body", str(task.template.skeleton.num_joints)]]

@@ -9,7 +9,7 @@ from command_line import fails, runs
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import (
     CoefficientPrior,
     PoseTerms,
@@ -24,19 +24,16 @@ from jaxcap.adapt.shape.rounds import gauss_newton_step
 from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape
+from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
-from jaxcap.energy.data.pairs import PairDistances, pair_directions
+from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    SoftAssignment,
-    make_scan,
-    pair_positions,
-)
+from jaxcap.fit.correspondence.correspond import Matching
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
+from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_jacobian, vertex_maps
 from jaxcap.geometry import rotation
@@ -172,12 +169,12 @@ def test_the_surface_follows_all_its_joints_alike():
 
 
 def test_joints_go_where_the_surface_around_them_goes(rng):
-    beside = make_joint_regressor(BODY)
+    regressor = make_joint_regressor(BODY)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = 1.3 * np.asarray(BODY.vertices) @ turn.T + [1.0, 2.0, 3.0]
     expected = 1.3 * np.asarray(BODY.skeleton.centres) @ turn.T + [1.0, 2.0, 3.0]
-    np.testing.assert_allclose(regress_joints(beside, moved), expected, atol=1e-9)
+    np.testing.assert_allclose(regress_joints(regressor, moved), expected, atol=1e-9)
 
 
 def test_second_differences_of_even_motion_are_none(rng):
@@ -246,7 +243,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
         fit_pose(body, s, motion[n], PoseTerms(prior), matching, steps=8).pose
         for s, n in zip(scans, frames, strict=True)
     ]
-    shape, beside, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
+    shape, regressor, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
     terms, deviation = PoseTerms(prior, jnp.asarray(1e-6)), jnp.asarray(0.003)
     mirrored = mirrored_joints(body.skeleton)
 
@@ -262,9 +259,9 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
 
     told = [distance()]
     for _ in range(3):
-        shifts = regress_joints(beside, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
-        belief = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
-        problem = shared_problem(body, pairs(), terms, modes, belief, mirrored, deviation)
+        shifts = regress_joints(regressor, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
+        coefficient_prior = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
+        problem = shared_problem(body, pairs(), terms, modes, coefficient_prior, mirrored, deviation)
         body, several, _ = gauss_newton_step(problem, stack_trees(poses))
         poses = unstack_trees(several, len(frames))
         body = adapt_shape(body, stack_trees(poses), pairs(), shape, 10.0)
@@ -309,7 +306,7 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), AdaptSettings(frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
+                mirrored_joints(template.skeleton), AdaptSettings(num_frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
     assert last.done == len(plan_stages(task.settings))
@@ -329,7 +326,7 @@ def test_the_whole_way_and_again_from_the_middle(scene):
 def test_a_body_is_adapted_while_it_is_tracked(scene):
     """After every frame of the first ten: the body is nearer to the actor before the last frames are tracked."""
     template, actor, motion, clouds = scene
-    settings = AdaptSettings(frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal=0.0)
+    settings = AdaptSettings(num_frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal_weight=0.0)
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
                 mirrored_joints(template.skeleton), settings)  # fmt: skip
     states = list(adapt_body(task))

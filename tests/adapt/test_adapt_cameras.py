@@ -10,10 +10,9 @@ from command_line import fails
 
 import jaxcap as jc
 from jaxcap.adapt.check import check_cameras
-from jaxcap.adapt.poses.task_pairs import pairs_at
+from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.cli.adapt.input import load_cameras
 from jaxcap.cli.sources import up_rotation
-from jaxcap.fit.correspondence.correspond import make_scan
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.meshes.clouds import read_clouds
@@ -81,12 +80,11 @@ def test_cameras_are_turned_with_the_scans(scene, folder):
 def test_what_no_camera_sees_is_in_no_pair(scene):
     _, actor, poses, _ = scene
     task = task_of(scene)
-    scan = make_scan(task.cloud(0))
     posed = _posed(actor, poses[0])
     behind = np.asarray(posed.normals)[:, 2] < -0.3
     front = look_at([0.0, 0.5, 3.0], [0, 0.3, 0], 320, 240, 40)
     for cameras, some in (((), True), ((front,), False)):
-        pairs = pairs_at(task._replace(cameras=cameras), actor, poses[0], scan)
+        (pairs,) = make_pair_cache(task._replace(cameras=cameras)).pairs(actor, {0: poses[0]})
         paired = np.unique(np.asarray(pairs.vertices[:, 0])[np.asarray(pairs.weights) > 0])
         assert behind[paired].any() == some
         assert len(paired) > 10

@@ -10,7 +10,7 @@ from adapt_scene import make_scene, words, write_folder
 from command_line import runs
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
@@ -101,8 +101,8 @@ def test_a_prior_in_the_template_counts_as_one_that_is_named(scene, folder):
     task, without = (asked.task(scene[0], scans, priors) for priors in (own, None))
     assert own is not None
     named = asked.task(scene[0], scans, load_priors(folder / "body.npz", scene[0]))
-    assert task.boxes is not None and named.boxes is not None and task.shape is not None
-    assert without.boxes is None and without.shape is None
+    assert task.boxes is not None and named.boxes is not None and task.shape_prior is not None
+    assert without.boxes is None and without.shape_prior is None
     ours, theirs, none = (jax.tree.leaves(one.prior) for one in (task, named, without))
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -137,7 +137,7 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     digests = check_input(read_clouds(asked.clouds), template).digests
     file = None if counts is None else folder / counts
     header = {**asked.settings(), "prior": hash_file(file), **fingerprint_of(template, digests)}
-    done = len(plan_stages(AdaptSettings(temporal=0.0)))
+    done = len(plan_stages(AdaptSettings(temporal_weight=0.0)))
     motion = stack_poses(poses, 30.0)
     keep_state(asked.checkpoint_path, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)
     told = runs(capsys, *words(folder, "--smoothness", 0, "--resume", *more))

@@ -10,8 +10,9 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt import adapt_body as loop
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import Terms
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.state import keep_state, load_resumed_state
 
@@ -27,14 +28,14 @@ def before_stage(scene, name: str, **changes):
     """The task, and a state whose next stage is the last of a name, with poses that are off."""
     _, actor, poses, _ = scene
     task = task_of(scene)._replace(
-        settings=AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,)), **changes
+        settings=AdaptSettings(num_frames=3, proportion_rounds=1, rounds=(1,)), **changes
     )
     way = jnp.asarray(0.02 * np.random.default_rng(2).normal(size=actor.skeleton.num_dofs))
     off = stack_poses([retract(actor.skeleton, pose, way) for pose in poses], 10.0)
     names = [stage.name for stage in plan_stages(task.settings)]
     done = len(names) - 1 - names[::-1].index(name)
     terms = (Terms(1e-5, 1.0, 1e-3, 0.0, 0.0),)
-    return task, AdaptState(done, actor, 1.0, off, weight=1e-8, terms=terms, history=(("size", 3.0),))
+    return task, AdaptState(done, actor, 1.0, off, pose_weight=1e-8, terms=terms, history=(("size", 3.0),))
 
 
 def stage_of(task, state: AdaptState, every: int = 0) -> list[AdaptState]:

@@ -2,11 +2,12 @@
 
 import pytest
 
-from jaxcap.adapt.adapt_body import AdaptSettings, Stage, plan_stages, shape_weight
+from jaxcap.adapt.shape.rounds import shape_weight
+from jaxcap.adapt.task import AdaptSettings, Stage, plan_stages
 
 
 def test_the_plan_has_all_stages_and_weights_fall():
-    settings = AdaptSettings(proportion_rounds=2, rounds=(5, 3), temporal=0.0)
+    settings = AdaptSettings(proportion_rounds=2, rounds=(5, 3), temporal_weight=0.0)
     names = [stage.name for stage in plan_stages(settings)]
     assert names == [
         "size",
@@ -20,7 +21,7 @@ def test_the_plan_has_all_stages_and_weights_fall():
         "pose",
     ]
     weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
-    assert weights == pytest.approx(list(settings.shape))
+    assert weights == pytest.approx(list(settings.shape_weights))
     assert [stage.name for stage in plan_stages(AdaptSettings(proportion_rounds=0, rounds=()))] == [
         "size",
         "track",

@@ -8,7 +8,7 @@ from adapt_scene import make_scene, task_of
 from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.body.pose import retract
-from jaxcap.fit.correspondence.correspond import make_scan
+from jaxcap.fit.correspondence.nearest_assignment import make_scan
 
 
 @pytest.fixture(scope="module")

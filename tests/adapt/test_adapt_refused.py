@@ -11,7 +11,7 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.adapt import check
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
+from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.check import (
     FitQuality,
     check_actor,
@@ -22,7 +22,8 @@ from jaxcap.adapt.check import (
     person_sized_groups,
 )
 from jaxcap.adapt.evaluate import compare_stages
-from jaxcap.adapt.poses.task_pairs import pairs_at
+from jaxcap.adapt.poses.pose import pairs_of
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import difference, rest_pose, stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
@@ -30,7 +31,7 @@ from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.data.pairs import stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import NearestOnSurface, make_scan
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
@@ -54,7 +55,7 @@ def there(body: jc.Body, pose: jc.Pose) -> AdaptState:
 
 def alone(task: AdaptTask, points, normals=None) -> AdaptTask:
     cloud = jc.make_cloud(points, normals)
-    return task._replace(cloud=lambda _: cloud, frames=1)
+    return task._replace(cloud=lambda _: cloud, num_frames=1)
 
 
 @pytest.mark.parametrize(
@@ -73,9 +74,9 @@ def test_settings_are_what_was_asked(folder, scene):
     asked = Adapt(*names, assignment="surface", pair_distance=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
     asked.ignore_occlusion, asked.cameras = True, folder / "cameras.json"
     task = asked.task(scene[0], scans, None)
-    assert (task.settings.pose, task.settings.shape) == (1e-8, (9.0, 2.0))
+    assert (task.settings.pose_weight, task.settings.shape_weights) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
-    assert task.settings.matching.reach == 0.1
+    assert task.settings.matching.max_distance == 0.1
     assert len(task.settings.matching.aperture) == 4
     assert task.cameras == ()
 
@@ -90,7 +91,7 @@ def test_scans_of_other_sizes_are_stacked(scene):
     _, actor, poses, clouds = scene
     task = task_of(scene)
     scans = [make_scan(jc.make_cloud(clouds[0][0][:count])) for count in (POINTS, 200)]
-    parts = [pairs_at(task, actor, poses[0], scan) for scan in scans]
+    parts = [pairs_of(actor, poses[0], scan, task.settings.matching) for scan in scans]
     assert len(parts[0].weights) > len(parts[1].weights)
     both = stack_pairs(parts)
     np.testing.assert_allclose(both.weights.sum(1), [part.weights.sum() for part in parts])
@@ -293,7 +294,7 @@ def test_results_for_which_there_is_no_space(scene, folder, capsys, monkeypatch)
     task = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(task.clouds), template).digests
     header = {**task.settings(), "prior": None, **fingerprint_of(template, digests)}
-    state = AdaptState(len(plan_stages(AdaptSettings(temporal=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
+    state = AdaptState(len(plan_stages(AdaptSettings(temporal_weight=0.0))), actor, 1.1, stack_poses(poses, 30.0), history=(("pose", 1.0),))  # fmt: skip
     keep_state(task.checkpoint_path, state, header)
 
     def full(file, **arrays):

@@ -13,7 +13,6 @@ from command_line import fails, runs
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.adapt.evaluate import (
     BIN_WIDTH,
     Evaluation,
@@ -28,6 +27,7 @@ from jaxcap.adapt.evaluate import (
 )
 from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pose import rest_pose, retract, stack_poses
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt
@@ -98,7 +98,7 @@ def scene():
         points, normals = sample_surface(vertices, np.asarray(actor.faces), 700, rng)
         clouds.append(jc.make_cloud(points + 0.0005 * rng.normal(size=points.shape), normals))
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=2, proportion_rounds=1, rounds=(1, 1))
+    settings = AdaptSettings(num_frames=2, proportion_rounds=1, rounds=(1, 1))
     task = AdaptTask(
         template, clouds.__getitem__, FRAMES, RATE, None, prior, mirrored_joints(template.skeleton), settings
     )
@@ -106,7 +106,7 @@ def scene():
     done, told = len(plan_stages(settings)), (("size", 4.0), ("smooth", 1.0))
     terms = (Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1e-6, 4e-6, 1e-8))
     motion = stack_poses(shaken, RATE)
-    return task, AdaptState(done, actor, 1.1, motion, (3,), (0, 4), told, weight=1e-6, terms=terms)
+    return task, AdaptState(done, actor, 1.1, motion, (3,), (0, 4), told, pose_weight=1e-6, terms=terms)
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,7 @@ def test_joints_shake_less_where_a_motion_is_even(scene, stages):
 
 def test_some_frames_and_no_smooth_motion(scene):
     task, state = scene
-    task = task._replace(settings=task.settings._replace(temporal=0.0))
+    task = task._replace(settings=task.settings._replace(temporal_weight=0.0))
     last = list(compare_stages(task, state, step=2))[-1]
     assert [variant.name for variant in last.variants] == ["not adapted", "first frame", "many frames"]
     assert last.measured_frames == (0, 2, 4)
@@ -172,7 +172,7 @@ def test_some_frames_and_no_smooth_motion(scene):
 
 def test_meshes_are_met_in_their_own_frames(scene):
     task, state = scene
-    task = task._replace(settings=task.settings._replace(temporal=0.0))
+    task = task._replace(settings=task.settings._replace(temporal_weight=0.0))
     clouds, meshes = (
         list(compare_stages(one, state, step=2))[-1] for one in (task, task._replace(mesh=task.scan))
     )
@@ -280,7 +280,7 @@ def test_the_command_line_goes_on_to_the_report(scene, tmp_path, capsys):
     verb = Adapt(str(tmp_path / "template.npz"), (str(tmp_path / "scans.npz"),), out, smoothness=0.0)
     digests = check_input(read_clouds(verb.clouds), task.template).digests
     header = {**verb.settings(), "prior": None, **fingerprint_of(task.template, digests)}
-    stages = len(plan_stages(AdaptSettings(temporal=0.0)))
+    stages = len(plan_stages(AdaptSettings(temporal_weight=0.0)))
     save_checkpoint(verb.checkpoint_path, make_checkpoint(state._replace(done=stages)), header)
     words = ("adapt", verb.body, *verb.clouds, "-o", out, "--smoothness", 0, "--report", report)
     assert f"{report}: the report" in runs(capsys, *words, "--report-every", 4, "--resume")

@@ -11,8 +11,8 @@ from adapt_scene import make_scene, write_folder, write_scan
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
 from jaxcap.adapt.objective import Terms
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.body.pose import stack_poses
@@ -51,15 +51,15 @@ def words(folder, out, *more) -> tuple:
 def finished_state(scene, **changes) -> AdaptState:
     _, actor, poses, _ = scene
     state = AdaptState(
-        done=len(plan_stages(AdaptSettings(temporal=0.0))),
+        done=len(plan_stages(AdaptSettings(temporal_weight=0.0))),
         body=actor,
         size=1.1,
         motion=stack_poses(poses, 30.0),
         lost=(2,),
         chosen=(0, 3),
         history=(("size", 4.0), ("pose", 1 / 3)),
-        traits=(0.1, -2 / 3),
-        weight=1e-7 / 3,
+        coefficients=(0.1, -2 / 3),
+        pose_weight=1e-7 / 3,
         terms=(Terms(1.6e-5, 2.0, 1e-5, 0.0, 0.0), Terms(1e-6, 3.0, 1 / 3, 4e-6, 1e-8)),
     )
     return state._replace(**changes)

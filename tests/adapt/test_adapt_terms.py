@@ -12,10 +12,9 @@ from jaxcap.adapt.shape.shape_prior import body_shape_prior, shape_energy
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
-from jaxcap.energy.data.pairs import PairDistances
+from jaxcap.energy.data.pairs import PairDistances, PointPairs
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import PointPairs
-from jaxcap.fit.problem import linearise
+from jaxcap.fit.linearise import linearise
 from jaxcap.geometry.stacking import stack_trees
 
 BODY = chain_body("swing_twist")

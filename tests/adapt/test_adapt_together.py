@@ -12,7 +12,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PAIRS_PER_MEASUREMENT, CoefficientPrior, PoseTerms, shared_problem
-from jaxcap.adapt.poses.task_pairs import TaskPairs
+from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.adapt.shape.rounds import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
@@ -20,9 +20,8 @@ from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
-from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, stack_pairs
+from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.correspondence.correspond import pair_positions
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.geometry.stacking import stack_trees, unstack_trees
 
@@ -53,29 +52,31 @@ def problem(rng, corners: int = 3):
     poses = stack_trees([random_pose(SKELETON, rng, 0.3) for _ in range(FRAMES)])
     pairs = stack_trees([random_pairs(BODY, rng, 200, corners) for _ in range(FRAMES)])
     other = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + 0.005 * rng.normal(size=(COUNT, 3)))
-    belief = CoefficientPrior(jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005))
-    return poses, pairs, body_shape_prior(other, 2), belief
+    coefficient_prior = CoefficientPrior(
+        jnp.asarray(0.01 * rng.normal(size=3 * JOINTS)), jnp.full(3 * JOINTS, 0.005)
+    )
+    return poses, pairs, body_shape_prior(other, 2), coefficient_prior
 
 
-def step(poses, pairs, shape, belief, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
+def step(poses, pairs, shape, coefficient_prior, body=BODY, weights=WEIGHTS, prior=PRIOR, tolerance=1e-13):
     problem = shared_problem(
-        body, pairs, PoseTerms(prior, weights.pose), MODES, belief, MIRRORED, weights.deviation
+        body, pairs, PoseTerms(prior, weights.pose), MODES, coefficient_prior, MIRRORED, weights.deviation
     )
     return adapt_together(problem, poses, pairs, shape, weights.shape, weights.hold, tolerance)
 
 
 def test_a_body_of_single_precision_meets_scans_of_double(rng):
-    poses, pairs, shape, belief = problem(rng)
+    poses, pairs, shape, coefficient_prior = problem(rng)
     single = jax.tree.map(lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf, BODY)
-    double, _ = step(poses, pairs, shape, belief)
-    body, moved_poses = step(poses, pairs, shape, belief, body=single, tolerance=1e-6)
+    double, _ = step(poses, pairs, shape, coefficient_prior)
+    body, moved_poses = step(poses, pairs, shape, coefficient_prior, body=single, tolerance=1e-6)
     assert body.vertices.dtype == moved_poses.rotations.dtype == jnp.float32
     np.testing.assert_allclose(body.vertices, double.vertices, atol=1e-4)
 
 
 def test_a_step_is_the_dense_least_squares_solution(rng):
     """All residuals of all unknowns in one Jacobian by autodiff, and the constraint by Lagrange's multipliers."""
-    poses, pairs, shape, belief = problem(rng)
+    poses, pairs, shape, coefficient_prior = problem(rng)
     laplacian = jnp.asarray(shape.laplacian.toarray())
     each = unstack_trees(pairs, FRAMES)
 
@@ -94,7 +95,12 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
             beside.append(jnp.sqrt(WEIGHTS.pose * num_pairs(some)) * PRIOR.residual(jc.pose_body(BODY, pose)))
         meshes = jnp.stack([jc.pose_body(body, pose).vertices for pose in unstack_trees(shape.poses, 2)])
         rough = jnp.sqrt(WEIGHTS.shape / 2) * (jnp.einsum("uv,mva->mua", laplacian, meshes) - shape.vectors)
-        believed = jnp.sqrt(PAIRS_PER_MEASUREMENT) * WEIGHTS.deviation / belief.deviation * (z - belief.mean)
+        believed = (
+            jnp.sqrt(PAIRS_PER_MEASUREMENT)
+            * WEIGHTS.deviation
+            / coefficient_prior.deviation
+            * (z - coefficient_prior.mean)
+        )
         every = [jnp.concatenate(data + beside), rough.reshape(-1), believed, jnp.sqrt(WEIGHTS.hold) * e]
         return jnp.concatenate(every)
 
@@ -110,7 +116,7 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
     expected = np.linalg.solve(system, np.concatenate([-slope.T @ apart, -np.asarray(differences)]))
     d, z, e, _ = np.split(expected, np.cumsum([FRAMES * DOFS, 3 * JOINTS, 3 * COUNT]))
 
-    body, turned = step(poses, pairs, shape, belief)
+    body, turned = step(poses, pairs, shape, coefficient_prior)
     np.testing.assert_allclose(body.vertices - BODY.vertices, e.reshape(-1, 3), atol=1e-9)
     np.testing.assert_allclose(body.skeleton.centres - SKELETON.centres, z.reshape(-1, 3), atol=1e-9)
     there = jax.vmap(retract, (None, 0, 0))(SKELETON, poses, jnp.asarray(d.reshape(FRAMES, DOFS)))
@@ -122,15 +128,22 @@ def test_a_step_is_the_dense_least_squares_solution(rng):
 
 def test_the_slope_of_a_step_against_differences(rng):
     """What comes out, by the scans' points, their directions, the body and the weights, along a way through all of them."""
-    poses, pairs, shape, belief = problem(rng)
-    given = (pairs.points, pairs.normals, BODY.vertices, SKELETON.centres, belief.mean, WEIGHTS.shape)
+    poses, pairs, shape, coefficient_prior = problem(rng)
+    given = (
+        pairs.points,
+        pairs.normals,
+        BODY.vertices,
+        SKELETON.centres,
+        coefficient_prior.mean,
+        WEIGHTS.shape,
+    )
     ways = [jnp.asarray(0.1 * rng.normal(size=part.shape)) for part in given]
     weigh = [jnp.asarray(rng.normal(size=shape)) for shape in ((COUNT, 3), (JOINTS, 3), (FRAMES, JOINTS, 4))]
 
     def value(points, normals, vertices, centres, expected, weight):
         body = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), BODY, (vertices, centres))
         some = eqx.tree_at(lambda p: (p.points, p.normals), pairs, (points, normals))
-        there, turned = step(poses, some, shape, CoefficientPrior(expected, belief.deviation), body, WEIGHTS._replace(shape=weight))  # fmt: skip
+        there, turned = step(poses, some, shape, CoefficientPrior(expected, coefficient_prior.deviation), body, WEIGHTS._replace(shape=weight))  # fmt: skip
         found = there.vertices, there.skeleton.centres, turned.rotations
         return sum(jnp.sum(by * part) for by, part in zip(weigh, found, strict=True))
 
@@ -166,13 +179,13 @@ def test_other_numbers_are_not_traced_anew(rng):
 
 
 def test_pairs_across_the_body_are_refused(rng):
-    poses, pairs, shape, belief = problem(rng)
+    poses, pairs, shape, coefficient_prior = problem(rng)
     edges = {frozenset(edge) for edge in mesh_edges(np.asarray(BODY.faces)).tolist()}
     far = next(v for v in range(1, COUNT) if frozenset((0, v)) not in edges)
     across = jnp.array([0, far, 0], jnp.int32)
     pairs = eqx.tree_at(lambda p: p.vertices, pairs, pairs.vertices.at[1, 9].set(across))
     with pytest.raises(ValueError, match=f"Pair 9 of frame 1 couples vertices 0 and {far}"):
-        step(poses, pairs, shape, belief)
+        step(poses, pairs, shape, coefficient_prior)
 
 
 def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
@@ -185,7 +198,7 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
     ]
     points = [pair_positions(some, jc.pose_body(actor, pose).vertices) for some, pose in zip(unstack_trees(pairs, FRAMES), true, strict=True)]  # fmt: skip
     pairs = eqx.tree_at(lambda p: p.points, pairs, jnp.stack(points))
-    shape, belief = (
+    shape, coefficient_prior = (
         body_shape_prior(BODY, 2),
         CoefficientPrior(jnp.zeros(3 * JOINTS), jnp.full(3 * JOINTS, 0.02)),
     )
@@ -203,9 +216,10 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
 
     one, two, told = (BODY, poses), (BODY, poses), [[left(BODY, poses)] * 2]
     for _ in range(4):
-        one = step(one[1], pairs, shape, belief, one[0], weights)
+        one = step(one[1], pairs, shape, coefficient_prior, one[0], weights)
         body, turned, _ = gauss_newton_step(
-            shared_problem(two[0], pairs, terms, MODES, belief, MIRRORED, weights.deviation), two[1]
+            shared_problem(two[0], pairs, terms, MODES, coefficient_prior, MIRRORED, weights.deviation),
+            two[1],
         )
         two = adapt_shape(body, turned, pairs, shape, 1e-2), turned
         told.append([left(*one), left(*two)])
@@ -215,19 +229,19 @@ def test_some_steps_on_all_at_once_leave_less_than_as_many_in_turn(rng):
 
 def test_a_round_takes_one_step_where_it_is_told_to():
     scene = make_scene()
-    task = task_of(scene, settings=AdaptSettings(frames=3, shape=(1.0, 1.0), simultaneous=True))
+    task = task_of(scene, settings=AdaptSettings(num_frames=3, shape_weights=(1.0, 1.0), simultaneous=True))
     rng, template = np.random.default_rng(2), scene[0]
     poses = [retract(template.skeleton, p, jnp.asarray(0.02 * rng.normal(size=DOFS))) for p in scene[2]]
-    state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), weight=1e-6)
-    meetings, chosen = TaskPairs(task), state.chosen
-    starts = [state.motion[n] for n in chosen]
-    pairs = stack_pairs(meetings.pairs(template, chosen, starts))
+    state = AdaptState(0, template, 1.1, jc.stack_poses(poses, 10.0), chosen=(0, 2, 5), pose_weight=1e-6)
+    pair_cache = make_pair_cache(task)
+    starts = {n: state.motion[n] for n in state.chosen}
+    pairs = stack_pairs(pair_cache.pairs(template, starts))
     # they hold where nothing has changed, and are found anew where a pose has
-    assert meetings.pairs(template, chosen, starts)[1] is meetings.pairs(template, chosen, starts)[1]
-    assert meetings.pairs(template, (5,), starts[:1])[0] is not meetings.pairs(template, (5,), starts[1:2])[0]
+    assert pair_cache.pairs(template, starts)[1] is pair_cache.pairs(template, starts)[1]
+    assert pair_cache.pairs(template, {5: starts[0]})[0] is not pair_cache.pairs(template, {5: starts[2]})[0]
     told = []
     for number in (2, 3):
-        state = adapt_round(task, state, meetings, Stage("adapt", 1, number))
+        state = adapt_round(task, state, pair_cache, Stage("adapt", 1, number))
         told.append(state.terms[-1].data)
     assert pairs.vertices.shape[-1] == 1
     assert told[1] < told[0]

@@ -9,7 +9,7 @@ from command_line import fails
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptState, plan_stages
+from jaxcap.adapt.history import append_history
 from jaxcap.adapt.poses import unordered
 from jaxcap.adapt.poses.flag_frames import NO_SCAN, distance_limit, flag_frames
 from jaxcap.adapt.poses.similarity import (
@@ -19,9 +19,9 @@ from jaxcap.adapt.poses.similarity import (
     rotated_distances,
     scan_distance,
 )
-from jaxcap.adapt.poses.task_pairs import append_history
 from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
 from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
@@ -34,7 +34,7 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 
 _posed = eqx.filter_jit(jc.pose_body)
-UNORDERED = AdaptSettings(frames=3, proportion_rounds=1, rounds=(1,), unordered=True)
+UNORDERED = AdaptSettings(num_frames=3, proportion_rounds=1, rounds=(1,), unordered=True)
 #: of the chain body, metres
 HEIGHT = 0.7
 
@@ -56,7 +56,7 @@ def mixed(scene):
     for pose in (poses[0], *some):
         vertices = np.asarray(_posed(actor, pose).vertices, float)
         clouds.append(jc.make_cloud(*sample_surface(vertices, np.asarray(actor.faces), POINTS, rng)))
-    task = task_of(scene)._replace(cloud=clouds.__getitem__, frames=len(clouds), settings=UNORDERED)
+    task = task_of(scene)._replace(cloud=clouds.__getitem__, num_frames=len(clouds), settings=UNORDERED)
     return task, actor, [poses[0], *some]
 
 
@@ -179,13 +179,13 @@ def test_nothing_in_a_plan_without_order_couples_frames(mixed):
     assert not UNORDERED.smooth
     assert AdaptSettings().smooth
     task, actor, poses = mixed
-    state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), weight=1e-8)
+    state = AdaptState(1, actor, 1.0, stack_poses(poses, 10.0), pose_weight=1e-8)
     assert append_history(task, state, "pose", [0]).terms[-1].temporal == 0.0
     ordered = task._replace(settings=AdaptSettings())
     assert append_history(ordered, state, "pose", [0]).terms[-1].temporal > 1e-3
     clouds = [task.cloud(n) for n in task.scanned]
     with pytest.raises(jc.InputError, match="leave these out .*--ordered"):
-        make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal=1.0))
+        make_adapt_task(task.template, clouds, settings=UNORDERED._replace(temporal_weight=1.0))
 
 
 def test_frames_that_are_off_are_flagged_with_reasons(scene):

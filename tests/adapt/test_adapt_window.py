@@ -16,7 +16,8 @@ from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, 
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.prior import RestPrior
-from jaxcap.fit.problem import linearise, pose_scales
+from jaxcap.fit.linearise import linearise
+from jaxcap.fit.problem import pose_scales
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation

@@ -1,4 +1,4 @@
-"""How people differ: from a body to its traits and back, and proportions from scans."""
+"""How people differ: from a body to its shape coefficients and back, and proportions from scans."""
 
 import dataclasses
 
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.adapt.adapt_body import AdaptSettings, AdaptTask, adapt_body
-from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_people, make_person, people_like
+from jaxcap.adapt.adapt_body import adapt_body
+from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
+from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
@@ -22,7 +23,7 @@ from jaxcap.metrics import scan_to_surface
 @pytest.fixture(scope="module")
 def people():
     template = jc.human(resolution="low", joints="tracking")
-    return learn_people(template, sample_humans(80, resolution="low", joints="tracking"))
+    return learn_shape_space(template, sample_humans(80, resolution="low", joints="tracking"))
 
 
 def seen_with(somebody: jc.Body, seen: jc.Body) -> jc.Body:
@@ -37,7 +38,7 @@ def joints_off(body: jc.Body, other: jc.Body) -> float:
 
 
 def test_the_template_stands_where_it_was_put(people):
-    """No traits beyond the template are the template, and those opposite to its standing the mean of people."""
+    """Coefficients of zero are the template, and the negative of its own the mean of people."""
     np.testing.assert_array_equal(
         make_person(people, jnp.zeros_like(people.template_coefficients)).vertices, people.template.vertices
     )
@@ -50,8 +51,8 @@ def test_modes_are_of_deviation_one(people):
     others = sample_humans(80, resolution="low", joints="tracking")
     basis = np.concatenate([np.asarray(part).reshape(len(people.template_coefficients), -1) for part in (people.modes.centres, people.modes.vertices)], 1)  # fmt: skip
     rows = np.stack([np.concatenate([np.asarray(b.skeleton.centres).ravel(), np.asarray(b.vertices).ravel()]) for b in others])  # fmt: skip
-    traits = np.linalg.lstsq(basis.T, (rows - rows.mean(0)).T, rcond=None)[0]
-    np.testing.assert_allclose(np.cov(traits), np.eye(len(traits)), atol=0.02)
+    coefficients = np.linalg.lstsq(basis.T, (rows - rows.mean(0)).T, rcond=None)[0]
+    np.testing.assert_allclose(np.cov(coefficients), np.eye(len(coefficients)), atol=0.02)
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5])
@@ -66,7 +67,7 @@ def test_somebody_new_is_known_by_the_surface(people, shift):
 def test_people_of_fewer_vertices_are_those_of_all(people):
     """A template that was reduced: somebody new is on its surface, and has the same joints."""
     template = reduce_body(people.template, 900)
-    fewer = people_like(template, people.template)
+    fewer = shape_space_like(template, people.template)
     assert fewer is not None
     somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
     surface = np.asarray(people.template.vertices, float), np.asarray(people.template.faces)
@@ -87,7 +88,7 @@ def test_people_of_other_triangles_are_those_of_somebody_like_them(traits):
     whole, shift = jc.human(resolution="full", joints="tracking", **traits), jnp.array([0.3, -0.8, 0.1])
     template = reduce_body(whole, 2000)
     template = eqx.tree_at(lambda b: (b.vertices, b.skeleton.centres), template, (template.vertices + shift, template.skeleton.centres + shift))  # fmt: skip
-    people = people_like(template)
+    people = shape_space_like(template)
     assert people is not None
     somebody = jc.human(resolution="full", joints="tracking", sex="male", height=1.85, weight=0.6)
     hold = attach_points(np.asarray(template.vertices - shift, float), np.asarray(whole.vertices, float), np.asarray(whole.faces))  # fmt: skip
@@ -108,13 +109,13 @@ def test_people_of_other_triangles_are_those_of_somebody_like_them(traits):
 def test_nobody_is_like_something_else(people):
     """Other joints, another rest pose, another being."""
     template = reduce_body(people.template, 900)
-    assert people_like(eqx.tree_at(lambda b: b.vertices, template, 1.5 * template.vertices)) is None
+    assert shape_space_like(eqx.tree_at(lambda b: b.vertices, template, 1.5 * template.vertices)) is None
     names = tuple(f"bone {n}" for n in range(template.skeleton.num_joints))
     other = dataclasses.replace(template.skeleton, names=names)
-    assert people_like(eqx.tree_at(lambda b: b.skeleton, template, other)) is None
+    assert shape_space_like(eqx.tree_at(lambda b: b.skeleton, template, other)) is None
 
 
-def test_traits_are_told_by_scans(people):
+def test_scans_determine_the_shape_coefficients(people):
     """With nothing but clouds: a woman from the template of a man, her joints as far within as his are not."""
     actor = jc.human(resolution="low", joints="tracking", sex="female", height=1.6, weight=0.7)
     motion, posed = walk_and_wave(actor.skeleton, seconds=0.4), eqx.filter_jit(jc.pose_body)
@@ -126,7 +127,7 @@ def test_traits_are_told_by_scans(people):
         return jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals)
 
     prior = RestPrior(jnp.full((actor.skeleton.num_joints, 3), 0.7))
-    settings = AdaptSettings(frames=3, proportion_rounds=4, rounds=(), temporal=0.0)
+    settings = AdaptSettings(num_frames=3, proportion_rounds=4, rounds=(), temporal_weight=0.0)
     task = AdaptTask(people.template, cloud, 4, 30.0, motion[0], prior, (), settings, people)
     *_, last = adapt_body(task)
     assert joints_off(last.body, actor) < 0.012
@@ -140,6 +141,6 @@ def test_only_the_human_s_triangles_are_the_human_s():
 
 def test_bodies_of_other_triangles_are_refused(people):
     with pytest.raises(ValueError, match="Body 1 has 900 vertices"):
-        learn_people(people.template, [people.template, jc.human(resolution=900, joints="tracking")])
+        learn_shape_space(people.template, [people.template, jc.human(resolution=900, joints="tracking")])
     with pytest.raises(ValueError, match="at least two"):
-        learn_people(people.template, [people.template])
+        learn_shape_space(people.template, [people.template])

@@ -11,13 +11,13 @@ from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms
+from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.poses.task_pairs import TaskPairs
 from jaxcap.adapt.shape.rounds import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
-from jaxcap.fit.correspondence.correspond import make_scan
+from jaxcap.fit.correspondence.nearest_assignment import make_scan
 from jaxcap.fit.fit_meshes import fit_meshes
 from jaxcap.fit.tracking.track import track
 from jaxcap.geometry.stacking import stack_trees
@@ -91,12 +91,12 @@ def test_tracking_adapting_and_proportions_keep_above_a_floor(scene):
     held = fit_pose(actor, scan, poses[1], PoseTerms(prior, user=100.0 * own), steps=4).pose
     assert lowest(actor, [held]) > lowest(actor, [plain]) + 0.01
 
-    settings = AdaptSettings(frames=3, shape=(1.0, 1.0))
+    settings = AdaptSettings(num_frames=3, shape_weights=(1.0, 1.0))
     reached = []
     for terms in (None, 100.0 * term):
         task = task_of(scene, settings=settings, terms=terms)
-        state = AdaptState(0, actor, 1.0, jc.stack_poses(poses, 10.0), chosen=(0, 1, 2), weight=1e-6)
-        after = adapt_round(task, state, TaskPairs(task), Stage("adapt", 1, 2))
+        state = AdaptState(0, actor, 1.0, jc.stack_poses(poses, 10.0), chosen=(0, 1, 2), pose_weight=1e-6)
+        after = adapt_round(task, state, make_pair_cache(task), Stage("adapt", 1, 2))
         reached.append(lowest(after.body, [after.motion[n] for n in state.chosen]))
     assert reached[1] > reached[0] + 0.005
 

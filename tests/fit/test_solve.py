@@ -20,7 +20,7 @@ from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.limits import JointLimits
 from jaxcap.energy.priors.prior import PosePrior, RestPrior
 from jaxcap.fit.linear.dense import DenseMatrix
-from jaxcap.fit.problem import linearise
+from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step

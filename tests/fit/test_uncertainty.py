@@ -12,7 +12,8 @@ from jaxcap.body.pose import difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.data.points import PointToPlane
-from jaxcap.fit.problem import PoseProblem, linearise
+from jaxcap.fit.linearise import linearise
+from jaxcap.fit.problem import PoseProblem
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.uncertainty import describe_unobservable, uncertainty

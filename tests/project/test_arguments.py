@@ -194,7 +194,7 @@ def test_sentences_in_full():
 
 
 #: functions whose arguments have no annotations or take anything that can become an array, and check it themselves
-_OWN = {"make_segments", "people_like"}
+_OWN = {"make_segments", "shape_space_like"}
 
 
 def functions():
@@ -306,7 +306,7 @@ def test_scans_of_files_are_clouds(monkeypatch):
         jax.tree.map(np.testing.assert_array_equal, poses, batches[0])
     for source in (scans, clouds, stacked):
         task = jc.make_adapt_task(BODY, source)
-        assert task.frames == 2
+        assert task.num_frames == 2
         np.testing.assert_array_equal(task.cloud(1).points, clouds[1].points)
     for one in (clouds[0], scans[0]):
         with pytest.raises(InputError):

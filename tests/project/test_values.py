@@ -12,7 +12,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.errors import InputError
-from jaxcap.fit.correspondence.correspond import as_scan, make_scan
+from jaxcap.fit.correspondence.nearest_assignment import as_scan, make_scan
 from jaxcap.observe import Scan
 from jaxcap.value_checks import check_positive
 
@@ -90,7 +90,7 @@ REFUSED = [
     (lambda: jc.scanner.scan_frame(jc.scanner.Scanner(), [CAMERA], 1700 * POINTS, np.asarray(BODY.faces)), "scan_frame: `vertices` is .* millimetres"),
     (lambda: jc.scanner.scan_frame(jc.scanner.Scanner(), [CAMERA], POINTS, np.asarray(BODY.faces) + V), "scan_frame: `faces` has"),
     (lambda: jc.limits.learn_limits({}), "learn_limits: `samples` is empty;"),
-    (lambda: jc.make_adapt_task(BODY, [CLOUD], settings=jc.adapt.AdaptSettings(frames=0)), "AdaptSettings: `frames` is 0;"),
+    (lambda: jc.make_adapt_task(BODY, [CLOUD], settings=jc.adapt.AdaptSettings(num_frames=0)), "AdaptSettings: `num_frames` is 0;"),
     (lambda: jc.edit.IkOptions(max_steps=-1), "IkOptions: `max_steps` is -1;"),
     (lambda: jc.make_cloud(np.full((5, 3), 1e308)), "1e.308 m from the origin"),
     (lambda: jc.make_cloud(np.concatenate([POINTS, [[1e200, 0, 0]]])), "1e.200 m from the origin"),

@@ -6,16 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    NearestVertex,
-    SoftAssignment,
-    find_pairs,
-    make_scan,
-    pair_positions,
-    within_aperture,
-)
+from jaxcap.energy.data.pairs import pair_positions
+from jaxcap.fit.correspondence.correspond import Matching, find_pairs, within_aperture
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex, make_scan
+from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.geometry.camera import look_at
 from jaxcap.observe.clouds import make_cloud
 
@@ -66,7 +60,7 @@ def test_opposite_normals_and_far_points_are_no_pairs(rng):
     scan = scan_of(rng)
     turned = scan._replace(normals=-scan.normals)
     assert (pairs_of(turned)[3] == 0).all()
-    assert (pairs_of(scan, PLAIN._replace(reach=0.01))[3] == 0).all()
+    assert (pairs_of(scan, PLAIN._replace(max_distance=0.01))[3] == 0).all()
 
 
 def test_weights_are_those_of_charbonniers_norm(rng):
@@ -177,7 +171,7 @@ def test_soft_pairs_against_loops_over_the_formula(rng, outlier, angle):
     front = np.flatnonzero(VERTICES[:, 2] > 0.2)
     seen = np.isin(np.arange(len(VERTICES)), front)
     matching = Matching(
-        angle=angle,
+        max_normal_angle=angle,
         uniform=False,
         charbonnier=1e9,
         assignment=SoftAssignment(sigma=sigma, outlier=outlier),
@@ -242,7 +236,7 @@ def test_all_kinds_know_normals_reach_sight_and_charbonnier(rng, kind):
     scan, matching = scan_of(rng), PLAIN._replace(assignment=kind)
     turned = scan._replace(normals=-scan.normals)
     assert (all_of(turned, matching)[4] == 0).all()
-    assert (all_of(scan, matching._replace(reach=0.01))[4] == 0).all()
+    assert (all_of(scan, matching._replace(max_distance=0.01))[4] == 0).all()
     seen = VERTICES[:, 2] > 0
     rows, shares, *_, weights, _ = all_of(scan, matching, seen)
     assert (weights > 0).any()

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspondence.correspond import (
-    Matching,
-    NearestOnSurface,
-    find_pairs,
-    make_mesh_scan,
-    make_scan,
-)
+from jaxcap.fit.correspondence.correspond import Matching, find_pairs
+from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_mesh_scan, make_scan
 from jaxcap.observe.clouds import make_cloud
 
 BALL = trimesh.creation.icosphere(subdivisions=3)
@@ -59,7 +54,7 @@ def test_every_triangle_of_the_scan_loses_its_worst_point(rng):
 
 
 def test_reach_and_normals_hold_as_for_clouds():
-    assert not (from_body(scan_of(), SURFACE._replace(reach=0.01))[3] > 0).any()
+    assert not (from_body(scan_of(), SURFACE._replace(max_distance=0.01))[3] > 0).any()
     away = make_mesh_scan(POINTS, -POINTS, TRIANGLES)
     assert not (from_body(away)[3] > 0).any()
 

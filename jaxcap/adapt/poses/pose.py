@@ -1,10 +1,9 @@
 """The pose of one frame: pairs and damped steps in alternation (Adaptation, 4.1.4)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 
 from ...arguments import checked
@@ -14,14 +13,17 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import IndexedScan, Matching, as_scan, find_pairs
+from ...fit.correspondence.correspond import Matching, find_pairs
+from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
 from ...fit.correspondence.visibility import visible_vertices
 from ...fit.problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...observe import Scan as FileScan
 from ...observe.clouds import Cloud
+from ...parallel import parallel_map
 from ..objective import PoseTerms, mean_squared_distance, pose_problem
+from ..task import AdaptState, AdaptTask
 
 #: tried factors of a step's length: also above one, as nearest neighbours slow a surface down
 STEP_FACTORS = (1.5, 1.0, 0.5, 0.25, 0.1)
@@ -78,6 +80,18 @@ def fit_pose(
     return PoseFit(found.y, mean_squared_distance(body, found.y, pairs), pairs)
 
 
+def fit_task_poses(
+    task: AdaptTask, state: AdaptState, scans: Iterable[IndexedScan], starts: Iterable[Pose], *, steps: int
+) -> Iterator[Pose]:
+    """Fit the poses of a state's body to several scans of a task, each from its own start, on all cores."""
+    terms, matching = task.pose_terms(state.pose_weight), task.settings.matching
+
+    def fit(item: tuple[IndexedScan, Pose]) -> Pose:
+        return fit_pose(state.body, *item, terms, matching, steps=steps, cameras=task.cameras).pose
+
+    return parallel_map(fit, zip(scans, starts, strict=True))
+
+
 def pairs_of(
     body: Body,
     pose: Pose,
@@ -110,8 +124,3 @@ def _surface(body: Body, pose: Pose):
 def clamp_pose(boxes: PoseBoxes, skeleton: Skeleton, pose: Pose) -> Pose:
     """Clamp a pose to the limits of its joint rotations."""
     return boxes.project(skeleton, pose)
-
-
-def are_equal_poses(a: Pose, b: Pose) -> bool:
-    """Test if two poses are bitwise equal."""
-    return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))

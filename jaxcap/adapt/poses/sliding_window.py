@@ -14,7 +14,7 @@ from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem
-from .known_pairs import PairCache
+from .pair_cache import PairCache
 from .pose import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose
 
 #: number of frames of a window, and number of frames by which it advances
@@ -29,7 +29,7 @@ def smooth_poses(
     poses: list[Pose],
     pairs_at: Callable[[int, Pose], PointPairs],
     terms: PoseTerms,
-    temporal: float,
+    temporal_weight: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
@@ -42,12 +42,14 @@ def smooth_poses(
     A step solves damped normal equations, block-banded over the frames, at the best of some lengths. New
     pairs may raise the energy of a window; its best poses are kept.
 
-    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `temporal`, the weight of
+    **Arguments:** `pairs_at(frame, pose)` returns the pairs of a frame; `temporal_weight`, the weight of
     the second differences, relative to the mean squared distance of a pair (eqs. 4.3, 4.9); `terms` as in
     `fit_pose`; `times`, the ascending frame numbers of the poses, if some frames between them are missing.
     """
+    # the pairs of a frame are found without a scan
+    cache = PairCache(lambda frame: frame, lambda _, pose, frame: pairs_at(frame, pose))
     windows = smooth_windows(
-        body, poses, pairs_at, terms, temporal, frames=frames, stride=stride, steps=steps, times=times
+        body, poses, cache, terms, temporal_weight, frames=frames, stride=stride, steps=steps, times=times
     )
     (last,) = deque(windows, maxlen=1)
     return last[0]
@@ -56,9 +58,9 @@ def smooth_poses(
 def smooth_windows(
     body: Body,
     poses: list[Pose],
-    pairs_at: Callable[[int, Pose], PointPairs],
+    pair_cache: PairCache,
     terms: PoseTerms,
-    temporal: float,
+    temporal_weight: float,
     *,
     frames: int = WINDOW_FRAMES,
     stride: int = STRIDE,
@@ -68,15 +70,13 @@ def smooth_windows(
 ) -> Iterator[tuple[list[Pose], int]]:
     """Smooth poses as `smooth_poses`; yield all poses and the next window's first frame after each window.
 
-    `resume_frame` at this frame resumes from these poses with the same result. After the last window it is the
-    number of poses.
+    `pair_cache` numbers the poses from 0. `resume_frame` at this frame resumes from these poses with the same
+    result. After the last window it is the number of poses.
     """
     when = np.arange(len(poses)) if times is None else np.asarray(times)
     if not resume_frame and terms.boxes is not None:
         poses = [clamp_pose(terms.boxes, body.skeleton, pose) for pose in poses]
-    # reuse the pairs of unchanged poses: of the fixed frame, and of those from the window before
-    poses, known = list(poses), PairCache()
-
+    poses = list(poses)
     if len(poses) < 3:
         yield poses, len(poses)
         return
@@ -86,13 +86,13 @@ def smooth_windows(
         stop = min(start + frames, len(poses))
         # the last window begins earlier, as another length would compile again
         start = max(stop - frames, 0)
-        known.keep(range(start, stop))
         first, last = start, stop
 
         def remake(y: SequenceEstimate, first: int = first, last: int = last) -> SequenceProblem:
             window = dict(enumerate(unstack_trees(y.poses, last - first), first))
-            pairs = stack_pairs(known.pairs(body, window, pairs_at))
-            return window_problem(body, pairs, terms, temporal, when[first:last], int(first > 0))
+            # unchanged poses keep their pairs: the fixed one, and those from the window before
+            pairs = stack_pairs(pair_cache.pairs(body, window))
+            return window_problem(body, pairs, terms, temporal_weight, when[first:last], int(first > 0))
 
         estimate = SequenceEstimate(stack_trees(poses[start:stop]), {})
         best = alternate(remake, estimate, solver, rounds=steps, patience=MAX_UPHILL_STEPS)

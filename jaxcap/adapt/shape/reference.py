@@ -12,8 +12,8 @@ from .shape_space import make_person
 def reference_body(task: AdaptTask, state: AdaptState) -> Body:
     """Return the person with the actor's shape coefficients, or else the template at the actor's size."""
     dtype = task.template.vertices.dtype
-    if task.people is not None and state.traits:
-        return make_person(task.people, jnp.asarray(state.traits, dtype))
+    if task.shape_space is not None and state.coefficients:
+        return make_person(task.shape_space, jnp.asarray(state.coefficients, dtype))
     return scale_body(task.template, jnp.asarray(state.size, dtype))
 
 
@@ -21,6 +21,6 @@ def shape_prior_of(task: AdaptTask, state: AdaptState) -> ShapePrior:
     """Return the shape prior of training meshes at the actor's size, or else that of the reference body."""
     return (
         body_shape_prior(reference_body(task, state))
-        if task.shape is None
-        else scale_shape_prior(task.shape, state.size)
+        if task.shape_prior is None
+        else scale_shape_prior(task.shape_prior, state.size)
     )

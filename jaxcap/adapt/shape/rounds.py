@@ -1,33 +1,32 @@
 """A round of an adaptation: proportions, or joints and vertices, with some poses (Adaptation, 4.1.4)."""
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.body import Body
-from ...body.people.sample import select_diverse_poses
 from ...body.pose import Motion, Pose, stack_poses
 from ...body.shape_modes import ShapeModes, joint_modes
-from ...energy.data.pairs import PointPairs, stack_pairs
+from ...energy.data.pairs import stack_pairs
+from ...fit.correspondence.nearest_assignment import IndexedScan
 from ...fit.sequences.problem import SequenceProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...geometry.stacking import stack_trees, unstack_trees
+from ..history import append_history
 from ..objective import CoefficientPrior, shared_problem
-from ..poses.pose import clamp_pose
-from ..poses.task_pairs import TaskPairs, append_history, poses_at
+from ..poses.pair_cache import PairCache
+from ..poses.pose import clamp_pose, fit_task_poses
+from ..poses.select_frames import spread_frames
 from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
 from .joint_regressor import make_joint_regressor, regress_joints
 from .reference import reference_body, shape_prior_of
-from .shape_space import People, fit_coefficients, make_person
+from .shape_space import ShapeSpace, fit_coefficients, make_person
 from .surface import adapt_shape, adapt_together
 
-#: finds the stacked pairs of a body in its poses in a round's frames
-PairFinder = Callable[[Body, list[Pose]], PointPairs]
 #: weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides
 TANGENTIAL_WEIGHT = 0.005
@@ -35,95 +34,89 @@ TANGENTIAL_WEIGHT = 0.005
 DAMPING = 1e-3
 
 
-def adapt_round(task: AdaptTask, state: AdaptState, pair_cache: TaskPairs, stage: Stage) -> AdaptState:
+def adapt_round(
+    task: AdaptTask, state: AdaptState, pair_cache: PairCache[IndexedScan], stage: Stage
+) -> AdaptState:
     """Take one round on shared unknowns and the chosen frames' poses; `pair_cache` caches their scans."""
     settings = task.settings
-    if stage.pass_number == 0 and stage.round == 1 and task.people is not None:
-        state = _replace_by_person(task.people, state)
-    chosen = state.chosen or spread_frames(state, settings.frames, stage.frames)
-    poses = [state.motion[n] for n in chosen]
+    if stage.pass_number == 0 and stage.round == 1 and task.shape_space is not None:
+        state = _replace_by_person(task.shape_space, state)
+    chosen = state.chosen or spread_frames(state, settings.num_frames, stage.frames)
+    poses = {n: state.motion[n] for n in chosen}
     if stage.round == 1:
-        poses = list(poses_at(task, state, pair_cache.scans(chosen), poses, steps=6))
-
-    def pairs_of_all(body: Body, poses: list[Pose]) -> PointPairs:
-        return stack_pairs(pair_cache.pairs(body, chosen, poses))
-
+        pair_cache.keep(chosen)
+        found = fit_task_poses(task, state, map(pair_cache.scan, chosen), poses.values(), steps=6)
+        poses = dict(zip(chosen, found, strict=True))
     if stage.pass_number == 0:
-        body, poses, traits = _proportions(task, state, poses, pairs_of_all)
+        body, poses, coefficients = _proportions(task, state, poses, pair_cache)
         # choose new frames for the adaptation of vertices
         chosen_next = () if stage.round == settings.proportion_rounds else chosen
     else:
-        body, poses = _surface(task, state, poses, pairs_of_all, stage)
-        traits, chosen_next = state.traits, chosen
+        body, poses = _surface(task, state, poses, pair_cache, stage)
+        coefficients, chosen_next = state.coefficients, chosen
     if task.boxes is not None:
-        poses = [clamp_pose(task.boxes, body.skeleton, pose) for pose in poses]
-    every = [state.motion[n] for n in range(len(state.motion))]
-    for n, pose in zip(chosen, poses, strict=True):
-        every[n] = pose
-    state = state._replace(body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, traits=traits)
+        poses = {n: clamp_pose(task.boxes, body.skeleton, pose) for n, pose in poses.items()}
+    every = [poses.get(n, state.motion[n]) for n in range(len(state.motion))]
+    state = state._replace(
+        body=body, motion=stack_poses(every, task.rate), chosen=chosen_next, coefficients=coefficients
+    )
     return append_history(task, state, str(stage), chosen, pair_cache)
 
 
-def spread_frames(state: AdaptState, count: int, num_candidates: int | None = None) -> tuple[int, ...]:
-    """Choose `count` frames with dissimilar poses among the first `num_candidates` ones by farthest-point sampling.
-
-    Lost frames are excluded.
-    """
-    there = [n for n in range(len(state.motion))[:num_candidates] if n not in state.lost] or [0]
-    some = jax.tree.map(lambda leaf: leaf[np.array(there)], state.motion.poses)
-    return tuple(there[n] for n in select_diverse_poses(state.body.skeleton, some, count))
-
-
-def _replace_by_person(people: People, state: AdaptState) -> AdaptState:
+def _replace_by_person(shape_space: ShapeSpace, state: AdaptState) -> AdaptState:
     """Replace the body by the most similar person of the shape space, in the same poses."""
-    traits = fit_coefficients(people, state.body)
-    body = make_person(people, traits)
+    coefficients = fit_coefficients(shape_space, state.body)
+    body = make_person(shape_space, coefficients)
     # keep the world position of a root with another rest position
     shift = state.body.skeleton.centres[0] - body.skeleton.centres[0]
     poses = state.motion.poses
     poses = Pose(poses.translations.at[:, 0].add(shift), poses.rotations, poses.scale)
-    return state._replace(body=body, motion=Motion(poses, state.motion.rate), traits=tuple(traits.tolist()))
+    return state._replace(
+        body=body, motion=Motion(poses, state.motion.rate), coefficients=tuple(coefficients.tolist())
+    )
 
 
 def _proportions(
-    task: AdaptTask, state: AdaptState, poses: list[Pose], find_pairs: PairFinder
-) -> tuple[Body, list[Pose], tuple[float, ...]]:
+    task: AdaptTask, state: AdaptState, poses: dict[int, Pose], pair_cache: PairCache
+) -> tuple[Body, dict[int, Pose], tuple[float, ...]]:
     """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
-    if task.people is None:
-        modes, belief = joint_modes(state.body), _regressed_joint_prior(task, state)
-        body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-        return body, unstack_trees(together, len(poses)), state.traits
-    standing = task.people.template_coefficients + jnp.asarray(state.traits)
+    if task.shape_space is None:
+        modes, coefficient_prior = joint_modes(state.body), _regressed_joint_prior(task, state)
+        body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.mirrored)
+        return body, _unstack(stacked, poses), state.coefficients
+    from_mean = task.shape_space.template_coefficients + jnp.asarray(state.coefficients)
     # the error of the shape space is the same in all frames, which therefore count as one
-    belief = CoefficientPrior(-standing, jnp.full_like(standing, len(poses) ** -0.5))
-    body, together, amounts = _step(
-        task, state, poses, find_pairs, task.people.modes, belief, (), TANGENTIAL_WEIGHT
+    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, len(poses) ** -0.5))
+    body, stacked, changes = _step(
+        task, state, poses, pair_cache, task.shape_space.modes, coefficient_prior, (), TANGENTIAL_WEIGHT
     )
-    traits = np.array(state.traits) + np.asarray(amounts, float)
-    return body, unstack_trees(together, len(poses)), tuple(traits.tolist())
+    coefficients = np.array(state.coefficients) + np.asarray(changes, float)
+    return body, _unstack(stacked, poses), tuple(coefficients.tolist())
 
 
 def _surface(
-    task: AdaptTask, state: AdaptState, poses: list[Pose], find_pairs: PairFinder, stage: Stage
-) -> tuple[Body, list[Pose]]:
+    task: AdaptTask, state: AdaptState, poses: dict[int, Pose], pair_cache: PairCache, stage: Stage
+) -> tuple[Body, dict[int, Pose]]:
     """Adapt joints within the skin and then vertices, or both in one step."""
-    modes, belief = joint_modes(state.body, move_surface=False), _regressed_joint_prior(task, state)
+    modes = joint_modes(state.body, move_surface=False)
+    coefficient_prior = _regressed_joint_prior(task, state)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.simultaneous:
-        pairs = find_pairs(state.body, poses)
-        problem = _problem(task, state, pairs, modes, belief, task.mirrored)
-        body, together = adapt_together(problem, stack_trees(poses), pairs, shape, weight)
-        return body, unstack_trees(together, len(poses))
-    body, together, _ = _step(task, state, poses, find_pairs, modes, belief, task.mirrored)
-    poses = unstack_trees(together, len(poses))
-    return adapt_shape(body, together, find_pairs(body, poses), shape, weight), poses
+        pairs = stack_pairs(pair_cache.pairs(state.body, poses))
+        problem = _problem(task, state, pairs, modes, coefficient_prior, task.mirrored)
+        body, stacked = adapt_together(problem, _stack(poses), pairs, shape, weight)
+        return body, _unstack(stacked, poses)
+    body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.mirrored)
+    poses = _unstack(stacked, poses)
+    pairs = stack_pairs(pair_cache.pairs(body, poses))
+    return adapt_shape(body, stacked, pairs, shape, weight), poses
 
 
 def _step(
     task: AdaptTask,
     state: AdaptState,
-    poses: list[Pose],
-    find_pairs: PairFinder,
+    poses: dict[int, Pose],
+    pair_cache: PairCache,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
     mirrored: tuple[tuple[int, int], ...],
@@ -133,13 +126,20 @@ def _step(
 
     `max_tangential_weight` is the largest weight of squared distances along the surface.
     """
-    pairs = find_pairs(state.body, poses)
+    pairs = stack_pairs(pair_cache.pairs(state.body, poses))
     pairs = eqx.tree_at(
         lambda p: p.tangential_weights, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
     )
-    return gauss_newton_step(
-        _problem(task, state, pairs, modes, coefficient_prior, mirrored), stack_trees(poses)
-    )
+    return gauss_newton_step(_problem(task, state, pairs, modes, coefficient_prior, mirrored), _stack(poses))
+
+
+def _stack(poses: dict[int, Pose]) -> Pose:
+    return stack_trees(list(poses.values()))
+
+
+def _unstack(stacked: Pose, frames: Iterable[int]) -> dict[int, Pose]:
+    frames = list(frames)
+    return dict(zip(frames, unstack_trees(stacked, len(frames)), strict=True))
 
 
 @eqx.filter_jit
@@ -160,7 +160,7 @@ def _problem(
     coefficient_prior: CoefficientPrior,
     mirrored,
 ) -> SequenceProblem:
-    weight, deviation = (jnp.asarray(x, float) for x in (state.weight, task.settings.deviation))
+    weight, deviation = (jnp.asarray(x, float) for x in (state.pose_weight, task.settings.pair_deviation))
     return shared_problem(
         state.body, pairs, task.pose_terms(weight), modes, coefficient_prior, mirrored, deviation
     )
@@ -169,11 +169,11 @@ def _problem(
 def _regressed_joint_prior(task: AdaptTask, state: AdaptState) -> CoefficientPrior:
     """Make the prior of joints at their positions regressed from the surface."""
     body = state.body
-    beside = regress_joints(
-        make_joint_regressor(reference_body(task, state)), np.asarray(body.vertices, float)
-    )
-    shifts = jnp.asarray(beside - np.asarray(body.skeleton.centres, float), body.vertices.dtype).reshape(-1)
-    return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint))
+    regressor = make_joint_regressor(reference_body(task, state))
+    regressed = regress_joints(regressor, np.asarray(body.vertices, float))
+    shifts = (regressed - np.asarray(body.skeleton.centres, float)).reshape(-1)
+    shifts = jnp.asarray(shifts, body.vertices.dtype)
+    return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint_deviation))
 
 
 def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
@@ -182,7 +182,7 @@ def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
     The first pass begins with the first weight; later ones begin with the geometric mean of the first and the
     last.
     """
-    first, last = settings.shape
+    first, last = settings.shape_weights
     first = first if stage.pass_number == 1 else np.sqrt(first * last)
     share = (stage.round - 1) / max(settings.rounds[stage.pass_number - 1] - 1, 1)
     return float(first ** (1 - share) * last**share)

@@ -27,8 +27,8 @@ NUM_FIT_ITERATIONS, JOINT_DEVIATION = 15, 0.1
 MIN_MATCHED_SHARE, MAX_MATCHED_DISTANCE = 0.95, 0.02
 
 
-class People(eqx.Module):
-    """The template and the main shape modes of people, with coefficients of standard deviation one."""
+class ShapeSpace(eqx.Module):
+    """A template and the main shape modes of people, with coefficients of standard deviation one."""
 
     template: Body
     modes: ShapeModes
@@ -37,7 +37,7 @@ class People(eqx.Module):
 
 
 @checked
-def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> People:
+def learn_shape_space(template: Body, bodies: Sequence[Body], count: int = COUNT) -> ShapeSpace:
     """Learn the principal components of bodies at rest, over joints and vertices together.
 
     **Arguments:** `bodies`, at least two, share the template's triangles, joints and rest pose.
@@ -59,49 +59,51 @@ def learn_people(template: Body, bodies: Sequence[Body], count: int = COUNT) -> 
     count = min(count, int(np.sum(sizes > 1e-6 * sizes[0])))
     deviations = sizes[:count] / np.sqrt(len(bodies) - 1)
     directions = (axes[:count] * deviations[:, None]).reshape(count, -1, 3)
-    standing = axes[:count] @ (_flatten_body(template) - mean) / deviations
+    coefficients = axes[:count] @ (_flatten_body(template) - mean) / deviations
     dtype = template.vertices.dtype
     modes = ShapeModes(jnp.asarray(directions[:, :joints], dtype), jnp.asarray(directions[:, joints:], dtype))
-    return People(template, modes, jnp.asarray(standing, dtype))
+    return ShapeSpace(template, modes, jnp.asarray(coefficients, dtype))
 
 
 @checked
-def people_like(template: Body, full_body: Body | None = None) -> People | None:
+def shape_space_like(template: Body, full_body: Body | None = None) -> ShapeSpace | None:
     """Learn the shape space of sampled humans for a template; None if the template is not like a human.
 
     The template, or the `full_body` body that it was reduced from, has the human's triangles and joints; or the
     template has other triangles, but the joints and about the surface of some human at rest. In the last two
     cases the template's vertices are attached to that surface.
     """
-    of, shift = template if full_body is None else full_body, np.zeros(3)
-    resolution = human_resolution(of)
+    source, shift = template if full_body is None else full_body, np.zeros(3)
+    resolution = human_resolution(source)
     if resolution is not None:
-        drawn = sample_humans(NUM_SAMPLES, resolution=resolution, joints="tracking")
+        sampled = sample_humans(NUM_SAMPLES, resolution=resolution, joints="tracking")
     else:
         one = human(joints="tracking", resolution=DEFAULT_RESOLUTION)
         if full_body is not None or template.skeleton.names != one.skeleton.names:
             return None
-        drawn = sample_humans(NUM_SAMPLES, resolution=DEFAULT_RESOLUTION, joints="tracking")
-        of, shift = fit_person(template, learn_people(one, drawn))
-        if not is_similar(template, of):
+        sampled = sample_humans(NUM_SAMPLES, resolution=DEFAULT_RESOLUTION, joints="tracking")
+        source, shift = fit_person(template, learn_shape_space(one, sampled))
+        if not is_similar(template, source):
             return None
-    if of is not template:
-        surface = np.asarray(of.vertices, float) - shift, np.asarray(of.faces)
-        hold = attach_points(np.asarray(template.vertices, float) - shift, *surface)
-        drawn = [_transfer_body(template, body, hold, shift) for body in drawn]
-    return learn_people(template, drawn)
+    if source is not template:
+        surface = np.asarray(source.vertices, float) - shift, np.asarray(source.faces)
+        attachment = attach_points(np.asarray(template.vertices, float) - shift, *surface)
+        sampled = [_transfer_body(template, body, attachment, shift) for body in sampled]
+    return learn_shape_space(template, sampled)
 
 
-def fit_person(template: Body, people: People) -> tuple[Body, Float[np.ndarray, "3"]]:
+def fit_person(template: Body, shape_space: ShapeSpace) -> tuple[Body, Float[np.ndarray, "3"]]:
     """Fit a person to a template with the same joints and other triangles.
 
     The fit starts from the joints; then it alternates with closest points on the template. Return the person
     at the template's position, and its shift from the shape space's position, metres.
     """
-    centres = np.asarray(template.skeleton.centres - people.template.skeleton.centres, float)
+    centres = np.asarray(template.skeleton.centres - shape_space.template.skeleton.centres, float)
     body = make_person(
-        people,
-        _fit_coefficients(people.modes.centres, centres, people.template_coefficients, JOINT_DEVIATION),
+        shape_space,
+        _fit_coefficients(
+            shape_space.modes.centres, centres, shape_space.template_coefficients, JOINT_DEVIATION
+        ),
     )
     shift = np.asarray(template.skeleton.centres - body.skeleton.centres, float).mean(0)
     vertices, faces = np.asarray(template.vertices, float), np.asarray(template.faces)
@@ -109,7 +111,7 @@ def fit_person(template: Body, people: People) -> tuple[Body, Float[np.ndarray, 
         there = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
         places = np.einsum("nk,nka->na", there.barycentric, vertices[faces[there.triangles]])
         seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(places, body.vertices.dtype))
-        body = make_person(people, fit_coefficients(people, seen))
+        body = make_person(shape_space, fit_coefficients(shape_space, seen))
         shift = (places - np.asarray(body.vertices, float)).mean(0)
     moved_body = eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres),
@@ -138,20 +140,20 @@ def _transfer_body(template: Body, body: Body, attachment: Attachment, shift: Fl
     return Body(skeleton, template.skin, jnp.asarray(vertices, template.vertices.dtype), template.faces)
 
 
-def make_person(people: People, coefficients: Float[Array, "K"]) -> Body:
+def make_person(shape_space: ShapeSpace, coefficients: Float[Array, "K"]) -> Body:
     """Build the body at rest with shape coefficients relative to the template."""
-    return apply_modes(people.template, people.modes, coefficients)
+    return apply_modes(shape_space.template, shape_space.modes, coefficients)
 
 
-def fit_coefficients(people: People, body: Body, deviation: float = 0.1) -> Float[Array, "K"]:
+def fit_coefficients(shape_space: ShapeSpace, body: Body, deviation: float = 0.1) -> Float[Array, "K"]:
     """Fit shape coefficients to a body of the same triangles at rest, at any position.
 
     This is least squares of the vertices' shifts; `deviation` is the standard deviation of a residual, metres.
     """
     return _fit_coefficients(
-        people.modes.vertices,
-        body.vertices - people.template.vertices,
-        people.template_coefficients,
+        shape_space.modes.vertices,
+        body.vertices - shape_space.template.vertices,
+        shape_space.template_coefficients,
         deviation,
     )
 
@@ -167,8 +169,8 @@ def _fit_coefficients(
     weight = 1.0 / (deviation**2 * shifts.size / 3)
     known = np.asarray(template_coefficients, float)
     matrix = weight * modes @ modes.T + np.eye(len(modes)) * 1e-3
-    traits = solve_symmetric(matrix, weight * modes @ shifts - 1e-3 * known)
-    return jnp.asarray(traits, template_coefficients.dtype)
+    coefficients = solve_symmetric(matrix, weight * modes @ shifts - 1e-3 * known)
+    return jnp.asarray(coefficients, template_coefficients.dtype)
 
 
 def _flatten_body(body: Body) -> Float[np.ndarray, "N"]:

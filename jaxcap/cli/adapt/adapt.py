@@ -7,15 +7,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.adapt_body import AdaptSettings, AdaptState, AdaptTask, adapt_body, plan_stages
-from ...adapt.check import check_actor
+from ...adapt.adapt_body import adapt_body
 from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
-from ...adapt.task import Stage
+from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, Stage, plan_stages
 from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ...errors import InputError, user_message
-from ...fit.correspondence.correspond import Matching, NearestOnSurface, NearestVertex, SoftAssignment
+from ...fit.correspondence.correspond import Matching
+from ...fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex
+from ...fit.correspondence.soft_assignment import SoftAssignment
 from ...io.archives.journal import hash_files
 from ...io.archives.prior import Priors
 from ...io.meshes.clouds import Scans, read_clouds
@@ -41,7 +42,15 @@ from ..scan.rate import ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
-from .input import check_input, first_pose, format_explained, load_cameras, warn_of_lost, warn_of_unusable
+from .input import (
+    check_first_scan,
+    check_input,
+    first_pose,
+    format_explained,
+    load_cameras,
+    warn_of_lost,
+    warn_of_unusable,
+)
 from .prior import carried_arrays, prior_file, read_priors
 from .state import (
     check_results,
@@ -131,7 +140,7 @@ class Adapt:
     smoothness with the scans."""
     pose_weight: OptionalWeight = None
     """Weight of the pose prior. Default: a tenth of the weight that balances the prior with the scans."""
-    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape
+    shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape_weights
     """Weight of the template's shape in the first and in the last round that adapts vertices. With lower weights, the
     body follows the scans more closely, including their noise."""
     first: OptionalCount = None
@@ -218,10 +227,10 @@ class Adapt:
         with RoundProgress(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(
-                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.frames // MAX_CHECKPOINTS)
+                    task, state, every=max(MIN_CHECKPOINT_FRAMES, task.num_frames // MAX_CHECKPOINTS)
                 ):
                     if reached.done == 1 and not (reached.within or self.skip_person_check):
-                        _check_first_scan(task, reached, first)
+                        check_first_scan(task, reached, first)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
                     bar.update(state.done, _format_progress(task, state, stages))
@@ -314,9 +323,9 @@ class Adapt:
             there = [frame for frame in range(len(scans)) if frame not in missing]
             cameras = load_cameras(self.cameras, scans, there, self.up)
         matching = Matching(
-            angle=self.pair_angle,
-            reach=self.pair_distance,
-            along=self.tangential_weight,
+            max_normal_angle=self.pair_angle,
+            max_distance=self.pair_distance,
+            tangential_weight=self.tangential_weight,
             assignment=ASSIGNMENTS[self.assignment],
             aperture=cameras if self.ignore_occlusion else (),
         )
@@ -328,11 +337,11 @@ class Adapt:
             start=None if self.start is None else first_pose(self.start, skeleton),
             pose_prior=None if priors is None else form(priors.prior),
             settings=AdaptSettings(
-                frames=self.frames,
-                joint=self.joint_deviation,
-                shape=self.shape_weight,
-                pose=self.pose_weight,
-                temporal=self.smoothness,
+                num_frames=self.frames,
+                joint_deviation=self.joint_deviation,
+                shape_weights=self.shape_weight,
+                pose_weight=self.pose_weight,
+                temporal_weight=self.smoothness,
                 every=self.adapt_every,
                 simultaneous=self.simultaneous,
                 unordered=True if self.unordered else False if self.ordered else None,
@@ -341,7 +350,7 @@ class Adapt:
             cameras=() if self.ignore_occlusion else cameras,
             missing=missing,
             boxes=None if priors is None else priors.boxes,
-            shape=None if priors is None else priors.shape,
+            shape_prior=None if priors is None else priors.shape,
             terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
             mesh=clouds.mesh if self.assignment == "surface" else None,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
@@ -376,16 +385,6 @@ class Adapt:
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
-
-
-def _check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
-    """Check that the first scan is of one person; the message names the option to continue anyway."""
-    try:
-        check_actor(task, state, where)
-    except InputError as error:
-        raise InputError(
-            f"{user_message(error)} If the scan does show one person, give --skip-person-check."
-        ) from None
 
 
 def _format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:

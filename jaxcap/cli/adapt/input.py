@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...adapt.check import check_cameras
-from ...adapt.poses.task_pairs import select_evenly
-from ...adapt.task import AdaptState
+from ...adapt.check import check_actor, check_cameras
+from ...adapt.poses.select_frames import select_evenly
+from ...adapt.task import AdaptState, AdaptTask
 from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
@@ -99,6 +99,19 @@ def warn_of_lost(state: AdaptState, scans: Scans) -> None:
         warn(f"  {Path(scans.names[frame]).name}: {reason}")
     if len(state.lost) > NAMED:
         warn(f"  and {len(state.lost) - NAMED} more: frames {', '.join(map(str, state.lost[NAMED:]))}")
+
+
+def check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
+    """Check that the first scan is of one person; the message names the option to continue anyway.
+
+    **Raises:** `InputError` if it is not.
+    """
+    try:
+        check_actor(task, state, where)
+    except InputError as error:
+        raise InputError(
+            f"{user_message(error)} If the scan does show one person, give --skip-person-check."
+        ) from None
 
 
 def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:

@@ -49,6 +49,7 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
 
 def make_checkpoint(state: AdaptState) -> Checkpoint:
     """Convert a state to a checkpoint."""
+    # the names of the file format, which differ from those of some fields
     arrays = {
         "done": np.array(state.done),
         "within": np.array(state.within),
@@ -56,9 +57,9 @@ def make_checkpoint(state: AdaptState) -> Checkpoint:
         "lost": np.array(state.lost, int),
         "reasons": np.array(state.reasons, dtype=str),
         "chosen": np.array(state.chosen, int),
-        "traits": np.array(state.traits, float),
-        "weight": np.array(state.weight, float),
-        "temporal": np.array(state.temporal, float),
+        "traits": np.array(state.coefficients, float),
+        "weight": np.array(state.pose_weight, float),
+        "temporal": np.array(state.temporal_weight, float),
         "tracked": np.zeros(0) if state.tracked is None else pack(state.tracked, 0.0),
         "terms": np.array(state.terms, float).reshape(-1, len(Terms._fields)),
     }
@@ -97,9 +98,9 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> AdaptState:
         reasons=tuple(reasons),
         chosen=whole("chosen"),
         history=checkpoint.history,
-        traits=tuple(get_array(arrays, "traits", path, (None,)).tolist()),
-        weight=number("weight"),
-        temporal=number("temporal"),
+        coefficients=tuple(get_array(arrays, "traits", path, (None,)).tolist()),
+        pose_weight=number("weight"),
+        temporal_weight=number("temporal"),
         within=within,
         tracked=_restore_tracked(checkpoint, path),
         terms=tuple(Terms(*row) for row in terms.tolist()),

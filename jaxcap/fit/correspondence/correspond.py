@@ -8,25 +8,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
-from ...energy.data.pairs import PointPairs as PointPairs
-from ...energy.data.pairs import pair_positions as pair_positions
+from ...energy.data.pairs import PointPairs
 from ...geometry.camera import Camera, is_in_image
-from .nearest_assignment import AbstractAssignment, Assignment, NearestVertex, PosedSurface
-from .nearest_assignment import IndexedScan as IndexedScan
-from .nearest_assignment import NearestOnSurface as NearestOnSurface
-from .nearest_assignment import as_scan as as_scan
-from .nearest_assignment import make_mesh_scan as make_mesh_scan
-from .nearest_assignment import make_scan as make_scan
-from .soft_assignment import SoftAssignment as SoftAssignment
+from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, NearestVertex, PosedSurface
 
 
 class Matching(NamedTuple):
     """Options of matching."""
 
     #: largest angle between the two normals, degrees
-    angle: float = 90.0
+    max_normal_angle: float = 90.0
     #: largest distance, metres
-    reach: float = 0.3
+    max_distance: float = 0.3
     #: search from the scan to the body, and from the body to the scan
     from_scan: bool = True
     from_body: bool = True
@@ -37,7 +30,7 @@ class Matching(NamedTuple):
     charbonnier: float = 0.003
     #: weight of squared distances along the surface relative to those across it: 1 is point to point, 0 point
     #: to plane; a nearest vertex is only approximately the correct one
-    along: float = 0.05
+    tangential_weight: float = 0.05
     #: nearest vertices, nearest points of the surface, or Gaussian shares
     assignment: AbstractAssignment = NearestVertex()
     #: the sensors, for a body that may be partly out of view: vertices outside every sensor's angle of
@@ -67,20 +60,20 @@ def find_pairs(
     if matching.aperture:
         seen = seen & within_aperture(matching.aperture, vertices)
     surface = PosedSurface(vertices, normals, faces, seen)
-    cosine = float(np.cos(np.radians(matching.angle)) - 1e-9)
+    normal_threshold = float(np.cos(np.radians(matching.max_normal_angle)) - 1e-9)
     ways = matching.assignment.from_scan, matching.assignment.from_body
     found = [
-        way(surface, scan, matching.reach, cosine)
+        way(surface, scan, matching.max_distance, normal_threshold)
         for way, wanted in zip(ways, (matching.from_scan, matching.from_body), strict=True)
         if wanted
     ]
     width = max(part.vertices.shape[1] for part in found)
-    parts = [_weighted_pairs(part, surface, scan, width, cosine, matching) for part in found]
+    parts = [_weighted_pairs(part, surface, scan, width, normal_threshold, matching) for part in found]
     rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return PointPairs(
         jnp.asarray(rows, jnp.int32),
         *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
-        tangential_weights=jnp.full(len(weights), matching.along, float),
+        tangential_weights=jnp.full(len(weights), matching.tangential_weight, float),
     )
 
 
@@ -97,7 +90,12 @@ def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"
 
 
 def _weighted_pairs(
-    found: Assignment, surface: PosedSurface, scan: IndexedScan, width: int, cosine: float, matching: Matching
+    found: Assignment,
+    surface: PosedSurface,
+    scan: IndexedScan,
+    width: int,
+    normal_threshold: float,
+    matching: Matching,
 ) -> tuple[np.ndarray, ...]:
     """Compute vertices, shares, points, directions and weights of the pairs of one direction, with weight
     zero for rejected pairs.
@@ -106,7 +104,7 @@ def _weighted_pairs(
     own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
     places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
     apart = np.linalg.norm(places - found.points, axis=1)
-    good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= cosine)
+    good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= normal_threshold)
     if matching.uniform and found.row_type == "point" and len(scan.faces):
         good &= ~_furthest_in(scan.faces, np.where(good, apart, 0.0))
     elif matching.uniform and found.row_type == "point":

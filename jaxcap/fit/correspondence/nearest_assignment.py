@@ -98,40 +98,44 @@ class Assignment(NamedTuple):
 
 
 class AbstractAssignment(eqx.Module):
-    """An assignment method. Both directions search up to `reach`, metres.
+    """An assignment method. Both directions search up to `max_distance`, metres.
 
-    Normals of hard pairs are tested after the search; soft pairs require the least `cosine` between normals
+    Normals of hard pairs are tested after the search; soft pairs require the least `normal_threshold` between normals
     within it.
     """
 
     @abc.abstractmethod
-    def from_scan(self, surface: PosedSurface, scan: IndexedScan, reach: float, cosine: float) -> Assignment:
+    def from_scan(
+        self, surface: PosedSurface, scan: IndexedScan, max_distance: float, normal_threshold: float
+    ) -> Assignment:
         """Match the scan's points with points on the body."""
 
     @abc.abstractmethod
-    def from_body(self, surface: PosedSurface, scan: IndexedScan, reach: float, cosine: float) -> Assignment:
+    def from_body(
+        self, surface: PosedSurface, scan: IndexedScan, max_distance: float, normal_threshold: float
+    ) -> Assignment:
         """Match the body's visible vertices with points of the scan."""
 
 
 class NearestVertex(AbstractAssignment):
     """The nearest vertex for every point of a scan; the nearest point for every vertex."""
 
-    def from_scan(self, surface, scan, reach, cosine):
-        del cosine
+    def from_scan(self, surface, scan, max_distance, normal_threshold):
+        del normal_threshold
         chosen = np.flatnonzero(surface.visible)
         if not len(chosen):
             return _empty_assignment(scan, 1)
         distances, nearest = KDTree(surface.vertices[chosen]).query(
-            scan.points, distance_upper_bound=reach, workers=-1
+            scan.points, distance_upper_bound=max_distance, workers=-1
         )
         found = np.isfinite(distances)
         row = np.where(found, chosen[np.minimum(nearest, len(chosen) - 1)], 0)
         shares = np.ones((len(row), 1))
         return Assignment(row[:, None], shares, scan.points, scan.normals, found.astype(float), "point")
 
-    def from_body(self, surface, scan, reach, cosine):
-        del cosine
-        return nearest_points(surface, scan, reach)
+    def from_body(self, surface, scan, max_distance, normal_threshold):
+        del normal_threshold
+        return nearest_points(surface, scan, max_distance)
 
 
 class NearestOnSurface(AbstractAssignment):
@@ -144,20 +148,20 @@ class NearestOnSurface(AbstractAssignment):
     Only triangles of the body with all corners visible are searched.
     """
 
-    def from_scan(self, surface, scan, reach, cosine):
-        del cosine
+    def from_scan(self, surface, scan, max_distance, normal_threshold):
+        del normal_threshold
         faces = surface.faces[surface.visible[surface.faces].all(1)]
         if not len(faces):
             return _empty_assignment(scan, 3)
-        triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, reach)
+        triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, max_distance)
         found = np.isfinite(apart).astype(float)
         return Assignment(faces[triangles], shares, scan.points, scan.normals, found, "point")
 
-    def from_body(self, surface, scan, reach, cosine):
-        del cosine
+    def from_body(self, surface, scan, max_distance, normal_threshold):
+        del normal_threshold
         if not len(scan.faces):
-            return nearest_points(surface, scan, reach)
-        triangles, shares, apart = nearest_on_surface(surface.vertices, scan.points, scan.faces, reach)
+            return nearest_points(surface, scan, max_distance)
+        triangles, shares, apart = nearest_on_surface(surface.vertices, scan.points, scan.faces, max_distance)
         corners, every = scan.faces[triangles], np.arange(len(surface.vertices))[:, None]
         points, normals = (
             np.einsum("ck,cka->ca", shares, part[corners]) for part in (scan.points, scan.normals)
@@ -166,9 +170,9 @@ class NearestOnSurface(AbstractAssignment):
         return Assignment(every, np.ones(every.shape), points, normals, found, "vertex")
 
 
-def nearest_points(surface: PosedSurface, scan: IndexedScan, reach: float) -> Assignment:
+def nearest_points(surface: PosedSurface, scan: IndexedScan, max_distance: float) -> Assignment:
     """Match every vertex with its nearest point of a scan."""
-    distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=reach, workers=-1)
+    distances, nearest = scan.tree.query(surface.vertices, distance_upper_bound=max_distance, workers=-1)
     found = np.isfinite(distances) & surface.visible
     place = np.where(found, np.minimum(nearest, len(scan.points) - 1), 0)
     every = np.arange(len(surface.vertices))[:, None]

@@ -54,19 +54,21 @@ class SoftAssignment(AbstractAssignment):
         if not 0 <= self.outlier < 1:
             raise ValueError(f"`outlier` is {self.outlier}; expected a share of at least 0 and below 1.")
 
-    def from_scan(self, surface, scan, reach, cosine):
+    def from_scan(self, surface, scan, max_distance, normal_threshold):
         chosen = np.flatnonzero(surface.visible)
         body = surface.vertices[chosen], surface.normals[chosen]
-        shares = self._posterior((scan.points, scan.normals), body, reach, cosine)
+        shares = self._posterior((scan.points, scan.normals), body, max_distance, normal_threshold)
         return _means(surface, scan, chosen, scipy.sparse.csr_array(shares.T), "mean")
 
-    def from_body(self, surface, scan, reach, cosine):
+    def from_body(self, surface, scan, max_distance, normal_threshold):
         chosen = np.flatnonzero(surface.visible)
         body = surface.vertices[chosen], surface.normals[chosen]
-        shares = self._posterior(body, (scan.points, scan.normals), reach, cosine)
+        shares = self._posterior(body, (scan.points, scan.normals), max_distance, normal_threshold)
         return _means(surface, scan, chosen, shares, "vertex")
 
-    def _posterior(self, explained, means, reach: float, cosine: float) -> scipy.sparse.csr_array:
+    def _posterior(
+        self, explained, means, max_distance: float, normal_threshold: float
+    ) -> scipy.sparse.csr_array:
         """Compute the posterior `(N, M)` of N points explained by M means; each are positions and normals."""
         (points, normals), (centres, centre_normals) = explained, means
         if not (len(points) and len(centres)):
@@ -75,13 +77,15 @@ class SoftAssignment(AbstractAssignment):
         beside = -np.inf
         if self.outlier > 0:
             beside = np.log(self.outlier / max(np.prod(np.ptp(points, 0)), 1e-6))
-            reach = min(reach, self.sigma * np.sqrt(2 * max(highest - beside - NEGLIGIBLE, 0.0)))
+            max_distance = min(
+                max_distance, self.sigma * np.sqrt(2 * max(highest - beside - NEGLIGIBLE, 0.0))
+            )
         tree, rows = KDTree(centres), []
         for start in range(0, len(points), CHUNK):
             own = slice(start, start + CHUNK)
-            near = KDTree(points[own]).sparse_distance_matrix(tree, reach, output_type="ndarray")
+            near = KDTree(points[own]).sparse_distance_matrix(tree, max_distance, output_type="ndarray")
             row, column = near["i"], near["j"]
-            good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= cosine
+            good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= normal_threshold
             row, column, apart = row[good], column[good], near["v"][good]
             shares = _posterior_shares(
                 row, highest - 0.5 * (apart / self.sigma) ** 2, beside, len(points[own])

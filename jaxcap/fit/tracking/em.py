@@ -30,7 +30,7 @@ class Mixture(eqx.Module):
     smallest_sigma: Float[Array, ""]
     #: weight of the distance along the surface relative to the one across it; 1 is Kineben's point-to-point
     #: distance, 0 lets points slide freely
-    tangential: Float[Array, ""]
+    tangential_weight: Float[Array, ""]
     #: constant on the diagonal of the normal equations, per metre and radian squared
     damping: Float[Array, ""]
     #: number of most likely parts that a point may match; on a skinned surface adjacent parts move almost
@@ -48,7 +48,7 @@ def make_mixture(
     normal_threshold: float = 0.5,
     outlier: float = 0.1,
     smallest_sigma: float = 0.002,
-    tangential: float = 0.05,
+    tangential_weight: float = 0.05,
     damping: float = 1.0,
     candidates: int = 1,
     estimate_priors: bool = False,
@@ -61,14 +61,14 @@ def make_mixture(
     check_within(where, -1, 1, normal_threshold=normal_threshold)
     check_values(where, lambda share: (share > 0) & (share < 1), "a share between 0 and 1", outlier=outlier)
     check_positive(where, "metres", smallest_sigma=smallest_sigma)
-    check_within(where, 0, 1, tangential=tangential)
+    check_within(where, 0, 1, tangential_weight=tangential_weight)
     check_at_least(where, 0, damping=damping)
     check_at_least(where, 1, candidates=candidates)
     return Mixture(
         normal_threshold=as_number(normal_threshold),
         outlier=as_number(outlier),
         smallest_sigma=as_number(smallest_sigma),
-        tangential=as_number(tangential),
+        tangential_weight=as_number(tangential_weight),
         damping=as_number(damping),
         candidates=candidates,
         estimate_priors=estimate_priors,
@@ -104,11 +104,11 @@ def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
 
 
 def data_energy(
-    found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential: Float[Array, ""]
+    found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential_weight: Float[Array, ""]
 ) -> AbstractEnergy:
     """Compute twice the expected negative log-likelihood (Kineben, eq. 29): `sum p d^2 / sigma^2`.
 
-    The distance across the surface counts fully, the one along it by `tangential`, because a point's nearest
+    The distance across the surface counts fully, the one along it by `tangential_weight`, because a point's nearest
     vertex is only near its own position on the surface. The second is summed into the moments of each part,
     whose points move with the part's bone. The first is not, because it depends on the blend of bones in the
     skin.
@@ -119,8 +119,8 @@ def data_energy(
     r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
     # the inverse of a similarity: its rotation block is a rotation times the scale
     rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
-    across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential) * weights)
-    return Sum((across, rigid_moments(bones, rest, points, tangential * weights, len(posed.joints))))
+    across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential_weight) * weights)
+    return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
 
 
 def e_step(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
@@ -156,7 +156,7 @@ def em_step(
     The statistics are those of the E-step.
     """
     posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
-    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential)
+    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
     energy = Sum(terms_of(data) + terms_of(prior))
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
     apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
