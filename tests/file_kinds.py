@@ -68,7 +68,7 @@ ANIMATED = ("animated.glb", "animated.glb:Walk", "animated.usda")
 MOTIONS = ("motion.npz", "amass.npz", "walk.bvh", "02_01.amc", *ANIMATED)
 MESHES = ("ball.obj", "ball.off", "ball.ply", "ball.stl", "ball.glb", "cloud.ply")
 MARKERS = ("takes.c3d", "takes.trc", "takes.csv")
-FOREIGN = ("walk.fbx", "scene.blend", "scan.pcd", "poses.pkl", "array.npy", "film.mp4", "all.zip")
+FOREIGN = ("walk.fbx", "scene.blend", "scan.las", "poses.pkl", "array.npy", "film.mp4", "all.zip")
 BROKEN = ("empty.npz", "empty.glb", "empty.bvh", "empty.c3d", "empty.obj", "empty.json", "notes", "what.foo")
 #: of every kind that nothing else than `info` and `view` reads
 OTHERS = (
@@ -204,7 +204,7 @@ def _write_learned(folder: Path, body, motion: Motion) -> None:
     keys = {"frames": np.arange(3), "joints": np.zeros(3, int), "count": np.array(3), "rate": np.array(30.0)}
     save_arrays(folder / "keys.npz", "jaxcap keys", {**skeleton_arrays(body.skeleton), **keys})
     np.savez(folder / "joints.npz", joints=np.zeros((3, 2, 3)), names=np.array(["root", "spine"]))
-    np.savez(folder / "arrays.npz", depth_mm=np.zeros((2, 4, 4), np.uint16))
+    np.savez(folder / "arrays.npz", brightness=np.zeros((2, 4, 4), np.uint16))
 
 
 def _write_markers(folder: Path) -> None:
@@ -246,7 +246,7 @@ def _write_texts(folder: Path) -> None:
     }  # fmt: skip
     for name, content in contents.items():
         (folder / name).write_text(json.dumps(content))
-    (folder / "statistics.csv").write_text("frame,cloud,state\n0,a.ply,lost\n")
+    (folder / "statistics.csv").write_text("frame,cloud,verdict\n0,a.ply,lost\n")
     (folder / "marks.txt").write_text("LFHD 3\nRFHD 5\n")
     (folder / "names.txt").write_text("root part0\nspine part1\n")
 

@@ -49,7 +49,8 @@ def vertex_normals(
 def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V"]:
     """Compute a third of the area of each vertex's triangles, in squared units of `vertices`."""
     thirds = np.linalg.norm(area_normals(vertices[faces]), axis=1) / 6
-    return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices))
+    # without faces, bincount returns whole numbers
+    return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices)).astype(float)
 
 
 def triangle_sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "S 2"]:

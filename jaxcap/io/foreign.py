@@ -38,12 +38,10 @@ UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
     ".qtm": ("a Qualisys file", _EXPORT),
     ".mot": ("an OpenSim motion", "export the markers as .trc"),
     ".osim": ("an OpenSim model", "export the markers as .trc"),
-    ".pcd": ("a PCL point cloud", _CLOUD),
     ".las": ("a laser-scanner point cloud", _CLOUD),
     ".laz": ("a laser-scanner point cloud", _CLOUD),
     ".e57": ("a laser-scanner point cloud", _CLOUD),
     ".pts": ("a point cloud as text", _CLOUD),
-    ".xyz": ("a point cloud as text", _CLOUD),
     ".npy": (
         "a single array",
         "write it as a named array in an .npz: numpy.savez('clouds.npz', points=array)",

@@ -115,7 +115,7 @@ _SUFFIXES = {
     ".csv": "markers",
     ".txt": "text",
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
-    **dict.fromkeys((".off", ".obj", ".ply", ".stl"), "mesh"),
+    **dict.fromkeys((".off", ".obj", ".ply", ".stl", ".pcd", ".xyz"), "mesh"),
     **dict.fromkeys(IMAGE_SUFFIXES, "picture"),
 }
 

@@ -13,7 +13,7 @@ from ..arguments import as_real_array, check_fields, check_metres, checked, desc
 from ..errors import InputError
 from ..geometry.normals import estimate_normals
 from ..geometry.sampling import spatial_order
-from ..geometry.stacking import stack
+from ..geometry.stacking import stack, stack_trees
 from .depth import DepthView
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
@@ -201,10 +201,20 @@ def as_cloud(frame: "Cloud | Scan", number: int = 0) -> Cloud:
 
 @checked
 def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
-    """Stack clouds of one or several sizes into one with a leading axis of frames."""
+    """Stack clouds of one or several sizes, and their views, into one with a leading axis of frames.
+
+    **Raises:** `InputError` if there are none, or if they have other numbers or sizes of depth images.
+    """
     frames: list[Cloud] = CloudFrames(clouds)[:]
     if not frames:
         raise InputError("stack_clouds: `clouds` is empty; expected at least one cloud.")
+    for number, cloud in enumerate(frames):
+        shapes = [[view.depth.shape for view in one.views] for one in (frames[0], cloud)]
+        if shapes[0] != shapes[1]:
+            raise InputError(
+                f"stack_clouds: the depth images of cloud {number} have the shapes {shapes[1]}, those of cloud 0 "
+                f"{shapes[0]}; give clouds of the same cameras."
+            )
     size = max(cloud.points.shape[0] for cloud in frames)
 
     def padded(leaf):
@@ -214,6 +224,7 @@ def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
         stack([padded(cloud.points) for cloud in frames]),
         stack([padded(cloud.normals) for cloud in frames]),
         stack([jnp.pad(cloud.weights, (0, size - cloud.weights.shape[0])) for cloud in frames]),
+        stack_trees([cloud.views for cloud in frames]),
     )
 
 

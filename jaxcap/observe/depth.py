@@ -11,6 +11,8 @@ from ..geometry.camera import Camera
 
 #: longest side of the images of a view, pixels: larger images are reduced
 MAX_VIEW_SIDE = 320
+#: largest distance between the two eyes of a sensor, or between its camera and its projector, metres
+MAX_BASELINE = 0.08
 
 
 class DepthView(eqx.Module):
@@ -35,7 +37,7 @@ def make_depth_view(
 ) -> DepthView:
     """Make a view from a depth image and the mask of the person.
 
-    Images with more than `MAX_VIEW_SIDE` pixels on a side are reduced: a reduced pixel belongs to the person if any
+    Background in the shadow of the person is filled (`fill_shadows`). Images with more than `MAX_VIEW_SIDE` pixels on a side are reduced: a reduced pixel belongs to the person if any
     of its pixels does, and has the smallest depth of these.
 
     **Arguments:** `depth`, metres, zero where nothing was measured; `where` names the image in messages.
@@ -49,6 +51,8 @@ def make_depth_view(
         raise InputError(
             f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
         )
+    depth = fill_shadows(np.where(measured, depth, 0.0), person, float(camera.focal[0]))
+    measured = depth > 0
     step = -(-max(depth.shape) // MAX_VIEW_SIDE)
     person, background = person & measured, ~person & measured
     person_depth = _reduce(np.where(person, depth, np.inf), step)
@@ -58,6 +62,37 @@ def make_depth_view(
     depth = np.where(shown, person_depth, np.where(empty, background_depth, 0.0))
     outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
     return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
+
+
+def fill_shadows(
+    depth: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"], focal: float
+) -> Float[np.ndarray, "H W"]:
+    """Give background that is hidden from one eye of the sensor the depth of the background next to it.
+
+    Sensors with a projector or with two eyes see a surface from two points on a horizontal line. Next to a person, a strip
+    of the background is hidden from one of these, and has no depth, although the image shows it. The strip is at most as
+    wide as the difference of both surfaces' disparities.
+
+    **Arguments:** `depth`, metres, zero where nothing was measured; `focal`, pixels.
+    """
+    columns = np.broadcast_to(np.arange(depth.shape[1]), depth.shape)
+    measured = depth > 0
+    left = np.maximum.accumulate(np.where(measured, columns, -1), axis=1)
+    right = np.minimum.accumulate(np.where(measured, columns, depth.shape[1])[:, ::-1], axis=1)[:, ::-1]
+    row, column = np.nonzero(~measured & (left >= 0) & (right < depth.shape[1]))
+    ends = np.stack([left[row, column], right[row, column]])
+    depths, people = depth[row, ends], person[row, ends]
+    near, far = np.where(people, depths, np.inf).min(0), np.where(people, 0.0, depths).max(0)
+    widest = (
+        focal
+        * MAX_BASELINE
+        * (1.0 / np.where(people.any(0), near, 1.0) - 1.0 / np.where(far > 0, far, np.inf))
+        + 1.0
+    )
+    in_shadow = (people[0] != people[1]) & (far > near) & (ends[1] - ends[0] - 1 <= widest)
+    filled = depth.copy()
+    filled[row[in_shadow], column[in_shadow]] = far[in_shadow]
+    return filled
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:

@@ -20,7 +20,7 @@ from jaxcap.cli.adapt.prior import carried_arrays, prior_file, read_priors
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
 from jaxcap.io.archives import archive
-from jaxcap.io.archives.journal import hash_file
+from jaxcap.io.archives.journal import hash_files
 from jaxcap.io.archives.npz import load_limits
 from jaxcap.io.archives.prior import has_prior, load_boxes, load_priors
 from jaxcap.io.meshes.clouds import read_clouds
@@ -136,7 +136,7 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     asked = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz", smoothness=0.0)
     digests = check_input(read_clouds(asked.clouds), template).digests
     file = None if counts is None else folder / counts
-    header = {**asked.settings(), "prior": hash_file(file), **fingerprint_of(template, digests)}
+    header = {**asked.settings(), **hash_files({"prior": file}), **fingerprint_of(template, digests)}
     done = len(plan_stages(AdaptSettings(temporal_weight=0.0)))
     motion = stack_poses(poses, 30.0)
     keep_state(asked.checkpoint_path, AdaptState(done, actor, 1.1, motion, history=(("pose", 1.0),)), header)

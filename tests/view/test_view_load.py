@@ -159,7 +159,7 @@ def test_what_has_no_shape_gets_a_sentence(tmp_path, kind, why):
 @pytest.mark.parametrize(
     ("name", "content", "why"),
     [
-        ("take.xyz", b"1", "a point cloud as text, which is not read; convert it to .ply"),
+        ("take.pts", b"1", "a point cloud as text, which is not read; convert it to .ply"),
         ("half.npz", b"PK\x03\x04half", "this .npz file is incomplete"),
         ("half.bvh", b"HIERARCHY\nROOT a\n{", "half.bvh"),
         ("cameras.json", b'{"cameras": []}', "at least one camera"),

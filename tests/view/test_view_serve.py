@@ -97,7 +97,7 @@ def test_without_a_port_another_one_is_found(monkeypatch, taken):
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(InputError, match=r'pip install "jaxcap\[view\]"'):
+    with pytest.raises(InputError, match=r'pip install -e ".\[view\]"'):
         open_server(0)
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from ...arguments import checked
 from ...body.body import pose_body
 from ...body.decimate import reduce_body
-from ...body.pose import Pose, rest_pose, retract
+from ...body.pose import Pose, concatenate_poses, rest_pose, retract
 from ...body.skeleton import Skeleton, dof_layout
 from ...energy.energy import Sum, unweighted
 from ...energy.priors.limits import JointLimits
@@ -22,6 +22,7 @@ from ...observe.clouds import Cloud, as_cloud
 from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_parts
 from .em import Estimate, box_volume, em_step, uniform_priors
+from .prior_starts import limb_starts, mean_pose
 from .track_frame import Tracker, frame_terms, penalty
 
 _LOG = logging.getLogger(__name__)
@@ -203,7 +204,8 @@ def initialise(
     vertical = jnp.asarray(up, rest.rotations.dtype)
     wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE_SIGMAS, FINE_SIGMAS))
     if starts is None:
-        starts = rotated_starts(coarse, few, rest, turns, vertical)
+        standing = [rest] if tracker.people is None else [rest, mean_pose(tracker.people, skeleton)]
+        starts = concatenate_poses([rotated_starts(coarse, few, pose, turns, vertical) for pose in standing])
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses, _ = anneal_sorted(coarse, few, starts, wide)
     _LOG.info("searching near the best poses")
@@ -228,6 +230,8 @@ def refine(
     """
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
+    if tracker.people is not None:
+        near = concatenate_poses([near, limb_starts(tracker.people, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
     poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)

@@ -31,6 +31,7 @@ from .initialise import (
     rotated_starts,
     subtree_starts,
 )
+from .prior_starts import limb_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
@@ -232,6 +233,8 @@ def search_frame(
             rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
         ]
     )
+    if tracker.people is not None:
+        starts = concatenate_poses([starts, limb_starts(tracker.people, skeleton, here)])
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, starts, sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])

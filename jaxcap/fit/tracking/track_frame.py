@@ -27,7 +27,7 @@ ITERATIONS, PARTIAL_ITERATIONS = 3, 6
 POINTS_PER_MEASUREMENT = 180.0
 #: number of vertices that are tested for free space; their weight relative to the points'; and the standard deviation
 #: of a violation, metres
-NUM_TESTED, FREE_SPACE_WEIGHT, FREE_SPACE_DEVIATION = 1500, 0.21, 0.02
+NUM_TESTED, FREE_SPACE_WEIGHT, FREE_SPACE_DEVIATION = 1500, 0.8, 0.02
 #: weight of a depth of one standard deviation inside of another part of the body, for each point of a cloud
 COLLISION_WEIGHT = 1e-2
 #: largest initial standard deviation in metres: larger ones are in another unit

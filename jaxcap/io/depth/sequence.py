@@ -13,10 +13,13 @@ from ...errors import InputError
 from ...value_checks import check_positive
 from ..archives.archive import load_arrays
 from ..lazy_frames import LazyFrames
+from ..meshes.point_files import read_organised_depth
 from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
 from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
 
+#: suffix of organised point clouds
+ORGANISED = ".pcd"
 #: names of the array of masks in an `.npz`
 _MASK_NAMES = ("mask", "masks")
 
@@ -42,7 +45,7 @@ def read_depths(
 ) -> LazyFrames[DepthFrame]:
     """Open sequences of depth images, one for each camera, with equally many frames.
 
-    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images, or an `.npz` with the array
+    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images or of organised .pcd clouds, or an `.npz` with the array
     `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W); `masks`, if they are known, likewise, as images;
     `first` and `last`, both included, count frames from 0; `depth_scale`, the number of the file's units in a metre.
 
@@ -107,10 +110,14 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
     path = Path(source)
     if path.suffix.lower() == ".npz" and not path.is_dir():
         return _stack(path, depth_scale)
-    paths = _image_files(source)
-    return _Images(
-        [str(path) for path in paths], lambda frame: (read_depth_image(paths[frame], depth_scale), None)
-    )
+    paths = _image_files(source, (*SUFFIXES, ORGANISED))
+
+    def load(frame: int):
+        if paths[frame].suffix.lower() == ORGANISED:
+            return read_organised_depth(paths[frame]), None
+        return read_depth_image(paths[frame], depth_scale), None
+
+    return _Images([str(path) for path in paths], load)
 
 
 def _open_masks(source: str | Path) -> _Images:
@@ -123,10 +130,10 @@ def _open_masks(source: str | Path) -> _Images:
     return _Images([str(path) for path in paths], load)
 
 
-def _image_files(source: str | Path) -> list[Path]:
+def _image_files(source: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     path = Path(source)
     if path.is_dir():
-        found = [one for one in path.iterdir() if one.suffix.lower() in SUFFIXES]
+        found = [one for one in path.iterdir() if one.suffix.lower() in suffixes]
     else:
         found = [Path(one) for one in glob.glob(str(source))]
     if not found:

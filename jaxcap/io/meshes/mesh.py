@@ -1,4 +1,4 @@
-"""Meshes and point clouds from files: OFF and OBJ here, PLY, STL and GLB by trimesh.
+"""Meshes and point clouds from files: OFF, OBJ and XYZ here, PLY, STL and GLB by trimesh, PCD by pypcd4.
 
 Vertices keep the order of the file, because `.vj` files and ground-truth correspondences depend on it; only
 STL, which has no shared vertices, is merged.
@@ -24,9 +24,10 @@ from ..text import MAX_NUMBER
 from .obj import read_obj, write_obj
 from .off import read_off
 from .ply_check import check_ply
+from .point_files import read_pcd, read_xyz
 
 #: suffixes that `read_mesh` supports
-SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf")
+SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".gltf", ".pcd", ".xyz")
 #: suffixes that `write_mesh` supports
 WRITABLE_SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb")
 
@@ -56,7 +57,9 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
         raise wrong_kind_error(path, "a mesh or a cloud", SUFFIXES)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; check the path.")
-    reader = {".off": read_off, ".obj": read_obj}.get(suffix, _read_trimesh)
+    reader = {".off": read_off, ".obj": read_obj, ".pcd": read_pcd, ".xyz": read_xyz}.get(
+        suffix, _read_trimesh
+    )
     vertices, faces, normals = reader(path)
     check_faces(faces, len(vertices), path)
     if normals is not None:

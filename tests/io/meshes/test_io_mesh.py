@@ -123,7 +123,7 @@ def test_obj_counts_back_and_passes_over_the_rest(tmp_path):
         ("a.obj", "v 0 0 0\nf 1 2 3\n", r"face 0 refers to vertices \[0, 1, 2\]"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vert", "this .ply file is incomplete"),
         ("a.glb", "glTF", "this .glb file is incomplete"),
-        ("a.xyz", "1 2 3", "a point cloud as text, which is not read; convert it to .ply"),
+        ("a.pts", "1 2 3", "a point cloud as text, which is not read; convert it to .ply"),
     ],
 )
 def test_a_wrong_mesh_is_told(tmp_path, name, text, said):
@@ -194,7 +194,8 @@ def test_several_files_are_what_a_glob_of_them_is(folder):
     assert [scan.points[0, 0] for scan in read_clouds([folder / "cloud_9.off"])] == [9]
     assert len(read_clouds([folder])) == len(read_clouds((str(folder / "*.off"),))) == 4
     with pytest.raises(
-        InputError, match=r"cloud_8\.off to cloud_11\.off: the frames are 0 to 3; expected 0 to 9"
+        InputError,
+        match=r"cloud_8\.off to cloud_11\.off: the frames are 0 to 3; `first` is 0 and `last` is 9",
     ):
         read_clouds(sorted(folder.iterdir()), last=9)
 
@@ -236,7 +237,7 @@ def test_first_and_last_are_numbers_in_a_pattern_and_frames_elsewhere(folder):
     assert len(read_clouds(folder / "cloud_8.off")) == 1
     with pytest.raises(InputError, match=r"cloud_12\.off: this file is missing"):
         read_clouds(folder / "cloud_%d.off", 9, 12)
-    with pytest.raises(InputError, match="the frames are 0 to 3; expected 0 to 9"):
+    with pytest.raises(InputError, match="the frames are 0 to 3; `first` is 0 and `last` is 9"):
         read_clouds(folder, last=9)
 
 

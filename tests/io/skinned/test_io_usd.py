@@ -138,7 +138,7 @@ def test_what_cannot_be_written_is_said(tmp_path, rng, monkeypatch):
         return plain(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match=r"pip install 'jaxcap\[usd\]'"):
+    with pytest.raises(InputError, match=r"pip install -e '.\[usd\]'"):
         write_usd(tmp_path / "body.usda", body, motion)
     assert not list(tmp_path.iterdir())
 
