@@ -24,7 +24,9 @@ def spatial_order(points: Float[Array | np.ndarray, "N 3"], weights=None) -> np.
     return np.lexsort((key, ~real))
 
 
-def even_indices(count: int, limit: int, nearest: bool = False) -> Int[np.ndarray, "K"]:
+def even_indices(
+    count: int | np.integer, limit: int | np.integer, nearest: bool = False
+) -> Int[np.ndarray, "K"]:
     """Spread at most `limit` of the indices 0 to `count - 1` evenly, first and last included, in ascending order.
 
     Indices between two integers are rounded down, or to the `nearest` one.
