@@ -1,4 +1,4 @@
-"""Orders and subsets of points: along a space-filling curve, evenly spread, and as far apart as possible."""
+"""Spatial sorting of points, evenly spread indices, and farthest point sampling."""
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int

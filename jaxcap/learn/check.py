@@ -14,7 +14,7 @@ from ..geometry.sampling import even_indices
 from ..observe.meshes import MeshSequence
 from ..units import BODY_SIZE, likely_units
 
-#: sizes of a body in metres outside of which the unit is certainly wrong; outside `BODY_SIZE` it probably is
+#: bounds of the size of a body, metres: other sizes are in another unit, and those outside of `BODY_SIZE` probably
 POSSIBLE_SIZE = (0.02, 30.0)
 #: poses change the size of a body by less than this factor, a wrong unit by more
 MAX_POSE_RATIO = 2.0

@@ -75,21 +75,18 @@ def fill_shadows(
 
     **Arguments:** `depth`, metres, zero where nothing was measured; `focal`, pixels.
     """
-    columns = np.broadcast_to(np.arange(depth.shape[1]), depth.shape)
-    measured = depth > 0
+    width, measured = depth.shape[1], depth > 0
+    columns = np.broadcast_to(np.arange(width), depth.shape)
+    # the nearest measured columns on both sides
     left = np.maximum.accumulate(np.where(measured, columns, -1), axis=1)
-    right = np.minimum.accumulate(np.where(measured, columns, depth.shape[1])[:, ::-1], axis=1)[:, ::-1]
-    row, column = np.nonzero(~measured & (left >= 0) & (right < depth.shape[1]))
-    ends = np.stack([left[row, column], right[row, column]])
-    depths, people = depth[row, ends], person[row, ends]
-    near, far = np.where(people, depths, np.inf).min(0), np.where(people, 0.0, depths).max(0)
-    widest = (
-        focal
-        * MAX_BASELINE
-        * (1.0 / np.where(people.any(0), near, 1.0) - 1.0 / np.where(far > 0, far, np.inf))
-        + 1.0
-    )
-    in_shadow = (people[0] != people[1]) & (far > near) & (ends[1] - ends[0] - 1 <= widest)
+    right = np.minimum.accumulate(np.where(measured, columns, width)[:, ::-1], axis=1)[:, ::-1]
+    row, column = np.nonzero(~measured & (left >= 0) & (right < width))
+    left, right = left[row, column], right[row, column]
+    on_left = person[row, left]
+    near = depth[row, np.where(on_left, left, right)]
+    far = depth[row, np.where(on_left, right, left)]
+    widest = focal * MAX_BASELINE * (1.0 / near - 1.0 / far) + 1.0
+    in_shadow = (on_left != person[row, right]) & (far > near) & (right - left - 1 <= widest)
     filled = depth.copy()
     filled[row[in_shadow], column[in_shadow]] = far[in_shadow]
     return filled

@@ -12,7 +12,7 @@ from .render import INK, draw_surface, rotate_view, visible_points
 
 
 class FrameView(NamedTuple):
-    """One frame of the picture; metres, y up."""
+    """A fitted surface and its cloud in one frame, metres, y up."""
 
     title: str
     vertices: Float[np.ndarray, "V 3"]

@@ -1,4 +1,4 @@
-"""How people differ: from a body to its shape coefficients and back, and proportions from scans."""
+"""Shape coefficients of people, from bodies and from scans."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What `jaxcap info` and messages say about depth images and masks."""
+"""Descriptions of depth images by `jaxcap info`, and messages on masks."""
 
 import numpy as np
 import pytest

@@ -4,6 +4,12 @@ from pathlib import Path
 
 from .folders import first_file_of_kind
 
+_DEPTH = (
+    (
+        "track human --depth {file} --cameras CAMERAS.json -o tracked",
+        "fits a body, given the intrinsics of the camera",
+    ),
+)
 #: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "body": (("track {file} CLOUDS -o tracked", "fits it to clouds"), ("view {file}", "shows it")),
@@ -42,18 +48,8 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "joints": (("evaluate BODY MOTION CLOUDS --truth {file}", "compares a motion with them"),),
     "mesh": (("rig {file} -o body.npz", "makes a body of it"),),
     "cloud": (("track human {file} -o tracked", "fits a body"),),
-    "depth": (
-        (
-            "track human --depth {file} --cameras CAMERAS.json -o tracked",
-            "fits a body, given the intrinsics of the camera",
-        ),
-    ),
-    "folder of depth": (
-        (
-            "track human --depth {file} --cameras CAMERAS.json -o tracked",
-            "fits a body, given the intrinsics of the camera",
-        ),
-    ),
+    "depth": _DEPTH,
+    "folder of depth": _DEPTH,
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
     "skl": (("rig MESH -o body.npz --skeleton {file}", "binds a mesh to it"),),
     "cst": (("track MESH CLOUDS -o tracked --cst {file}", "enforces these limits"),),

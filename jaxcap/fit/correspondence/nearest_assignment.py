@@ -153,20 +153,23 @@ class NearestOnSurface(AbstractAssignment):
         faces = surface.faces[surface.visible[surface.faces].all(1)]
         if not len(faces):
             return _empty_assignment(scan, 3)
-        triangles, shares, apart = nearest_on_surface(scan.points, surface.vertices, faces, max_distance)
-        found = np.isfinite(apart).astype(float)
-        return Assignment(faces[triangles], shares, scan.points, scan.normals, found, "point")
+        nearest = nearest_on_surface(scan.points, surface.vertices, faces, max_distance)
+        found = np.isfinite(nearest.distances).astype(float)
+        return Assignment(
+            faces[nearest.triangles], nearest.barycentric, scan.points, scan.normals, found, "point"
+        )
 
     def from_body(self, surface, scan, max_distance, normal_threshold):
         del normal_threshold
         if not len(scan.faces):
             return nearest_points(surface, scan, max_distance)
-        triangles, shares, apart = nearest_on_surface(surface.vertices, scan.points, scan.faces, max_distance)
-        corners, every = scan.faces[triangles], np.arange(len(surface.vertices))[:, None]
+        nearest = nearest_on_surface(surface.vertices, scan.points, scan.faces, max_distance)
+        corners, every = scan.faces[nearest.triangles], np.arange(len(surface.vertices))[:, None]
         points, normals = (
-            np.einsum("ck,cka->ca", shares, part[corners]) for part in (scan.points, scan.normals)
+            np.einsum("ck,cka->ca", nearest.barycentric, part[corners])
+            for part in (scan.points, scan.normals)
         )
-        found = (np.isfinite(apart) & surface.visible).astype(float)
+        found = (np.isfinite(nearest.distances) & surface.visible).astype(float)
         return Assignment(every, np.ones(every.shape), points, normals, found, "vertex")
 
 

@@ -74,11 +74,11 @@ class SoftAssignment(AbstractAssignment):
         if not (len(points) and len(centres)):
             return scipy.sparse.csr_array((len(points), len(centres)))
         highest = np.log((1 - self.outlier) / len(centres)) - 1.5 * np.log(2 * np.pi * self.sigma**2)
-        beside = -np.inf
+        outlier_density = -np.inf
         if self.outlier > 0:
-            beside = np.log(self.outlier / max(np.prod(np.ptp(points, 0)), 1e-6))
+            outlier_density = np.log(self.outlier / max(np.prod(np.ptp(points, 0)), 1e-6))
             max_distance = min(
-                max_distance, self.sigma * np.sqrt(2 * max(highest - beside - NEGLIGIBLE, 0.0))
+                max_distance, self.sigma * np.sqrt(2 * max(highest - outlier_density - NEGLIGIBLE, 0.0))
             )
         tree, rows = KDTree(centres), []
         for start in range(0, len(points), CHUNK):
@@ -88,7 +88,7 @@ class SoftAssignment(AbstractAssignment):
             good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= normal_threshold
             row, column, apart = row[good], column[good], near["v"][good]
             shares = _posterior_shares(
-                row, highest - 0.5 * (apart / self.sigma) ** 2, beside, len(points[own])
+                row, highest - 0.5 * (apart / self.sigma) ** 2, outlier_density, len(points[own])
             )
             shape = (len(points[own]), len(centres))
             rows.append(scipy.sparse.csr_array((shares, (row, column)), shape=shape))

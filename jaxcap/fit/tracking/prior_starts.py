@@ -1,4 +1,4 @@
-"""Starts of a search at the mean of a pose prior, for what a cloud does not show."""
+"""Starts of a search at the mean of a pose prior, for joints that a cloud does not show."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +8,7 @@ from ...body.skeleton import Skeleton
 from ...energy.priors.gaussian import GaussianPrior
 from ...geometry import rotation
 
-#: the joints at which limbs begin that are moved to the mean together
+#: first joints of the limbs that one start moves to the mean
 LIMBS = (
     ("LeftArm",),
     ("RightArm",),

@@ -212,7 +212,8 @@ def search_frame(
     refinement").
 
     Starts are neighbours of the frame's own pose and of the last trusted one, `previous`, whole and limb by
-    limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. The
+    limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. With the prior of
+    people's poses, starts are also those with limbs at its mean. The
     result is used if it is likelier and its worst fault is smaller.
     """
     failed = eqx.tree_at(
@@ -226,17 +227,15 @@ def search_frame(
     here = stack_trees([*([frame.pose] if _finite(frame.pose) else []), previous])
     keys = jax.random.split(key, 3)
     vertical = jnp.asarray(up, previous.rotations.dtype)
-    starts = concatenate_poses(
-        [
-            perturbed_starts(skeleton, here, 7, wide, keys[0]),
-            subtree_starts(skeleton, here, 7, wide, keys[1]),
-            rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
-        ]
-    )
+    starts = [
+        perturbed_starts(skeleton, here, 7, wide, keys[0]),
+        subtree_starts(skeleton, here, 7, wide, keys[1]),
+        rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
+    ]
     if tracker.people is not None:
-        starts = concatenate_poses([starts, limb_starts(tracker.people, skeleton, here)])
+        starts.append(limb_starts(tracker.people, skeleton, here))
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
-    poses, _ = anneal_sorted(coarse, few, starts, sigmas)
+    poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
     state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)

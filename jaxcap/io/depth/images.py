@@ -16,10 +16,10 @@ DEPTH_ARRAYS = ("depth", "depth_mm", "depths")
 
 def is_depth_image(path: str | Path) -> bool:
     """Test by its header if an image has one channel of more than eight bits."""
-    from PIL import Image
-
     if Path(path).suffix.lower() not in SUFFIXES:
         return False
+    from PIL import Image
+
     try:
         with Image.open(path) as image:
             return image.mode.startswith(("I", "F"))

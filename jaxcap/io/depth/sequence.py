@@ -45,8 +45,8 @@ def read_depths(
 ) -> LazyFrames[DepthFrame]:
     """Open sequences of depth images, one for each camera, with equally many frames.
 
-    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images or of organised .pcd clouds, or an `.npz` with the array
-    `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W); `masks`, if they are known, likewise, as images;
+    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images or of organised .pcd clouds,
+    or an `.npz` with the array `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W); `masks`, if they are known, likewise, as images;
     `first` and `last`, both included, count frames from 0; `depth_scale`, the number of the file's units in a metre.
 
     **Raises:** `InputError` if nothing is found, or cameras have different numbers of frames; also, when it is loaded,
@@ -56,16 +56,16 @@ def read_depths(
     cameras = [_open(source, depth_scale) for source in _listed(sources)]
     if not cameras:
         raise InputError("No depth images were given; give a folder, a glob or an .npz for each camera.")
-    known = [_open_masks(source) for source in _listed(masks)]
+    known = [_image_files(source) for source in _listed(masks)]
     if known and len(known) != len(cameras):
         raise InputError(
             f"There are masks of {len(known)} cameras, but depth images of {len(cameras)}; give masks of each camera."
         )
     count = len(cameras[0].names)
-    for camera in (*cameras, *known):
-        if len(camera.names) != count:
+    for names in (*(camera.names for camera in cameras), *known):
+        if len(names) != count:
             raise InputError(
-                f"{camera.names[0]}: this sequence has {len(camera.names)} images, but {cameras[0].names[0]} has {count}; "
+                f"{names[0]}: this sequence has {len(names)} images, but {cameras[0].names[0]} has {count}; "
                 "give as many images of each camera."
             )
     chosen = select_range(list(range(count)), first, last, cameras[0].names[0])
@@ -73,11 +73,12 @@ def read_depths(
     def load(number: int) -> DepthFrame:
         frame = chosen[number]
         shown = [camera.load(frame) for camera in cameras]
-        given = [mask.load(frame)[1] for mask in known] or [mask for _, mask in shown]
-        for camera, mask, (depth, _), person in zip(cameras, known, shown, given, strict=False):
-            if person is not None:
-                _check_mask(person, mask.names[frame], depth, camera.names[frame])
-        return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(given))
+        people = [mask for _, mask in shown]
+        if known:
+            people = [read_mask(paths[frame]) for paths in known]
+            for camera, paths, (depth, _), person in zip(cameras, known, shown, people, strict=True):
+                _check_mask(person, paths[frame], depth, camera.names[frame])
+        return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(people))
 
     return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
 
@@ -89,15 +90,16 @@ class _Images(NamedTuple):
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]]
 
 
-def _check_mask(mask: Bool[np.ndarray, "h w"], name: str, depth: Float[np.ndarray, "H W"], of: str) -> None:
+def _check_mask(mask: Bool[np.ndarray, "h w"], path: Path, depth: Float[np.ndarray, "H W"], of: str) -> None:
+    """Check that a mask has the size of the depth image `of`, and a pixel with a depth. Raises `InputError`."""
     if mask.shape != depth.shape:
         raise InputError(
-            f"{name}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, but the depth image {of} has "
+            f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, but the depth image {of} has "
             f"{depth.shape[1]} x {depth.shape[0]}; give masks of the size of the depth images."
         )
     if not (mask & (depth > 0)).any():
         raise InputError(
-            f"{name}: the mask has no pixel with a depth in {of}; pixels of the person must not be zero in the mask. Correct "
+            f"{path}: the mask has no pixel with a depth in {of}; pixels of the person must not be zero in the mask. Correct "
             "the mask, or give no masks, so that the person is searched for."
         )
 
@@ -116,16 +118,6 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
         if paths[frame].suffix.lower() == ORGANISED:
             return read_organised_depth(paths[frame]), None
         return read_depth_image(paths[frame], depth_scale), None
-
-    return _Images([str(path) for path in paths], load)
-
-
-def _open_masks(source: str | Path) -> _Images:
-    paths = _image_files(source)
-
-    def load(frame: int):
-        mask = read_mask(paths[frame])
-        return mask, mask
 
     return _Images([str(path) for path in paths], load)
 
