@@ -7,7 +7,8 @@ import subprocess
 import sys
 
 import pytest
-from conftest import CHECKOUT
+
+from tests.docs_pages import CHECKOUT
 
 NAMES = ("adapt", "batch", "energy", "gradients", "learn", "limits", "markers", "track")
 QUICK = ("gradients", "markers")
