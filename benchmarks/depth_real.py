@@ -20,7 +20,7 @@ from jaxcap.depth import cloud_of_depths
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry.camera import Camera, look_at
 from jaxcap.geometry.closest import nearest_on_surface
-from jaxcap.scanner.depth import make_ray_mesh, render_depth
+from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 #: every so many-th frame is drawn, and size of a drawn image, inches
 PICTURE_STEP, PICTURE_SIZE = 5, 2.4

@@ -2,3 +2,4 @@
 
 from .clouds import cloud_of_depths as cloud_of_depths
 from .person import find_person as find_person
+from .views import make_depth_view as make_depth_view

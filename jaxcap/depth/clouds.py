@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..observe import make_depth_view
 from ..observe.clouds import Cloud, make_cloud
-from ..scanner.fuse import fuse_cloud
+from .fuse import fuse_cloud
 from .person import find_person
+from .views import make_depth_view
 
 #: side of the cubes that keep one point each, metres
 VOXEL = 0.012

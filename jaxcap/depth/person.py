@@ -12,8 +12,8 @@ from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.mesh import area_normals
-from ..observe.depth import check_image_size_of
-from ..scanner.depth import measured_points
+from .back_projection import measured_points
+from .views import check_image_size_of
 
 #: image size for the search, pixels on the longest side
 SEARCH_SIDE = 160

@@ -3,5 +3,4 @@
 from .clouds import Scan as Scan
 from .clouds import stack_clouds as stack_clouds
 from .clouds import thin_cloud as thin_cloud
-from .depth import DepthView as DepthView
-from .depth import make_depth_view as make_depth_view
+from .depth_views import DepthView as DepthView

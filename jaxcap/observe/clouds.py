@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..geometry.normals import estimate_normals
 from ..geometry.sampling import spatial_order
 from ..geometry.stacking import stack, stack_trees
-from .depth import DepthView
+from .depth_views import DepthView
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
 MAX_DISTANCE = 1e4

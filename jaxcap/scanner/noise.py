@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .depth import DepthImage
+from .ray_casting import DepthImage
 from .settings import Scanner
 
 

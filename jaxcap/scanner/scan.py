@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..arguments import check_metres, checked
+from ..depth.fuse import Scan, fuse_cloud, fuse_mesh
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..value_checks import check_faces
-from .depth import make_ray_mesh, render_depth
-from .fuse import Scan, fuse_cloud, fuse_mesh
 from .noise import apply_errors
+from .ray_casting import make_ray_mesh, render_depth
 from .settings import Scanner, check_scanner
 
 #: margin of the box of outliers around the surface, metres

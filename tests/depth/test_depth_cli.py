@@ -12,7 +12,7 @@ from jaxcap.body.pose import rest_pose
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
-from jaxcap.scanner.depth import make_ray_mesh, render_depth
+from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from jaxcap.depth.shadows import MAX_BASELINE, fill_shadows
+from jaxcap.depth.views import make_depth_view
 from jaxcap.geometry.camera import Camera
-from jaxcap.observe.depth import MAX_BASELINE, fill_shadows, make_depth_view
 
 FOCAL, NEAR, FAR = 300.0, 1.0, 3.0
 #: difference of both surfaces' disparities, pixels

@@ -9,12 +9,12 @@ from helpers import chain_body, check_energy, random_pose
 
 import jaxcap as jc
 from jaxcap.body.pose import local_rotation_vectors
+from jaxcap.depth import make_depth_view
 from jaxcap.energy.data.free_space import FRONT_TOLERANCE, SIDE_TOLERANCE, FreeSpace
 from jaxcap.energy.priors.gaussian import GaussianPrior, human_prior
 from jaxcap.energy.priors.self_collision import ALLOWED_DEPTH, make_self_collision
 from jaxcap.geometry.camera import look_at
-from jaxcap.observe import make_depth_view
-from jaxcap.scanner.depth import make_ray_mesh, render_depth
+from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 BODY = chain_body()
 CAMERA = look_at([0.3, 0.2, 2.5], [0.3, 0.2, 0.0], 288, 240, 60)

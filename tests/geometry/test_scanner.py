@@ -10,13 +10,13 @@ from scipy.spatial import KDTree
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.depth.back_projection import camera_rays
+from jaxcap.depth.fuse import fuse_cloud, grid_faces
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, project, ring_of_cameras, unproject
 from jaxcap.io.meshes.mesh import read_mesh
 from jaxcap.io.meshes.ply import write_ply
 from jaxcap.metrics import scan_to_surface
-from jaxcap.scanner.depth import camera_rays, make_ray_mesh, render_depth
-from jaxcap.scanner.fuse import fuse_cloud, grid_faces
 from jaxcap.scanner.noise import (
     add_flying_pixels,
     add_noise,
@@ -25,6 +25,7 @@ from jaxcap.scanner.noise import (
     quantise,
     remove_grazing,
 )  # fmt: skip
+from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import sample_dropped_views, scan_depths, scan_frame
 from jaxcap.scanner.settings import Scanner
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ...body.body import Body, pose_body, posed_vertices
 from ...body.pose import Motion, take_poses
+from ...depth.fuse import Scan as Fused
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera, check_views, ring_of_cameras
 from ...geometry.sampling import even_indices
@@ -18,7 +19,6 @@ from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
 from ...io.system.lock import run_lock
-from ...scanner.fuse import Scan as Fused
 from ...scanner.scan import sample_dropped_views, scan_frame
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn

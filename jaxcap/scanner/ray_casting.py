@@ -1,11 +1,11 @@
 """Ideal depth images of a triangle mesh by ray casting."""
 
-import functools
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..depth.back_projection import camera_rays
 from ..geometry.camera import Camera
 from ..geometry.mesh import area_normals, unit_vectors
 
@@ -67,27 +67,6 @@ def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     cosines[seen] = np.where(met > 0, np.abs(approach) / np.linalg.norm(along, axis=1), 0.0)
     depth[window], facing[window] = (a.reshape(depth[window].shape) for a in (values, cosines))
     return DepthImage(depth, facing)
-
-
-def camera_rays(camera: Camera) -> Float[np.ndarray, "H W 3"]:
-    """Return the ray of each pixel's centre in the camera's frame, with depth one; read-only."""
-    focal, middle = (np.asarray(a, float).tolist() for a in (camera.focal, camera.principal_point))
-    return _rays(camera.width, camera.height, *focal, *middle)
-
-
-def measured_points(camera: Camera, depth: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "N 3"]:
-    """Compute the points of the measured pixels in the world, row by row, metres."""
-    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
-    measured = depth > 0
-    return (camera_rays(camera)[measured] * depth[measured][:, None] - translation) @ rotation
-
-
-@functools.lru_cache(maxsize=32)
-def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    across, down = np.meshgrid((np.arange(width) - cx) / fx, (np.arange(height) - cy) / fy)
-    rays = np.stack([across, down, np.ones_like(across)], -1)
-    rays.setflags(write=False)
-    return rays
 
 
 def _barycentric(

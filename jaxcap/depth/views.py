@@ -1,34 +1,17 @@
-"""Depth images of one camera, with the pixels that belong to the person."""
+"""Views of a person made from depth images."""
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt
 
-from ..arguments import as_jax_array, check_fields, checked
+from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
+from ..observe import DepthView
+from .shadows import fill_shadows
 
 #: longest side of the images of a view, pixels: larger images are reduced
 MAX_VIEW_SIDE = 320
-#: largest distance between the two eyes of a sensor, or between its camera and its projector, metres
-MAX_BASELINE = 0.08
-
-
-class DepthView(eqx.Module):
-    """A depth image of one frame, divided into the person and measured background.
-
-    Images are `(height, width)` of the camera.
-    """
-
-    camera: Camera
-    #: depth of the measured surface along the optical axis, metres; zero where nothing was measured
-    depth: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
-    #: distance to the person's nearest pixel where background was measured, pixels; zero elsewhere
-    outside: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
-
-    def __check_init__(self):
-        check_fields(self)
 
 
 @checked
@@ -37,8 +20,9 @@ def make_depth_view(
 ) -> DepthView:
     """Make a view from a depth image and the mask of the person.
 
-    Background in the shadow of the person is filled (`fill_shadows`). Images with more than `MAX_VIEW_SIDE` pixels on a side are reduced: a reduced pixel belongs to the person if any
-    of its pixels does, and has the smallest depth of these.
+    Background in the shadow of the person is filled (`fill_shadows`). Images with more than `MAX_VIEW_SIDE`
+    pixels on a side are reduced: a reduced pixel belongs to the person if any of its pixels does, and has the
+    smallest depth of these.
 
     **Arguments:** `depth`, metres, zero where nothing was measured; `where` names the image in messages.
 
@@ -62,34 +46,6 @@ def make_depth_view(
     depth = np.where(shown, person_depth, np.where(empty, background_depth, 0.0))
     outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
     return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
-
-
-def fill_shadows(
-    depth: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"], focal: float
-) -> Float[np.ndarray, "H W"]:
-    """Give background that is hidden from one eye of the sensor the depth of the background next to it.
-
-    Sensors with a projector or with two eyes see a surface from two points on a horizontal line. Next to a person, a strip
-    of the background is hidden from one of these, and has no depth, although the image shows it. The strip is at most as
-    wide as the difference of both surfaces' disparities.
-
-    **Arguments:** `depth`, metres, zero where nothing was measured; `focal`, pixels.
-    """
-    width, measured = depth.shape[1], depth > 0
-    columns = np.broadcast_to(np.arange(width), depth.shape)
-    # the nearest measured columns on both sides
-    left = np.maximum.accumulate(np.where(measured, columns, -1), axis=1)
-    right = np.minimum.accumulate(np.where(measured, columns, width)[:, ::-1], axis=1)[:, ::-1]
-    row, column = np.nonzero(~measured & (left >= 0) & (right < width))
-    left, right = left[row, column], right[row, column]
-    on_left = person[row, left]
-    near = depth[row, np.where(on_left, left, right)]
-    far = depth[row, np.where(on_left, right, left)]
-    widest = focal * MAX_BASELINE * (1.0 / near - 1.0 / far) + 1.0
-    in_shadow = (on_left != person[row, right]) & (far > near) & (right - left - 1 <= widest)
-    filled = depth.copy()
-    filled[row[in_shadow], column[in_shadow]] = far[in_shadow]
-    return filled
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry.camera import Camera
-from .depth import camera_rays, measured_points
+from .back_projection import camera_rays, measured_points
 
 
 class Scan(NamedTuple):
