@@ -7,13 +7,53 @@ from .ray_casting import DepthImage
 from .settings import Scanner
 
 
-def apply_errors(scanner: Scanner, image: DepthImage, rng: np.random.Generator) -> Float[np.ndarray, "H W"]:
-    """Apply all errors of a scanner to a depth image, metres; zero for pixels without measurement."""
-    depth = remove_grazing(image, scanner.max_grazing_angle)
+def apply_errors(
+    scanner: Scanner, image: DepthImage, focal: float, rng: np.random.Generator
+) -> Float[np.ndarray, "H W"]:
+    """Apply all errors of a scanner to a depth image, metres; zero for pixels without measurement.
+
+    **Arguments:** `focal`, the horizontal focal length of the image, pixels.
+    """
+    seen = image._replace(depth=remove_shadow(image.depth, scanner.baseline * focal))
+    depth = remove_grazing(seen, scanner.max_grazing_angle)
+    depth = lose_edges(depth, scanner.edge_loss, scanner.gap, rng)
     depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
     depth = add_flying_pixels(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
-    depth = add_noise(depth, scanner.noise, scanner.noise_growth, rng)
-    return quantise(depth, scanner.depth_step)
+    depth = add_noise(depth, noise_deviation(scanner, image), rng)
+    depth = quantise(depth, scanner.depth_step)
+    if scanner.depth_unit > 0:
+        depth = np.round(depth / scanner.depth_unit) * scanner.depth_unit
+    return np.where((depth >= scanner.min_range) & (depth <= scanner.max_range), depth, 0.0)
+
+
+def remove_shadow(depth: Float[np.ndarray, "H W"], focal_baseline: float) -> Float[np.ndarray, "H W"]:
+    """Remove depths of surface that a second eye on the right does not see, behind surface that hides it.
+
+    A pixel in column `u` is in column `u - focal * baseline / z` of the second eye's image. In the order of columns from
+    the right, surface is hidden if surface farther right is in the same column of that image or in one on the left.
+    """
+    if focal_baseline == 0:
+        return depth
+    columns = np.arange(depth.shape[1]) - focal_baseline / np.where(depth > 0, depth, np.inf)
+    columns = np.where(depth > 0, columns, np.inf)
+    behind = np.minimum.accumulate(columns[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.zeros(depth.shape, bool)
+    hidden[:, :-1] = columns[:, :-1] >= behind[:, 1:]
+    return np.where(hidden, 0.0, depth)
+
+
+def lose_edges(
+    depth: Float[np.ndarray, "H W"], share: float, gap: float, rng: np.random.Generator
+) -> Float[np.ndarray, "H W"]:
+    """Remove a share of the depths with a neighbour that is nearer or farther by more than `gap`, metres."""
+    if share == 0:
+        return depth
+    edge = np.zeros(depth.shape, bool)
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        jump = (depth[one] > 0) & (depth[other] > 0) & (np.abs(depth[one] - depth[other]) > gap)
+        edge[one] |= jump
+        edge[other] |= jump
+    return np.where(edge & (rng.random(depth.shape) < share), 0.0, depth)
 
 
 def remove_grazing(image: DepthImage, max_angle: float) -> Float[np.ndarray, "H W"]:
@@ -68,11 +108,19 @@ def discontinuities(depth: Float[np.ndarray, "H W"], missing_jump: float) -> Flo
     return np.where(around > 0, around - depth, missing_jump).max(0)
 
 
+def noise_deviation(scanner: Scanner, image: DepthImage) -> Float[np.ndarray, "H W"]:
+    """Compute the standard deviation of each depth by distance and angle, metres (Nguyen et al. 2012)."""
+    depth = np.where(image.depth > 0, image.depth, 1.0)
+    angle = np.arccos(np.clip(image.incidence_cosines, 0.05, 1.0))
+    oblique = scanner.noise_angle / np.sqrt(depth) * (angle / (np.pi / 2 - angle)) ** 2
+    return scanner.noise + scanner.noise_growth * (depth - scanner.noise_from) ** 2 + oblique
+
+
 def add_noise(
-    depth: Float[np.ndarray, "H W"], constant: float, growth: float, rng: np.random.Generator
+    depth: Float[np.ndarray, "H W"], deviation: Float[np.ndarray, "H W"], rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
-    """Add Gaussian noise of standard deviation `constant + growth * depth^2`, metres."""
-    noisy = depth + (constant + growth * depth**2) * rng.normal(size=depth.shape)
+    """Add Gaussian noise of a standard deviation for each pixel, metres."""
+    noisy = depth + deviation * rng.normal(size=depth.shape)
     return np.where((depth > 0) & (noisy > 0), noisy, 0.0)
 
 

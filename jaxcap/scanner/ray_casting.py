@@ -27,6 +27,8 @@ class DepthImage(NamedTuple):
     depth: Float[np.ndarray, "H W"]
     #: cosine of the angle between the surface's normal and the ray, zero for pixels without measurement
     incidence_cosines: Float[np.ndarray, "H W"]
+    #: the triangle that a pixel shows, -1 for pixels without measurement
+    triangles: Int[np.ndarray, "H W"]
 
 
 def make_ray_mesh(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> RayMesh:
@@ -44,12 +46,12 @@ def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
     rays = camera_rays(camera)
     shape = rays.shape[:2]
-    depth, facing = np.zeros(shape), np.zeros(shape)
+    depth, facing, shown = np.zeros(shape), np.zeros(shape), np.full(shape, -1)
     there = surface.corners @ rotation.T + translation
     window = _window(camera, there)
     directions = rays[window].reshape(-1, 3) @ rotation
     if len(directions) == 0:
-        return DepthImage(depth, facing)
+        return DepthImage(depth, facing, shown)
     eye = -translation @ rotation
     hit = surface.mesh.ray.intersects_first(np.tile(eye, (len(directions), 1)), directions)
     seen = np.flatnonzero(hit >= 0)
@@ -65,8 +67,11 @@ def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     values, cosines = np.zeros((2, len(directions)))
     values[seen] = np.where(met > 0, met, 0.0)
     cosines[seen] = np.where(met > 0, np.abs(approach) / np.linalg.norm(along, axis=1), 0.0)
-    depth[window], facing[window] = (a.reshape(depth[window].shape) for a in (values, cosines))
-    return DepthImage(depth, facing)
+    numbers = np.full(len(directions), -1)
+    numbers[seen] = np.where(met > 0, triangle, -1)
+    for image, of_window in zip((depth, facing, shown), (values, cosines, numbers), strict=True):
+        image[window] = of_window.reshape(image[window].shape)
+    return DepthImage(depth, facing, shown)
 
 
 def _barycentric(

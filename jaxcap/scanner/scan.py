@@ -1,6 +1,7 @@
 """Simulated scans of single frames of a moving surface, reproducible for each frame."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,22 +81,56 @@ def scan_depths(
 
     Arguments and errors are those of `scan_frame`.
     """
+    images = scan_scene(scanner, cameras, [(vertices, faces)], seed, frame)
+    return [image.depth for image in images]
+
+
+class LabelledDepth(NamedTuple):
+    """A depth image, and the surface that each pixel shows."""
+
+    #: metres along the optical axis; zero for pixels without measurement
+    depth: Float[np.ndarray, "H W"]
+    #: number of the surface, by its position in the scene; -1 for pixels without measurement
+    labels: Int[np.ndarray, "H W"]
+
+
+@checked
+def scan_scene(
+    scanner: Scanner,
+    cameras: Sequence[Camera],
+    surfaces: Sequence[tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"]]],
+    seed: int = 0,
+    frame: int = 0,
+) -> list[LabelledDepth]:
+    """Simulate each camera's depth image of several surfaces, such as people and a room.
+
+    **Arguments:** `surfaces`, vertices in metres and triangles of each. The others are those of `scan_frame`.
+
+    **Raises:** the errors of `scan_frame`.
+    """
     check_scanner(scanner)
     if not cameras:
         raise InputError("There are no cameras to scan with; give at least one.")
     if seed < 0 or frame < 0:
         raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
-    surface, depths = make_ray_mesh(vertices, faces), []
-    for view, (camera, lost) in enumerate(
-        zip(cameras, sample_dropped_views(scanner.drop, len(cameras), seed, frame), strict=True)
-    ):
+    for vertices, faces in surfaces:
+        check_metres("scan_scene", "vertices", vertices)
+        check_faces("scan_scene", faces, len(vertices))
+    first = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(surfaces, first, strict=False)])
+    owners = np.repeat(np.arange(len(surfaces)), [len(faces) for _, faces in surfaces])
+    scene = make_ray_mesh(np.concatenate([vertices for vertices, _ in surfaces]), faces)
+    dropped = sample_dropped_views(scanner.drop, len(cameras), seed, frame)
+    images = []
+    for view, (camera, lost) in enumerate(zip(cameras, dropped, strict=True)):
         if lost:
-            depths.append(np.zeros((camera.height, camera.width)))
-        else:
-            depths.append(
-                apply_errors(scanner, render_depth(camera, surface), _random(seed, frame, 2 + view))
-            )
-    return depths
+            shape = camera.height, camera.width
+            images.append(LabelledDepth(np.zeros(shape), np.full(shape, -1)))
+            continue
+        image = render_depth(camera, scene)
+        depth = apply_errors(scanner, image, float(camera.focal[0]), _random(seed, frame, 2 + view))
+        images.append(LabelledDepth(depth, np.where(depth > 0, owners[image.triangles], -1)))
+    return images
 
 
 def sample_dropped_views(share: float, count: int, seed: int, frame: int) -> Bool[np.ndarray, "C"]:

@@ -96,10 +96,10 @@ def test_a_pixel_sees_what_is_first_and_nothing_behind_the_camera():
 
 def test_noise_has_the_deviation_that_was_asked(rng):
     for z in (1.0, 3.0):
-        noisy = add_noise(np.full((200, 200), z), 0.002, 0.0015, rng)
+        noisy = add_noise(np.full((200, 200), z), np.full((200, 200), 0.002 + 0.0015 * z**2), rng)
         assert np.std(noisy - z) == pytest.approx(0.002 + 0.0015 * z**2, rel=0.02)
         assert np.mean(noisy) == pytest.approx(z, abs=1e-3)
-    assert not add_noise(np.zeros((5, 5)), 0.1, 0.0, rng).any()
+    assert not add_noise(np.zeros((5, 5)), np.full((5, 5), 0.1), rng).any()
 
 
 def test_quantised_depths_are_whole_disparities():
