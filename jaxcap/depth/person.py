@@ -11,18 +11,12 @@ from scipy.spatial import KDTree
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..geometry.mesh import area_normals
 from .back_projection import measured_points
+from .planes import find_planes, on_planes
 from .views import check_image_size_of
 
 #: image size for the search, pixels on the longest side
 SEARCH_SIDE = 160
-#: distance of points that belong to a plane, and share of all points that makes a plane floor or wall
-PLANE_DISTANCE, MIN_PLANE_SHARE = 0.03, 0.12
-#: number of planes that are looked for, and of tried triples of points for each
-NUM_PLANES, NUM_TRIALS = 4, 200
-#: largest share of points behind a wall, or below a floor
-MAX_BEHIND = 0.05
 #: neighbouring pixels are on one surface if their depths differ by less than this share of the depth
 CONTINUITY = 0.04
 #: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
@@ -58,18 +52,18 @@ def find_person(
     step = max(1, -(-max(depth.shape) // SEARCH_SIDE))
     points = np.zeros((*depth.shape, 3))
     points[depth > 0] = measured_points(camera, depth)
-    points = points[::step, ::step]
     z = depth[::step, ::step]
-    measured = z > 0
-    if not measured.any():
+    if not (z > 0).any():
         raise InputError(f"{where}: nothing was measured; leave out this frame.")
-    free = measured & ~_on_planes(points, measured, np.asarray(camera.eye, float))
-    labels = _connected(z, free)
+    few = points[::step, ::step]
+    planes = find_planes(few[z > 0], np.asarray(camera.eye, float))
+    free = (depth > 0) & ~on_planes(planes, points)
+    labels = _connected(z, free[::step, ::step])
     focal = float(np.mean(np.asarray(camera.focal)))
     pieces = []
     for number in range(1, labels.max() + 1):
         chosen = labels == number
-        pieces.append(_Piece(number, points[chosen], float(np.sum((z[chosen] * step / focal) ** 2))))
+        pieces.append(_Piece(number, few[chosen], float(np.sum((z[chosen] * step / focal) ** 2))))
     large = [
         piece
         for piece in pieces
@@ -96,7 +90,7 @@ def find_person(
         ):
             kept.add(piece.label)
     small = np.isin(labels, list(kept))
-    return _refine(small, z, depth, step)
+    return _refine(small, z, depth, free, step)
 
 
 def _extent(points: Float[np.ndarray, "N 3"]) -> float:
@@ -106,44 +100,6 @@ def _extent(points: Float[np.ndarray, "N 3"]) -> float:
 
 def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
     return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())
-
-
-def _on_planes(
-    points: Float[np.ndarray, "h w 3"], measured: Bool[np.ndarray, "h w"], eye: Float[np.ndarray, "3"]
-) -> Bool[np.ndarray, "h w"]:
-    """Find points on floors and walls, by random sample consensus."""
-    rng, used, found = np.random.default_rng(0), np.zeros_like(measured), np.zeros_like(measured)
-    count = measured.sum()
-    for _ in range(NUM_PLANES):
-        left = points[measured & ~used]
-        if len(left) < 100:
-            break
-        triples = left[rng.integers(len(left), size=(NUM_TRIALS, 3))]
-        normals = area_normals(triples)
-        lengths = np.linalg.norm(normals, axis=1)
-        good = lengths > 1e-6
-        normals, offsets = normals[good] / lengths[good, None], triples[good, 0]
-        offsets = np.sum(normals * offsets, 1)
-        few = left[:: max(1, len(left) // 2000)]
-        shares = np.mean(np.abs(few @ normals.T - offsets) < PLANE_DISTANCE, 0)
-        best = int(np.argmax(shares))
-        if shares[best] * len(left) < MIN_PLANE_SHARE * count:
-            break
-        heights = points @ normals[best] - offsets[best]
-        heights = heights * np.sign(eye @ normals[best] - offsets[best])
-        on = measured & (np.abs(heights) < PLANE_DISTANCE)
-        # nothing is behind a wall or below a floor, but much is behind a plane through a person
-        behind = float(np.mean(heights[measured] < -2 * PLANE_DISTANCE))
-        if behind < MAX_BEHIND and _is_wide(points[on]):
-            found |= on
-        used |= on
-    return found
-
-
-def _is_wide(points: Float[np.ndarray, "N 3"]) -> bool:
-    """Test if points extend farther than a person's back."""
-    low, high = np.quantile(points, [0.05, 0.95], axis=0)
-    return bool(np.sort(high - low)[1] > 0.8 or np.sort(high - low)[2] > 1.5)
 
 
 def _connected(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
@@ -162,9 +118,19 @@ def _connected(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> In
 
 
 def _refine(
-    small: Bool[np.ndarray, "h w"], z: Float[np.ndarray, "h w"], depth: Float[np.ndarray, "H W"], step: int
+    small: Bool[np.ndarray, "h w"],
+    z: Float[np.ndarray, "h w"],
+    depth: Float[np.ndarray, "H W"],
+    free: Bool[np.ndarray, "H W"],
+    step: int,
 ) -> Bool[np.ndarray, "H W"]:
-    """Enlarge a mask to pixels of its blocks with a depth like that of the block's pixel."""
-    size = depth.shape
-    wide = np.kron(np.where(small, z, 0.0), np.ones((step, step)))[: size[0], : size[1]]
-    return (depth > 0) & (np.abs(depth - wide) < CONTINUITY * depth)
+    """Enlarge a mask to `free` pixels of its blocks, and of the blocks next to these, with a depth like theirs."""
+    size, blocks = depth.shape, np.pad(np.where(small, z, 0.0), 1)
+    height, width = small.shape
+    person = np.zeros(size, bool)
+    for down in range(3):
+        for across in range(3):
+            near = blocks[down : down + height, across : across + width]
+            wide = np.kron(near, np.ones((step, step)))[: size[0], : size[1]]
+            person |= np.abs(depth - wide) < CONTINUITY * depth
+    return person & free

@@ -16,9 +16,10 @@ def apply_errors(
     """
     seen = image._replace(depth=remove_shadow(image.depth, scanner.baseline * focal))
     depth = remove_grazing(seen, scanner.max_grazing_angle)
-    depth = lose_edges(depth, scanner.edge_loss, scanner.gap, rng)
+    gap = np.maximum(scanner.gap, continuous_jump(depth, scanner.max_grazing_angle, focal))
+    depth = lose_edges(depth, scanner.edge_loss, gap, rng)
     depth = lose_holes(depth, scanner.holes, scanner.hole_size, rng)
-    depth = add_flying_pixels(depth, scanner.flying, scanner.gap, scanner.flying_reach, rng)
+    depth = add_flying_pixels(depth, scanner.flying, gap, scanner.flying_reach, rng)
     depth = add_noise(depth, noise_deviation(scanner, image), rng)
     depth = quantise(depth, scanner.depth_step)
     if scanner.depth_unit > 0:
@@ -42,15 +43,26 @@ def remove_shadow(depth: Float[np.ndarray, "H W"], focal_baseline: float) -> Flo
     return np.where(hidden, 0.0, depth)
 
 
+def continuous_jump(
+    depth: Float[np.ndarray, "H W"], max_angle: float, focal: float
+) -> Float[np.ndarray, "H W"]:
+    """Compute the difference in depth of neighbouring pixels on a surface at the largest measurable angle, metres.
+
+    **Arguments:** `max_angle`, degrees, of which at most 85 are used; `focal`, pixels.
+    """
+    return depth * np.tan(np.radians(min(max_angle, 85.0))) / focal
+
+
 def lose_edges(
-    depth: Float[np.ndarray, "H W"], share: float, gap: float, rng: np.random.Generator
+    depth: Float[np.ndarray, "H W"], share: float, gap: Float[np.ndarray, "H W"], rng: np.random.Generator
 ) -> Float[np.ndarray, "H W"]:
     """Remove a share of the depths with a neighbour that is nearer or farther by more than `gap`, metres."""
     if share == 0:
         return depth
     edge = np.zeros(depth.shape, bool)
     for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        jump = (depth[one] > 0) & (depth[other] > 0) & (np.abs(depth[one] - depth[other]) > gap)
+        step = np.abs(depth[one] - depth[other])
+        jump = (depth[one] > 0) & (depth[other] > 0) & (step > np.minimum(gap[one], gap[other]))
         edge[one] |= jump
         edge[other] |= jump
     return np.where(edge & (rng.random(depth.shape) < share), 0.0, depth)
@@ -80,7 +92,11 @@ def lose_holes(
 
 
 def add_flying_pixels(
-    depth: Float[np.ndarray, "H W"], share: float, gap: float, max_shift: float, rng: np.random.Generator
+    depth: Float[np.ndarray, "H W"],
+    share: float,
+    gap: float | Float[np.ndarray, "H W"],
+    max_shift: float,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "H W"]:
     """Move back a share of the pixels in front of a discontinuity (flying pixels).
 

@@ -7,7 +7,7 @@ import trimesh
 from jaxcap.depth.shadows import fill_shadows
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import Camera, look_at
-from jaxcap.scanner.noise import lose_edges, noise_deviation, remove_shadow
+from jaxcap.scanner.noise import continuous_jump, lose_edges, noise_deviation, remove_shadow
 from jaxcap.scanner.ray_casting import DepthImage
 from jaxcap.scanner.rooms import BEHIND, make_room
 from jaxcap.scanner.scan import scan_scene
@@ -40,10 +40,20 @@ def test_a_shadow_is_as_wide_as_the_difference_of_disparities():
 
 def test_only_pixels_on_both_sides_of_a_jump_are_lost(rng):
     depth = in_front_of_wall(slice(50, 70))
-    depth[0, 0] = 0.0
-    lost = (lose_edges(depth, 1.0, 0.03, rng) == 0) & (depth > 0)
+    depth[0, 0], gap = 0.0, np.full(depth.shape, 0.03)
+    lost = (lose_edges(depth, 1.0, gap, rng) == 0) & (depth > 0)
     np.testing.assert_array_equal(np.flatnonzero(lost.any(0)), [49, 50, 69, 70])
-    assert 0.3 < np.mean(lose_edges(depth, 0.5, 0.03, rng)[:, [49, 50, 69, 70]] == 0) < 0.7
+    assert 0.3 < np.mean(lose_edges(depth, 0.5, gap, rng)[:, [49, 50, 69, 70]] == 0) < 0.7
+
+
+def test_a_floor_at_a_grazing_angle_has_no_edges(rng):
+    """Neighbouring rows of a floor 1.2 m below the camera differ by 10 cm at 5 m."""
+    errors, focal = SENSORS["azure-kinect"].errors, 209.0
+    rows = np.arange(50.0, 120.0)
+    floor = np.repeat((1.2 * focal / rows)[:, None], 20, axis=1)
+    assert np.abs(np.diff(floor, axis=0)).max() > 2 * errors.gap
+    jump = continuous_jump(floor, errors.max_grazing_angle, focal)
+    np.testing.assert_array_equal(lose_edges(floor, 1.0, jump, rng), floor)
 
 
 def test_noise_grows_with_distance_and_angle_as_published():

@@ -1,0 +1,69 @@
+"""Floors and walls in the points of a depth image."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..geometry.mesh import area_normals
+
+#: distance of points that belong to a plane, and share of all points that makes a plane floor or wall
+PLANE_DISTANCE, MIN_PLANE_SHARE = 0.03, 0.12
+#: number of planes that are looked for, and of tried triples of points for each
+NUM_PLANES, NUM_TRIALS = 4, 200
+#: largest share of points behind a wall, or below a floor
+MAX_BEHIND = 0.05
+
+
+class Plane(NamedTuple):
+    """The points `x` with `normal @ x == offset`."""
+
+    #: unit, towards the camera
+    normal: Float[np.ndarray, "3"]
+    #: metres
+    offset: float
+
+
+def find_planes(points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]) -> list[Plane]:
+    """Find floors and walls by random sample consensus: wide planes with many points and few points behind them.
+
+    **Arguments:** `eye`, the position of the camera, metres.
+    """
+    rng, left, found = np.random.default_rng(0), points, []
+    for _ in range(NUM_PLANES):
+        if len(left) < 100:
+            break
+        triples = left[rng.integers(len(left), size=(NUM_TRIALS, 3))]
+        normals = area_normals(triples)
+        lengths = np.linalg.norm(normals, axis=1)
+        good = lengths > 1e-6
+        normals, corners = normals[good] / lengths[good, None], triples[good, 0]
+        offsets = np.sum(normals * corners, 1)
+        few = left[:: max(1, len(left) // 2000)]
+        shares = np.mean(np.abs(few @ normals.T - offsets) < PLANE_DISTANCE, 0)
+        best = int(np.argmax(shares))
+        if shares[best] * len(left) < MIN_PLANE_SHARE * len(points):
+            break
+        side = float(np.sign(eye @ normals[best] - offsets[best]))
+        plane = Plane(side * normals[best], side * float(offsets[best]))
+        on = on_planes([plane], points)
+        # nothing is behind a wall or below a floor, but much is behind a plane through a person
+        behind = float(np.mean(points @ plane.normal - plane.offset < -2 * PLANE_DISTANCE))
+        if behind < MAX_BEHIND and _is_wide(points[on]):
+            found.append(plane)
+        left = left[~on_planes([plane], left)]
+    return found
+
+
+def on_planes(planes: list[Plane], points: Float[np.ndarray, "*points 3"]) -> Bool[np.ndarray, "*points"]:
+    """Test which points are on any of the planes, within `PLANE_DISTANCE`."""
+    on = np.zeros(points.shape[:-1], bool)
+    for plane in planes:
+        on |= np.abs(points @ plane.normal - plane.offset) < PLANE_DISTANCE
+    return on
+
+
+def _is_wide(points: Float[np.ndarray, "N 3"]) -> bool:
+    """Test if points extend farther than a person's back."""
+    low, high = np.quantile(points, [0.05, 0.95], axis=0)
+    return bool(np.sort(high - low)[1] > 0.8 or np.sort(high - low)[2] > 1.5)
