@@ -319,8 +319,8 @@ def _numbers_fit(annotation: Any, value: Any) -> bool:
 
 @functools.cache
 def _dtype_fits(annotation: Any, dtype: Any) -> bool:
-    names = annotation.dtypes
-    return not isinstance(names, (list, tuple)) or str(dtype) in names
+    names, given = annotation.dtypes, "prng_key" if str(dtype).startswith("key<") else str(dtype)
+    return not isinstance(names, (list, tuple)) or given in names
 
 
 def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: str) -> bool:

@@ -11,9 +11,10 @@ import jaxtyping
 import numpy as np
 import pytest
 from helpers import chain_body
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 import jaxcap as jc
+from jaxcap.arguments import checked
 from jaxcap.errors import InputError
 from jaxcap.fit.tracking import track as sequence
 from jaxcap.io.meshes.clouds import Scans
@@ -259,6 +260,16 @@ def test_energies_that_do_not_fit_the_body(function):
         InputError, match=f"Marked: `vertices` has {V}, and the body has {V} vertices; expected 0 to"
     ):
         function(right + Marked(jnp.array([0, V])), BODY, POSE)
+
+
+def test_keys_of_both_kinds_are_accepted():
+    @checked
+    def draw(key: PRNGKeyArray):
+        return jax.random.normal(key)
+
+    assert float(draw(jax.random.key(1))) == float(draw(jax.random.PRNGKey(1)))
+    with pytest.raises(InputError, match="`key` is a floating-point array of shape"):
+        draw(jnp.zeros(3))  # pyright: ignore[reportArgumentType]
 
 
 def test_units():

@@ -19,6 +19,7 @@ from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
+from ...parallel import parallel_map
 from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_parts
 from .em import Estimate, box_volume, em_step, uniform_priors
@@ -34,6 +35,8 @@ FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 COMPARISON_SIGMA = 0.02
 #: numbers of vertices and points in the coarse search, and number of points in the refinement
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
+#: number of starts that one call of the compiled function anneals
+GROUP = 4
 
 
 def anneal_pose(
@@ -61,12 +64,26 @@ def anneal_pose(
     return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
 
-@eqx.filter_jit
 def anneal_each(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
-    """Run `anneal_pose` from each of P stacked starts; poses and scores in their order."""
+    """Run `anneal_pose` from each of P stacked starts; poses and scores in their order.
 
+    Groups of `GROUP` starts run on all cores, so that any number of starts uses one compiled function.
+    """
+    count = starts.rotations.shape[0]
+    rows = np.minimum(np.arange(-(-count // GROUP) * GROUP), count - 1).reshape(-1, GROUP)
+    groups = [jax.tree.map(lambda leaf, row=row: leaf[row], starts) for row in rows]
+    found = parallel_map(
+        lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas)), groups
+    )
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *found)
+
+
+@eqx.filter_jit
+def _anneal_group(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+) -> tuple[Pose, Float[Array, "P"]]:
     def one(start):
         estimate, score = anneal_pose(tracker, cloud, start, sigmas)
         return estimate.pose, score
@@ -74,7 +91,6 @@ def anneal_each(
     return jax.lax.map(one, starts)
 
 
-@eqx.filter_jit
 def anneal_sorted(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
