@@ -12,6 +12,8 @@ from .cameras import read_cameras as read_cameras
 from .cameras import write_cameras as write_cameras
 from .constraints import read_constraints as read_constraints
 from .constraints import write_constraints as write_constraints
+from .depth.images import write_depth_image as write_depth_image
+from .depth.images import write_mask as write_mask
 from .depth.sequence import read_depths as read_depths
 from .gltf.gltf_reader import read_gltf as read_gltf
 from .markers.subject import load_subject as load_subject

@@ -13,6 +13,7 @@ from ..geometry.camera import Camera
 from ..value_checks import check_faces
 from .noise import apply_errors
 from .ray_casting import make_ray_mesh, render_depth
+from .rooms import Room
 from .settings import Scanner, check_scanner
 
 #: margin of the box of outliers around the surface, metres
@@ -27,8 +28,11 @@ def scan_frame(
     faces: Int[np.ndarray, "F 3"],
     seed: int = 0,
     frame: int = 0,
+    room: Room | None = None,
 ) -> Scan:
     """Simulate the scan of one frame by all cameras, metres: a cloud, or a mesh if `scanner.mesh`.
+
+    The scan contains the `room` too, where one is given.
 
     Random numbers depend on `seed`, `frame` and the view only, not on earlier scans. A scan is empty if no
     view measures anything.
@@ -36,9 +40,8 @@ def scan_frame(
     **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices
     that cannot be in metres, and triangles of missing vertices.
     """
-    check_metres("scan_frame", "vertices", vertices)
-    check_faces("scan_frame", faces, len(vertices))
-    depths = scan_depths(scanner, cameras, vertices, faces, seed, frame)
+    surfaces = [(vertices, faces), *([] if room is None else [(room.vertices, room.faces)])]
+    depths = [image.depth for image in scan_scene(scanner, cameras, surfaces, seed, frame)]
     if scanner.mesh:
         return fuse_mesh(cameras, depths, scanner.gap, scanner.normal_window)
     scan = fuse_cloud(cameras, depths, scanner.gap, scanner.normal_window, scanner.voxel)
@@ -114,8 +117,8 @@ def scan_scene(
     if seed < 0 or frame < 0:
         raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
     for vertices, faces in surfaces:
-        check_metres("scan_scene", "vertices", vertices)
-        check_faces("scan_scene", faces, len(vertices))
+        check_metres("scan", "vertices", vertices)
+        check_faces("scan", faces, len(vertices))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = np.concatenate([faces + start for (_, faces), start in zip(surfaces, first, strict=False)])
     owners = np.repeat(np.arange(len(surfaces)), [len(faces) for _, faces in surfaces])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from command_line import fails, runs, tree
 
+from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import Motion
@@ -14,10 +15,13 @@ from jaxcap.cli import main
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.scan import scan as scan_module
 from jaxcap.cli.scan.rate import find_rate
+from jaxcap.depth.back_projection import measured_points
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at, ring_of_cameras
+from jaxcap.geometry.closest import nearest_on_surface
 from jaxcap.io.archives.npz import load_body, load_motion, save_body, save_motion
 from jaxcap.io.cameras import read_cameras, write_cameras
+from jaxcap.io.depth.sequence import read_depths
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.meshes.mesh import read_mesh
 from jaxcap.io.skeletons.bvh import write_bvh
@@ -238,3 +242,38 @@ def test_missing_files_and_folders(inputs, tmp_path, capsys):
     )
     (tmp_path / "file").write_text("")
     assert "cannot be written to" in fails(capsys, *command(inputs, tmp_path / "file" / "folder"))
+
+
+def test_depth_images_of_a_room_are_written_and_read(inputs, tmp_path, capsys):
+    """The written images show the person in front of the wall, and the masks are the person's pixels."""
+    out = tmp_path / "depth"
+    source = ["scan", inputs / "body.npz", inputs / "motion.npz", "-o", out, "--rate", 15, "--views", 1]
+    printed = runs(capsys, *source, "--as", "depth", "--room", "--sensor", "azure-kinect")
+    assert "2 scans from 1 views" in printed and "pixels of the body" in printed
+    (camera,) = read_cameras(out / "cameras.json")
+    assert (camera.width, camera.height) == (320, 288)
+    frames = read_depths(out / "depth0", out / "mask0")
+    body, motion = load_body(inputs / "body.npz"), load_motion(out / "truth.npz")
+    for number in range(2):
+        depth, mask = frames[number].depths[0], frames[number].masks[0]
+        points = measured_points(camera, np.where(mask, depth, 0.0))
+        vertices = np.asarray(pose_body(body, motion[number]).vertices)
+        distances = nearest_on_surface(points, vertices, np.asarray(body.faces)).distances
+        assert len(points) > 500 and np.median(distances) < 0.003
+        assert np.mean(depth > 0) > 0.5 and np.mean(mask) < 0.1
+    said = fails(capsys, *source, "--as", "depth", "--room", "--sensor", "azure-kinect")
+    assert "this folder contains scans" in said
+    runs(capsys, *source, "--as", "depth", "--room", "--sensor", "azure-kinect", "--resume")
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (("--sensor", "azure-kinect", "--noise", 0.01), "--noise has no effect with --sensor"),
+        (("--as", "depth", "--points", 100), "--points has no effect with --as depth"),
+        (("--as", "depth", "--npz"), "--npz is for clouds, and --as depth was given"),
+    ],
+)
+def test_options_that_another_one_replaces_are_refused(inputs, tmp_path, capsys, options, why):
+    source = inputs / "body.npz", inputs / "motion.npz"
+    assert why in fails(capsys, "scan", *source, "-o", tmp_path / "out", *options)

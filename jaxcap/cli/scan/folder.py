@@ -18,7 +18,7 @@ from ...io.text import read_json
 HEADER = "scan.json"
 CLOUDS = "clouds.npz"
 FILES = (HEADER, "cameras.json", "truth.npz", CLOUDS)
-_SCAN = re.compile(r"scan_\d{4,}\.ply$")
+_SCAN, _IMAGES = re.compile(r"scan_\d{4,}\.ply$"), re.compile(r"(depth|mask)\d+$")
 
 
 def frame_path(folder: Path, frame: int) -> Path:
@@ -36,6 +36,8 @@ def prepare_folder(
     """
     header = {**settings, **fingerprint(inputs)}
     scans = [path for path in folder.iterdir() if _SCAN.match(path.name)]
+    images = [path for path in folder.iterdir() if _IMAGES.match(path.name) and path.is_dir()]
+    scans += [path for one in images for path in one.glob("*.png")]
     there = [*scans, *(folder / name for name in FILES if (folder / name).exists())]
     if there and not (resume or overwrite):
         raise InputError(

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...body.body import Body, pose_body, posed_vertices
 from ...body.pose import Motion, take_poses
-from ...depth.fuse import Scan as Fused
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera, check_views, ring_of_cameras
 from ...geometry.sampling import even_indices
@@ -19,23 +18,32 @@ from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
 from ...io.system.lock import run_lock
+from ...scanner.rooms import Room, make_room
 from ...scanner.scan import sample_dropped_views, scan_frame
+from ...scanner.sensors import SENSORS
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn
 from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
 from ..motions import load_body_motion
 from ..sources import load_body
 from ..track.results import make_writable
+from .depth_images import image_path, scan_images, write_images
 from .folder import frame_path, gather_clouds, prepare_folder
 
 #: number of frames in which a camera has to see part of the body at least once
 CHECKED_FRAMES = 24
+#: options that a model of a depth camera replaces, and those of clouds, which depth images do not have
+SENSOR_OPTIONS = (
+    "resolution", "field_of_view", "noise", "noise_growth", "depth_step", "flying", "holes", "max_grazing_angle",
+)  # fmt: skip
+CLOUD_OPTIONS = ("voxel", "points", "outliers")
 
 
 @dataclass
 class Scan:
     """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., the cameras (cameras.json) and the
-    true motion (truth.npz).
+    true motion (truth.npz). With --as depth, write depth images (depth0/0000.png, ...) with masks of the person
+    (mask0/0000.png, ...).
 
     Each scan is written when it is finished, and does not depend on the scans before it. --resume continues an
     interrupted run."""
@@ -58,6 +66,13 @@ class Scan:
     """Horizontal field of view, degrees."""
     cameras: OptionalFile = None
     """Calibrated cameras, .json as written by this verb, instead of the arc of cameras."""
+    sensor: Annotated[
+        Literal["kinect-v1", "azure-kinect", "realsense-d435"] | None, arg(help_behavior_hint="")
+    ] = None
+    """Depth camera whose image size, field of view and published errors are used. It replaces the options of images
+    and of their errors."""
+    room: Flag = False
+    """Put floor, walls, a table and a chair around the body."""
     noise: float = 0.002
     """Standard deviation of the part of the depth error that is the same at every depth, metres."""
     noise_growth: float = 0.0
@@ -80,8 +95,8 @@ class Scan:
     """Keep N random points of each cloud. Default: all."""
     outliers: float = 0.0
     """Share of points replaced by random points around the body."""
-    kind: Annotated[Literal["cloud", "mesh"], arg(name="as")] = "cloud"
-    """Write points only (cloud), or also a grid of triangles for each view (mesh)."""
+    kind: Annotated[Literal["cloud", "mesh", "depth"], arg(name="as")] = "cloud"
+    """Write points only (cloud), also a grid of triangles for each view (mesh), or depth images (depth)."""
     npz: Flag = False
     """Also write all clouds to one file, clouds.npz."""
     seed: int = 0
@@ -101,27 +116,31 @@ class Scan:
         shown = even_indices(len(motion), CHECKED_FRAMES, nearest=True)
         places = np.asarray(posed_vertices(body, take_poses(motion.poses, shown)), float)
         cameras = self.make_cameras(places)
+        corners = places.reshape(-1, 3)
+        room = make_room(corners.min(0), corners.max(0)) if self.room else None
         make_writable(self.out)
         with run_lock(self.out):
-            self.scan_all(scanner, cameras, body, motion)
+            self.scan_all(scanner, cameras, room, body, motion)
 
-    def scan_all(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion) -> None:
+    def scan_all(
+        self, scanner: Scanner, cameras: list[Camera], room: Room | None, body: Body, motion: Motion
+    ) -> None:
         """Scan all remaining frames, while the lock excludes other runs in the folder."""
         settings = {**self.settings(), "rate": motion.rate}
         prepare_folder(self.out, settings, (body, motion, cameras), self.resume, self.overwrite)
         write_cameras(self.out / "cameras.json", cameras)
         save_motion(self.out / "truth.npz", motion, body.skeleton)
-        missing = [frame for frame in range(len(motion)) if not frame_path(self.out, frame).is_file()]
+        missing = [frame for frame in range(len(motion)) if not self.last_file(frame).is_file()]
         if len(missing) < len(motion):
             say(f"{len(motion) - len(missing)} of {len(motion)} scans already exist")
-        scan = functools.partial(self.scan, scanner, cameras, body, motion)
+        scan = functools.partial(self.scan, scanner, cameras, room, body, motion)
         blind, sizes = defaultdict(list), []
         there, scans = len(motion) - len(missing), ((frame, scan(frame)) for frame in missing)
         try:
-            for frame, fused in progress(scans, len(motion), there, "scanning"):
-                sizes.append(len(fused.points))
-                looked = np.flatnonzero(~sample_dropped_views(self.drop, len(cameras), self.seed, frame))
-                for view in np.setdiff1d(looked, fused.views):
+            for frame, counts in progress(scans, len(motion), there, "scanning"):
+                sizes.append(counts.sum())
+                dropped = sample_dropped_views(scanner.drop, len(cameras), self.seed, frame)
+                for view in np.flatnonzero(~dropped & (counts == 0)):
                     blind[int(view)].append(frame)
         except KeyboardInterrupt:
             kept = there + len(sizes)
@@ -134,7 +153,8 @@ class Scan:
             )
         if self.npz:
             gather_clouds(self.out, len(motion))
-        what = f", {np.mean(sizes):.0f} points each on average," if sizes else ""
+        unit = "pixels of the body" if self.kind == "depth" else "points"
+        what = f", {np.mean(sizes):.0f} {unit} each on average," if sizes else ""
         say(
             f"{len(motion)} scans from {len(cameras)} views{what} with cameras.json and truth.npz are in {self.out}"
         )
@@ -147,8 +167,10 @@ class Scan:
             raise InputError(f"--rate is {self.rate:g}; it must be above 0 frames per second.")
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
-        if self.npz and self.kind == "mesh":
-            raise InputError("--npz is for clouds, and --as mesh was given; omit one of them.")
+        if self.npz and self.kind != "cloud":
+            raise InputError(f"--npz is for clouds, and --as {self.kind} was given; omit one of them.")
+        self.check_replaced("--sensor", SENSOR_OPTIONS, self.sensor is not None)
+        self.check_replaced("--as depth", CLOUD_OPTIONS, self.kind == "depth")
         if self.cameras is None:
             ring_of_cameras(
                 self.views,
@@ -156,14 +178,34 @@ class Scan:
                 self.distance,
                 self.height,
                 [0.0] * 3,
-                self.resolution,
-                self.field_of_view,
+                *self.images(),
             )
+
+    def check_replaced(self, option: str, names: tuple[str, ...], given: bool) -> None:
+        """Check that no option was given which another one replaces. Raises `InputError`."""
+        fields = self.__dataclass_fields__
+        for name in names if given else ():
+            if getattr(self, name) != fields[name].default:
+                raise InputError(f"--{name.replace('_', '-')} has no effect with {option}; omit one of them.")
+
+    def images(self) -> tuple[tuple[int, int], float]:
+        """Return width and height of images, pixels, and the horizontal field of view, degrees."""
+        if self.sensor is None:
+            return self.resolution, self.field_of_view
+        sensor = SENSORS[self.sensor]
+        return sensor.resolution, sensor.field_of_view
+
+    def last_file(self, frame: int) -> Path:
+        """Return the file of a frame that is written last."""
+        return image_path(self.out, 0, frame, "mask") if self.kind == "depth" else frame_path(self.out, frame)
 
     def scanner(self) -> Scanner:
         """Make the scanner of the options. Raises `InputError`."""
         shared = set(Scanner._fields) & set(self.__dataclass_fields__)
-        scanner = Scanner(**{name: getattr(self, name) for name in shared}, mesh=self.kind == "mesh")
+        if self.sensor is not None:
+            shared -= set(SENSOR_OPTIONS)
+        base = Scanner() if self.sensor is None else SENSORS[self.sensor].errors
+        scanner = base._replace(**{name: getattr(self, name) for name in shared}, mesh=self.kind == "mesh")
         try:
             check_scanner(scanner)
         except InputError as error:
@@ -184,24 +226,47 @@ class Scan:
         if self.cameras is None:
             middle, top = 0.5 * (low + high), low[1] + self.height
             where, cameras = "--views", ring_of_cameras(
-                self.views, self.arc, self.distance, top, middle, self.resolution, self.field_of_view
+                self.views, self.arc, self.distance, top, middle, *self.images()
             )  # fmt: skip
         else:
             where, cameras = str(self.cameras), read_cameras(self.cameras)
         check_views(cameras, corners, where)
         return cameras
 
-    def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:
-        """Scan one frame and write it. Raises `InputError` if all views are empty."""
+    def scan(
+        self,
+        scanner: Scanner,
+        cameras: list[Camera],
+        room: Room | None,
+        body: Body,
+        motion: Motion,
+        frame: int,
+    ) -> Int[np.ndarray, "C"]:
+        """Scan one frame, write it, and count its points or pixels of the body in each view.
+
+        **Raises:** `InputError` if all views are empty.
+        """
         vertices = np.asarray(pose_body(body, motion[frame]).vertices, float)
-        fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)
-        if len(fused.points) == 0 or (scanner.mesh and len(fused.faces) == 0):
-            raise InputError(
-                f"frame {frame}: all {len(cameras)} views are empty; move the cameras, reduce --drop and --holes, "
-                "or increase --max-grazing-angle. The previous frames are kept."
-            )
+        faces = np.asarray(body.faces)
+        if self.kind == "depth":
+            images = scan_images(scanner, cameras, (vertices, faces), room, self.seed, frame)
+            counts = np.array([np.sum(image.labels == 0) for image in images])
+            check_seen(frame, cameras, bool(counts.any()))
+            write_images(self.out, images, frame)
+            return counts
+        fused = scan_frame(scanner, cameras, vertices, faces, self.seed, frame, room)
+        check_seen(frame, cameras, len(fused.points) > 0 and not (scanner.mesh and len(fused.faces) == 0))
         write_ply(frame_path(self.out, frame), fused.points, fused.normals, fused.views, fused.faces)
-        return fused
+        return np.bincount(fused.views, minlength=len(cameras))
+
+
+def check_seen(frame: int, cameras: list[Camera], seen: bool) -> None:
+    """Check that some view of a frame shows the body. Raises `InputError`."""
+    if not seen:
+        raise InputError(
+            f"frame {frame}: all {len(cameras)} views are empty; move the cameras, reduce --drop and --holes, "
+            "or increase --max-grazing-angle. The previous frames are kept."
+        )
 
 
 def thin_motion(motion: Motion, rate: float | None) -> Motion:

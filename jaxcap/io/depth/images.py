@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...arguments import checked
 from ...errors import InputError
 from ...geometry.camera import MAX_PIXELS
+from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 
 SUFFIXES = (".png", ".tif", ".tiff")
@@ -60,6 +62,33 @@ def read_mask(path: str | Path) -> Bool[np.ndarray, "H W"]:
     """
     image = _read(path)
     return (image if image.ndim == 2 else image[..., :3].max(-1)) > 0
+
+
+@checked
+def write_depth_image(
+    path: str | Path, depth: Float[np.ndarray, "H W"], depth_scale: float | int = 1000.0
+) -> None:
+    """Write a depth image, metres, as a PNG of 16 bits in units of `1 / depth_scale` metres.
+
+    Pixels that are not measured are zero. So are depths above the largest number of 16 bits, 65 m in millimetres.
+
+    **Raises:** `InputError` if the file cannot be written.
+    """
+    units = np.round(np.where(np.isfinite(depth), depth, 0.0) * depth_scale)
+    _write(path, np.where((units > 0) & (units < 2**16), units, 0).astype(np.uint16))
+
+
+@checked
+def write_mask(path: str | Path, mask: Bool[np.ndarray, "H W"]) -> None:
+    """Write a mask as a PNG, white where it is true. Raises `InputError` if the file cannot be written."""
+    _write(path, np.where(mask, 255, 0).astype(np.uint8))
+
+
+def _write(path: str | Path, image: np.ndarray) -> None:
+    from PIL import Image
+
+    with atomic_path(path) as temporary:
+        Image.fromarray(image).save(temporary, format="PNG")
 
 
 def _read(path: str | Path) -> np.ndarray:
