@@ -87,7 +87,8 @@ class Fit:
     subject: OptionalSubject = None
     """Subject to use if a file has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
-    """Up axis of the files; the subject then has y up. Default: the axes of the files."""
+    """Up axis of the files; the subject then has y up. Default: the axes of the files are kept, and
+    the printed line of each file names its up axis if it is known."""
     pieces: Pieces = "refuse"
     """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
     (join), or keep them separate (keep)."""

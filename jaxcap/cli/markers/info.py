@@ -10,12 +10,13 @@ import tyro
 
 from ...errors import InputError, user_message
 from ...io.markers.marker_file import check_extent, group_by_subject, median_extent, select_subject
+from ...io.markers.up_axis import find_up_axis
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
 from ..console.options import OptionalFile, OptionalUnit, arg
-from .takes import UNIT_ASKED
+from .takes import UNIT_ASKED, describe_source
 
 #: width of a marker's time bar, characters
 WIDTH = 40
@@ -49,6 +50,9 @@ class Info:
         count = len(frames)
         say(f"{path.name}: {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
+        found = find_up_axis(file._replace(frames=frames))
+        if found is not None:
+            say(f"up axis: {describe_source(found)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")
         for kind, labels in file.other_points.items():

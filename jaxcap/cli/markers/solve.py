@@ -78,7 +78,8 @@ class Solve:
     performer: OptionalSubject = None
     """Subject to use if a trial has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
-    """Up axis of the trials; results then have y up. Default: the axes of the trials."""
+    """Up axis of the trials; results then have y up. Default: the axes of the trials are kept, and
+    the printed line of each file names its up axis if it is known."""
     pieces: Pieces = "refuse"
     """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
     (join), or keep them separate (keep)."""
