@@ -127,6 +127,9 @@ def test_evaluate_the_truth_itself(inputs, tmp_path, capsys):
     assert report["joint_centres"]["mean"] == 0.0
     assert f"{1000 * surface['mean']:.2f}" in told
     assert f"{1000 * surface['iqr']:.2f}" in told
+    # refused before anything is read
+    line = fails(capsys, "evaluate", "gone.npz", "gone.npz", "gone.npz", "-o", tmp_path / "report.json")
+    assert "report.json: this file already exists; give --overwrite to replace it" in line
 
 
 def test_evaluate_knows_how_far_a_motion_is_off(inputs, tmp_path, capsys):
@@ -140,7 +143,7 @@ def test_evaluate_knows_how_far_a_motion_is_off(inputs, tmp_path, capsys):
     for name in ("moved.npz", "moved.bvh"):
         runs(
             capsys, "evaluate", inputs / "body.npz", tmp_path / name, inputs / "clouds.npz",
-            "--truth", inputs / "truth.npz", "-o", tmp_path / "report.json", "--points", "50",
+            "--truth", inputs / "truth.npz", "-o", tmp_path / "report.json", "--points", "50", "--overwrite",
         )  # fmt: skip
         joints = json.loads((tmp_path / "report.json").read_text())["joint_centres"]
         assert joints["mean"] == pytest.approx(0.05, abs=1e-5)

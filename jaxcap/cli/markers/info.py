@@ -15,7 +15,8 @@ from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
-from ..console.options import OptionalFile, OptionalUnit, arg
+from ..console.options import Flag, OptionalFile, OptionalUnit, arg
+from ..outputs import check_new
 from .takes import UNIT_ASKED, describe_source
 
 #: width of a marker's time bar, characters
@@ -36,6 +37,8 @@ class Info:
     """Number of markers in the table, the least visible first; 0 lists all."""
     picture: OptionalFile = None
     """Output file for a picture of the gaps, .png."""
+    overwrite: Flag = False
+    """Replace the picture if it exists."""
 
     def run(self) -> None:
         path = Path(self.file)
@@ -43,6 +46,7 @@ class Info:
             raise InputError(f"--rows {self.rows}: give 0 or a number of markers.")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
+        check_new(self.picture, self.overwrite)
         file = read_marker_file(path, self.unit)
         subjects = group_by_subject(file.frames.labels)
         several = self.subject is None and len(subjects) > 1
