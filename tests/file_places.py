@@ -32,7 +32,6 @@ PLACES = [
     Place("track.track.Track", {"body": FILE, "clouds": (GONE,), "out": "new"}, ALL_BODIES),
     Place("track.track.Track", {"body": "giant.npz", "clouds": (FILE,), "out": "new"}, CLOUDS),
     Place("track.track.Track", {"body": BODY, "clouds": (GONE,), "out": "new", "limits": FILE}, LIMITS),
-    Place("track.track.Track", {"body": BODY, "clouds": (GONE,), "out": "new", "cst": FILE}, ("limits.cst",)),
     Place(
         "track.track.Track",
         {"body": "small.obj", "clouds": (GONE,), "out": "new", "skl": FILE, "vj": "small.vj"},

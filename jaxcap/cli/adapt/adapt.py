@@ -1,6 +1,5 @@
 """`jaxcap adapt`: adapt a template body to the actor in a sequence of scans."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,8 +9,9 @@ import numpy as np
 from ...adapt.adapt_body import adapt_body
 from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
-from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, Stage, plan_stages
+from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from ...body.body import Body
+from ...body.limits.limits import AbstractLimits
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ...errors import InputError, user_message
 from ...fit.correspondence.correspond import Matching
@@ -56,6 +56,7 @@ from .state import (
     check_results,
     checkpoint_sentence,
     fingerprint_of,
+    format_progress,
     keep_state,
     load_resumed_state,
 )
@@ -174,7 +175,9 @@ class Adapt:
         """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
         known = prior_file(self.body, self.prior)
         header = self.settings() | hash_files({"prior": known, "limits": self.limits})
-        body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
+        body, limits = load_body(
+            self.body, limits=self.limits, vertices=self.vertices, unit=self.unit, up=self.up
+        )
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
             told = clouds_words(self.clouds)
@@ -189,7 +192,10 @@ class Adapt:
             else load_resumed_state(self.checkpoint_path, header, self.resume, self.overwrite)
         )
         priors = read_priors(known, body, from_template=self.prior is None, reduced=self.vertices is not None)
-        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried_arrays(self.body, priors)
+        task, beside = (
+            self.task(body, scans, priors, limits, tuple(seen.unusable)),
+            carried_arrays(self.body, priors),
+        )
         warn_of_unusable(seen.unusable)
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
@@ -233,7 +239,7 @@ class Adapt:
                         check_first_scan(task, reached, first)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
-                    bar.update(state.done, _format_progress(task, state, stages))
+                    bar.update(state.done, format_progress(task, state, stages))
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
                 raise KeyboardInterrupt(
@@ -312,9 +318,14 @@ class Adapt:
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
     def task(
-        self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()
+        self,
+        body: Body,
+        scans: Scans,
+        priors: Priors | None,
+        limits: AbstractLimits | None,
+        missing: tuple[int, ...] = (),
     ) -> AdaptTask:
-        """Make the task, with priors, cameras and the first pose read from their files. Raises
+        """Make the task, with cameras and the first pose read from their files. Raises
         `InputError`."""
         skeleton = body.skeleton
         form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
@@ -351,7 +362,7 @@ class Adapt:
             missing=missing,
             boxes=None if priors is None else priors.boxes,
             shape_prior=None if priors is None else priors.shape,
-            terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
+            terms=read_terms(body, limits=limits, limit_weight=self.limit_weight, floor=self.floor),
             mesh=clouds.mesh if self.assignment == "surface" else None,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
@@ -385,14 +396,6 @@ class Adapt:
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
-
-
-def _format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
-    """Format the progress of a state for the user."""
-    if state.within:
-        stage = stages[state.done]
-        return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"
-    return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
 
 
 def _is_none_or_nonnegative(weight: float | None) -> bool:

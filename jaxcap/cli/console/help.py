@@ -59,7 +59,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "rows",
         "target-unit",
     ),
-    KINEBEN: ("skl", "vj", "cst"),
+    KINEBEN: ("skl", "vj"),
 }
 #: titles of a verb's own settings, and options that are in another group for some verbs
 TITLES = {
