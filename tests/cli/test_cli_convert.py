@@ -226,8 +226,16 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         ),
         (motion, "out.bvh", "--tolerance", "1", "--tolerance is for bodies that are written as .glb or USD"),
         (body, "out.skl", "--body", body, "--body is for motions"),
-        (motion, "out.usda", "not a 'jaxcap body'"),
-        (body, "out.bvh", "not a 'jaxcap motion'"),
+        (
+            motion,
+            "out.usda",
+            "this is a motion (5 frames); expected a body (from `jaxcap rig`, `learn` or `adapt`); `jaxcap info",
+        ),
+        (
+            body,
+            "out.bvh",
+            "this is a body (1500 vertices); expected a motion (from `jaxcap track`, `fit` or `adapt`)",
+        ),
         (*marked, "LFHD", "neither a vertex"),
         (*marked, "a=1", "a=2", "named 'a'"),
         (*marked, "1500", "the vertices of the body are 0 to 1499"),

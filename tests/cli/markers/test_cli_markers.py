@@ -314,7 +314,7 @@ def test_options_are_checked(capsys, folder, tmp_path):
         tmp_path / "m.npz",
         jc.stack_poses([jc.rest_pose(jc.io.load_subject(folder / "subject.npz").skeleton)]),
     )
-    assert "not a 'jaxcap subject'" in fails(capsys, "markers", "solve", tmp_path / "m.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
+    assert "this is a motion (1 frame); expected a subject with its markers (from `jaxcap markers fit`)" in fails(capsys, "markers", "solve", tmp_path / "m.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
     others = write(tmp_path / "others.c3d", np.random.default_rng(0).random((5, 4, 3)) + 1, list("abcd"))
     assert "None of the frames' markers" in fails(
         capsys, "markers", "solve", folder / "subject.npz", others, "-o", tmp_path / "o.bvh"

@@ -104,7 +104,7 @@ def test_half_floats_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"vertices": None}, "without an array 'vertices'"),
+        ({"vertices": None}, "expected registered meshes, an array 'vertices'"),
         ({"vertices": np.zeros((4, 3, 2))}, r"\(4, 3, 2\)"),
         ({"faces": None}, "face_indices"),
         ({"faces": np.array([[0, 1, 99]])}, "vertex 99"),
