@@ -41,7 +41,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "markers",
         "trunk",
         "subject",
-        "performer",
         "pieces",
         "segments",
         "names",

@@ -33,15 +33,14 @@ UNIT_ASKED = "give --unit {} if it is"
 
 
 def read_take(
-    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces, chosen: str = "--subject"
+    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces
 ) -> MarkerFrames:
-    """Read the markers of a file, rotated to y up if `up` gives the up axis; `chosen` is the name of the
-    option for `subject`.
+    """Read the markers of a file, rotated to y up if `up` gives the up axis.
 
     **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
     """
     file = read_marker_file(path, unit)
-    frames = select_subject(file.frames, path, subject, f"{chosen} {{}}")
+    frames = select_subject(file.frames, path, subject, "--subject {}")
     check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
