@@ -120,6 +120,7 @@ class Track:
         clouds = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
+        clouds = clouds.with_loaded(0, begun)
         tracker = self.tracker(body, terms)
         header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
         make_writable(self.out)
