@@ -17,7 +17,7 @@ RIGGED_FRAME = 0
 
 
 class Crane(NamedTuple):
-    """A real performer: 175 frames of one mesh at 30 frames per second; vertex `i` is the same point in all."""
+    """A real subject: 175 frames of one mesh at 30 frames per second; vertex `i` is the same point in all."""
 
     frames: Float[np.ndarray, "F V 3"]
     faces: Int[np.ndarray, "T 3"]
@@ -30,7 +30,7 @@ def load_crane(shared: Path) -> Crane:
 
 
 def rig_crane(crane: Crane, frame: int = RIGGED_FRAME) -> Body:
-    """Rig the performer's body from one frame, its rest pose, with the vertices of the capture in their order."""
+    """Rig the subject's body from one frame, its rest pose, with the vertices of the capture in their order."""
     return rig_mesh(crane.frames[frame], crane.faces)
 
 

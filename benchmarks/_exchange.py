@@ -73,9 +73,9 @@ def make_cases(shared: Path | None, frames: int, resolution: str = "medium") -> 
         for name, skin in skins.items()
     ]
     crane = load_crane(shared)
-    performer = rig_crane(crane)
-    fitted = jc.fit_meshes(performer, jc.MeshSequence(crane.frames[:frames], crane.faces))
-    return [*cases, Case("crane", performer, fitted.motion)]
+    subject = rig_crane(crane)
+    fitted = jc.fit_meshes(subject, jc.MeshSequence(crane.frames[:frames], crane.faces))
+    return [*cases, Case("crane", subject, fitted.motion)]
 
 
 def chain(frames: int, grows: bool = False, rate: float = 60.0) -> tuple[jc.Body, jc.Motion]:

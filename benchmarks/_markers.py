@@ -49,7 +49,7 @@ class Scene(NamedTuple):
     swapped: Bool[np.ndarray, "F M"]
 
 
-def performer(seed: int = 0, dtype=jnp.float32) -> Subject:
+def true_subject(seed: int = 0, dtype=jnp.float32) -> Subject:
     """Place about 60 markers on the surface of the embedded human, spread over the vertices of each bone."""
     body = jc.human(joints="tracking", resolution="low")
     skeleton, vertices = body.skeleton, np.asarray(body.vertices, float)
@@ -82,8 +82,8 @@ def make_scene(
     frames: int | None = None,
     dtype=jnp.float32,
 ) -> Scene:
-    """Simulate the markers of a CMU take on the performer, with errors."""
-    truth = performer(dtype=dtype)
+    """Simulate the markers of a CMU take on the subject, with errors."""
+    truth = true_subject(dtype=dtype)
     motion, skeleton = cmu_motion(shared, take)
     motion = motion.slice(slice(None, None, round(120.0 / rate))).slice(slice(frames))
     motion = jc.retarget(motion, skeleton, truth.skeleton)

@@ -59,14 +59,14 @@ def simulate_arm(
 
     The first `frames` of each take are used, or all, and of these every `every`-th.
     """
-    performer = jc.human()
+    subject = jc.human()
     poses, points, weights, first = [], [], [], []
     for take in takes:
-        motion = human_motion(shared, take, performer, frames).slice(slice(None, None, every))
+        motion = human_motion(shared, take, subject, frames).slice(slice(None, None, every))
         for frame in range(motion.num_frames):
             rng = np.random.default_rng([int(part) for part in take.split("_")] + [frame])
             pose = reset_root(motion[frame])
-            some, there = simulate_frame(performer, pose, stereo, rng)
+            some, there = simulate_frame(subject, pose, stereo, rng)
             poses.append(jc.body.project(tracked.skeleton, pose))
             points.append(some)
             weights.append(there)

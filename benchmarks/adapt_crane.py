@@ -1,4 +1,4 @@
-"""Adapt the embedded human to a real performer (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
+"""Adapt the embedded human to a real subject (Vlasic et al. 2008): `python -m benchmarks.adapt_crane`.
 
     python -m benchmarks.adapt_crane --frames 30 --picture crane.png
 
@@ -64,7 +64,7 @@ def main() -> None:
         for n in (round(share * (count - 1)) for share in (0.0, 0.33, 0.66, 1.0)):
             vertices = np.asarray(_posed(last.body, last.motion[n]).vertices)
             views.append(FrameView(f"frame {n}", vertices, np.asarray(clouds[n].points), each[n]))
-        draw_views(options.picture, views, np.asarray(last.body.faces), "The human, adapted to a performer")
+        draw_views(options.picture, views, np.asarray(last.body.faces), "The human, adapted to a subject")
     finish(
         "adapt_crane",
         {

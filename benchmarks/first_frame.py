@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5)
     options = parser.parse_args()
     shared, noise = shared_folder(), NOISE
-    performer = jc.human()
+    subject = jc.human()
     tracker = jc.make_tracker(jc.human(resolution="medium"))
     names = tracker.body.skeleton.names
     takes = {take: cmu_motion(shared, take) for take in takes_of(shared, SUBJECT)}
@@ -54,10 +54,10 @@ def main() -> None:
     for number, index in enumerate(rng.permutation(len(every))[: options.frames]):
         take, frame = every[index]
         motion, skeleton = takes[take]
-        pose = jc.retarget(motion.slice(slice(frame, frame + 1)), skeleton, performer.skeleton)[0]
+        pose = jc.retarget(motion.slice(slice(frame, frame + 1)), skeleton, subject.skeleton)[0]
         own = np.random.default_rng([options.seed, number])
         angle = own.uniform(0, 2 * np.pi)
-        scanned = scan_frame(performer, pose, own, noise, turn=rotation_about_y(angle))
+        scanned = scan_frame(subject, pose, own, noise, turn=rotation_about_y(angle))
         start = time.perf_counter()
         found, score = jax.block_until_ready(jc.initialise(tracker, scanned.cloud))
         taken.append(time.perf_counter() - start)

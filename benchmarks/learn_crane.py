@@ -1,4 +1,4 @@
-"""Learn a real performer (Vlasic et al. 2008) from registered meshes: `python -m benchmarks.learn_crane`.
+"""Learn a real subject (Vlasic et al. 2008) from registered meshes: `python -m benchmarks.learn_crane`.
 
     python -m benchmarks.learn_crane --every 8 --rounds 2
 

@@ -1,4 +1,4 @@
-"""Reproduce the thesis's tables on a known body and on a real performer: `python -m benchmarks.learn_tables`.
+"""Reproduce the thesis's tables on a known body and on a real subject: `python -m benchmarks.learn_tables`.
 
     python -m benchmarks.learn_tables --output tables.md --keep rows.json
     python -m benchmarks.learn_tables --scenes human --resolution low --every 8 --rounds 2

@@ -3,7 +3,7 @@
     python -m benchmarks.lost
     python -m benchmarks.lost --scenes crane --frames 30
 
-Performers move through CMU takes, whole, seen from the front only, by a camera, and clothed: their surface lies up to 60 mm
+Subjects move through CMU takes, whole, seen from the front only, by a camera, and clothed: their surface lies up to 60 mm
 outside of the body's about the thighs and the trunk, and swings. The crane capture is real, in a jacket. A body is tracked
 from the true first pose. At every few frames wrong poses are made from the tracked one (legs or arms swapped, joints folded,
 half a turn about the vertical, and the cloud of another person in another pose and place), and fitted to the cloud as the
@@ -228,15 +228,15 @@ def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 3
     sex, take, visible, clothed, noise = SCENES[HARD.get(name, name)]
     if kind == "slow":
         frames = SLOW_FRAMES
-    performer, body = jc.human(sex=sex), jc.human(sex=sex, resolution="medium")
+    subject, body = jc.human(sex=sex), jc.human(sex=sex, resolution="medium")
     stranger = jc.human(sex="female" if sex == "male" else "male")
-    motion = human_motion(shared, take, performer)
+    motion = human_motion(shared, take, subject)
     first = max(0, min(first, motion.num_frames - frames))
     motion = motion.slice(slice(first, first + frames))
-    clothes = clothing_offsets(performer) if clothed else None
+    clothes = clothing_offsets(subject) if clothed else None
     rngs = [np.random.default_rng([len(name), frame]) for frame in range(motion.num_frames)]
     scans = [
-        scan_frame(performer, motion[k], rng, noise, visible, clothes=clothes) for k, rng in enumerate(rngs)
+        scan_frame(subject, motion[k], rng, noise, visible, clothes=clothes) for k, rng in enumerate(rngs)
     ]
     theirs = human_motion(shared, "02_03" if sex == "male" else "01_11", stranger).slice(slice(0, 120, 17))
     others = [scan_frame(stranger, theirs[k], rngs[0], noise, visible) for k in range(theirs.num_frames)]
@@ -261,7 +261,7 @@ def human_scene(name: str, shared: Path, frames: int, every: int, first: int = 3
 
 
 def crane_scene(shared: Path, frames: int, every: int) -> list[JudgedPose]:
-    """Track the crane performer. The error of a part is the mean distance of its vertices; 13 mm of it are due to clothes."""
+    """Track the crane subject. The error of a part is the mean distance of its vertices; 13 mm of it are due to clothes."""
     crane = load_crane(shared)
     body = rig_crane(crane)
     parts = np.asarray(body.skin.dominant_bones())

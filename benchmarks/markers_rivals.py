@@ -22,11 +22,11 @@ from benchmarks._markers import (
     MarkerNoise,
     Scene,
     determined_projection,
-    performer,
     perturb_template,
     pose_all,
     rotation_spread,
     scene_of,
+    true_subject,
 )
 from benchmarks._rivals.environments import RIVALS, environment, run_rival
 from benchmarks._scenes import cmu_motion, shared_folder
@@ -43,7 +43,7 @@ BONES, PLACEMENT = 0.08, 0.014
 
 def make_rival_scene(shared: Path, take: str, frames: int, seed: int) -> Scene:
     """Make frames that are spread over the take, close enough for each to start at the previous one."""
-    truth = performer()
+    truth = true_subject()
     motion, skeleton = cmu_motion(shared, take)
     step = max(1, len(motion) // frames)
     motion = retarget(motion.slice(slice(None, None, step)).slice(slice(frames)), skeleton, truth.skeleton)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from benchmarks._markers import MarkerNoise, performer, scene_of
+from benchmarks._markers import MarkerNoise, scene_of, true_subject
 from benchmarks.report import finish, progress
 from jaxcap.body.body import Body, pose_body, posed_vertices, take_vertices
 from jaxcap.body.people.anatomy import rest_deviations
@@ -172,7 +172,7 @@ def marker_recipe() -> dict[str, float]:
     """Check the minimum of a marker calibration: the remaining gain of a dense Newton step, and derivatives of lengths by a
     marker position and by a deviation against central differences."""
     rng = np.random.default_rng(3)
-    truth = performer(dtype=jnp.float64)
+    truth = true_subject(dtype=jnp.float64)
     skeleton = truth.skeleton
     tangents = 0.3 * rng.normal(size=(8, skeleton.num_dofs))
     poses = jax.vmap(retract, (None, None, 0))(skeleton, rest_pose(skeleton), jnp.asarray(tangents))

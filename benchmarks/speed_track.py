@@ -56,8 +56,8 @@ _track_frame = eqx.filter_jit(jc.fit.track_frame)
 class Scene(NamedTuple):
     """The shared data of the parts of this benchmark."""
 
-    performer: jc.Body
-    #: of the performer, and the same of the tracked body
+    subject: jc.Body
+    #: of the subject, and the same of the tracked body
     motion: jc.Motion
     starts: jc.Motion
     tracker: jc.fit.Tracker
@@ -204,7 +204,7 @@ def cost(scene: Scene, points: tuple[int, ...], resolutions: tuple[str, ...], re
     rows = []
     for count, tracker in cases:
         rng = np.random.default_rng([1, count])
-        cloud = scan_frame(scene.performer, scene.motion[0], rng, Noise(points=count)).cloud
+        cloud = scan_frame(scene.subject, scene.motion[0], rng, Noise(points=count)).cloud
         posed = _posed(tracker.body, scene.starts[0])
         state = jc.fit.start_state(tracker, scene.starts[0], SIGMA)
         begun = time.perf_counter()
@@ -288,10 +288,10 @@ def main() -> None:
     if options.frames < 3:
         parser.error("the steady state needs at least 3 frames")
     shared = shared_folder()
-    performer, body = jc.human(), jc.human(resolution="medium")
+    subject, body = jc.human(), jc.human(resolution="medium")
     tracker, noise = jc.make_tracker(body), NOISE
-    motion, starts = (human_motion(shared, TAKE, person, options.frames) for person in (performer, body))
-    scene = Scene(performer, motion, starts, tracker, scan_motion(performer, motion, noise))
+    motion, starts = (human_motion(shared, TAKE, person, options.frames) for person in (subject, body))
+    scene = Scene(subject, motion, starts, tracker, scan_motion(subject, motion, noise))
 
     whole, stages = cold_start(scene)
     figures: dict[str, object] = {"cold_start_s": whole}

@@ -111,15 +111,15 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="write a PNG of three frames of the first take")
     options = parser.parse_args()
     shared, noise = shared_folder(), NOISE
-    performer = jc.human()
+    subject = jc.human()
     tracker = jc.make_tracker(jc.human(resolution="medium"))
     names = tracker.body.skeleton.names
 
     by_view: dict[str, dict[str, Tracked]] = {visible: {} for visible in options.views}
     for take in options.takes:
-        motion = human_motion(shared, take, performer, options.frames)
+        motion = human_motion(shared, take, subject, options.frames)
         for visible in options.views:
-            scans = scan_motion(performer, motion, noise, visible)
+            scans = scan_motion(subject, motion, noise, visible)
             tracked = by_view[visible][take] = track_take(tracker, scans)
             print_summary(take, visible, names, tracked)
             if options.picture and take == options.takes[0] and visible == options.views[0]:
@@ -154,7 +154,7 @@ def main() -> None:
         "frames": {take: len(tracked.errors) for take, tracked in by_view[options.views[0]].items()},
         "points": noise.points,
         "vertices": len(tracker.body.vertices),
-        "performer_vertices": len(performer.vertices),
+        "subject_vertices": len(subject.vertices),
         "joints": len(names),
         "numbers": tracker.body.skeleton.num_dofs,
         "noise": noise._asdict(),

@@ -1,4 +1,4 @@
-"""Track a real performer (Vlasic et al. 2008) in clouds without correspondences.
+"""Track a real subject (Vlasic et al. 2008) in clouds without correspondences.
 
     python -m benchmarks.track_crane
     python -m benchmarks.track_crane --frames 20 --picture crane.png

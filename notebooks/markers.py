@@ -43,7 +43,7 @@ skeleton = jc.make_skeleton(NAMES, (-1, 0, 1, 0, 3), ["free"] + ["ball"] * 4, ce
 bones = np.repeat(np.arange(5), 4)
 offsets = CENTRES[bones] + np.sign(CENTRES[bones, :1]) * [[0.15, 0, 0]] + 0.08 * rng.normal(size=(20, 3))
 labels = [f"{NAMES[bone]}{number}" for number, bone in enumerate(bones)]
-performer = jc.markers.make_subject(skeleton, bones, offsets, labels)
+subject = jc.markers.make_subject(skeleton, bones, offsets, labels)
 
 time = np.arange(FRAMES) / RATE
 phases, speeds = rng.uniform(0, 6.28, (5, 3)), rng.uniform(1.0, 3.0, (5, 3))
@@ -51,7 +51,7 @@ turns = 0.6 * np.sin(phases + speeds * time[:, None, None])
 shifts = np.zeros((FRAMES, 5, 3))
 shifts[:, 0, 0] = 0.3 * time
 poses = jc.Pose(jnp.asarray(shifts), rotation.exp(jnp.asarray(turns)), jnp.ones(FRAMES))
-places = np.array(eqx.filter_jit(jax.vmap(jc.markers.marker_positions, (None, 0)))(performer, poses))
+places = np.array(eqx.filter_jit(jax.vmap(jc.markers.marker_positions, (None, 0)))(subject, poses))
 truth = places.copy()
 places += 0.001 * rng.normal(size=places.shape)
 for marker in rng.choice(20, 6, replace=False):

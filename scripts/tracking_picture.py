@@ -3,7 +3,7 @@
     python -m scripts.tracking_picture
     python -m scripts.tracking_picture --every 20 --folder out
 
-What the performer of the crane capture did (Vlasic et al. 2008) is tracked and given to the embedded human, whose
+What the subject of the crane capture did (Vlasic et al. 2008) is tracked and given to the embedded human, whose
 surface is in the public domain. Virtual depth cameras see that with noise; left what they saw, right another mesh of
 the human in the poses found. The frames from `FIRST` on end nearly as they begin, so that the picture goes round; it is
 drawn for a white page.
@@ -32,14 +32,14 @@ from jaxcap.report.render import INK, draw_surface, rotate_view
 ASSETS = Path(__file__).resolve().parents[1] / "assets"
 FIRST, RATE = 88, 30
 SCANNER = jc.scanner.Scanner(points=5000, noise=0.008, flying=0.3)
-#: metres around the performer that are shown, to the side and up
+#: metres around the subject that are shown, to the side and up
 REACH, LOW, HIGH = 0.88, -0.1, 1.98
 #: inches of one half, and pixels of the whole
 WIDE, HEIGHT, PIXELS = 3.6, 4.6, 680
 SKIN = np.array([0.56, 0.71, 0.86])
 FAR, NEAR = np.array([0.80, 0.84, 0.88]), np.array([0.10, 0.25, 0.42])
 BONE, SHADOW = "#d7473d", "#e9ecef"
-#: the eye is above the performer and the light falls from the upper left, degrees and metres a metre of height
+#: the eye is above the subject and the light falls from the upper left, degrees and metres a metre of height
 TURN, TILT, LIGHT_SLOPE = 24.0, 8.0, (0.35, -0.25)
 
 _posed = eqx.filter_jit(jc.pose_body)
@@ -115,7 +115,7 @@ def follow(actor: jc.Body, performance: jc.Motion, body: jc.Body) -> Iterator[Dr
 
 
 def draw(shown: DrawnFrame, faces: np.ndarray, parents: tuple[int, ...]) -> Image.Image:
-    """Draw both halves side by side, centred at the performer."""
+    """Draw both halves side by side, centred at the subject."""
     view = raise_view(rotate_view(np.eye(3), TURN), TILT)
     # the floor goes with the lower foot
     centre = [shown.vertices[:, 0].mean(), shown.vertices[:, 1].min(), shown.vertices[:, 2].mean()]

@@ -32,7 +32,6 @@ PLACES = [
     Place("track.track.Track", {"body": FILE, "clouds": (GONE,), "out": "new"}, ALL_BODIES),
     Place("track.track.Track", {"body": "giant.npz", "clouds": (FILE,), "out": "new"}, CLOUDS),
     Place("track.track.Track", {"body": BODY, "clouds": (GONE,), "out": "new", "limits": FILE}, LIMITS),
-    Place("track.track.Track", {"body": BODY, "clouds": (GONE,), "out": "new", "cst": FILE}, ("limits.cst",)),
     Place(
         "track.track.Track",
         {"body": "small.obj", "clouds": (GONE,), "out": "new", "skl": FILE, "vj": "small.vj"},
@@ -60,8 +59,12 @@ PLACES = [
     Place("scan.scan.Scan", {"body": BODY, "motion": FILE, "out": "new", "rate": 1e6}, MOTIONS),
     Place("markers.info.Info", {"file": FILE}, MARKERS),
     Place("markers.fit.Fit", {"files": (FILE,), "out": OUT}, MARKERS),
-    Place("markers.solve.Solve", {"subject": FILE, "trials": (GONE,), "out": "out.bvh"}, ("subject.npz",)),
-    Place("markers.solve.Solve", {"subject": "subject.npz", "trials": (FILE,), "out": "out.bvh"}, MARKERS),
+    Place(
+        "markers.solve.Solve", {"subject_file": FILE, "trials": (GONE,), "out": "out.bvh"}, ("subject.npz",)
+    ),
+    Place(
+        "markers.solve.Solve", {"subject_file": "subject.npz", "trials": (FILE,), "out": "out.bvh"}, MARKERS
+    ),
     Place("limits.learn.Learn", {"motions": (FILE,), "joints": "nobody", "out": OUT}, (*MOTIONS, *MARKERS)),
     Place("limits.check.Check", {"motion": FILE, "limits": "limits.npz"}, MOTIONS),
     Place("limits.check.Check", {"motion": "strange motion.npz", "limits": FILE}, LIMITS),

@@ -20,6 +20,7 @@ from .console.console import print_table, progress, say
 from .console.options import (
     BodySpec,
     CloudsSpec,
+    Flag,
     MotionSpec,
     OptionalCount,
     OptionalFile,
@@ -30,6 +31,7 @@ from .console.options import (
     arg,
 )
 from .motions import load_body_motion, load_motion
+from .outputs import check_new
 from .sources import load_body, up_rotation
 
 
@@ -59,8 +61,11 @@ class Evaluate:
     """Reduce the body to about N vertices."""
     points: OptionalCount = None
     """Use N random points of each cloud. Default: all."""
+    overwrite: Flag = False
+    """Replace the report if it exists."""
 
     def run(self) -> None:
+        check_new(self.out, self.overwrite)
         if self.points is not None and self.points < 1:
             raise InputError(f"--points is {self.points}; it must be at least 1.")
         body, _ = load_body(self.body, self.skl, self.vj, vertices=self.vertices, unit=self.unit, up=self.up)

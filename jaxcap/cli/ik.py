@@ -6,7 +6,6 @@ from typing import Annotated
 
 import numpy as np
 
-from ..body.limits.limits import AbstractLimits, AllLimits
 from ..body.pose import Pose, stack_poses
 from ..edit.ik import session as ik
 from ..edit.ik.constraints import describe_point
@@ -14,13 +13,12 @@ from ..edit.ik.session import IkSession, IkSettings
 from ..edit.ik.solve import Solver
 from ..energy.priors.pair_prior import MahalanobisPrior
 from ..errors import InputError
-from ..io.archives.limits import read_limits
 from ..io.archives.prior import load_prior
 from ..io.constraints import read_constraints
 from ..io.registry import MOTION_WRITERS, write_motion
 from ..view.windows.serve import HOST
 from .console.console import print_table, say, warn
-from .console.options import BodySpec, Cst, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from .console.options import BodySpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from .console.window import Port, run_window
 from .motions import load_body_motion
 from .outputs import check_new
@@ -52,7 +50,6 @@ class Ik:
     """Output file for the pose that satisfies --constraints, .npz or .bvh. No window opens."""
     skl: Skl = None
     vj: Vj = None
-    cst: Cst = None
     limits: OptionalFile = None
     """Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."""
     prior: OptionalFile = None
@@ -103,14 +100,9 @@ class Ik:
 
     def session(self) -> IkSession:
         """Make the session from the options, before the first solve."""
-        body, ranges = load_body(self.body, self.skl, self.vj, self.cst, unit=self.unit, up=self.up)
+        body, limits = load_body(self.body, self.skl, self.vj, self.limits, unit=self.unit, up=self.up)
         if not len(body.vertices):
             raise InputError(f"{self.body}: this body has no vertices; give a body with a surface.")
-        learned = None if self.limits is None else read_limits(self.limits, body.skeleton)
-        parts = tuple(part for part in (ranges, learned) if part is not None)
-        limits: AbstractLimits | None = (
-            None if not parts else parts[0] if len(parts) == 1 else AllLimits(parts)
-        )
         prior = None if self.prior is None else MahalanobisPrior(load_prior(self.prior, body.skeleton))
         pose = None
         if self.pose is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..body.body import Body
 from ..body.decimate import reduce_body
-from ..body.limits.limits import JointRanges
+from ..body.limits.limits import AbstractLimits, JointRanges
 from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
@@ -17,11 +17,11 @@ from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan,
 from ..fit.tracking.check import check_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera
+from ..io.archives.limits import read_limits
 from ..io.lazy_frames import LazyFrames
 from ..io.meshes.clouds import Scans
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
-from ..io.skeletons.cst import read_cst
 from ..io.skinned.clip import split_clip
 from ..observe import Scan as ReadScan
 from ..observe.clouds import Cloud, make_cloud
@@ -44,42 +44,45 @@ def load_body(
     spec: str,
     skl: Path | None = None,
     vj: Path | None = None,
-    cst: Path | None = None,
+    limits: Path | None = None,
     *,
     vertices: int | None = None,
     unit: str = "m",
     up: Up = "y",
-) -> tuple[Body, JointRanges | None]:
-    """Load a body, y up, and its joint limits if `cst` is given.
+) -> tuple[Body, AbstractLimits | None]:
+    """Load a body, y up, and its joint limits if their file is given.
 
     `spec` is `human` with options after a colon (`human:female,height=1.7,medium`), a body `.npz`, a skinned
     `.glb`, `.gltf` or USD, or a mesh. The `.skl` and `.vj` of a mesh are read from its folder if they are not
-    given. `unit` and `up` are those of mesh and skeleton files; other files have their own.
+    given. `unit` and `up` are those of mesh and skeleton files, and `up` that of `.cst` limits for them; other files
+    have their own.
 
     **Raises:** `InputError`.
     """
     path, made = split_clip(spec)[0], is_human_spec(spec)
     if not made and not path.exists():
         raise InputError(f"{path}: there is no such file; give {BODY_FORMATS}.")
-    mesh = not made and path.suffix.lower() in SUFFIXES and not (skl is None and is_skinned(path))
+    # a file of these formats without a .skl has a skin of its own, or an error that `read_body` describes
+    own_skin = path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file()
+    mesh = (
+        not made and path.suffix.lower() in SUFFIXES and not (skl is None and (own_skin or is_skinned(path)))
+    )
     if made:
         body = _human(spec, vertices)
     elif mesh and path.is_file():
-        if skl is None and path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file():
-            return read_body(path), None
         skl = _find_companion(path, skl, ".skl")
         body = read_body(path, skl, _find_companion(path, vj, ".vj"), unit)
     else:
         body = read_body(spec)
-    limits = None if cst is None else read_cst(cst, body.skeleton).ranges
+    known = None if limits is None else read_limits(limits, body.skeleton)
     if mesh and up != "y":
-        body, limits = _upright(body, limits, up)
+        body, known = _upright(body, known, up)
     if vertices is not None:
         try:
             body = reduce_body(body, vertices)
         except ValueError as error:
             raise InputError(f"{spec}: {user_message(error)}") from None
-    return body, limits
+    return body, known
 
 
 def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
@@ -176,14 +179,15 @@ def _find_companion(mesh: Path, explicit: Path | None, suffix: str) -> Path:
     return path
 
 
-def _upright(body: Body, limits: JointRanges | None, up: Up) -> tuple[Body, JointRanges | None]:
+def _upright(body: Body, limits: AbstractLimits | None, up: Up) -> tuple[Body, AbstractLimits | None]:
     turn = jnp.asarray(up_rotation(up), body.vertices.dtype)
     body = eqx.tree_at(
         lambda b: (b.vertices, b.skeleton),
         body,
         (body.vertices @ turn.T, upright_skeleton(body.skeleton, up)),
     )
-    if limits is not None:
+    # ranges without boxes are those of a .cst, in the axes of the mesh; all other files have y up
+    if isinstance(limits, JointRanges):
         limits = eqx.tree_at(
             lambda r: (r.heading, r.bank), limits, (limits.heading @ turn.T, limits.bank @ turn.T)
         )

@@ -1,6 +1,5 @@
 """Additional energies of the fitting verbs: joint limits, a floor, and pose priors."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -40,14 +39,13 @@ PriorFile = Annotated[
 def read_terms(
     body: Body,
     *,
-    limits: Path | None = None,
-    others: Sequence[AbstractLimits] = (),
+    limits: Path | AbstractLimits | None = None,
     limit_weight: float = 100.0,
     floor: float | None = None,
     prior: Path | None = None,
 ) -> tuple[AbstractEnergy, ...]:
-    """Read the energies that the options of a verb name, in units of a log-likelihood; `others` are limits
-    that are already loaded.
+    """Read the energies that the options of a verb name, in units of a log-likelihood; `limits` are joint limits
+    or their file.
 
     **Raises:** `InputError` for an invalid weight or height, and for files that are invalid or of another
     skeleton.
@@ -56,8 +54,8 @@ def read_terms(
         raise InputError(f"--limit-weight is {limit_weight:g}; it must be at least 0.")
     if floor is not None and not np.isfinite(floor):
         raise InputError(f"--floor is {floor:g}; give its height in metres.")
-    known = [*others, *([] if limits is None else [read_limits(limits, body.skeleton)])]
-    terms: list[AbstractEnergy] = [limit_weight * JointLimits(part) for part in known]
+    known = read_limits(limits, body.skeleton) if isinstance(limits, Path) else limits
+    terms: list[AbstractEnergy] = [] if known is None else [limit_weight * JointLimits(known)]
     if floor is not None:
         terms.append(make_floor(body, floor))
     if prior is not None:

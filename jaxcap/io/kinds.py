@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from .archives.archive import array_names, read_format_name
+from .archives.archive import array_lengths, array_names, read_format_name
 from .depth.images import DEPTH_ARRAYS, is_depth_image
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
@@ -96,6 +96,25 @@ KIND_PLURALS = {
     "folder": "folders",
     "depth": "depth images",
     "picture": "images or documents",
+}
+#: commands that write the formats of an `.npz`
+WRITERS = {
+    "body": "`jaxcap rig`, `learn` or `adapt`",
+    "motion": "`jaxcap track`, `fit` or `adapt`",
+    "subject": "`jaxcap markers fit`",
+    "limits": "`jaxcap limits learn`",
+    "prior": "`jaxcap prior learn`",
+    "checkpoint": "`jaxcap learn` or `adapt`",
+    "keys": "`jaxcap edit keys`",
+}
+#: the array of a content that has a row for each of its frames, vertices, ..., and the singular and plural of these
+_COUNTED = {
+    "body": ("vertices", "vertex", "vertices"),
+    "motion": ("rotations", "frame", "frames"),
+    "amass": ("poses", "frame", "frames"),
+    "subject": ("marker.labels", "marker", "markers"),
+    "limits": ("joints", "joint", "joints"),
+    "joints": ("joints", "frame", "frames"),
 }
 #: keys of the intrinsics of a camera, as other programs write them
 INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx")
@@ -217,17 +236,37 @@ def check_npz(path: str | Path, expected: str) -> None:
         raise wrong_kind_error(path, expected, (".npz",))
 
 
-def wrong_arrays_error(path: str | Path, fault: str) -> InputError:
-    """Return the error for an `.npz` with the wrong content; `fault` is the fault, as in "not a body".
+def wrong_arrays_error(path: str | Path, expected: str) -> InputError:
+    """Return the error for an `.npz` that is not `expected`, as in "a body".
 
-    The message gives the type and the arrays of the file, and advice.
+    The message gives the type and the size of the content, and advice; if the type is unknown, the names of the
+    arrays.
     """
     names = array_names(path)
     kind = kind_of_arrays(names, read_format_name(path))
-    there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
-    return InputError(
-        f"{path}: this is {KIND_NAMES[kind]}, {fault}; it contains {there or 'no arrays'}; {info_hint(path)}."
-    )
+    what = KIND_NAMES[kind] + _format_size(path, kind)
+    if kind == "arrays":
+        there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
+        what += f" ({there or 'none'})"
+    return InputError(f"{path}: this is {what}; expected {expected}; {info_hint(path)}.")
+
+
+def describe_formats(kinds: Sequence[str]) -> str:
+    """Describe the types of files that a reader accepts, each with the commands that write it."""
+    names = [f"{KIND_NAMES[kind]} (from {WRITERS[kind]})" for kind in kinds]
+    return " or ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _format_size(path: str | Path, kind: str) -> str:
+    """Format the size of the content of an `.npz`, as in " (40 frames)"; empty if it is not known."""
+    if kind not in _COUNTED:
+        return ""
+    array, one, several = _COUNTED[kind]
+    try:
+        count = array_lengths(path, (array,)).get(array)
+    except InputError:
+        return ""
+    return "" if count is None else f" ({count} {one if count == 1 else several})"
 
 
 def info_hint(path: str | Path) -> str:

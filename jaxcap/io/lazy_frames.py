@@ -13,6 +13,10 @@ class LazyFrames(Sequence, Generic[T]):
     def __init__(self, names: Sequence[str], load: Callable[[int], T]):
         self.names, self._load = tuple(names), load
 
+    def with_loaded(self, number: int, frame: T) -> "LazyFrames[T]":
+        """Return the same frames; the frame of this number is already loaded, and is kept in memory."""
+        return LazyFrames(self.names, lambda i: frame if i == number else self._load(i))
+
     def __len__(self) -> int:
         return len(self.names)
 

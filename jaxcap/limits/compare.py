@@ -1,4 +1,4 @@
-"""Similarity of the ranges of two performers (Limits, figure 7)."""
+"""Similarity of the ranges of two subjects (Limits, figure 7)."""
 
 from typing import NamedTuple
 

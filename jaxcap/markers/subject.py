@@ -22,7 +22,7 @@ DEFAULT_DEVIATION = 0.01
 
 
 class Subject(eqx.Module):
-    """A skeleton and M markers on its bones. The rest pose has the bone lengths of the performer.
+    """A skeleton and M markers on its bones. The rest pose has the bone lengths of the subject.
 
     `offsets` are the marker positions in the world with the skeleton at rest, as in `BoneLandmarks.rest`. A
     "circle" marker keeps its distance from the bone and its position along the bone. A "sphere" marker keeps

@@ -56,7 +56,7 @@ ADVICE_BY_KIND = {
 #: the same by suffix
 ADVICE_BY_SUFFIX = {
     **dict.fromkeys((".html", ".png", ".svg"), "this is a report; open it in a browser"),
-    ".cst": "this file contains joint limits; give it to a command by --cst",
+    ".cst": "this file contains joint limits; give it to a command by --limits",
     ".vj": "this file assigns vertices to joints; give the mesh next to it by --body",
     ".csv": "this file contains the statistics of a run; give the folder of the run",
 }

@@ -11,7 +11,7 @@ from command_line import fails
 import jaxcap as jc
 from jaxcap.adapt.check import check_cameras
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
-from jaxcap.cli.adapt.input import load_cameras
+from jaxcap.cli.adapt.input import check_scan_cameras, load_cameras
 from jaxcap.cli.sources import up_rotation
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.cameras import write_cameras
@@ -36,6 +36,9 @@ def test_cameras_that_are_none(folder, capsys):
     path.write_text("{")
     assert "this is not JSON" in fails(capsys, *words(folder, "--cameras", path))
     path.write_text(json.dumps({"format": "jaxcap cameras", "cameras": []}))
+    # before any scan is read
+    for scan in folder.glob("*.ply"):
+        scan.write_text("no scan")
     assert "no list 'cameras'" in fails(capsys, *words(folder, "--cameras", path))
     assert not list(folder.glob("a*"))
 
@@ -71,7 +74,8 @@ def test_cameras_are_turned_with_the_scans(scene, folder):
     write_cameras(folder / "z.json", turned)
     for number in range(FRAMES):
         write_scan(folder, number, points @ turn, points @ turn)
-    loaded = load_cameras(folder / "z.json", read_clouds(str(folder / "*.ply")), range(FRAMES), "z")
+    loaded = load_cameras(folder / "z.json", "z")
+    check_scan_cameras(loaded, read_clouds(str(folder / "*.ply")), range(FRAMES), "z", folder / "z.json")
     for camera, other in zip(loaded, RING, strict=True):
         np.testing.assert_allclose(camera.rotation, other.rotation, atol=1e-9)
         np.testing.assert_allclose(camera.eye, other.eye, atol=1e-9)

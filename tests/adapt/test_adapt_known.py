@@ -15,7 +15,7 @@ from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import check_input
+from jaxcap.cli.adapt.input import RunFiles, check_input
 from jaxcap.cli.adapt.prior import carried_arrays, prior_file, read_priors
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
@@ -98,9 +98,9 @@ def test_a_prior_in_the_template_counts_as_one_that_is_named(scene, folder):
     scans = read_clouds(str(folder / "*.ply"))
     asked = Adapt(str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz")
     own = read_priors(folder / "body.npz", scene[0], from_template=True, reduced=False)
-    task, without = (asked.task(scene[0], scans, priors) for priors in (own, None))
+    task, without = (asked.task(scene[0], scans, RunFiles(priors=priors)) for priors in (own, None))
     assert own is not None
-    named = asked.task(scene[0], scans, load_priors(folder / "body.npz", scene[0]))
+    named = asked.task(scene[0], scans, RunFiles(priors=load_priors(folder / "body.npz", scene[0])))
     assert task.boxes is not None and named.boxes is not None and task.shape_prior is not None
     assert without.boxes is None and without.shape_prior is None
     ours, theirs, none = (jax.tree.leaves(one.prior) for one in (task, named, without))

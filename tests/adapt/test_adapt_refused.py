@@ -73,7 +73,7 @@ def test_settings_are_what_was_asked(folder, scene):
     names = str(folder / "body.npz"), (str(folder / "*.ply"),), folder / "a.npz"
     asked = Adapt(*names, assignment="surface", pair_distance=0.1, pose_weight=1e-8, shape_weight=(9.0, 2.0))
     asked.ignore_occlusion, asked.cameras = True, folder / "cameras.json"
-    task = asked.task(scene[0], scans, None)
+    task = asked.task(scene[0], scans, asked.read_files(scene[0], None, None))
     assert (task.settings.pose_weight, task.settings.shape_weights) == (1e-8, (9.0, 2.0))
     assert isinstance(task.settings.matching.assignment, NearestOnSurface)
     assert task.settings.matching.max_distance == 0.1

@@ -3,6 +3,7 @@
 import ezc3d
 import numpy as np
 import pytest
+from c3d_bytes import c3d_bytes
 from command_line import fails, runs, tree, write_inputs
 
 import jaxcap as jc
@@ -10,9 +11,10 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.io.archives.npz import load_body, load_motion, load_skeleton, save_motion
 from jaxcap.io.meshes.vertex_list import read_vertex_list
-from jaxcap.io.registry import read_markers
+from jaxcap.io.registry import read_marker_file, read_markers, write_markers
 from jaxcap.io.skeletons.amass import write_amass
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
+from jaxcap.observe.markers import make_markers
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +83,33 @@ def test_vertices_become_markers(inputs, tmp_path, capsys):
     again = read_markers(tmp_path / "all.trc")
     assert (again.labels, again.rate) == (back.labels, back.rate)
     np.testing.assert_allclose(again.positions, back.positions, atol=1e-8)
+
+
+@pytest.mark.parametrize("suffix", ["c3d", "csv"])
+def test_markers_of_an_unlikely_size_are_refused(tmp_path, capsys, rng, suffix):
+    """People of 1.7 km and of 1.7 mm, also if two of them are in one file; --unit overrides the unit of the file."""
+    places = rng.random((4, 30, 3)) * [0.5, 0.6, 1.7]
+    places[:, 15:] += [8.0, 0.0, 0.0]
+    labels = [f"{'Anna' if i < 15 else 'Ben'}:M{i}" for i in range(30)]
+    for factor, likely in ((1.0, None), (1000.0, "mm"), (0.001, None)):
+        source, target = tmp_path / f"a.{suffix}", tmp_path / f"{factor:g}.trc"
+        if suffix == "csv":
+            write_markers(source, make_markers(places, labels, 100.0), 1 / factor)
+        else:
+            source.write_bytes(c3d_bytes(factor * places, labels, unit="m"))
+        if factor == 1.0:
+            runs(capsys, "convert", source, target)
+            continue
+        line = fails(capsys, "convert", source, target)
+        assert "the markers of a frame extend over" in line and not target.exists()
+        if likely:
+            assert "give --unit mm if it is, or --unit m if the size is right" in line
+        runs(capsys, "convert", source, target, "--unit", "m")
+        np.testing.assert_allclose(
+            read_marker_file(target).frames.positions, factor * places, rtol=1e-4, atol=1e-6
+        )
+        runs(capsys, "convert", source, target, "--unit", str(1 / factor), "--overwrite")
+        np.testing.assert_allclose(read_marker_file(target).frames.positions, places, atol=1e-3)
 
 
 def test_amass_there_and_back(inputs, tmp_path, capsys):
@@ -197,8 +226,16 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         ),
         (motion, "out.bvh", "--tolerance", "1", "--tolerance is for bodies that are written as .glb or USD"),
         (body, "out.skl", "--body", body, "--body is for motions"),
-        (motion, "out.usda", "not a 'jaxcap body'"),
-        (body, "out.bvh", "not a 'jaxcap motion'"),
+        (
+            motion,
+            "out.usda",
+            "this is a motion (5 frames); expected a body (from `jaxcap rig`, `learn` or `adapt`); `jaxcap info",
+        ),
+        (
+            body,
+            "out.bvh",
+            "this is a body (1500 vertices); expected a motion (from `jaxcap track`, `fit` or `adapt`)",
+        ),
         (*marked, "LFHD", "neither a vertex"),
         (*marked, "a=1", "a=2", "named 'a'"),
         (*marked, "1500", "the vertices of the body are 0 to 1499"),

@@ -190,7 +190,7 @@ def test_a_scan_moves_with_its_body_in_its_colours(capsys, folder):
         ("cut a.npz -o new.npz --seconds 0 inf", "--seconds is 0 inf"),
         ("cut a.npz -o empty.bvh --frames 0 3 --overwrite", "empty.bvh: this is a folder"),
         ("cut bare.npz -o new.npz --frames 0 3", "was saved without its skeleton"),
-        ("cut marked.npz -o new.npz --frames 0 3", "an .npz file with unknown arrays, not a 'jaxcap motion'"),
+        ("cut marked.npz -o new.npz --frames 0 3", "an .npz file with unknown arrays (a); expected a motion"),
         ("resample a.npz -o new.npz --rate 1e9", "this gives 2e+09 frames"),
         ("keys a.npz -o new.npz --keys new.npz", "give them different names"),
         ("retarget a.npz a.npz -o new.npz --names none.txt", "jaxcap: none.txt: there is no such file"),

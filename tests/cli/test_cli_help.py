@@ -54,7 +54,6 @@ def test_options_stand_once_in_their_groups(words, monkeypatch):
     for name, title in (
         ("skl", KINEBEN),
         ("vj", KINEBEN),
-        ("cst", KINEBEN),
         ("unit", INPUT),
         ("overwrite", BASICS),
     ):
@@ -76,7 +75,7 @@ def test_track_has_its_basics_first(monkeypatch):
         "--overwrite",
         "-h,",
     ]
-    assert [entry.split()[0] for entry in groups[KINEBEN]] == ["--skl", "--vj", "--cst"]
+    assert [entry.split()[0] for entry in groups[KINEBEN]] == ["--skl", "--vj"]
     assert "--sigma0" in " ".join(groups["Tracking"])
 
 

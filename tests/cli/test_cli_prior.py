@@ -139,7 +139,7 @@ def test_what_is_refused(capsys, folder, tmp_path):
     assert str(still) in told
     assert "There are 2 poses" in fails(capsys, "prior", "learn", still, "-o", out)
     assert "the file contains no pose prior" in fails(capsys, "prior", "info", folder / "body.npz")
-    assert "not a 'jaxcap prior'" in fails(capsys, "prior", "info", m)
+    assert "expected a pose prior (from `jaxcap prior learn`) or a body" in fails(capsys, "prior", "info", m)
     assert not out.exists()
 
 

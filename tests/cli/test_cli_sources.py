@@ -61,8 +61,10 @@ def test_body_of_another_vertical_moves_alike(tmp_path, rng):
     (tmp_path / "y.cst").write_text(CST)
     # the axes of the cone, y and x, are z and x there
     (tmp_path / "z.cst").write_text(CST.replace("0 1 0 0.1", "0 0 1 0.1"))
-    here, held = load_body(str(tmp_path / "y" / "body.off"), cst=tmp_path / "y.cst")
-    there, held_there = load_body(str(tmp_path / "z" / "body.off"), cst=tmp_path / "z.cst", unit="mm", up="z")
+    here, held = load_body(str(tmp_path / "y" / "body.off"), limits=tmp_path / "y.cst")
+    there, held_there = load_body(
+        str(tmp_path / "z" / "body.off"), limits=tmp_path / "z.cst", unit="mm", up="z"
+    )
     assert held is not None
     assert held_there is not None
     pose = random_pose(here.skeleton, rng)

@@ -53,14 +53,24 @@ def test_version(capsys, checkout):
     [
         (["trak", "human"], "there is no 'jaxcap trak' (did you mean 'track'?); verbs are demo, rig,"),
         (["limits", "dance"], "there is no 'jaxcap limits dance'; verbs are learn, check,"),
-        (["track"], "missing from jaxcap track: BODY, -o OUT, --out OUT; "),
+        (["track"], "missing from jaxcap track: BODY, -o OUT, --out OUT; 'jaxcap track --help' lists"),
         (["track", "human", "x", "-o", "y", "--sigm", "3"], "--sigm"),
+        (["track", "human", "x", "-o", "y", "--sigma0", "abc"], "jaxcap: --sigma0 is 'abc'; give a number."),
+        (["track", "human", "x", "-o", "y", "--first", "1.5"], "jaxcap: --first is '1.5'; give an integer."),
+        (["track", "human", "x", "-o", "y", "--first"], "jaxcap: --first lacks a value; give an integer."),
+        (["track", "human", "x", "-o"], "jaxcap: --out lacks a value; give one."),
+        (["ik", "human", "--port", "x 'y\" z"], "jaxcap: --port is 'x 'y\" z'; give an integer."),
         (
-            ["track", "human", "x", "-o", "y", "--sigma0", "abc"],
-            "--sigma0: could not convert string to float: 'abc'",
+            ["adapt", "human", "x", "-o", "y", "--shape-weight", "1", "b"],
+            "jaxcap: --shape-weight is '1 b'; give 2 numbers.",
         ),
-        (["ik", "human", "--port", "x"], "--port: no type matching INT could be instantiated from ['x']; "),
-        (["convert", "a.npz", "b.npz", "--as", "foo"], "invalid choice 'foo' for argument '--as'"),
+        (
+            ["edit", "cut", "a", "-o", "b", "--seconds", "1", "x"],
+            "jaxcap: --seconds is '1 x'; give 2 numbers.",
+        ),
+        (["convert", "a.npz", "b.npz", "--as", "foo"], "jaxcap: --as is 'foo'; give amass or body."),
+        (["scan", "human", "m", "-o", "x", "--as", "foo"], "jaxcap: --as is 'foo'; give cloud or mesh."),
+        (["markers", "fit", "a.c3d", "--up", "q"], "jaxcap: --up is 'q'; give x, y, z, -x, -y or -z."),
         (["--foo"], "scan, markers, limits,"),
     ],
 )
@@ -117,6 +127,9 @@ def test_evaluate_the_truth_itself(inputs, tmp_path, capsys):
     assert report["joint_centres"]["mean"] == 0.0
     assert f"{1000 * surface['mean']:.2f}" in told
     assert f"{1000 * surface['iqr']:.2f}" in told
+    # refused before anything is read
+    line = fails(capsys, "evaluate", "gone.npz", "gone.npz", "gone.npz", "-o", tmp_path / "report.json")
+    assert "report.json: this file already exists; give --overwrite to replace it" in line
 
 
 def test_evaluate_knows_how_far_a_motion_is_off(inputs, tmp_path, capsys):
@@ -130,7 +143,7 @@ def test_evaluate_knows_how_far_a_motion_is_off(inputs, tmp_path, capsys):
     for name in ("moved.npz", "moved.bvh"):
         runs(
             capsys, "evaluate", inputs / "body.npz", tmp_path / name, inputs / "clouds.npz",
-            "--truth", inputs / "truth.npz", "-o", tmp_path / "report.json", "--points", "50",
+            "--truth", inputs / "truth.npz", "-o", tmp_path / "report.json", "--points", "50", "--overwrite",
         )  # fmt: skip
         joints = json.loads((tmp_path / "report.json").read_text())["joint_centres"]
         assert joints["mean"] == pytest.approx(0.05, abs=1e-5)

@@ -9,6 +9,7 @@ from command_line import fails, runs
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
+from jaxcap.cli.track import depth as depth_clouds
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
@@ -35,12 +36,21 @@ def captured(tmp_path_factory):
     return folder
 
 
-def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys):
+def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys, monkeypatch):
+    loaded, cloud_of_depths = [], depth_clouds.cloud_of_depths
+
+    def counted(*images, name):
+        loaded.append(name)
+        return cloud_of_depths(*images, name=name)
+
+    monkeypatch.setattr(depth_clouds, "cloud_of_depths", counted)
     printed = runs(
         capsys, "track", captured / "body.npz", "--depth", captured / "depth.npz", "--cameras", captured / "cameras.json",
         "-o", tmp_path, "--initialise", "never",
     )  # fmt: skip
     assert "2 frames" in printed
+    # every frame once, also the first one, which is checked before any file is written
+    assert len(loaded) == len(set(loaded)) == 2
     motion = load_motion(tmp_path / "motion.npz")
     with open(tmp_path / "statistics.json") as file:
         frames = json.load(file)["frames"]

@@ -60,5 +60,5 @@ def test_what_is_no_checkpoint(tmp_path):
     with pytest.raises(InputError, match="npz file is incomplete"):
         load_checkpoint(path, HEADER)
     save_body(path, kept().body)
-    with pytest.raises(InputError, match="this is a body, not a 'jaxcap checkpoint'"):
+    with pytest.raises(InputError, match=r"this is a body \(\d+ vertices\); expected a checkpoint"):
         load_checkpoint(path, HEADER)

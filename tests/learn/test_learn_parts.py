@@ -205,7 +205,7 @@ def test_what_cannot_be_is_said(rng):
 
 @pytest.mark.shared
 @pytest.mark.slow
-def test_limbs_of_a_captured_performer(shared):
+def test_limbs_of_a_captured_subject(shared):
     with np.load(shared / "data" / "meshes" / "crane.npz", allow_pickle=False) as file:
         meshes, faces = file["vertices"][::2], file["faces"]
     parts = find_parts(meshes, faces, 19)

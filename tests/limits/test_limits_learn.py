@@ -306,7 +306,7 @@ def test_boxes_are_the_ends_of_euler_angles(rng):
     np.testing.assert_allclose([ranges.lower[0], ranges.upper[0]], [0.1, 1.2], atol=2e-3)
 
 
-def test_two_performers_are_as_alike_as_their_ranges(rng):
+def test_two_subjects_are_as_alike_as_their_ranges(rng):
     wide, narrow = (
         samples_of(Rotation.from_rotvec(size * rng.uniform(-1, 1, (800, 3)))) for size in (0.8, 0.4)
     )

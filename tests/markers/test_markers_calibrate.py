@@ -39,7 +39,7 @@ def test_what_no_marker_tells_changes_no_residual(rng):
     np.testing.assert_allclose(marker_residuals(moved, back, jnp.asarray(places)), 0, atol=1e-12)
 
 
-def test_calibration_finds_the_performer(rng):
+def test_calibration_finds_the_subject(rng):
     motion = moving(rng, 60)
     frames = seen_by(SUBJECT, motion, rng)
     template = wrong(SUBJECT, rng)

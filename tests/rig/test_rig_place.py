@@ -116,7 +116,7 @@ def test_a_mesh_in_millimetres_is_told():
 
 
 @pytest.mark.shared
-def test_the_skeleton_stands_inside_a_real_performer(shared):
+def test_the_skeleton_stands_inside_a_real_subject(shared):
     with np.load(shared / "data" / "meshes" / "crane.npz", allow_pickle=False) as file:
         vertices, faces = file["vertices"][0].astype(float), file["faces"]
     body = rig_mesh(vertices, faces)

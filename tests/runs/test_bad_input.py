@@ -206,7 +206,7 @@ def test_skl_that_is_wrong(inputs, capsys, old, new, words):
 
 def test_cst_with_the_smallest_above_the_largest(inputs, capsys):
     (inputs / "box.cst").write_text("KBCST 1\nelbow 2.4 -0.1\n")
-    line = refused(capsys, inputs, "box.off", "scan_%03d.off", "--cst", inputs / "box.cst")
+    line = refused(capsys, inputs, "box.off", "scan_%03d.off", "--limits", inputs / "box.cst")
     assert "box.cst:2" in line
     assert "elbow" in line
 

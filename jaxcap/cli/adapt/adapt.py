@@ -1,24 +1,20 @@
 """`jaxcap adapt`: adapt a template body to the actor in a sequence of scans."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
 from ...adapt.adapt_body import adapt_body
 from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_names
 from ...adapt.prepare import make_adapt_task
-from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, Stage, plan_stages
+from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from ...body.body import Body
-from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
+from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.correspondence.correspond import Matching
-from ...fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex
-from ...fit.correspondence.soft_assignment import SoftAssignment
 from ...io.archives.journal import hash_files
-from ...io.archives.prior import Priors
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
 from ...io.system.lock import run_lock
@@ -42,35 +38,32 @@ from ..scan.rate import ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
+from .assignment import ASSIGNMENTS, AssignmentName
 from .input import (
+    UNORDERED,
+    RunFiles,
     check_first_scan,
     check_input,
+    check_scan_cameras,
     first_pose,
     format_explained,
     load_cameras,
     warn_of_lost,
     warn_of_unusable,
 )
-from .prior import carried_arrays, prior_file, read_priors
+from .prior import PRIOR_FORMS, PriorForm, carried_arrays, prior_file, read_priors
 from .state import (
     check_results,
     checkpoint_sentence,
     fingerprint_of,
+    format_progress,
     keep_state,
     load_resumed_state,
 )
 
-PriorForm = Literal["nearest", "mean"]
-#: assignment of scan points, by the name of the option's value
-ASSIGNMENTS = {"vertices": NearestVertex(), "surface": NearestOnSurface(), "soft": SoftAssignment()}
-AssignmentName = Literal["vertices", "surface", "soft"]
 #: minimum number of frames within a long stage between two checkpoints, and maximum number of checkpoints, as
 #: each one has all poses
 MIN_CHECKPOINT_FRAMES, MAX_CHECKPOINTS = 25, 40
-UNORDERED = (
-    "successive scans are not more similar than other pairs of scans, so they are treated as unordered in time, and the "
-    "motion is not smoothed; give --ordered if they show one motion"
-)
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
@@ -174,7 +167,11 @@ class Adapt:
         """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
         known = prior_file(self.body, self.prior)
         header = self.settings() | hash_files({"prior": known, "limits": self.limits})
-        body, _ = load_body(self.body, vertices=self.vertices, unit=self.unit, up=self.up)
+        body, limits = load_body(
+            self.body, limits=self.limits, vertices=self.vertices, unit=self.unit, up=self.up
+        )
+        # before the scans, as reading all of them takes long
+        files = self.read_files(body, limits, known)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
             told = clouds_words(self.clouds)
@@ -188,8 +185,8 @@ class Adapt:
             if finished
             else load_resumed_state(self.checkpoint_path, header, self.resume, self.overwrite)
         )
-        priors = read_priors(known, body, from_template=self.prior is None, reduced=self.vertices is not None)
-        task, beside = self.task(body, scans, priors, tuple(seen.unusable)), carried_arrays(self.body, priors)
+        task = self.task(body, scans, files, tuple(seen.unusable))
+        beside = carried_arrays(self.body, files.priors)
         warn_of_unusable(seen.unusable)
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
@@ -233,7 +230,7 @@ class Adapt:
                         check_first_scan(task, reached, first)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
-                    bar.update(state.done, _format_progress(task, state, stages))
+                    bar.update(state.done, format_progress(task, state, stages))
             except KeyboardInterrupt:
                 done = 0 if state is None else state.done
                 raise KeyboardInterrupt(
@@ -311,17 +308,26 @@ class Adapt:
             raise InputError("--ignore-occlusion needs cameras; give them with --cameras.")
         check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
 
+    def read_files(self, body: Body, limits: AbstractLimits | None, prior: Path | None) -> RunFiles:
+        """Read the files of the options other than body and scans; `limits` are read. Raises `InputError`."""
+        return RunFiles(
+            load_cameras(self.cameras, self.up),
+            first_pose(self.start, body.skeleton),
+            read_priors(prior, body, from_template=self.prior is None, reduced=self.vertices is not None),
+            read_terms(body, limits=limits, limit_weight=self.limit_weight, floor=self.floor),
+        )
+
     def task(
-        self, body: Body, scans: Scans, priors: Priors | None, missing: tuple[int, ...] = ()
+        self,
+        body: Body,
+        scans: Scans,
+        files: RunFiles,
+        missing: tuple[int, ...] = (),
     ) -> AdaptTask:
-        """Make the task, with priors, cameras and the first pose read from their files. Raises
-        `InputError`."""
-        skeleton = body.skeleton
-        form = MahalanobisPrior if self.prior_form == "nearest" else LikelihoodPrior
-        cameras = ()
-        if self.cameras is not None:
-            there = [frame for frame in range(len(scans)) if frame not in missing]
-            cameras = load_cameras(self.cameras, scans, there, self.up)
+        """Make the task. Raises `InputError` if the cameras are not those of the scans."""
+        cameras, priors = files.cameras, files.priors
+        there = [frame for frame in range(len(scans)) if frame not in missing]
+        check_scan_cameras(cameras, scans, there, self.up, self.cameras)
         matching = Matching(
             max_normal_angle=self.pair_angle,
             max_distance=self.pair_distance,
@@ -334,8 +340,8 @@ class Adapt:
             body,
             clouds,
             find_rate(self.rate, self.clouds).frames,
-            start=None if self.start is None else first_pose(self.start, skeleton),
-            pose_prior=None if priors is None else form(priors.prior),
+            start=files.start,
+            pose_prior=None if priors is None else PRIOR_FORMS[self.prior_form](priors.prior),
             settings=AdaptSettings(
                 num_frames=self.frames,
                 joint_deviation=self.joint_deviation,
@@ -351,7 +357,7 @@ class Adapt:
             missing=missing,
             boxes=None if priors is None else priors.boxes,
             shape_prior=None if priors is None else priors.shape,
-            terms=read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor),
+            terms=files.terms,
             mesh=clouds.mesh if self.assignment == "surface" else None,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
@@ -385,14 +391,6 @@ class Adapt:
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
-
-
-def _format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
-    """Format the progress of a state for the user."""
-    if state.within:
-        stage = stages[state.done]
-        return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"
-    return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"
 
 
 def _is_none_or_nonnegative(weight: float | None) -> bool:

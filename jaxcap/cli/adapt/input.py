@@ -15,9 +15,11 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
 from ...fit.tracking.check import check_extent
 from ...geometry.camera import Camera
+from ...io.archives.prior import Priors
 from ...io.cameras import read_cameras
 from ...io.meshes.clouds import Scans
 from ...observe import Scan
@@ -33,6 +35,21 @@ COMPARED_SCANS = 5
 MAX_WARNINGS = 5
 #: maximum number of lost frames that are listed with their reasons
 NAMED = 20
+UNORDERED = (
+    "successive scans are not more similar than other pairs of scans, so they are treated as unordered in time, and the "
+    "motion is not smoothed; give --ordered if they show one motion"
+)
+
+
+class RunFiles(NamedTuple):
+    """The contents of the files of a run other than body and scans, which are read before the scans."""
+
+    #: in metres, y up
+    cameras: tuple[Camera, ...] = ()
+    #: the pose near that of the first scan
+    start: Pose | None = None
+    priors: Priors | None = None
+    terms: tuple[AbstractEnergy, ...] = ()
 
 
 class InputSummary(NamedTuple):
@@ -114,20 +131,27 @@ def check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
         ) from None
 
 
-def load_cameras(path: Path, scans: Scans, frames: Sequence[int], up: Up) -> tuple[Camera, ...]:
-    """Load the cameras of a calibration in metres, in the coordinates of the scans with y up. Raises
-    `InputError` if they cannot have observed the scans of these frames."""
-    cameras = [upright_camera(camera, up) for camera in read_cameras(path)]
-    turn = up_rotation(up)
-    check_cameras(
-        cameras, [scans[n].points @ turn.T for n in select_evenly(frames, COMPARED_SCANS)], str(path)
-    )
-    return tuple(cameras)
+def load_cameras(path: Path | None, up: Up) -> tuple[Camera, ...]:
+    """Load the cameras of a calibration in metres, with y up; none without a file. Raises `InputError`."""
+    return () if path is None else tuple(upright_camera(camera, up) for camera in read_cameras(path))
 
 
-def first_pose(path: Path, skeleton: Skeleton) -> Pose:
-    """Load the first pose of a motion and retarget it to a skeleton of other proportions. Raises
+def check_scan_cameras(
+    cameras: Sequence[Camera], scans: Scans, frames: Sequence[int], up: Up, where: Path | None
+) -> None:
+    """Check that cameras of the file `where`, if there are any, can have observed the scans of some frames. Raises
     `InputError`."""
+    if cameras:
+        turn = up_rotation(up)
+        shown = [scans[n].points @ turn.T for n in select_evenly(frames, COMPARED_SCANS)]
+        check_cameras(cameras, shown, str(where))
+
+
+def first_pose(path: Path | None, skeleton: Skeleton) -> Pose | None:
+    """Load the first pose of a motion and retarget it to a skeleton of other proportions; None without a file.
+    Raises `InputError`."""
+    if path is None:
+        return None
     of, motion = load_motion(path)
     try:
         plan = plan_retarget(of, skeleton, None, motion)

@@ -1,14 +1,19 @@
 """The priors of `jaxcap adapt`, and their copy in the actor's file."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from ...body.body import Body
+from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
 from ...io.archives.npz import load_limits
 from ...io.archives.prior import Priors, has_prior, load_priors, prior_arrays
 from ..console.console import say
 
+PriorForm = Literal["nearest", "mean"]
+#: energies of the values of --prior-form
+PRIOR_FORMS = {"nearest": MahalanobisPrior, "mean": LikelihoodPrior}
 #: option value that disables a template's own prior
 NONE = "none"
 

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ...adapt.objective import Terms
-from ...adapt.task import AdaptState
+from ...adapt.task import AdaptState, AdaptTask, Stage
 from ...body.body import Body
 from ...errors import InputError, user_message
 from ...fit.tracking.recover import TrackedFrame
@@ -165,3 +165,11 @@ def checkpoint_sentence(path: Path, done: int) -> str:
     if not (done and path.is_file()):
         return "no stage is complete"
     return f"{done} {'stage is' if done == 1 else 'stages are'} saved in {path}; --resume continues"
+
+
+def format_progress(task: AdaptTask, state: AdaptState, stages: Sequence[Stage]) -> str:
+    """Format the progress of a state for the user."""
+    if state.within:
+        stage = stages[state.done]
+        return f"{stage}: {state.within} of {len(task.frames_of(stage))} frames"
+    return f"{stages[state.done - 1]}: {state.history[-1][1]:.2f} mm from scan to body"

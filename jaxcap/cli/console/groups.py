@@ -9,7 +9,7 @@ MARKERS = Group(
 Results are in metres.""",
     {
         "info": Verb("markers.info.Info", "Describe a file of markers"),
-        "fit": Verb("markers.fit.Fit", "Calibrate a subject from takes of one performer"),
+        "fit": Verb("markers.fit.Fit", "Calibrate a subject from its takes"),
         "solve": Verb("markers.solve.Solve", "Solve for the motion of a subject in trials"),
     },
 )
@@ -23,7 +23,7 @@ Angles are in degrees.""",
         "learn": Verb("limits.learn.Learn", "Learn joint limits from motions"),
         "check": Verb("limits.check.Check", "Report the joints of a motion that violate limits"),
         "project": Verb("limits.project.Project", "Project a motion onto joint limits"),
-        "compare": Verb("limits.compare.Compare", "Compare the joint rotations of two performers"),
+        "compare": Verb("limits.compare.Compare", "Compare the joint rotations of two subjects"),
     },
 )
 

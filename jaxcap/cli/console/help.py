@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import textwrap
+from collections.abc import Iterator
 
 #: groups in order, with their options; any other option is a setting of the verb itself
 BASICS, INPUT, OUTPUT, KINEBEN = "Basics", "Input", "Output", "Kineben files"
@@ -40,7 +41,6 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "markers",
         "trunk",
         "subject",
-        "performer",
         "pieces",
         "segments",
         "names",
@@ -58,7 +58,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "rows",
         "target-unit",
     ),
-    KINEBEN: ("skl", "vj", "cst"),
+    KINEBEN: ("skl", "vj"),
 }
 #: titles of a verb's own settings, and options that are in another group for some verbs
 TITLES = {
@@ -92,17 +92,23 @@ def verb_help(verb: type, prog: str) -> str:
     """Return the help of a verb, whose fields are its options, arranged in groups."""
     import tyro
 
-    said, columns = io.StringIO(), os.environ.get("COLUMNS")
+    said = io.StringIO()
+    with wide_terminal(), contextlib.suppress(SystemExit), contextlib.redirect_stdout(said):
+        tyro.cli(verb, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
+    return group_options(said.getvalue(), prog.removeprefix("jaxcap "))
+
+
+@contextlib.contextmanager
+def wide_terminal() -> Iterator[None]:
+    """Make tyro write unbroken lines, as it breaks lines within words."""
+    columns = os.environ.get("COLUMNS")
     try:
-        # a wide terminal, as tyro breaks lines within words
         os.environ["COLUMNS"] = "10000"
-        with contextlib.suppress(SystemExit), contextlib.redirect_stdout(said):
-            tyro.cli(verb, prog=prog, args=["--help"], config=(tyro.conf.FlagCreatePairsOff,))
+        yield
     finally:
         os.environ.pop("COLUMNS")
         if columns is not None:
             os.environ["COLUMNS"] = columns
-    return group_options(said.getvalue(), prog.removeprefix("jaxcap "))
 
 
 def group_options(text: str, verb: str) -> str:

@@ -53,7 +53,6 @@ Vj = Annotated[
         help="Joint of each vertex of BODY if it is a mesh. Default: the .vj with the name of the mesh, in the same folder."
     ),
 ]
-Cst = Annotated[OptionalFile, arg(help="The same as --limits, for a .cst file.")]
 OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 OptionalUnit = Annotated[str | None, arg(metavar="UNIT", help_behavior_hint="")]
 Unit = Annotated[str, arg(metavar="UNIT")]

@@ -4,20 +4,15 @@ import contextlib
 import difflib
 import importlib
 import io
-import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ...errors import InputError
 from .heartbeat import set_activity
-from .help import verb_help
+from .help import verb_help, wide_terminal
+from .parse_errors import parse_error_sentence
 from .stopping import exit_on_interrupt
-
-#: horizontal lines of tyro's boxes, on terminals with Unicode and with ASCII only
-_RULE = re.compile("─+|-{3,}")
-#: columns of indentation of a missing option, and of its description
-_OPTION_INDENT, _DESCRIPTION_INDENT = 4, 8
 
 
 class Verb(NamedTuple):
@@ -97,33 +92,12 @@ def _command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool) -> An
         raise SystemExit(0)
     said = io.StringIO()
     try:
-        with contextlib.redirect_stderr(said):
+        with wide_terminal(), contextlib.redirect_stderr(said):
             return tyro.cli(made, prog=prog, args=words, config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise InputError(error_box_sentence(said.getvalue())) from None
-
-
-def error_box_sentence(box: str) -> str:
-    """Convert an error box of tyro to one sentence. Its parts are separated by horizontal lines; missing
-    options are indented, and their descriptions, which the help repeats, further."""
-    # the title is in the box's upper edge, or above the first line
-    rows = [row.strip("│") for row in box.splitlines() if row.strip() and row[0] not in "╭╰"]
-    rows = rows[0 if "╭" in box else 1 :]
-    left = min((len(row) - len(row.lstrip()) for row in rows if not _RULE.fullmatch(row.strip())), default=0)
-    parts: list[str] = [""]
-    for row in rows:
-        depth, text = len(row) - len(row.lstrip()) - left, row.strip()
-        if _RULE.fullmatch(text):
-            parts.append("")
-        elif depth < _DESCRIPTION_INDENT:
-            apart = ", " if depth == _OPTION_INDENT and not parts[-1].endswith(":") else " "
-            parts[-1] += f"{apart}{text}" if parts[-1] else text
-    # remove the errors of each alternative of a union type, and None
-    texts = [re.sub(r" Got errors:.*", "", part).replace("{None}|", "").rstrip(".") for part in parts]
-    texts = [re.sub(r"'None', |, 'None'", "", text) for text in texts]
-    return "; ".join(text[0].lower() + text[1:] for text in texts if text) + "."
+        raise InputError(parse_error_sentence(made, prog, said.getvalue())) from None
 
 
 def _meant(word: str, verbs: Iterable[str]) -> str:

@@ -52,7 +52,7 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "folder of depth": _DEPTH,
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
     "skl": (("rig MESH -o body.npz --skeleton {file}", "binds a mesh to it"),),
-    "cst": (("track MESH CLOUDS -o tracked --cst {file}", "enforces these limits"),),
+    "cst": (("track MESH CLOUDS -o tracked --limits {file}", "enforces these limits"),),
     "vj": (("track MESH CLOUDS -o tracked --vj {file}", "uses these joints of the vertices"),),
     "markers": (
         ("markers info {file}", "lists their gaps"),

@@ -30,7 +30,7 @@ from ..outputs import check_absent
 from ..sources import is_human_spec, load_body
 from .body import write_linear_body
 from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
-from .points import read_labels, write_points
+from .points import check_marker_unit, read_labels, write_points
 
 #: metres, and bones per vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -51,7 +51,8 @@ class Convert:
     target: tyro.conf.Positional[Annotated[Path, arg(metavar="TARGET")]]
     """Output file. Its suffix determines the format."""
     unit: OptionalUnit = None
-    """Unit of the source's lengths. Default: the unit stated in the file, else metres, or centimetres for BVH."""
+    """Unit of the source's lengths. Default: the unit stated in the file, else metres, or centimetres for BVH. Markers
+    that do not have the size of a body in that unit are refused; --unit also converts them."""
     target_unit: OptionalUnit = None
     """Unit of the target's lengths. Default: metres; centimetres for BVH, millimetres for TRC and C3D."""
     motion: OptionalFile = None
@@ -167,6 +168,8 @@ class Convert:
     def write_markers(self) -> None:
         file = read_marker_file(self.source, self.unit)
         frames = file.frames
+        if self.unit is None:
+            check_marker_unit(file, self.source)
         write_markers(self.target, frames, self.target_unit)
         for sentence in file.warnings:
             warn(f"{self.source.name}: {sentence}")

@@ -1,4 +1,4 @@
-"""The paths of a motion as points: joint centres, and vertices of its body."""
+"""Points to convert: the unit of markers, and the paths of a motion's joint centres and of vertices of its body."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,12 +9,14 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...io.markers.marker_file import MarkerFile, check_extent, group_by_subject, select_subject
 from ...io.meshes.vertex_list import read_vertex_list
 from ...io.registry import write_markers
 from ...markers.body_shape.vertex_markers import vertex_frames
 from ...markers.motion.gap_filling import joint_frames
 from ...observe.markers import make_markers
 from ..console.console import pluralise, say
+from ..markers.takes import UNIT_ASKED
 
 
 def read_labels(words: Sequence[str]) -> dict[str, int]:
@@ -38,6 +40,14 @@ def read_labels(words: Sequence[str]) -> dict[str, int]:
             )
         found |= new
     return found
+
+
+def check_marker_unit(file: MarkerFile, path: Path) -> None:
+    """Check that the markers of each subject have the size of a body in the unit of the file, which the user did
+    not give. Raises `InputError`."""
+    hint = f"{UNIT_ASKED}, or --unit {file.unit} if the size is right"
+    for subject in group_by_subject(file.frames.labels) or (None,):
+        check_extent(select_subject(file.frames, path, subject), path, file.scale, option_hint=hint)
 
 
 def write_points(

@@ -23,7 +23,7 @@ from ...io.skeletons.joint_names import write_joint_names
 from ..console.console import progress, say, warn
 from ..console.options import BODY_FORMATS, BodySpec, Flag, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..motions import extent
-from ..outputs import check_motion
+from ..outputs import check_motion, check_new
 from ..sources import load_body
 from .files import MotionFile, OutMotion, load_checked_motion, write_edited
 from .pairs import parse_point_pair, read_name_pairs, read_pair_table
@@ -146,8 +146,7 @@ class Retarget:
             raise InputError(
                 f"{path}: a table of joints is written as .json; give a name that ends in .json."
             )
-        if path.exists() and not self.overwrite:
-            raise InputError(f"{path}: this file already exists; give --overwrite to replace it.")
+        check_new(path, self.overwrite)
 
     def load_source(self) -> Body | None:
         return None if self.source is None else load_body(self.source)[0]

@@ -1,4 +1,4 @@
-"""`jaxcap limits compare`: the similarity of two performers' ranges of motion."""
+"""`jaxcap limits compare`: the similarity of two subjects' ranges of motion."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,14 +15,14 @@ from ..motions import load_motion
 
 @dataclass
 class Compare:
-    """Compare the joint rotations of two performers: the distances from each rotation of a performer to the closest
+    """Compare the joint rotations of two subjects: the distances from each rotation of a subject to the closest
     rotation of the other.
 
     The mean and the standard deviation of these distances are printed for each joint."""
 
     reference: Annotated[MotionSpec, arg(metavar="REFERENCE")]
     other: Annotated[
-        MotionSpec, arg(metavar="OTHER", help="Motion of another performer, in any format of REFERENCE.")
+        MotionSpec, arg(metavar="OTHER", help="Motion of another subject, in any format of REFERENCE.")
     ]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, separated by commas."""

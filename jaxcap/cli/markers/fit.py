@@ -46,13 +46,13 @@ SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_h
 
 @dataclass
 class Fit:
-    """Calibrate a subject from takes of one performer: segments, joints, bone lengths, and the position of each marker
-    on its bone. Give a take in which every joint moves; a static pose can be added.
+    """Calibrate a subject from its takes: segments, joints, bone lengths, and the position of each marker on its bone.
+    Give a take in which every joint moves; a static pose can be added.
 
     Markers are assigned to segments automatically. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """Takes of one performer: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
+    """Takes of one subject: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
     """Output file for the subject, .npz."""
     method: CentreMethod = "score"
@@ -87,7 +87,8 @@ class Fit:
     subject: OptionalSubject = None
     """Subject to use if a file has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
-    """Up axis of the files; the subject then has y up. Default: the axes of the files."""
+    """Up axis of the files; the subject then has y up. Default: the axes of the files are kept, and
+    the printed line of each file names its up axis if it is known."""
     pieces: Pieces = "refuse"
     """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
     (join), or keep them separate (keep)."""
@@ -201,7 +202,7 @@ class Fit:
         `InputError`."""
         if not self.files:
             raise InputError(
-                "There are no files to fit to; give takes of one performer, such as static.c3d rom.c3d."
+                "There are no files to fit to; give takes of one subject, such as static.c3d rom.c3d."
             )
         if self.threshold is not None and not 0 < self.threshold < np.inf:
             raise InputError(f"--threshold is {self.threshold:g}; give a distance above 0, in metres.")

@@ -10,12 +10,14 @@ import tyro
 
 from ...errors import InputError, user_message
 from ...io.markers.marker_file import check_extent, group_by_subject, median_extent, select_subject
+from ...io.markers.up_axis import find_up_axis
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
-from ..console.options import OptionalFile, OptionalUnit, arg
-from .takes import UNIT_ASKED
+from ..console.options import Flag, OptionalFile, OptionalUnit, arg
+from ..outputs import check_new
+from .takes import UNIT_ASKED, describe_source
 
 #: width of a marker's time bar, characters
 WIDTH = 40
@@ -35,6 +37,8 @@ class Info:
     """Number of markers in the table, the least visible first; 0 lists all."""
     picture: OptionalFile = None
     """Output file for a picture of the gaps, .png."""
+    overwrite: Flag = False
+    """Replace the picture if it exists."""
 
     def run(self) -> None:
         path = Path(self.file)
@@ -42,6 +46,7 @@ class Info:
             raise InputError(f"--rows {self.rows}: give 0 or a number of markers.")
         if self.picture is not None and self.picture.suffix.lower() != ".png":
             raise InputError(f"{self.picture}: the picture is a PNG file; give a name that ends in .png.")
+        check_new(self.picture, self.overwrite)
         file = read_marker_file(path, self.unit)
         subjects = group_by_subject(file.frames.labels)
         several = self.subject is None and len(subjects) > 1
@@ -49,6 +54,9 @@ class Info:
         count = len(frames)
         say(f"{path.name}: {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
+        found = find_up_axis(file._replace(frames=frames))
+        if found is not None:
+            say(f"up axis: {describe_source(found)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")
         for kind, labels in file.other_points.items():

@@ -52,7 +52,7 @@ class Solve:
     Frames with too few markers, or without a pose that fits, keep the previous pose. The numbers of these frames
     are printed."""
 
-    subject: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
+    subject_file: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
     """A subject: a result of `jaxcap markers fit`."""
     trials: TrialsSpec
     """Trials: .c3d, .trc or .csv files. Markers are identified by their labels."""
@@ -75,10 +75,11 @@ class Solve:
     """Output folder for report.json, and pictures of the skeleton with its markers and of the residuals."""
     unit: OptionalUnit = None
     """Unit of the trials' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
-    performer: OptionalSubject = None
+    subject: OptionalSubject = None
     """Subject to use if a trial has several: the prefix of the labels of its markers."""
     up: OptionalUp = None
-    """Up axis of the trials; results then have y up. Default: the axes of the trials."""
+    """Up axis of the trials; results then have y up. Default: the axes of the trials are kept, and
+    the printed line of each file names its up axis if it is known."""
     pieces: Pieces = "refuse"
     """Handling of trajectories that continue under new names after gaps: stop with an error (refuse), join them
     (join), or keep them separate (keep)."""
@@ -92,7 +93,7 @@ class Solve:
         if self.resume and is_run_complete(self.results, self.checkpoint_path):
             return
         check_new(self.results, self.overwrite or (self.resume and self.checkpoint_path.is_file()))
-        subject = load_subject(self.subject)
+        subject = load_subject(self.subject_file)
         terms = read_terms(
             marker_body(subject),
             limits=self.limits,
@@ -100,11 +101,11 @@ class Solve:
             floor=self.floor,
             prior=self.prior,
         )
-        header = {**self.settings(), "subject": hash_file(self.subject)}
+        header = {**self.settings(), "subject_file": hash_file(self.subject_file)}
         set_activity("reading the trials")
         # an invalid trial is reported before any has results; later changes of a file are not read
         digests = {path: hash_file(path) for path in self.trials}
-        trials = [read_take(path, self.unit, self.performer, self.up, self.pieces, "--performer") for path in self.trials]  # fmt: skip
+        trials = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.trials]  # fmt: skip
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
@@ -141,7 +142,7 @@ class Solve:
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the results, by the names of the options."""
         files = {"joints": self.joints, "filled": self.filled}
-        names = ("unit", "performer", "up", "pieces", "stream", "floor", "limit_weight")
+        names = ("unit", "subject", "up", "pieces", "stream", "floor", "limit_weight")
         return {
             **{name: getattr(self, name) for name in names},
             **{name: [str(path) for path in paths] for name, paths in files.items()},
@@ -226,8 +227,8 @@ class Solve:
             solution = solve_markers(subject, frames, terms=terms)
         if solution.lost.all():
             raise InputError(
-                f"{path}: the subject explains enough markers in none of {len(frames)} frames; check that the performer and "
-                "the positions of the markers on the body are the same."
+                f"{path}: the subject explains enough markers in none of {len(frames)} frames; check that the trial "
+                "is of this subject, with the markers at the same positions on the body."
             )
         kept = assigned_residuals(subject, solution.residuals, solution.lost)
         solution = solution._replace(messages=(*solution.messages, *describe_strays(subject.labels, kept)))

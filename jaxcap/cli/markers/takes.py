@@ -12,6 +12,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.markers.marker_file import check_extent, select_subject
+from ...io.markers.up_axis import UpAxis, find_up_axis
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
 from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
@@ -32,18 +33,18 @@ UNIT_ASKED = "give --unit {} if it is"
 
 
 def read_take(
-    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces, chosen: str = "--subject"
+    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces
 ) -> MarkerFrames:
-    """Read the markers of a file, rotated to y up if `up` gives the up axis; `chosen` is the name of the
-    option for `subject`.
+    """Read the markers of a file, rotated to y up if `up` gives the up axis.
 
     **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
     """
     file = read_marker_file(path, unit)
-    frames = select_subject(file.frames, path, subject, f"{chosen} {{}}")
+    frames = select_subject(file.frames, path, subject, "--subject {}")
     check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
+    found = find_up_axis(file._replace(frames=frames))
     if up is not None:
         turn = up_rotation(up).astype(np.asarray(frames.positions).dtype)
         frames = MarkerFrames(
@@ -54,9 +55,25 @@ def read_take(
     shown = 100 * np.asarray(frames.visible).mean()
     say(
         f"{Path(path).name}: {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second, {pluralise(len(frames.labels), 'marker')}, "
-        f"{shown:.{1 if shown < 99.9 else 3}f} % seen"
+        f"{shown:.{1 if shown < 99.9 else 3}f} % seen; {describe_up(found, up)}"
     )
     return frames
+
+
+def describe_up(found: UpAxis | None, given: Up | None) -> str:
+    """Describe the up axis of a file, `found` in it or `given` by the user, and of the results."""
+    if given is not None:
+        other = "" if found is None or found.axis == given else f" ({describe_source(found)})"
+        return f"{given} is up by --up{other}" + ("" if given == "y" else ", converted to y")
+    if found is None:
+        return "the up axis is unknown and is kept (if it is not y, --up converts it to y)"
+    kept = "" if found.axis == "y" else f" and is kept (--up {found.axis} converts it to y)"
+    return f"{describe_source(found)}{kept}"
+
+
+def describe_source(found: UpAxis) -> str:
+    """Describe the up axis of a file and its source."""
+    return f"{found.axis} is up by the header" if found.is_stated else f"{found.axis} is probably up"
 
 
 def _whole(frames: MarkerFrames, path: str, join: bool) -> MarkerFrames:

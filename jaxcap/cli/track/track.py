@@ -24,7 +24,6 @@ from ..console.heartbeat import set_activity
 from ..console.options import (
     BodySpec,
     CloudsSpec,
-    Cst,
     DepthSpec,
     Flag,
     OptionalCount,
@@ -74,7 +73,6 @@ class Track:
     Implied by --depth."""
     skl: Skl = None
     vj: Vj = None
-    cst: Cst = None
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
@@ -112,21 +110,17 @@ class Track:
 
     def run(self) -> None:
         self.check()
-        body, ranges = load_body(
-            self.body, self.skl, self.vj, self.cst, vertices=self.vertices, unit=self.unit, up=self.up
+        body, limits = load_body(
+            self.body, self.skl, self.vj, self.limits, vertices=self.vertices, unit=self.unit, up=self.up
         )
         terms = read_terms(
-            body,
-            limits=self.limits,
-            others=() if ranges is None else (ranges,),
-            limit_weight=self.limit_weight,
-            floor=self.floor,
-            prior=self.prior,
+            body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
         )
         rate = find_rate(self.rate, self.clouds)
         clouds = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
+        clouds = clouds.with_loaded(0, begun)
         tracker = self.tracker(body, terms)
         header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
         make_writable(self.out)

@@ -4,7 +4,7 @@ import contextlib
 import math
 import os
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +34,20 @@ def array_names(path: str | Path) -> list[str]:
     """Return the names of the arrays of an `.npz` file. Raises `InputError` if it is not one."""
     with open_archive(path) as archive:
         return list(archive.members)
+
+
+def array_lengths(path: str | Path, names: Collection[str]) -> dict[str, int]:
+    """Return the lengths of the first axis of the `names` arrays that an `.npz` file has, without their elements.
+
+    Raises `InputError` if it is not an `.npz` file, or one of these arrays is damaged.
+    """
+    with open_archive(path) as archive:
+        heads = {
+            name: _read_array_header(archive.file, info, f"{path}: the array '{name}'")
+            for name, info in archive.members.items()
+            if name in names
+        }
+    return {name: head.shape[0] for name, head in heads.items() if head.shape}
 
 
 def read_format_name(path: str | Path) -> str:

@@ -14,7 +14,7 @@ from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton, describe_rest_difference, make_skeleton
 from ...body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ...errors import InputError, user_message
-from ..kinds import KIND_NAMES, check_npz, wrong_arrays_error
+from ..kinds import KIND_NAMES, check_npz, describe_formats, wrong_arrays_error
 from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, RATE_RANGE, shortened
@@ -314,7 +314,8 @@ def load_format(
     with open_archive(path) as archive:
         marks = archive.load(lambda name: name in ("format", "version"))
         if str(marks.get("format", "")) not in formats:
-            raise wrong_arrays_error(path, f"not a '{formats[0]}'")
+            kinds = [name.removeprefix("jaxcap ") for name in formats]
+            raise wrong_arrays_error(path, describe_formats(kinds))
         version = get_array(marks, "version", path, (), "whole").item() if "version" in marks else 0
         if version != VERSION:
             raise InputError(f"{path}: this file has version {version}; expected version {VERSION}.")

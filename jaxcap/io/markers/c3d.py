@@ -16,7 +16,7 @@ from ...units import unit_scale
 from ..system.atomic import atomic_path
 from .c3d_child import load_c3d
 from .c3d_header import declared_size, read_header
-from .marker_file import MarkerFile, make_marker_file, parse_unit, shift_from_origin
+from .marker_file import MarkerFile, make_marker_file, parse_screen_axis, parse_unit, shift_from_origin
 
 #: lists in the POINT group of points that are no markers
 POINT_TYPE_GROUPS = (
@@ -101,6 +101,7 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
         first_frame=first,
         other_points=others,
         warnings=told,
+        up=parse_screen_axis(" ".join(words.get("Y_SCREEN", ())[:1])),
     )
 
 

@@ -40,6 +40,8 @@ class MarkerFile(NamedTuple):
     other_points: dict[str, tuple[str, ...]]
     #: repaired faults of the file, one sentence each
     warnings: tuple[str, ...]
+    #: the vertical axis of the screen by the header, as in "z" or "-z"; empty if it is not stated
+    up: str = ""
 
 
 def parse_unit(word: str, default: str = "mm") -> str:
@@ -48,6 +50,12 @@ def parse_unit(word: str, default: str = "mm") -> str:
     return next(
         (unit for unit, words in _UNIT_WORDS.items() if word in words or word.rstrip("s") in words), default
     )
+
+
+def parse_screen_axis(word: str) -> str:
+    """Return the axis, as "z" or "-z", that a file calls `word`, as in `+Z`; "" for another word."""
+    sign, letter = ("-" if word.strip().startswith("-") else ""), word.strip().lstrip("+-").lower()
+    return f"{sign}{letter}" if letter in ("x", "y", "z") else ""
 
 
 def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], list[str]]:
@@ -116,18 +124,21 @@ def select_subject(
     return MarkerFrames(frames.positions[:, index], frames.visible[:, index], tuple(labels), frames.rate)
 
 
+def frame_sides(frames: MarkerFrames) -> Float[np.ndarray, "N 3"]:
+    """Compute the sides of the markers' bounding box, metres, in each frame that shows two markers."""
+    seen = np.asarray(frames.visible)
+    several = seen.sum(1) > 1
+    places, seen = np.asarray(frames.positions, float)[several], seen[several][..., None]
+    return np.where(seen, places, -np.inf).max(1) - np.where(seen, places, np.inf).min(1)
+
+
 def median_extent(frames: MarkerFrames) -> float:
     """Compute the median over frames of the longest side of the markers' bounding box, in metres.
 
     NaN if no frame shows two markers.
     """
-    seen = np.asarray(frames.visible)
-    several = seen.sum(1) > 1
-    if not several.any():
-        return float("nan")
-    places, seen = np.asarray(frames.positions, float)[several], seen[several][..., None]
-    sides = np.where(seen, places, -np.inf).max(1) - np.where(seen, places, np.inf).min(1)
-    return float(np.median(sides.max(1)))
+    sides = frame_sides(frames)
+    return float(np.median(sides.max(1))) if len(sides) else float("nan")
 
 
 def check_extent(
@@ -169,6 +180,7 @@ def make_marker_file(
     first_frame: int = 1,
     other_points: dict[str, tuple[str, ...]] | None = None,
     warnings: Sequence[str] = (),
+    up: str = "",
 ) -> MarkerFile:
     """Build a `MarkerFile` from positions in the file's `unit`, NaN for gaps.
 
@@ -196,7 +208,7 @@ def make_marker_file(
     # `check_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
-    return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed))
+    return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed), up)
 
 
 def shift_from_origin(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:

@@ -115,7 +115,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
     if points is None or "skin" in held:
-        raise wrong_arrays_error(path, "without an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
+        raise wrong_arrays_error(path, "clouds, an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if points.dtype.kind not in "fiu":
         raise InputError(
             f"{path}: '{'points' if 'points' in arrays else 'vertices'}' has the type {points.dtype}; expected numbers, (F, N, 3)."

@@ -122,7 +122,7 @@ def _arrays(path: Path) -> _File:
     arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
     vertices = arrays.get("vertices")
     if vertices is None or "skin" in held:
-        raise wrong_arrays_error(path, "without an array 'vertices' (F, V, 3) of numbers")
+        raise wrong_arrays_error(path, "registered meshes, an array 'vertices' (F, V, 3)")
     if vertices.dtype.kind not in "fiu":
         raise InputError(f"{path}: 'vertices' has the type {vertices.dtype}; expected numbers, (F, V, 3).")
     if vertices.ndim == 2:

@@ -80,7 +80,7 @@ def calibrate(
     max_steps: int = 240,
     terms: UserTerms = (),
 ) -> Calibration:
-    """Calibrate the performer's skeleton and the marker positions on it, starting from a template.
+    """Calibrate the subject's skeleton and the marker positions on it, starting from a template.
 
     **Arguments:** `frames` with the template's labels in any order; `subject`, the template: its bones may
     be a tenth too long or short, and its markers off by centimetres; `motion` of the template through the

@@ -1,4 +1,4 @@
-"""Several takes of one performer as one."""
+"""Several takes of one subject as one."""
 
 from collections.abc import Sequence
 

@@ -10,6 +10,8 @@ from matplotlib.image import imread
 
 import jaxcap as jc
 from jaxcap.cli import main
+from jaxcap.cli.markers.takes import describe_up
+from jaxcap.io.markers.up_axis import UpAxis
 from jaxcap.markers.segments.gaps import find_runs as runs_of
 
 NAMES = ("trunk", "rarm", "rhand", "larm", "lhand", "head")
@@ -127,6 +129,27 @@ def test_a_trial_is_solved(capsys, folder, scene, tmp_path):
     # what was seen stays
     assert np.delete(off, np.arange(GAP.start, GAP.stop)).max() < 1e-6
     assert json.loads((tmp_path / "report" / "report.json").read_text())["lost_frames"] == []
+
+
+def test_the_up_axis_is_told(capsys, folder, tmp_path):
+    """Of the same file the up axis is kept, or converted where it is given; the puppet extends to both sides."""
+    command = (
+        "markers",
+        "solve",
+        folder / "subject.npz",
+        folder / "trial.c3d",
+        "--overwrite",
+        "-o",
+        tmp_path / "t.npz",
+    )
+    told = runs(capsys, *command)
+    assert "seen; the up axis is unknown and is kept (if it is not y, --up converts it to y)" in told
+    assert "seen; y is up by --up\n" in runs(capsys, *command, "--up", "y")
+    assert "seen; z is up by --up, converted to y\n" in runs(capsys, *command, "--up", "z")
+    stated = UpAxis("z", True)
+    assert describe_up(stated, None) == "z is up by the header and is kept (--up z converts it to y)"
+    assert describe_up(stated, "x") == "x is up by --up (z is up by the header), converted to y"
+    assert describe_up(UpAxis("y", False), None) == "y is probably up"
 
 
 def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
@@ -291,7 +314,7 @@ def test_options_are_checked(capsys, folder, tmp_path):
         tmp_path / "m.npz",
         jc.stack_poses([jc.rest_pose(jc.io.load_subject(folder / "subject.npz").skeleton)]),
     )
-    assert "not a 'jaxcap subject'" in fails(capsys, "markers", "solve", tmp_path / "m.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
+    assert "this is a motion (1 frame); expected a subject with its markers (from `jaxcap markers fit`)" in fails(capsys, "markers", "solve", tmp_path / "m.npz", folder / "trial.c3d", "-o", tmp_path / "o.bvh")  # fmt: skip
     others = write(tmp_path / "others.c3d", np.random.default_rng(0).random((5, 4, 3)) + 1, list("abcd"))
     assert "None of the frames' markers" in fails(
         capsys, "markers", "solve", folder / "subject.npz", others, "-o", tmp_path / "o.bvh"

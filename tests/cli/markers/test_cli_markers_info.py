@@ -50,6 +50,9 @@ def test_a_bar_hides_no_gap():
 def test_the_picture_is_dark_where_seen(capsys, trial, tmp_path):
     runs(capsys, "markers", "info", trial, "--picture", tmp_path / "gaps.png")
     picture = imread(tmp_path / "gaps.png")[..., :3]
+    again = ("markers", "info", trial, "--picture", tmp_path / "gaps.png")
+    assert "give --overwrite" in fails(capsys, *again)
+    runs(capsys, *again, "--overwrite")
     dark = picture.mean(2) < 0.35
     rows = np.flatnonzero(dark.mean(1) > 0.5)
     # the second of four rows is light between a half and three quarters

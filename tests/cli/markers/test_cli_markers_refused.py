@@ -80,7 +80,7 @@ def test_a_refusal_names_the_option(capsys, subject, tmp_path):
     for command in ((*fit, far), (*solve, far, "-o", tmp_path / "o.bvh")):
         assert "looks like millimetres: give --unit mm" in fails(capsys, *command)
     assert "select one with --subject Anna" in fails(capsys, *fit, two)
-    assert "select one with --performer Anna" in fails(capsys, *solve, two, "-o", tmp_path / "o.bvh")
+    assert "select one with --subject Anna" in fails(capsys, *solve, two, "-o", tmp_path / "o.bvh")
 
 
 def test_what_is_refused_late_leaves_no_folder(capsys, tmp_path):

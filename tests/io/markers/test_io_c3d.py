@@ -17,6 +17,7 @@ import jaxcap as jc
 from jaxcap.errors import InputError
 from jaxcap.io.markers import c3d_child, c3d_process
 from jaxcap.io.markers.c3d import read_c3d_file, write_c3d
+from jaxcap.io.markers.up_axis import find_up_axis
 from jaxcap.io.registry import read_marker_file
 from jaxcap.io.system import process_limits
 
@@ -52,6 +53,32 @@ def test_number_formats(tmp_path, processor, integers):
     np.testing.assert_array_equal(file.frames.visible, residuals == 0)
     expected = np.where(residuals[..., None] < 0, 0, places / 1000)
     np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
+
+
+SIDES = np.array([0.5, 0.6, 1.7])
+
+
+@pytest.mark.parametrize(
+    ("screen", "axes", "shift", "found"),
+    [
+        # a header that agrees with the positions, one with the wrong sign, one that the positions do not decide
+        ("+Z", [0, 1, 2], 0.0, ("z", True)),
+        ("-Z", [0, 1, 2], 0.0, ("z", True)),
+        ("-Z", [0, 1, 2], -0.8, ("-z", True)),
+        ("+Y", [0, 1, 2], 0.0, ("y", True)),
+        # without a header: the long side above or below the origin; none if it is on both sides, or not long
+        ("", [0, 1, 2], 0.0, ("z", False)),
+        ("up", [2, 0, 1], 0.0, ("x", False)),
+        ("", [0, 2, 1], -1.7, ("-y", False)),
+        ("", [0, 1, 2], -0.8, None),
+        ("", [2, 2, 1], 0.0, None),
+    ],
+)
+def test_up_axis(tmp_path, rng, screen, axes, shift, found):
+    places = 1000 * (rng.random((20, 30, 3)) * SIDES + [0.0, 0.0, shift])[..., axes]
+    more = [("POINT", "Y_SCREEN", "char", (len(screen),), [screen])] if screen else []
+    file = read_c3d_file(written(tmp_path, places, [f"M{i}" for i in range(30)], more=more))
+    assert find_up_axis(file) == found
 
 
 def test_nan_and_zeros_are_gaps_as_well(tmp_path):

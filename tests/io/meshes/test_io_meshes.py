@@ -104,7 +104,7 @@ def test_half_floats_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"vertices": None}, "without an array 'vertices'"),
+        ({"vertices": None}, "expected registered meshes, an array 'vertices'"),
         ({"vertices": np.zeros((4, 3, 2))}, r"\(4, 3, 2\)"),
         ({"faces": None}, "face_indices"),
         ({"faces": np.array([[0, 1, 99]])}, "vertex 99"),
@@ -148,7 +148,7 @@ def test_a_sequence_is_cut_into_shorter_ones():
 
 @pytest.mark.shared
 def test_the_captures(shared):
-    """Quads of the one, triangles of the other; the surface of the real performer is closed."""
+    """Quads of the one, triangles of the other; the surface of the real subject is closed."""
     quads = read_meshes(shared / "data/meshes/dembones_bone.npz")
     assert quads.vertices.shape == (400, 754, 3)
     assert quads.faces.shape == (1504, 3)
