@@ -30,7 +30,7 @@ from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.fit.judgement.baseline import initial_baseline
-from jaxcap.fit.judgement.surface import sampled_surface
+from jaxcap.fit.judgement.region_samples import sample_regions
 from jaxcap.fit.tracking.recover import (
     SearchPause,
     TrackedFrame,
@@ -159,7 +159,7 @@ class Scene:
     """A body, its clouds and its true joints, tracked and judged frame by frame."""
 
     def __init__(self, body: jc.Body, clouds: list[jc.Cloud], errors, others: list, every: int, seed: int):
-        self.tracker, self.surface = jc.make_tracker(body), sampled_surface(body)
+        self.tracker, self.surface = jc.make_tracker(body), sample_regions(body)
         self.body, self.clouds, self.errors, self.others = body, clouds, errors, others
         self.every, self.rng = every, np.random.default_rng(seed)
 

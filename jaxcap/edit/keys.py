@@ -20,7 +20,7 @@ from ..geometry import rotation
 from .interpolation import interpolate_poses
 
 
-class Keys(NamedTuple):
+class Keyframes(NamedTuple):
     """The key frames, and the motion that is interpolated from them."""
 
     #: (F, J) key frames of each joint; the same for all joints if whole poses are keys
@@ -43,7 +43,7 @@ def find_keys(
     degrees: float | int = 1.0,
     metres: float | int = 0.005,
     per_joint: bool = False,
-) -> Keys:
+) -> Keyframes:
     """Find few keys whose interpolation is within `degrees` of every joint rotation and `metres` of every
     joint position.
 
@@ -72,7 +72,7 @@ def find_keys(
         keyed[:] = _find_pose_keys(skeleton, motion.poses, paths, keyed[:, 0], tolerance)[:, None]
     poses = interpolate_keys(motion.poses, keyed)
     turned, moved = _interpolation_errors(skeleton, motion.poses, paths, poses)
-    return Keys(
+    return Keyframes(
         keyed, Motion(poses, motion.rate), float(np.degrees(turned.max())), float(moved.max(initial=0.0))
     )
 

@@ -7,7 +7,7 @@ from .correspondence.nearest_assignment import NearestOnSurface as NearestOnSurf
 from .correspondence.nearest_assignment import NearestVertex as NearestVertex
 from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
 from .correspondence.nearest_assignment import make_scan as make_scan
-from .correspondence.part_blocks import make_parts as make_parts
+from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .correspondence.visibility import visible_vertices as visible_vertices
@@ -37,8 +37,8 @@ from .task_priority import priority_step as priority_step
 from .task_priority import solve_in_order as solve_in_order
 from .tracking.batch import fit_batch as fit_batch
 from .tracking.batch import scan_track as scan_track
-from .tracking.em import Mixture as Mixture
-from .tracking.em import make_mixture as make_mixture
+from .tracking.em import MixtureSettings as MixtureSettings
+from .tracking.em import make_mixture_settings as make_mixture_settings
 from .tracking.limb_flips import flip_limb_ends as flip_limb_ends
 from .tracking.recover import TrackedFrame as TrackedFrame
 from .tracking.track import track_frames as track_frames

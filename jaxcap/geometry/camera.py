@@ -57,7 +57,7 @@ class Camera(eqx.Module):
         return -self.translation @ self.rotation
 
 
-def project(
+def project_points(
     camera: Camera, points: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 2"], Float[Array, "*points"]]:
     """Project points of the world to pixels `(column, row)` and depths along the optical axis, metres.
@@ -82,7 +82,7 @@ def unproject(
 
 def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
     """Test which points lie in front of the camera and within its image, occluded or not."""
-    pixels, depth = project(camera, points)
+    pixels, depth = project_points(camera, points)
     size = jnp.array([camera.width, camera.height])
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
@@ -184,7 +184,7 @@ def check_views(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], whe
     for number, camera in enumerate(cameras):
         if bool(is_in_image(camera, jnp.asarray(points)).any()):
             continue
-        behind = not bool((project(camera, jnp.asarray(points))[1] > 0).any())
+        behind = not bool((project_points(camera, jnp.asarray(points))[1] > 0).any())
         what = "points away from the body" if behind else "has the body outside of its image"
         raise InputError(
             f"{where}: camera {number} at {_format_point(np.asarray(camera.eye))} {what}; rotate it, move it or omit it."

@@ -74,7 +74,7 @@ def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V 
     return real * weighted - (total - (width - real) * weighted)
 
 
-def apply(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
+def apply_conformance(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
     """Compute `A e`, half the gradient of `energy`."""
     return field + metric.alpha * adjoint(metric, laplacian(metric, field))
 

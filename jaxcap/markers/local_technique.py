@@ -19,7 +19,7 @@ from .segments.segment import Segments
 from .segments.swaps import correct_swaps
 from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
 from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones
-from .skeleton.tree import SegmentTree, find_tree, template_pairs
+from .skeleton.tree import SegmentTree, find_segment_tree, template_pairs
 from .subject import Subject, make_subject
 
 #: a joint is reported as hardly rotating where its swept angle is below this, radians
@@ -99,7 +99,7 @@ def fit_local(
             f"{_format_names(loose)} in no segment: no segment has a constant distance from {_pronoun(loose)}."
         )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
-    tree = find_tree(places, seen, segments, method, pairs)
+    tree = find_segment_tree(places, seen, segments, method, pairs)
     if not tree.augmented.frames.known.any():
         raise ValueError(
             "No segment has three markers that are visible together and not on a line, so none has a frame; "

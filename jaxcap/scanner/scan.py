@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..geometry.camera import Camera
 from ..value_checks import check_faces
 from .depth import make_ray_mesh, render_depth
-from .fuse import Scan, fuse_cloud, fuse_mesh
+from .fuse import FusedScan, fuse_cloud, fuse_mesh
 from .noise import apply_errors
 from .settings import Scanner, check_scanner
 
@@ -26,7 +26,7 @@ def scan_frame(
     faces: Int[np.ndarray, "F 3"],
     seed: int = 0,
     frame: int = 0,
-) -> Scan:
+) -> FusedScan:
     """Simulate the scan of one frame by all cameras, metres: a cloud, or a mesh if `scanner.mesh`.
 
     Random numbers depend on `seed`, `frame` and the view only, not on earlier scans. A scan is empty if no
@@ -44,13 +44,13 @@ def scan_frame(
     rng = _random(seed, frame, 1)
     if scanner.points is not None and scanner.points < len(scan.points):
         kept = np.sort(rng.choice(len(scan.points), scanner.points, replace=False))
-        scan = Scan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
+        scan = FusedScan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
     return add_outliers(scan, scanner.outliers, vertices, rng)
 
 
 def add_outliers(
-    scan: Scan, share: float, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator
-) -> Scan:
+    scan: FusedScan, share: float, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator
+) -> FusedScan:
     """Replace a random share of a cloud by points uniform in the box of the surface and 0.1 m around it.
 
     Their normals are random; their views are those of the points that they replace.
@@ -65,7 +65,7 @@ def add_outliers(
     )
     directions = rng.normal(size=(count, 3))
     normals[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Scan(points, normals, scan.views, scan.faces)
+    return FusedScan(points, normals, scan.views, scan.faces)
 
 
 def scan_depths(

@@ -9,7 +9,7 @@ from jaxcap.markers.local_technique import fit_local
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
-from jaxcap.markers.skeleton.tree import find_tree
+from jaxcap.markers.skeleton.tree import find_segment_tree
 from jaxcap.markers.subject import marker_positions
 from jaxcap.observe.markers import make_markers
 from tests.markers_scene import PUPPET, puppet
@@ -56,7 +56,7 @@ def test_pairs_of_markers_come_by_their_frames_through_joints(rng):
     places, owner = scene.places[:, keep], scene.owner[keep]
     seen = np.ones(places.shape[:2], bool)
     segments = make_segments([np.flatnonzero(owner == k) for k in range(6)], len(owner))
-    tree = find_tree(places, seen, segments)
+    tree = find_segment_tree(places, seen, segments)
     assert edges(tree, owner) == PARENTS
     found, _ = joint_trajectories(tree)
     for k in (1, 3):

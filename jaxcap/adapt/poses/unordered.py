@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 from ...body.body import Body, body_height
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, concatenate_poses
-from ...fit.correspondence.part_blocks import make_parts
-from ...fit.tracking.compare_poses import log_likelihood, track_from
+from ...fit.correspondence.part_blocks import make_part_blocks
+from ...fit.tracking.compare_poses import log_posterior, track_from
 from ...fit.tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
@@ -121,7 +121,7 @@ class _Search:
         self.shapes = {frame: distance_field(self.cloud(frame), height) for frame in task.scanned}
 
     def likelihood(self, frame: int, pose: Pose) -> float:
-        return float(log_likelihood(self.tracker, pose, self.cloud(frame)))
+        return float(log_posterior(self.tracker, pose, self.cloud(frame)))
 
     def refine(self, frame: int, pose: Pose) -> tuple[Pose, float]:
         """Refine a nearby pose by the tracker."""
@@ -173,5 +173,5 @@ def coarse_template_tracker(template: Body, tracker: Tracker) -> Tracker:
     )
     places = jnp.asarray(attached_positions(hold, np.asarray(body.vertices, float)), body.vertices.dtype)
     coarse = Body(body.skeleton, coarse.skin, places, coarse.faces)
-    parts = make_parts(coarse.skin.dominant_bones(), coarse.skeleton.num_joints, coarse.vertices)
+    parts = make_part_blocks(coarse.skin.dominant_bones(), coarse.skeleton.num_joints, coarse.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts), tracker, (coarse, parts))

@@ -16,7 +16,7 @@ from ...body.skeleton import Skeleton
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, user_message
-from ...fit.tracking.check import check_extent
+from ...fit.tracking.check import check_cloud_extent
 from ...geometry.camera import Camera
 from ...io.cameras import read_cameras
 from ...io.meshes.clouds import Scans
@@ -55,7 +55,7 @@ def check_input(scans: Scans, body: Body) -> InputSummary:
         try:
             scan = scans[frame]
             digests[frame] = _digest(scan)
-            check_extent(body, scan.points, scan.name)
+            check_cloud_extent(body, scan.points, scan.name)
         except InputError as error:
             if frame == 0:
                 raise

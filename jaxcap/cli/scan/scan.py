@@ -18,7 +18,7 @@ from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
 from ...io.system.lock import run_lock
-from ...scanner.fuse import Scan as Fused
+from ...scanner.fuse import FusedScan
 from ...scanner.scan import sample_dropped_views, scan_frame
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn
@@ -191,7 +191,9 @@ class Scan:
         check_views(cameras, corners, where)
         return cameras
 
-    def scan(self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int) -> Fused:
+    def scan(
+        self, scanner: Scanner, cameras: list[Camera], body: Body, motion: Motion, frame: int
+    ) -> FusedScan:
         """Scan one frame and write it. Raises `InputError` if all views are empty."""
         vertices = np.asarray(pose_body(body, motion[frame]).vertices, float)
         fused = scan_frame(scanner, cameras, vertices, np.asarray(body.faces), self.seed, frame)

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from ...arguments import checked
 from ...geometry.closest import nearest_on_surface
-from ...observe import Scan as FileScan
+from ...observe import Scan
 from ...observe.clouds import Cloud, as_cloud, padded_size, unit_normals
 
 
@@ -43,7 +43,7 @@ def make_scan(cloud: Cloud) -> IndexedScan:
     return IndexedScan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
 
 
-def as_scan(frame: IndexedScan | Cloud | FileScan) -> IndexedScan:
+def as_scan(frame: IndexedScan | Cloud | Scan) -> IndexedScan:
     """Convert a frame to a scan: the points of a cloud, or of a frame read from a file; a scan is returned
     unchanged.
     """

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
-from ...geometry.camera import Camera, is_in_image, project
+from ...geometry.camera import Camera, is_in_image, project_points
 from ...geometry.mesh import vertex_normals
 
 #: depth below which triangles occlude nothing, metres
@@ -45,7 +45,7 @@ def visible_vertices(
 @partial(jax.jit, static_argnums=5)
 def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: int) -> Bool[Array, "V"]:
     turned = jnp.sum(normals * (camera.eye - vertices), -1) > 0
-    places, depth = project(camera, vertices)
+    places, depth = project_points(camera, vertices)
     front = depth > MIN_DEPTH
     # the buffer covers the box around the vertices in the image
     inside = is_in_image(camera, vertices)

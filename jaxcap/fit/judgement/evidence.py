@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import pose_body
 from ...body.pose import Pose
-from ...geometry.camera import Camera, is_in_image, project
+from ...geometry.camera import Camera, is_in_image, project_points
 from ...observe.clouds import Cloud
 from .inside import inside_degrees
-from .surface import MIN_DISTANCE, STRIDE, SampledSurface
+from .region_samples import MIN_DISTANCE, STRIDE, RegionSamples
 
 #: points sampled from a cloud
 NUM_POINTS = 1536
@@ -61,7 +61,7 @@ class Evidence(eqx.Module):
 
 @eqx.filter_jit
 def gather_evidence(
-    surface: SampledSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
+    surface: RegionSamples, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
 ) -> Evidence:
     """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
@@ -194,7 +194,7 @@ def _visible_in_camera(
     """Find the samples that a camera sees."""
     sight = camera.eye - vertices
     sight = sight / jnp.linalg.norm(sight, axis=1, keepdims=True)
-    pixels, depth = project(camera, vertices)
+    pixels, depth = project_points(camera, vertices)
     # a cell is as wide as `DEPTH_CELL_SIZE` in the depth of the body's centre
     wide = DEPTH_CELL_SIZE * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
     clear = _unoccluded(pixels / wide, -depth, OCCLUSION_DEPTH * size)

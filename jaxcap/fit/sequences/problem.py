@@ -20,7 +20,7 @@ from ..linear.block_arrow import BlockArrow
 from ..linear.block_banded import BlockBanded
 from ..linearise import BodyTangent, body_tangent
 from ..problem import pose_scales
-from ..solvers.descent import ConstrainedInfo, Constraints
+from ..solvers.descent import ConstrainedInfo, StepConstraints
 from ..solvers.equalities import Equalities
 from ..solvers.problem import AbstractProblem
 from .neighbours import window_equations, window_residuals
@@ -265,10 +265,10 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
         names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(self.mirrored)
         return " and ".join(names) or None
 
-    def _constraints(self, y: SequenceEstimate) -> Constraints | None:
+    def _constraints(self, y: SequenceEstimate) -> StepConstraints | None:
         low, high = self._bounds(y)
         equalities = Equalities(*self._equalities(y.values)) if self.mirrored else None
-        return None if low is None and equalities is None else Constraints(low, high, equalities)
+        return None if low is None and equalities is None else StepConstraints(low, high, equalities)
 
     def _equalities(self, values: dict[str, Any]) -> tuple[Float[Array, "C S"], Float[Array, "C"]]:
         """Linearise the length differences of mirrored bones; the values are their negative residuals."""

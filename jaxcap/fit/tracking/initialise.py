@@ -20,7 +20,7 @@ from ...geometry import rotation
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
 from ...value_checks import check_at_least, check_direction
-from ..correspondence.part_blocks import make_parts
+from ..correspondence.part_blocks import make_part_blocks
 from .em import Estimate, box_volume, em_step, uniform_priors
 from .prior_starts import limb_starts, mean_pose
 from .track_frame import Tracker, frame_terms, penalty
@@ -162,7 +162,7 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
     over_joints = tuple(
         t for t in tracker.terms if isinstance(unweighted(t), JointLimits | PosePrior | RestPrior)
     )
-    parts = make_parts(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
+    parts = make_part_blocks(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
 
 

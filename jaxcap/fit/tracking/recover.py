@@ -19,7 +19,7 @@ from ..judgement.baseline import (
     update_baseline,
 )
 from ..judgement.evidence import gather_evidence
-from ..judgement.surface import SampledSurface
+from ..judgement.region_samples import RegionSamples
 from ..judgement.verdict import Judgement, judge_evidence
 from .em import Estimate, FrameStatistics
 from .initialise import (
@@ -121,7 +121,7 @@ def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
 
 
 def track_first_frame(
-    tracker: Tracker, surface: SampledSurface, cloud: Cloud, pose: Pose, sigma: float
+    tracker: Tracker, surface: RegionSamples, cloud: Cloud, pose: Pose, sigma: float
 ) -> TrackedFrame:
     """Track the first frame from a pose near it.
 
@@ -139,7 +139,7 @@ def track_first_frame(
 
 
 def judge_frame(
-    surface: SampledSurface,
+    surface: RegionSamples,
     cloud: Cloud,
     state: TrackState,
     statistics: FrameStatistics,
@@ -162,7 +162,7 @@ def judge_frame(
 
 @eqx.filter_jit
 def _compare(
-    surface: SampledSurface, baseline: Baseline, pose: Pose, cloud: Cloud
+    surface: RegionSamples, baseline: Baseline, pose: Pose, cloud: Cloud
 ) -> tuple[Judgement, Baseline]:
     cameras = [view.camera for view in cloud.views]
     evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline))
@@ -199,7 +199,7 @@ def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
 
 def search_frame(
     tracker: Tracker,
-    surface: SampledSurface,
+    surface: RegionSamples,
     coarse: Tracker,
     frame: TrackedFrame,
     baseline: Baseline,

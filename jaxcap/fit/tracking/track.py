@@ -19,7 +19,7 @@ from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
 from ..judgement.baseline import initial_baseline
-from ..judgement.surface import sampled_surface
+from ..judgement.region_samples import sample_regions
 from .check import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
@@ -105,7 +105,7 @@ def _track_frames(
     margin: float,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
-    coarse, surface = None, sampled_surface(tracker.body)
+    coarse, surface = None, sample_regions(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
     def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:

@@ -17,8 +17,16 @@ from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
 from ...energy.priors.self_collision import SelfCollision, make_self_collision
 from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
-from ..correspondence.part_blocks import Parts, make_parts
-from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
+from ..correspondence.part_blocks import PartBlocks, make_part_blocks
+from .em import (
+    Estimate,
+    FrameStatistics,
+    MixtureSettings,
+    box_volume,
+    em_step,
+    make_mixture_settings,
+    uniform_priors,
+)
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
 ITERATIONS, PARTIAL_ITERATIONS = 3, 6
@@ -38,8 +46,8 @@ class Tracker(eqx.Module):
     """The constants of a tracked sequence."""
 
     body: Body
-    parts: Parts
-    mixture: Mixture
+    parts: PartBlocks
+    mixture: MixtureSettings
     #: standard deviations of a pose from its prediction, metres and radians
     motion_deviations: Float[Array, "D"]
     #: standard deviations of joints from rest in their own frames, for coordinates that a cloud does not
@@ -73,7 +81,7 @@ class TrackState(eqx.Module):
 @checked
 def make_tracker(
     body: Body,
-    mixture: Mixture | None = None,
+    mixture: MixtureSettings | None = None,
     terms: UserTerms = (),
     *,
     motion_deviation: tuple[float, float] = (0.05, 0.3),
@@ -108,8 +116,8 @@ def make_tracker(
     bones = body.skin.dominant_bones()
     return Tracker(
         body=body,
-        parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
-        mixture=make_mixture() if mixture is None else mixture,
+        parts=make_part_blocks(bones, body.skeleton.num_joints, body.vertices),
+        mixture=make_mixture_settings() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
         people=human_prior(body.skeleton) if partial else None,

@@ -42,7 +42,7 @@ SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
 
 @checked
 def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
-    """Write a body with joint limits, which are any named arrays; read these by `load_limits`.
+    """Write a body with joint limits, which are any named arrays; read these by `load_body_limits`.
 
     **Raises:** `InputError` if the file cannot be written or the skin has no name in `SKINS`.
     """
@@ -147,7 +147,7 @@ def _check_weights(weights: np.ndarray, path: str | Path, partial: bool) -> None
         )
 
 
-def load_limits(path: str | Path) -> dict[str, np.ndarray]:
+def load_body_limits(path: str | Path) -> dict[str, np.ndarray]:
     """Read the joint limits of a body file, by the names they were saved under; `{}` if there are none."""
     return extract_limits(
         load_format(path, "jaxcap body", select=lambda name: name.startswith(LIMITS_PREFIX))

@@ -130,7 +130,7 @@ def median_extent(frames: MarkerFrames) -> float:
     return float(np.median(sides.max(1)))
 
 
-def check_extent(
+def check_marker_extent(
     frames: MarkerFrames,
     where: str | Path,
     scale: float,
@@ -193,7 +193,7 @@ def make_marker_file(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
     check_rate(rate, str(where))
-    # `check_extent` checks the unit, as it knows other units
+    # `check_marker_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
     return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed))

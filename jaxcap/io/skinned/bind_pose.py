@@ -90,7 +90,7 @@ def surface_to_world_transform(
     return placed
 
 
-def body_of(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
+def make_skinned_body(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
     """Build the body of a surface with weights for the skeleton's joints. Raises `InputError`."""
     vertices = surface.vertices @ bound.surface_to_world[:3, :3].T + bound.surface_to_world[:3, 3]
     _check_positions(path, vertices, "vertices")
@@ -99,7 +99,9 @@ def body_of(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
     return Body(bound.skeleton, skin, jnp.asarray(vertices, dtype), jnp.asarray(surface.faces))
 
 
-def motion_of(path: Path, bound: BindPose, frames: Float[np.ndarray, "F J 4 4"], rate: float) -> Motion:
+def make_skinned_motion(
+    path: Path, bound: BindPose, frames: Float[np.ndarray, "F J 4 4"], rate: float
+) -> Motion:
     """Build the motion from the `frames` of the joints in the world, in the skeleton's order.
 
     **Raises:** `InputError` if a joint is scaled or sheared individually.

@@ -20,13 +20,19 @@ from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import body_tangent
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import minimise
 from ...fit.solvers.problem import AbstractProblem
 from ...geometry import rotation
-from ...geometry.laplacian import Conformance, PatchLaplacian, apply, laplacian_rows, make_patch_laplacian
+from ...geometry.laplacian import (
+    Conformance,
+    PatchLaplacian,
+    apply_conformance,
+    laplacian_rows,
+    make_patch_laplacian,
+)
 from ..objective import objective
 from .joint_centre_prior import GivenCentres, JointCentrePrior, boundary_centre_prior, given_centre_prior
 
@@ -133,7 +139,7 @@ class JointProblem(AbstractProblem[JointState]):
         differences, by_centre = length_differences(body.skeleton, np.array(self.pairs, int).reshape(-1, 2))
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
-        constraints = Constraints(equalities=Equalities(rows, -differences))
+        constraints = StepConstraints(equalities=Equalities(rows, -differences))
         gradient = jax.tree.map(jnp.negative, side)
         return ConstrainedInfo(self.value(y), gradient, arrow, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
@@ -222,7 +228,7 @@ def normal_equations(
             select_parameters(joint_jacobian(skeleton, pose, transforms), chosen),
         )
         rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
-        side = jnp.tensordot(apply(metric, target - pose_body(body, pose).vertices), rows, 2)
+        side = jnp.tensordot(apply_conformance(metric, target - pose_body(body, pose).vertices), rows, 2)
         rough = laplacian_rows(curvature.laplacian, rows.reshape(count, -1)).reshape(-1, rows.shape[2])
         plain = rows[curvature.vertices].reshape(-1, rows.shape[2])
         gram = curvature.weight * (plain.T @ plain + metric.alpha * rough.T @ rough)

@@ -25,7 +25,7 @@ from ...body.symmetry import bone_length_differences
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linear.cholesky import factorise
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractProblem
 from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives, bone_transforms, move_bones
@@ -95,7 +95,7 @@ class BlendProblem(AbstractProblem[Blend]):
         hessian = hessian.add_diagonal(stiff)
         differences, by_centre = bone_length_differences(y.bone_state.centres, self.mirrored_bones)
         rows = by_centre.reshape(len(differences), -1) * self.units[1]
-        constraints = Constraints(equalities=Equalities(rows, -differences))
+        constraints = StepConstraints(equalities=Equalities(rows, -differences))
         return ConstrainedInfo(value, moves.vjp(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
 

@@ -16,7 +16,7 @@ from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import BodyTangent, body_tangent
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.problem import AbstractNestedProblem
 from ..subject import Subject, marker_body, shift_markers
@@ -109,7 +109,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         if self.pairs:
             rows, violation = equal_length_constraints(self.subject(y), self.joints, self.pairs)
             equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
-        constraints = Constraints(equalities=equalities)
+        constraints = StepConstraints(equalities=equalities)
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
     def improve_nested(self, y):

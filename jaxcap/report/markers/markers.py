@@ -76,7 +76,7 @@ def summarise_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]
     }
 
 
-def list_bones(skeleton: Skeleton) -> tuple[Bone, ...]:
+def describe_bones(skeleton: Skeleton) -> tuple[Bone, ...]:
     """List the bones between two joints that are not roots, as a root's centre may be anywhere."""
     centres = np.asarray(skeleton.centres, float)
     return tuple(
@@ -132,7 +132,7 @@ def report_markers(
                 "kinds": list(skeleton.kinds),
                 "centres": np.asarray(skeleton.centres, float).tolist(),
             },
-            "bones": [bone._asdict() for bone in list_bones(skeleton)],
+            "bones": [bone._asdict() for bone in describe_bones(skeleton)],
             "messages": list(notes),
             **(extra or {}),
         },
