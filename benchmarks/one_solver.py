@@ -27,7 +27,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose, rest_pose, retract
 from jaxcap.body.shape_modes import ShapeModes, joint_modes
 from jaxcap.energy.data.landmarks import VertexLandmarks
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import SmoothRotations, stack_energies
 from jaxcap.fit.linear.block_arrow import BlockArrow
 from jaxcap.fit.linear.block_banded import BlockBanded

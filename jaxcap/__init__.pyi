@@ -44,7 +44,7 @@ from .energy.data.points import PointToPoint as PointToPoint
 from .energy.energy import AbstractEnergy as AbstractEnergy
 from .energy.energy import energies as energies
 from .energy.priors.limits import JointLimits as JointLimits
-from .energy.priors.prior import RestPrior as RestPrior
+from .energy.priors.reference_pose import RestPrior as RestPrior
 from .errors import InputError as InputError
 from .fit.fit_meshes import fit_meshes as fit_meshes
 from .fit.solve import solve as solve

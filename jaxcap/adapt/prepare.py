@@ -12,7 +12,7 @@ from ..body.pose import Pose
 from ..body.symmetry import mirrored_joints
 from ..energy.check import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
-from ..energy.priors.prior import RestPrior
+from ..energy.priors.reference_pose import RestPrior
 from ..errors import InputError
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera

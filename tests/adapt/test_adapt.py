@@ -30,7 +30,7 @@ from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.correspond import Matching
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.fit.correspondence.soft_assignment import SoftAssignment

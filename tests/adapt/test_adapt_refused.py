@@ -30,7 +30,7 @@ from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.data.pairs import stack_pairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds

@@ -33,7 +33,7 @@ from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, make_checkpoint
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.io.meshes.clouds import read_clouds

@@ -13,7 +13,7 @@ from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import mirrored_joints
 from jaxcap.energy.data.pairs import PairDistances, PointPairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise
 from jaxcap.geometry.stacking import stack_trees
 

@@ -21,7 +21,7 @@ from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.geometry.stacking import stack_trees, unstack_trees
 

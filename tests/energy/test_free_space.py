@@ -10,7 +10,7 @@ from helpers import chain_body, check_energy, random_pose
 import jaxcap as jc
 from jaxcap.body.pose import local_rotation_vectors
 from jaxcap.energy.data.free_space import FRONT_TOLERANCE, SIDE_TOLERANCE, FreeSpace
-from jaxcap.energy.priors.gaussian import GaussianPrior, human_prior
+from jaxcap.energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
 from jaxcap.energy.priors.self_collision import ALLOWED_DEPTH, make_self_collision
 from jaxcap.geometry.camera import look_at
 from jaxcap.observe import make_depth_view

@@ -12,7 +12,7 @@ import jaxcap
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.energy.data.soft_object import ROUNDING, SoftObject, SoftPoints, make_soft_object, soft_distance
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.solve import solve
 from jaxcap.geometry import rotation
 

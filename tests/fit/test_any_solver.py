@@ -11,7 +11,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.energy.data.landmarks import VertexLandmarks
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.errors import InputError
 from jaxcap.fit.problem import PoseProblem
 from jaxcap.fit.sequences.problem import SequenceProblem

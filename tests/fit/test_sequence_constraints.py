@@ -15,7 +15,7 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.energy import Weighted
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import NormalPrior, SmoothRotations, stack_energies
 from jaxcap.errors import InputError
 from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem

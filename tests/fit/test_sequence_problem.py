@@ -13,7 +13,7 @@ from jaxcap.body.body import Posed, pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.energy.data.landmarks import VertexLandmarks, joint_landmarks
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import SmoothRotations, Stacked, stack_energies
 from jaxcap.errors import InputError
 from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem

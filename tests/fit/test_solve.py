@@ -18,7 +18,7 @@ from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.limits import JointLimits
-from jaxcap.energy.priors.prior import PosePrior, RestPrior
+from jaxcap.energy.priors.reference_pose import PosePrior, RestPrior
 from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve

@@ -24,7 +24,7 @@ from jaxcap.energy.energy import energies
 from jaxcap.geometry import rotation
 from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import load_boxes
-from jaxcap.prior.pose_prior import rotation_vectors
+from jaxcap.prior.learn_pose_prior import rotation_vectors
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

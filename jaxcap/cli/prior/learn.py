@@ -16,7 +16,7 @@ from ...errors import InputError, user_message
 from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import save_prior
 from ...prior.covariance_selection import count_zero_couplings
-from ...prior.pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
+from ...prior.learn_pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
 from ..console.console import pluralise, print_table, progress, say, warn
 from ..console.options import BODY_FORMATS, MOTION_FORMATS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..motions import load_motion

@@ -15,7 +15,7 @@ from ...body.limits.limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project, rest_pose
 from ...energy.energy import AbstractEnergy
-from ...energy.priors.prior import RestPrior
+from ...energy.priors.reference_pose import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
 from .point_positions import point_positions
 from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik

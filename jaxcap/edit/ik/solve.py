@@ -18,7 +18,7 @@ from ...body.skeleton import Skeleton
 from ...energy.data.landmarks import VertexLandmarks
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.limits import JointLimits
-from ...energy.priors.prior import ReferencePrior
+from ...energy.priors.reference_pose import ReferencePrior
 from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt

@@ -16,7 +16,7 @@ from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
 from ...energy.data.landmarks import VertexLandmarks
-from ...energy.priors.prior import PosePrior, tangent_deviations
+from ...energy.priors.reference_pose import PosePrior, tangent_deviations
 from ...fit.solve import solve
 from ..ik.constraints import Constraint, Constraints, constrained_body, make_constraints
 from .retarget import UP

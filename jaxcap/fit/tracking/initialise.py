@@ -15,7 +15,7 @@ from ...body.pose import Pose, concatenate_poses, rest_pose, retract
 from ...body.skeleton import Skeleton, dof_layout
 from ...energy.energy import Sum, unweighted
 from ...energy.priors.limits import JointLimits
-from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
@@ -205,7 +205,7 @@ def initialise(
     vertical = jnp.asarray(up, rest.rotations.dtype)
     wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE_SIGMAS, FINE_SIGMAS))
     if starts is None:
-        standing = [rest] if tracker.people is None else [rest, mean_pose(tracker.people, skeleton)]
+        standing = [rest] if tracker.pose_prior is None else [rest, mean_pose(tracker.pose_prior, skeleton)]
         starts = concatenate_poses([rotated_starts(coarse, few, pose, turns, vertical) for pose in standing])
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses, _ = anneal_sorted(coarse, few, starts, wide)
@@ -231,8 +231,8 @@ def refine(
     """
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
-    if tracker.people is not None:
-        near = concatenate_poses([near, limb_starts(tracker.people, skeleton, poses)])
+    if tracker.pose_prior is not None:
+        near = concatenate_poses([near, limb_starts(tracker.pose_prior, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
     poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from ...body.pose import Pose, concatenate_poses
-from ...energy.priors.prior import tangent_deviations
+from ...energy.priors.reference_pose import tangent_deviations
 from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
@@ -232,8 +232,8 @@ def search_frame(
         subtree_starts(skeleton, here, 7, wide, keys[1]),
         rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
     ]
-    if tracker.people is not None:
-        starts.append(limb_starts(tracker.people, skeleton, here))
+    if tracker.pose_prior is not None:
+        starts.append(limb_starts(tracker.pose_prior, skeleton, here))
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])

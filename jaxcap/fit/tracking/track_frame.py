@@ -12,8 +12,8 @@ from ...body.pose import Pose, difference, retract
 from ...energy.check import UserTerms, sum_user_terms
 from ...energy.data.free_space import FreeSpace
 from ...energy.energy import AbstractEnergy, Sum, terms_of, weighted
-from ...energy.priors.gaussian import GaussianPrior, human_prior
-from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...energy.priors.self_collision import SelfCollision, make_self_collision
 from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
@@ -54,7 +54,7 @@ class Tracker(eqx.Module):
     #: determine
     rest_deviations: Float[Array, "J 3"]
     #: of bodies that are seen in part: the prior of people's poses, and limbs inside of other parts
-    people: GaussianPrior | None
+    pose_prior: GaussianPrior | None
     collision: SelfCollision | None
     #: share of the last change in the prediction of a frame
     momentum: Float[Array, ""]
@@ -120,7 +120,7 @@ def make_tracker(
         mixture=make_mixture_settings() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
-        people=human_prior(body.skeleton) if partial else None,
+        pose_prior=human_prior(body.skeleton) if partial else None,
         collision=make_self_collision(body) if partial else None,
         momentum=as_number(momentum),
         sigma_growth=as_number(sigma_growth),
@@ -157,8 +157,8 @@ def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
 def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
     """Return the terms that determine unobserved joints: pose prior, self-collision, and free space."""
     total, terms = jnp.sum(cloud.weights), []
-    if tracker.people is not None:
-        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.people))
+    if tracker.pose_prior is not None:
+        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.pose_prior))
     if tracker.collision is not None:
         terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
     if cloud.views:

@@ -18,7 +18,7 @@ from ...body.people.human import human_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...energy.priors.prior import RestPrior
+from ...energy.priors.reference_pose import RestPrior
 from ...fit.solve import solve
 from ...geometry import rotation
 from ...geometry.procrustes import rigid_fit

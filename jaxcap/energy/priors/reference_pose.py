@@ -1,4 +1,4 @@
-"""Priors for poses near a given one, or near rest."""
+"""Priors for poses near a reference pose, or near rest."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
