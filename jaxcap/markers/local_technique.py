@@ -152,7 +152,9 @@ def _bone_length_map(
             same.append((ends[0][0], ends[1][0]))
     places, known = joint_trajectories(tree)
     deviations = np.array([1.0 if joint is None else max(joint.residual, 1e-4) for joint in tree.joints])
-    found = estimate_bone_lengths(places, known, between, method, equal_pairs=same, deviations=deviations)
+    found = estimate_bone_lengths(
+        places, known, between, method, left_right_pairs=same, deviations=deviations
+    )
     return dict(zip(between, found.tolist(), strict=True))
 
 

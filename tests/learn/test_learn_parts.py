@@ -10,7 +10,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry.procrustes import group_moments, nearest_rotation, rigid_errors, rigid_fit, rigid_motions
 from jaxcap.learn.parts.agglomerate import agglomerate, merged_labels
 from jaxcap.learn.parts.parts import find_parts
-from jaxcap.learn.skeleton.left_right_pairs import find_left_right_pairs
+from jaxcap.learn.skeleton.left_right_pairs import detect_left_right_pairs
 from jaxcap.learn.skeleton.reference_mesh import choose_reference_mesh
 from jaxcap.learn.skeleton.tree import find_joint_tree, pose_parts
 
@@ -181,10 +181,10 @@ def test_pairs_are_siblings_alike_and_doubtful_ones_are_left():
     ]
     skeleton = make_skeleton(names, parents, ["free"] + ["ball"] * 7, centres)
     areas = np.array([3, 1, 1, 1.1, 0.9, 0.8, 2, 2.0])
-    assert find_left_right_pairs(skeleton, areas).tolist() == [[1, 3], [2, 4]]
+    assert detect_left_right_pairs(skeleton, areas).tolist() == [[1, 3], [2, 4]]
     # four legs alike have no certain partners
     four = make_skeleton(list("abcde"), [-1, 0, 0, 0, 0], ["free"] + ["ball"] * 4, [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]])  # fmt: skip
-    assert len(find_left_right_pairs(four, np.ones(5))) == 0
+    assert len(detect_left_right_pairs(four, np.ones(5))) == 0
 
 
 def test_what_cannot_be_is_said(rng):
@@ -212,4 +212,4 @@ def test_limbs_of_a_captured_performer(shared):
     assert parts.error < 0.017
     tree = find_joint_tree(parts, parts.rest, faces)
     assert np.max(tree.skeleton.depths) >= 4
-    assert len(find_left_right_pairs(tree.skeleton, tree.areas)) >= 3
+    assert len(detect_left_right_pairs(tree.skeleton, tree.areas)) >= 3

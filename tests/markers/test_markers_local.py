@@ -115,7 +115,7 @@ def test_lengths_agree_and_symmetry_makes_pairs_equal(rng):
     found = estimate_bone_lengths(noisy, known, between, "global")
     np.testing.assert_allclose(found, [0.3, 0.3, 0.33], atol=1e-3)
     for method in ("mean", "global"):
-        paired = estimate_bone_lengths(noisy, known, between, method, equal_pairs=[(0, 2)])
+        paired = estimate_bone_lengths(noisy, known, between, method, left_right_pairs=[(0, 2)])
         assert paired[0] == paired[2] and 0.3 < paired[0] < 0.33
 
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
-from ...body.symmetry import left_right_candidates
+from ...body.symmetry import left_right_pairs_by_name
 from ...geometry import rotation
 from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
@@ -113,7 +113,7 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
     follows, descent = _next_matched_joints(target, source, pairs), source.descendants
     girdles = {joint for (_, part), joint in person.parts.items() if part == "clavicle"}
     ends = {joint for (_, part), joint in person.parts.items() if part in ("hand", "foot")}
-    sided = {joint for pair in left_right_candidates(target.names) for joint in pair} | set(
+    sided = {joint for pair in left_right_pairs_by_name(target.names) for joint in pair} | set(
         person.parts.values()
     )
     alignment = np.tile(np.asarray(rotation.from_matrix(jnp.asarray(upright))), (target.num_joints, 1))

@@ -77,7 +77,7 @@ class JointProblem(AbstractProblem[JointState]):
 
     The unknowns are the parameters of all poses and, for each joint below a root, its centre and, if the skin
     has twist axes, two parameters of its orientation (a roll about the twist axis has no effect). The bones
-    of left and right `pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
+    of `left_right_pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
     Q_sym` (eqs. 3.23 to 3.26). Anchors damp steps along directions of a centre that no motion determines, and
     pull with a `prior_strength`. They are not part of the objective.
     """
@@ -89,7 +89,7 @@ class JointProblem(AbstractProblem[JointState]):
     centre_prior: JointCentrePrior | None = None
     prior_strength: float | Float[Array, ""] = 0.0
     terms: AbstractEnergy | None = None
-    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -125,7 +125,7 @@ class JointProblem(AbstractProblem[JointState]):
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
 
     def describe_constraints(self):
-        return "bones of equal length" if self.pairs else None
+        return "bones of equal length" if self.left_right_pairs else None
 
     def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
@@ -136,7 +136,9 @@ class JointProblem(AbstractProblem[JointState]):
             )
         if self.terms is not None:
             arrow, side = _add_energies(arrow, side, self.terms, y, self)
-        differences, by_centre = length_differences(body.skeleton, np.array(self.pairs, int).reshape(-1, 2))
+        differences, by_centre = length_differences(
+            body.skeleton, np.array(self.left_right_pairs, int).reshape(-1, 2)
+        )
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
         constraints = StepConstraints(equalities=Equalities(rows, -differences))
@@ -177,11 +179,11 @@ def improve_joints(
         if given_centres is None
         else given_centre_prior(body, poses, given_centres)
     )
-    mirrored = tuple(map(tuple, np.asarray(pairs, int).tolist()))
+    left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
     shares = jnp.asarray(damping, targets.dtype)
     for strength in (1.0, 0.0):
         strength = jnp.asarray(strength, targets.dtype)
-        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, mirrored)
+        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, left_right_pairs)
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
             improved = problem.body_at(y)

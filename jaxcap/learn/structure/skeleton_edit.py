@@ -54,7 +54,7 @@ class EditedBody(NamedTuple):
 
     body: Body
     poses: Pose
-    pairs: Int[np.ndarray, "P 2"]
+    left_right_pairs: Int[np.ndarray, "P 2"]
 
 
 def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> EditedBody:

@@ -58,7 +58,7 @@ class BlendProblem(AbstractProblem[Blend]):
     candidates: Int[Array, "V K"]
     targets: Float[Array, "V N"]
     #: left joint, its parent, right joint, its parent
-    mirrored_bones: Int[Array, "P 4"]
+    left_right_bones: Int[Array, "P 4"]
     units: Unknowns
 
     def value(self, y: Blend) -> Float[Array, ""]:
@@ -93,7 +93,7 @@ class BlendProblem(AbstractProblem[Blend]):
             lambda u, s: 2.0 * value * s * u**2, self.units, (ROTATION_STIFFNESS, CENTRE_STIFFNESS)
         )
         hessian = hessian.add_diagonal(stiff)
-        differences, by_centre = bone_length_differences(y.bone_state.centres, self.mirrored_bones)
+        differences, by_centre = bone_length_differences(y.bone_state.centres, self.left_right_bones)
         rows = by_centre.reshape(len(differences), -1) * self.units[1]
         constraints = StepConstraints(equalities=Equalities(rows, -differences))
         return ConstrainedInfo(value, moves.vjp(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]

@@ -61,7 +61,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
-    - `joints` are those with unknown centres; `pairs` those with bones of equal length.
+    - `joints` are those with unknown centres; `left_right_pairs` those with bones of equal length.
     """
 
     template: Subject
@@ -75,7 +75,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     outlier_bound: Float[Array, ""]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
-    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def subject(self, y: CalibrationEstimate) -> Subject:
         """Build the subject of an estimate."""
@@ -101,13 +101,13 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return jnp.ones((len(self.positions), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
 
     def describe_constraints(self):
-        return "bones of equal length" if self.pairs else None
+        return "bones of equal length" if self.left_right_pairs else None
 
     def information(self, y):
         value, gradient, hessian = self.normal_equations(y)
         equalities = None
-        if self.pairs:
-            rows, violation = equal_length_constraints(self.subject(y), self.joints, self.pairs)
+        if self.left_right_pairs:
+            rows, violation = equal_length_constraints(self.subject(y), self.joints, self.left_right_pairs)
             equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
         constraints = StepConstraints(equalities=equalities)
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
@@ -287,7 +287,7 @@ def make_calibration_problem(
     positions: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
     joints: tuple[int, ...],
-    pairs: tuple[tuple[int, int], ...] = (),
+    left_right_pairs: tuple[tuple[int, int], ...] = (),
     template_prior: TemplatePrior = TemplatePrior(),
     *,
     robust: bool = True,
@@ -307,7 +307,7 @@ def make_calibration_problem(
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
         sum_user_terms("make_calibration_problem", terms, marker_body(template)),
         joints,
-        pairs,
+        left_right_pairs,
     )
 
 
