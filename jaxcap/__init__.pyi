@@ -35,7 +35,7 @@ from .body.skeleton import make_skeleton as make_skeleton
 from .body.skin import DualQuaternionSkin as DualQuaternionSkin
 from .body.skin import LinearSkin as LinearSkin
 from .body.skin import SwingTwistSkin as SwingTwistSkin
-from .edit.ik.solve import solve_ik as solve_ik
+from .edit.ik.solve_ik import solve_ik as solve_ik
 from .edit.retargeting.retarget import retarget as retarget
 from .energy.data.landmarks import JointLandmarks as JointLandmarks
 from .energy.data.landmarks import VertexLandmarks as VertexLandmarks

@@ -19,8 +19,8 @@ from ..energy.data.pairs import PairDistances, PointPairs, num_pairs
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..energy.priors.temporal import second_difference
 from ..energy.stacked import NormalPrior, SmoothRotations, Stacked, weight_frames
-from ..fit.problem import PoseProblem
-from ..fit.sequences.problem import SequenceProblem
+from ..fit.pose_problem import PoseProblem
+from ..fit.sequences.sequence_problem import SequenceProblem
 from ..fit.sequences.unknowns import ShapeCoefficients
 
 #: number of pairs that count as one independent measurement, as neighbouring pairs are correlated

@@ -10,7 +10,7 @@ from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import find_left_right_pairs
-from ..energy.check import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
 from ..energy.priors.reference_pose import RestPrior
 from ..errors import InputError

@@ -14,7 +14,7 @@ from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan, make_scan
-from ..fit.tracking.check import check_cloud_extent
+from ..fit.tracking.check_cloud import check_cloud_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera
 from ..io.lazy_frames import LazyFrames

@@ -17,8 +17,8 @@ from .glue import glue_scan as glue_scan
 from .ik.constraints import Constraint as Constraint
 from .ik.constraints import Constraints as Constraints
 from .ik.constraints import make_constraints as make_constraints
-from .ik.solve import IkOptions as IkOptions
-from .ik.solve import IkSolution as IkSolution
+from .ik.solve_ik import IkOptions as IkOptions
+from .ik.solve_ik import IkSolution as IkSolution
 from .interpolation import resample as resample
 from .keys import Keyframes as Keyframes
 from .keys import find_keys as find_keys

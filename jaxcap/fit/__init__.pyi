@@ -12,10 +12,10 @@ from .correspondence.posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .correspondence.visibility import visible_vertices as visible_vertices
 from .fit_meshes import MeshFit as MeshFit
-from .sequences.problem import SequenceEstimate as SequenceEstimate
-from .sequences.problem import SequenceProblem as SequenceProblem
-from .sequences.solve import SequenceSolution as SequenceSolution
-from .sequences.solve import solve_sequence as solve_sequence
+from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
+from .sequences.sequence_problem import SequenceProblem as SequenceProblem
+from .sequences.solve_sequence import SequenceSolution as SequenceSolution
+from .sequences.solve_sequence import solve_sequence as solve_sequence
 from .sequences.uncertainty import SequenceUncertainty as SequenceUncertainty
 from .sequences.uncertainty import describe_sequence as describe_sequence
 from .sequences.uncertainty import sequence_uncertainty as sequence_uncertainty

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
-from ..energy.check import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..errors import InputError

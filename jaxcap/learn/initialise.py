@@ -15,11 +15,11 @@ from ..geometry.procrustes import group_moments
 from ..observe.meshes import MeshSequence
 from ..rig.rig import rig_mesh
 from .parts.parts import find_parts
-from .parts.surface import make_surface_graph, membership
+from .parts.surface_graph import make_surface_graph, membership
+from .skeleton.joint_tree import find_joint_tree, pose_parts
 from .skeleton.left_right_pairs import detect_left_right_pairs
 from .skeleton.pose_from_parts import fit_poses
 from .skeleton.reference_mesh import choose_reference_mesh
-from .skeleton.tree import find_joint_tree, pose_parts
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]
 

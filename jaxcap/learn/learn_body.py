@@ -13,7 +13,7 @@ from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..energy.check import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence

@@ -10,7 +10,7 @@ from ..body.limits.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .check import map_frames, nearest_frames
+from .frame_evaluation import map_frames, nearest_frames
 
 #: number of rounds, each a smoothing of the corrections and a new projection
 ROUNDS = 4

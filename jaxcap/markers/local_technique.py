@@ -19,7 +19,7 @@ from .segments.segment import Segments
 from .segments.swaps import correct_swaps
 from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
 from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones
-from .skeleton.tree import SegmentTree, find_segment_tree, template_pairs
+from .skeleton.segment_tree import SegmentTree, find_segment_tree, template_pairs
 from .subject import Subject, make_subject
 
 #: a joint is reported as hardly rotating where its swept angle is below this, radians

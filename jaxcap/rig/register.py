@@ -13,8 +13,8 @@ from ..fit.alternate import anneal_problem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
 from ..geometry.mesh import area_normals, vertex_areas
-from .problem import TemplateProblem
 from .template import Build, Person, Template, average_build, pose_template
+from .template_problem import TemplateProblem
 
 #: distance equivalent to a unit difference of normals, metres; opposite normals differ by two
 NORMAL_SCALE = 0.1

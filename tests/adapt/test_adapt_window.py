@@ -17,7 +17,7 @@ from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise
-from jaxcap.fit.problem import pose_scales
+from jaxcap.fit.pose_problem import pose_scales
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation

@@ -197,7 +197,7 @@ def test_single_precision_is_as_good(rng):
     low = jax.tree.map(
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, (energy, BODY, pose)
     )
-    linearise = eqx.filter_jit(jaxcap.fit.problem.linearise)
+    linearise = eqx.filter_jit(jaxcap.fit.pose_problem.linearise)
     (r_low, j_low), (r, j) = linearise(*low), linearise(energy, BODY, pose)
     assert r_low.dtype == j_low.dtype == jnp.float32
     np.testing.assert_allclose(r_low, r, atol=2e-6)

@@ -24,9 +24,9 @@ from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
+from jaxcap.fit.solvers.least_squares_problem import AbstractDenseProblem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.minimise import minimise
-from jaxcap.fit.solvers.problem import AbstractDenseProblem
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

@@ -9,7 +9,7 @@ from jaxcap.markers.local_technique import fit_local
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
-from jaxcap.markers.skeleton.tree import find_segment_tree
+from jaxcap.markers.skeleton.segment_tree import find_segment_tree
 from jaxcap.markers.subject import marker_positions
 from jaxcap.observe.markers import make_markers
 from tests.markers_scene import PUPPET, puppet

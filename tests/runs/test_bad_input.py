@@ -13,7 +13,7 @@ from helpers import chain_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.check import check_cloud, check_cloud_extent
+from jaxcap.fit.tracking.check_cloud import check_cloud, check_cloud_extent
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh

@@ -16,7 +16,7 @@ from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import Matching, find_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
 from ...fit.correspondence.visibility import visible_vertices
-from ...fit.problem import PoseProblem
+from ...fit.pose_problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...observe import Scan

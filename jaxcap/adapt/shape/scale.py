@@ -13,7 +13,7 @@ from ...energy.data.pairs import stack_pairs
 from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import Matching
 from ...fit.correspondence.nearest_assignment import IndexedScan
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...adapt.check import check_actor, check_cameras
+from ...adapt.check_scans import check_actor, check_cameras
 from ...adapt.poses.select_frames import select_evenly
 from ...adapt.task import AdaptState, AdaptTask
 from ...body.body import Body
@@ -16,7 +16,7 @@ from ...body.skeleton import Skeleton
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, user_message
-from ...fit.tracking.check import check_cloud_extent
+from ...fit.tracking.check_cloud import check_cloud_extent
 from ...geometry.camera import Camera
 from ...io.cameras import read_cameras
 from ...io.meshes.clouds import Scans

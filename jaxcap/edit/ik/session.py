@@ -18,7 +18,7 @@ from ...energy.energy import AbstractEnergy
 from ...energy.priors.reference_pose import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
 from .point_positions import point_positions
-from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
+from .solve_ik import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: number of undo steps that a session keeps
 MAX_UNDO_STEPS = 200

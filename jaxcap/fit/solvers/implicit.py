@@ -13,8 +13,8 @@ from ..linear.conjugate_gradients import conjugate_gradients
 from ..linear.structured import damped
 from .descent import ConstrainedInfo
 from .equalities import Equalities
+from .least_squares_problem import AbstractProblem
 from .minimise import AnySolver, Minimum, minimise
-from .problem import AbstractProblem
 
 #: of the conjugate gradients for a derivative: largest number of steps, relative residual at the end, and its
 #: lower limit in roundings

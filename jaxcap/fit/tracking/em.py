@@ -14,7 +14,7 @@ from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from ..correspondence.part_blocks import PartBlocks
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
-from ..problem import PoseProblem
+from ..pose_problem import PoseProblem
 from ..solvers.descent import NormalDescent
 from ..solvers.minimise import take_step
 

@@ -13,14 +13,14 @@ import numpy as np
 from ...arguments import check_rate, checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose, rest_pose, stack_poses
-from ...energy.check import UserTerms
+from ...energy.check_energies import UserTerms
 from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
 from ..judgement.baseline import initial_baseline
 from ..judgement.region_samples import sample_regions
-from .check import check_cloud
+from .check_cloud import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
 from .recover import (

@@ -9,7 +9,7 @@ from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, difference, retract
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.data.free_space import FreeSpace
 from ...energy.energy import AbstractEnergy, Sum, terms_of, weighted
 from ...energy.priors.gaussian_pose_prior import GaussianPrior, human_prior

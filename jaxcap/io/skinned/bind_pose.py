@@ -16,7 +16,7 @@ from ...body.skin import LinearSkin
 from ...errors import InputError, user_message
 from ...geometry.linear import inverse
 from ..text import MAX_NUMBER, check_rate
-from .surface import SkinnedSurface
+from .skinned_surface import SkinnedSurface
 
 #: largest relative error of a scale of one
 _SCALE_TOLERANCE = 1e-5

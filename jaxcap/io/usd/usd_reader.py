@@ -25,7 +25,7 @@ from ..skinned.bind_pose import (
     surface_to_world_transform,
 )
 from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn_of_unread_content
-from ..skinned.surface import SkinnedSurface, concatenate_surfaces, normalise_weights
+from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, normalise_weights
 from ..system.inside import is_inside, outside_folder_error
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, check_rate

@@ -11,7 +11,7 @@ from .agglomerate import Dendrogram, agglomerate, merged_labels
 from .part_kmeans import improve_parts, refine_patch_borders
 from .rigid_residuals import MovingSurface, mean_rest_positions, part_moments
 from .ssdr_motions import estimate_bone_motions
-from .surface import boundary_edges, cut_patches, make_surface_graph
+from .surface_graph import boundary_edges, cut_patches, make_surface_graph
 
 #: the number of patches that are merged into parts
 PATCHES = 300

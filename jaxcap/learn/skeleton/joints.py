@@ -22,9 +22,9 @@ from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import minimise
-from ...fit.solvers.problem import AbstractProblem
 from ...geometry import rotation
 from ...geometry.laplacian import (
     Conformance,

@@ -11,7 +11,7 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.spanning_tree import spanning_tree
-from ..parts.surface import SurfaceGraph
+from ..parts.surface_graph import SurfaceGraph
 from .centres import PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import world_transforms
 

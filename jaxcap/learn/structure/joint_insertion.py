@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...geometry.procrustes import group_moments, rigid_motions
-from ..parts.surface import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
+from ..parts.surface_graph import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_new_bone
 from .blend_fit import blend_grams, fit_blends, neighbouring_bones
 from .skeleton_edit import Split

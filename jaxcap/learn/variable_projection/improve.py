@@ -25,7 +25,7 @@ from ..skeleton.limbs import (
     read_bone_state,
 )
 from ..weights.weights_and_rest import choose_candidate_bones
-from .problem import Blend, BlendProblem, blend_residuals, gauss_newton_matrix, optimise_blend
+from .blend_problem import Blend, BlendProblem, blend_residuals, gauss_newton_matrix, optimise_blend
 
 #: vertices sampled for the steps, and the least number from each part
 SAMPLES, MIN_PART_SAMPLES = 1200, 12

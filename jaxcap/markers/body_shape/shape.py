@@ -25,7 +25,7 @@ from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
 from .anatomical import anatomical_markers
 from .shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS, Measurements, search_shape
-from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
+from .surface_markers import SurfaceMarkers, surface_landmarks, vertex_markers
 
 #: a trait is undetermined if its deviation is above this share of the prior's
 UNDETERMINED_RATIO = 0.7

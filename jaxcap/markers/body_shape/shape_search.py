@@ -21,7 +21,7 @@ from ...energy.energy import AbstractEnergy
 from ...energy.priors.reference_pose import RestPrior
 from ...energy.stacked import NormalPrior
 from ...fit.alternate import alternate
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 

@@ -13,13 +13,14 @@ from threadpoolctl import threadpool_limits
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.symmetry import bone_pairs
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
 from .calibration_parameters import TemplatePrior, solved_joints
+from .calibration_problem import make_calibration_problem
 from .frame_selection import choose_frames
 from .observability import (
     ImpreciseDirection,
@@ -27,7 +28,6 @@ from .observability import (
     find_imprecise_directions,
     shared_covariance,
 )
-from .problem import make_calibration_problem
 from .soft_tissue import shift_variances
 
 _LOG = logging.getLogger(__name__)

@@ -12,8 +12,8 @@ from ...body.pose import Pose
 from ...fit.linear.precision import in_float64
 from ..subject import Subject
 from .calibration_parameters import centre_jacobian, equal_length_constraints
+from .calibration_problem import CalibrationEstimate, CalibrationProblem
 from .gauge_freedom import remove_gauge
-from .problem import CalibrationEstimate, CalibrationProblem
 from .robust import OUTLIER_BOUND
 
 #: a direction is imprecise with a larger standard deviation, metres

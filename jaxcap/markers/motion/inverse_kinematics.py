@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...geometry.stacking import concatenate
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map

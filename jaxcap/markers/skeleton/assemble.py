@@ -12,7 +12,7 @@ from ...body.pose import Pose, project
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation
-from .tree import SegmentTree
+from .segment_tree import SegmentTree
 
 
 class AssembledSkeleton(NamedTuple):

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..rotation_centres.centre_estimate import iterate_until_converged
-from .tree import SegmentTree
+from .segment_tree import SegmentTree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
 #: maximal number of iterations over directions and lengths

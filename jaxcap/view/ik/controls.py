@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from ...edit.ik import session as ik
 from ...edit.ik.constraints import Constraint, describe_point
 from ...edit.ik.session import IkSession, IkSettings
-from ...edit.ik.solve import Solver
+from ...edit.ik.solve_ik import Solver
 from ..figures.eye import FRONT, SIDE, TOP
 from ..windows.text import as_markdown
 

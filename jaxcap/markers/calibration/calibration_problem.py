@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.body import pose_body
 from ...body.pose import Pose, retract
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
@@ -18,7 +18,7 @@ from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import BodyTangent, body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
-from ...fit.solvers.problem import AbstractNestedProblem
+from ...fit.solvers.least_squares_problem import AbstractNestedProblem
 from ..subject import Subject, marker_body, shift_markers
 from .calibration_parameters import TemplatePrior, equal_length_constraints, prior_precision, shift_subject
 from .residuals import linearise_residuals, marker_residuals

@@ -19,10 +19,10 @@ from ..frame_equations import frame_equations
 from ..linear.block_arrow import BlockArrow
 from ..linear.block_banded import BlockBanded
 from ..linearise import BodyTangent, body_tangent
-from ..problem import pose_scales
+from ..pose_problem import pose_scales
 from ..solvers.descent import ConstrainedInfo, StepConstraints
 from ..solvers.equalities import Equalities
-from ..solvers.problem import AbstractProblem
+from ..solvers.least_squares_problem import AbstractProblem
 from .neighbours import window_equations, window_residuals
 from .unknowns import AbstractUnknown, make_body, split_tangent
 

@@ -18,7 +18,7 @@ from .frame_equations import frame_equations
 from .linear.dense import DenseMatrix
 from .linearise import linearise
 from .solvers.descent import ConstrainedInfo, StepConstraints
-from .solvers.problem import AbstractDenseProblem
+from .solvers.least_squares_problem import AbstractDenseProblem
 
 #: metres that the rotation of a joint by a radian moves its descendants by, about
 LEVER_ARM = 0.3

@@ -27,7 +27,7 @@ from ...fit.linear.block_banded import BlockBanded
 from ...fit.linear.cholesky import factorise
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
-from ...fit.solvers.problem import AbstractProblem
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives, bone_transforms, move_bones
 from ..weights.weights_and_rest import bone_images, expand_weights, optimise_vertices
 from .hessian import BoneJacobian, ProjectedHessian, VertexDirections, flat_bones

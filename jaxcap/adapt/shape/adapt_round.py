@@ -12,7 +12,7 @@ from ...body.pose import Motion, Pose, stack_poses
 from ...body.shape_modes import ShapeModes, joint_modes
 from ...energy.data.pairs import stack_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan
-from ...fit.sequences.problem import SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...geometry.stacking import stack_trees, unstack_trees
@@ -25,7 +25,7 @@ from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
 from .joint_regressor import make_joint_regressor, regress_joints
 from .reference import reference_body, shape_prior_of
 from .shape_space import ShapeSpace, fit_coefficients, make_person
-from .surface import adapt_shape, adapt_together
+from .vertex_adaptation import adapt_shape, adapt_together
 
 #: weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides

@@ -13,7 +13,7 @@ from ...geometry import rotation
 from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.parts import RigidParts
-from ..parts.surface import make_surface_graph
+from ..parts.surface_graph import make_surface_graph
 from .centres import Centres, PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import fit_poses, motion_moments
 

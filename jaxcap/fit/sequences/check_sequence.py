@@ -8,10 +8,10 @@ from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ...body.pose import Pose
-from ...energy.check import check_energy_arrays, check_indices, explain_errors
+from ...energy.check_energies import check_energy_arrays, check_indices, explain_errors
 from ...energy.stacked import NormalPrior, frame_counts, join_frame, split_frames
 from ...errors import InputError
-from .problem import SequenceEstimate, SequenceProblem
+from .sequence_problem import SequenceEstimate, SequenceProblem
 from .unknowns import AbstractUnknown
 
 #: fields of unknowns that are indices of joints or of vertices

@@ -22,10 +22,10 @@ from ...body.pose import Pose
 from ...energy.data.pairs import PairDistances, PointPairs, corner_directions
 from ...fit.linear.sparse_blocks import BorderedMatrix, SparseBlocks
 from ...fit.linearise import frame_jacobian, vertex_maps
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.minimise import take_step
-from ...fit.solvers.problem import AbstractProblem
 from ...geometry.mesh import mesh_edges
 from .shape_prior import ShapePrior
 
