@@ -17,15 +17,15 @@ LeftRightPairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
 
 def left_right_pairs_by_name(names: Sequence[str]) -> list[tuple[int, int]]:
     """Find pairs of left and right joints whose names are equal but for the side."""
-    places = {name: joint for joint, name in enumerate(names)}
+    indices = {name: joint for joint, name in enumerate(names)}
     found = []
     for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
         for joint, name in enumerate(names):
             start = name.find(left)
             while start >= 0:
                 twin = name[:start] + right + name[start + len(left) :]
-                if twin in places:
-                    found.append((joint, places[twin]))
+                if twin in indices:
+                    found.append((joint, indices[twin]))
                 start = name.find(left, start + 1)
     return found
 

@@ -115,12 +115,12 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     if not 1 <= field_of_view <= 170:
         raise InputError(f"The field of view is {field_of_view:g} degrees; expected 1 to 170 degrees.")
     eye, target = np.asarray(eye, float), np.asarray(target, float)
-    apart = np.linalg.norm(target - eye)
-    if not (np.isfinite(apart) and apart > 1e-6):
+    distance = np.linalg.norm(target - eye)
+    if not (np.isfinite(distance) and distance > 1e-6):
         raise InputError(
             f"A camera at {_format_point(eye)} cannot look at {_format_point(target)}; expected two different finite positions."
         )
-    forward = (target - eye) / apart
+    forward = (target - eye) / distance
     # a camera that looks straight up or down has its x axis along the x axis of the world
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0, 0])

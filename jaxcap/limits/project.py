@@ -43,8 +43,8 @@ def project_motion(
         turns = jax.vmap(_smooth_corrections, (1, 1, None), 1)(turns, within, weight)
         moved = rotation.multiply(poses.rotations, rotation.exp(turns))
         kept = jnp.where(within[..., None], poses.rotations, rotation.normalise(moved))
-        drawn = Pose(poses.translations, kept, poses.scale)
-        return nearest_frames(limits, skeleton, Motion(drawn, motion.rate)).poses
+        smoothed = Pose(poses.translations, kept, poses.scale)
+        return nearest_frames(limits, skeleton, Motion(smoothed, motion.rate)).poses
 
     return Motion(jax.lax.fori_loop(0, rounds, again, nearest), motion.rate)
 

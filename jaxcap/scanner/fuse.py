@@ -103,9 +103,9 @@ def image_normals(
     sums = np.zeros((9, len(rows)))
     for down in range(-window, window + 1):
         for across in range(-window, window + 1):
-            there = framed[rows + window + down, columns + window + across]
-            near = (there > 0) & (np.abs(there - here) < gap)
-            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, there, 1.0), 0.0)
+            neighbours = framed[rows + window + down, columns + window + across]
+            near = (neighbours > 0) & (np.abs(neighbours - here) < gap)
+            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, neighbours, 1.0), 0.0)
             sums += np.stack([
                 weight, weight * across, weight * down, weight * across**2, weight * across * down,
                 weight * down**2, inverse, inverse * across, inverse * down,

@@ -88,17 +88,17 @@ class Window:
             if frames != self.controls.timeline.frames:
                 self.controls.grow(frames)
             versions = tuple(take.motion.version for take in self.contents.takes)
-            told = tuple(follower.error for follower in self.followers)
+            errors = tuple(follower.error for follower in self.followers)
             frame, choice = self.controls.timeline.frame(start), self.controls.choice
             # includes whether it plays: the slider follows once more when it stops
-            wanted = (frame, self.controls.timeline.playing, choice, versions, told)
+            wanted = (frame, self.controls.timeline.playing, choice, versions, errors)
             if spacing != self.controls.spacing:
                 spacing = self.controls.spacing
                 self.stage.arrange(spacing)
             if wanted != shown:
                 # computed before `atomic`, which holds messages to the browser back
                 looks = self.stage.appearances(frame, choice)
-                wrong = (*told, *(look.error for look in looks))
+                wrong = (*errors, *(look.error for look in looks))
                 with self.client.atomic():
                     self.stage.draw(frame, looks, choice)
                     self.controls.draw(frame, next(filter(None, wrong), ""))

@@ -44,9 +44,9 @@ def project_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
 
 def _nearest_ball_point(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
     """Find the nearest point of the balls, by rotation distance."""
-    apart = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
+    squared_distances = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
     reach = radii(primitives) - LEVEL_MARGIN * primitives.unit / primitives.stiffness
-    nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
+    nearest = jnp.argmin(jnp.sqrt(jnp.maximum(squared_distances, 0.0)) - reach)
     centre, radius = primitives.centres[nearest], reach[nearest]
     towards = -jax.grad(chart.squared_distance)(centre, point)
     away = jnp.linalg.norm(chart.unwrap(point, centre) - centre)

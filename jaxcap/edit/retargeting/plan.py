@@ -86,8 +86,8 @@ def plan_retarget(
     ]
     bones = [pair for leg in legs for pair in pairwise(leg)] or list(follows.items())
     lengths = [
-        sum(np.linalg.norm(places[own(b)] - places[own(a)]) for a, b in bones)
-        for places, own in ((centres, int), (here.places, matches.pairs.__getitem__))
+        sum(np.linalg.norm(positions[own(b)] - positions[own(a)]) for a, b in bones)
+        for positions, own in ((centres, int), (here.places, matches.pairs.__getitem__))
     ]
     anchors = np.array([leg[0] for leg in legs] or [min(matches.pairs)])
     ratio = float(lengths[0] / lengths[1]) if lengths[1] > 0 else 1.0
@@ -108,7 +108,7 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
     """Compute the rotation of each target bone from its rest to the source's upright pose, (J, 4)."""
     source, target = matches.source, matches.target
     person, pairs = matches.references[1].person, matches.pairs
-    places = matches.references[0].places
+    positions = matches.references[0].places
     limbs = _limb_bones(matches)
     follows, descent = _next_matched_joints(target, source, pairs), source.descendants
     girdles = {joint for (_, part), joint in person.parts.items() if part == "clavicle"}
@@ -133,7 +133,7 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
         if not descent[pairs[joint], own]:
             continue
         bone = centres[child] - centres[joint]
-        goal = places[own] - places[pairs[joint]]
+        goal = positions[own] - positions[pairs[joint]]
         lengths = np.linalg.norm(bone), np.linalg.norm(goal)
         if min(lengths) < 1e-6:
             continue
@@ -174,10 +174,10 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
     stand, source = matches.references[0], matches.source
     centres, found = np.asarray(matches.target.centres, float), {}
     if motion is None or len(motion) == 0:
-        places, turns = stand.places[None], stand.rotations[None]
+        positions, turns = stand.places[None], stand.rotations[None]
     else:
         frames = even_indices(len(motion), MAX_FRAMES)
-        places, turns = joint_transforms(source, take_poses(motion.poses, frames))
+        positions, turns = joint_transforms(source, take_poses(motion.poses, frames))
     for side in SIDES:
         for kind in ("leg", "arm"):
             limb = matches.references[1].person.limb(side, kind)
@@ -191,7 +191,7 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
             normal = hinge_axis(
                 source,
                 (here[0], here[1], here[2]),
-                places,
+                positions,
                 _matrices(turns[:, bone]),
                 stand.places,
                 _matrices(stand.rotations[bone]),
@@ -202,7 +202,7 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
                 # the sign of a joint axis is arbitrary: the limb's own bend determines it, or else the nearer
                 # direction
                 normal = normal * (
-                    _bend_sign(places, turns[:, bone], here, normal, stand.rotations[bone]) or 1.0
+                    _bend_sign(positions, turns[:, bone], here, normal, stand.rotations[bone]) or 1.0
                 )
             found[limb[0]] = own, normal
     return found

@@ -62,11 +62,11 @@ def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: i
     clear = jnp.zeros(len(vertices))
     for step in ((0, 0), (0, 1), (1, 0), (1, 1)):
         at = corner + jnp.array(step)
-        apart = at - places
+        offsets = at - places
         there = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
         # for a plane seen edge-on the prediction is useless
-        change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -MAX_DEPTH_CHANGE, MAX_DEPTH_CHANGE)
-        share = jnp.prod(1 - jnp.abs(apart), -1)
+        change = jnp.clip(jnp.sum(slopes * offsets, -1) * depth**2, -MAX_DEPTH_CHANGE, MAX_DEPTH_CHANGE)
+        share = jnp.prod(1 - jnp.abs(offsets), -1)
         clear = clear + share * (there * (depth - change - tolerance) < 1.0)
     return inside & front & turned & (clear > 0.5)
 

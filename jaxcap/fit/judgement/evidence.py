@@ -184,8 +184,8 @@ def _visible_from(
     across = jnp.cross(helper, directions)
     across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
     up = jnp.cross(directions, across)
-    places = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
-    return jax.vmap(_unoccluded, (1, 1, None))(places, vertices @ directions.T, OCCLUSION_DEPTH * size)
+    cells = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
+    return jax.vmap(_unoccluded, (1, 1, None))(cells, vertices @ directions.T, OCCLUSION_DEPTH * size)
 
 
 def _visible_in_camera(

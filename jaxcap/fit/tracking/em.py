@@ -159,8 +159,8 @@ def em_step(
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
     energy = Sum(terms_of(data) + terms_of(prior))
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
-    apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
-    squared = jnp.sum(apart**2, -1)
+    differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
+    squared = jnp.sum(differences**2, -1)
     # without a single inlier there is nothing to estimate from, and nothing moves
     seen = jnp.sum(cloud.weights[:, None] * found.weights) > 0
     sigma = jnp.maximum(update_sigma(found, squared, cloud.weights), mixture.smallest_sigma)

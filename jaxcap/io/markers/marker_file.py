@@ -56,25 +56,25 @@ def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], li
     Surrounding blanks are removed. An empty label becomes `*7`, as capture programs name unlabelled points;
     the second `A` becomes `A_2`. Labels after the first `count` are dropped.
     """
-    told, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
+    messages, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
     names += [""] * (count - len(names))
     nameless = [i for i, name in enumerate(names) if not name]
     if nameless:
-        told.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
+        messages.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
                     f"*{nameless[0] + 1} and so on.")  # fmt: skip
     names = [name or f"*{i + 1}" for i, name in enumerate(names)]
     taken = set(names)
-    met: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for i, name in enumerate(names):
-        met[name] += 1
-        if met[name] > 1:
-            number = met[name]
+        counts[name] += 1
+        if counts[name] > 1:
+            number = counts[name]
             while f"{name}_{number}" in taken:
                 number += 1
             names[i] = f"{name}_{number}"
             taken.add(names[i])
-            told.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
-    return names, told
+            messages.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
+    return names, messages
 
 
 def group_by_subject(labels: Sequence[str]) -> dict[str, list[int]]:
@@ -125,8 +125,8 @@ def median_extent(frames: MarkerFrames) -> float:
     several = seen.sum(1) > 1
     if not several.any():
         return float("nan")
-    places, seen = np.asarray(frames.positions, float)[several], seen[several][..., None]
-    sides = np.where(seen, places, -np.inf).max(1) - np.where(seen, places, np.inf).min(1)
+    positions, seen = np.asarray(frames.positions, float)[several], seen[several][..., None]
+    sides = np.where(seen, positions, -np.inf).max(1) - np.where(seen, positions, np.inf).min(1)
     return float(np.median(sides.max(1)))
 
 
@@ -204,9 +204,9 @@ def shift_from_origin(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"],
 
     Zeros in files are gaps.
     """
-    places, seen = np.array(frames.positions, float), np.asarray(frames.visible)
-    places[seen & (places == 0).all(2), 0] = 1e-9
-    return places, seen
+    positions, seen = np.array(frames.positions, float), np.asarray(frames.visible)
+    positions[seen & (positions == 0).all(2), 0] = 1e-9
+    return positions, seen
 
 
 def fill_missing_frames(

@@ -155,8 +155,8 @@ def _check_positions(path: Path, positions: Float[np.ndarray, "*any 3"], what: s
 
 def check_rotations(path: Path, matrices: Float[np.ndarray, "*any 3 3"]) -> None:
     """Check that matrices are rotations. Raises `InputError`."""
-    apart = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max()
-    if not apart < 1e-3 or not (np.linalg.det(matrices) > 0).all():
+    deviation = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max()
+    if not deviation < 1e-3 or not (np.linalg.det(matrices) > 0).all():
         raise InputError(
             f"{path}: a joint is scaled, sheared or mirrored; expected rotations and translations, so export it again."
         )

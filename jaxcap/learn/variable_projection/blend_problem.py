@@ -101,8 +101,8 @@ class BlendProblem(AbstractProblem[Blend]):
 
 def weighted_rest_positions(y: Blend) -> Float[Array, "V B"]:
     """Multiply the homogeneous rest position of each vertex by its weight for each bone."""
-    places = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
-    return (y.weights[:, :, None] * places[:, None]).reshape(len(places), -1)
+    homogeneous = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
+    return (y.weights[:, :, None] * homogeneous[:, None]).reshape(len(homogeneous), -1)
 
 
 def blend_residuals(y: Blend, tree: TreeTopology, targets: Float[Array, "V N"]) -> Float[Array, "V N"]:

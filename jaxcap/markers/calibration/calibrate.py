@@ -119,12 +119,12 @@ def _calibrate(
     while True:
         chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
-        places, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
+        positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
         # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
-            template, places, seen, joints, pairs, template_prior, robust=robust, terms=terms
+            template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
         fit = bundle_adjust(
             problem,

@@ -31,7 +31,7 @@ def joint_trajectories(tree: SegmentTree) -> tuple[Float[np.ndarray, "F K 3"], B
     """
     frames = tree.augmented.frames
     count, number = frames.known.shape
-    places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
+    positions, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
     for k, joint in enumerate(tree.joints):
         if joint is None:
             continue
@@ -41,11 +41,11 @@ def joint_trajectories(tree: SegmentTree) -> tuple[Float[np.ndarray, "F K 3"], B
                 continue
             ok = frames.known[:, segment, None]
             at = frames.rotations[:, segment] @ place + frames.origins[:, segment]
-            places[:, k] += np.where(ok, at, 0.0)
+            positions[:, k] += np.where(ok, at, 0.0)
             total += ok
         known[:, k] = total[:, 0] > 0
-        places[:, k] /= np.maximum(total, 1)
-    return places, known
+        positions[:, k] /= np.maximum(total, 1)
+    return positions, known
 
 
 def list_bones(tree: SegmentTree) -> list[tuple[int, int]]:
