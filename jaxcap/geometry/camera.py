@@ -64,10 +64,10 @@ def project_points(
 
     Where a depth is not above zero the point is behind the camera, and its pixel has no meaning.
     """
-    there = points @ camera.rotation.T + camera.translation
-    depth = there[..., 2]
+    points_in_camera = points @ camera.rotation.T + camera.translation
+    depth = points_in_camera[..., 2]
     safe = jnp.where(depth > 0, depth, 1.0)[..., None]
-    return camera.focal * there[..., :2] / safe + camera.principal_point, depth
+    return camera.focal * points_in_camera[..., :2] / safe + camera.principal_point, depth
 
 
 @checked

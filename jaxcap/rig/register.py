@@ -169,10 +169,10 @@ def _quadratic_energy(
 
 def _residual(posed: Posed, areas: np.ndarray, surface: SurfaceSamples, search: cKDTree) -> float:
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    there, _ = find_closest(search, vertices, normals)
+    distances, _ = find_closest(search, vertices, normals)
     back, _ = find_closest(search_tree(vertices, normals), surface.points, surface.normals)
     return float(
-        0.5 * np.average(np.minimum(there, CLIP_DISTANCE), weights=areas)
+        0.5 * np.average(np.minimum(distances, CLIP_DISTANCE), weights=areas)
         + 0.5 * np.minimum(back, CLIP_DISTANCE).mean()
     )
 

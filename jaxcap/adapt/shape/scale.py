@@ -47,9 +47,9 @@ def fit_size(
     count = len(scans)
 
     def remake(y: SequenceEstimate) -> SequenceProblem:
-        there = scale_body(body, jnp.exp(y.values["size"]))
+        scaled = scale_body(body, jnp.exp(y.values["size"]))
         pairs = [
-            pairs_of(there, pose, scan, matching, cameras)
+            pairs_of(scaled, pose, scan, matching, cameras)
             for pose, scan in zip(unstack_trees(y.poses, count), scans, strict=True)
         ]
         stacked = stack_pairs(pairs)

@@ -113,8 +113,8 @@ def choose_candidates(terms: BlendTerms, rows: WeightRows, count: int) -> Int[np
     distances[terms.bases[:, None] != rows.bases] = np.inf
     distances[~terms.states[:, rows.states]] = np.inf
     nearest = np.argsort(distances, axis=1, kind="stable")[:, :count]
-    there = np.isfinite(np.take_along_axis(distances, nearest, 1))
-    return np.concatenate([bones, np.where(there, joints + nearest, -1)], 1)
+    found = np.isfinite(np.take_along_axis(distances, nearest, 1))
+    return np.concatenate([bones, np.where(found, joints + nearest, -1)], 1)
 
 
 def _unsupported_skin(skin: AbstractSkin) -> str:

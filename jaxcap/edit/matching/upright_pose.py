@@ -32,7 +32,7 @@ class UprightPose(NamedTuple):
 
     person: PersonJoints
     #: (J, 3) positions, metres
-    places: Float[np.ndarray, "J 3"]
+    positions: Float[np.ndarray, "J 3"]
     #: (J, 4) world rotations from rest
     rotations: Float[np.ndarray, "J 4"]
     #: frame of the motion; None if it is the rest pose

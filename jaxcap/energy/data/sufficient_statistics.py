@@ -58,9 +58,9 @@ def _semidefinite_factor(moments: Float[Array, "J 7 7"]) -> Float[Array, "J 7 7"
     columns, rest = [], moments
     for k in range(7):
         pivot = rest[:, k, k]
-        there = pivot > smallest[:, k]
-        column = rest[:, :, k] / jnp.sqrt(jnp.where(there, pivot, 1.0))[:, None]
-        column = jnp.where(there[:, None], column, 0.0)
+        valid = pivot > smallest[:, k]
+        column = rest[:, :, k] / jnp.sqrt(jnp.where(valid, pivot, 1.0))[:, None]
+        column = jnp.where(valid[:, None], column, 0.0)
         columns.append(column)
         rest = rest - column[:, :, None] * column[:, None, :]
     return jnp.stack(columns, -1)

@@ -36,11 +36,11 @@ def make_scan(cloud: Cloud) -> IndexedScan:
 
     **Raises:** `ValueError` where there is none.
     """
-    there = np.asarray(cloud.weights) > 0
-    if not there.any():
+    valid = np.asarray(cloud.weights) > 0
+    if not valid.any():
         raise ValueError("The cloud has no points with a weight above zero.")
-    points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
-    return IndexedScan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+    points, normals = (np.asarray(part, float)[valid] for part in (cloud.points, cloud.normals))
+    return IndexedScan(points, normals, KDTree(points), len(valid), np.zeros((0, 3), int))
 
 
 def as_scan(frame: IndexedScan | Cloud | Scan) -> IndexedScan:

@@ -105,10 +105,10 @@ def gather_evidence(
         clear = _visible_from(directions, vertices, size)
         # at grazing angles the coverage falls steeply with the angle to the next sensor
         share = _coverage(clear & (cosine > MIN_COVERAGE_COSINE), covered)
-        there = share >= jnp.max(share) - COVERAGE_TOLERANCE
+        selected = share >= jnp.max(share) - COVERAGE_TOLERANCE
         if len(sensors):
-            there = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, there)
-        facing = (cosine > MIN_SIGHT_COSINE) & there[:, None]
+            selected = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, selected)
+        facing = (cosine > MIN_SIGHT_COSINE) & selected[:, None]
         # the direction of a sensor is approximate: a sample occluded from any direction nearby may be
         # occluded
         expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)

@@ -46,11 +46,11 @@ def score_markers(
     weights, bones = np.asarray(subject.weights), np.asarray(subject.bones)
     scores = []
     for marker, label in enumerate(subject.labels):
-        own, held = kept[:, marker], weights[marker] > 0
-        some = own[np.isfinite(own)] if held else own[:0]
+        own, has_weight = kept[:, marker], weights[marker] > 0
+        some = own[np.isfinite(own)] if has_weight else own[:0]
         figures = [float(f(some)) for f in (_rms, np.median, np.max)] if len(some) else [float("nan")] * 3
         seen = float(np.isfinite(own).mean()) if len(own) else 0.0
-        bone = subject.skeleton.names[bones[marker]] if held else ""
+        bone = subject.skeleton.names[bones[marker]] if has_weight else ""
         scores.append(MarkerScore(label, bone, float(weights[marker]), seen, *figures))
     return tuple(scores)
 

@@ -201,11 +201,11 @@ class IkWindow:
             self._inbox.put(_raise_no_hit)
 
     def _constrain(self, point: int | str) -> None:
-        def held(session: IkSession) -> IkSession:
+        def constrain(session: IkSession) -> IkSession:
             self.selected = point
             return ik.add_constraint(session, point)
 
-        self._inbox.put(held)
+        self._inbox.put(constrain)
 
     def _dragged(
         self, point: int | str, phase: Phase, place: Position | None, turn: Quaternion | None
