@@ -34,7 +34,6 @@ from benchmarks.report import finish, progress
 from jaxcap.fit.judgement.baseline import initial_baseline
 from jaxcap.fit.judgement.region_samples import sample_regions
 from jaxcap.fit.tracking.recover import (
-    SearchPause,
     TrackedFrame,
     judge_frame,
     reset_velocity,
@@ -169,7 +168,7 @@ class Scene:
         state = start_state(self.tracker, pose, 0.02)
         for _ in range(STEPS):
             state, statistics = track_frame_jit(self.tracker, reset_velocity(self.tracker, state), cloud)
-        return judge_frame(self.surface, cloud, state, statistics, baseline, SearchPause())
+        return judge_frame(self.surface, cloud, state, statistics, baseline)
 
     def run(self, start: jc.Pose | None, search: bool | Literal["auto"] = False) -> list[JudgedPose]:
         judged, frames = [], jc.fit.track_frames(self.tracker, self.clouds, start, search=search, sigma=0.05)
@@ -221,7 +220,7 @@ def slow_fault(scene: Scene, motion: jc.Motion, joint: str) -> list[JudgedPose]:
         pose = rotate_joint(motion[number], scene.body.skeleton.index(joint), turn)
         state = start_state(scene.tracker, pose, 0.02)
         _, statistics = track_frame_jit(scene.tracker, reset_velocity(scene.tracker, state), cloud)
-        frame = judge_frame(scene.surface, cloud, state, statistics, baseline, SearchPause())
+        frame = judge_frame(scene.surface, cloud, state, statistics, baseline)
         baseline = frame.baseline
         judged.append(JudgedPose("slow", number, scene.errors(number, pose), frame, cloud))
     return judged

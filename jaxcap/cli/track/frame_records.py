@@ -16,7 +16,7 @@ from ...fit.judgement.baseline import initial_baseline
 from ...fit.judgement.region_samples import sample_regions
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em import FrameStatistics
-from ...fit.tracking.recover import SearchPause, TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...fit.tracking.recover import SearchHistory, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...fit.tracking.track_frame import Tracker, start_state
 
 #: column of a row with the hash of its cloud's name, and number of values before the pose
@@ -124,4 +124,4 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
         baseline.level, number, number, support, surface.names, surface.joints, surface.part_parents
     )
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchPause(), 0.0)
+    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchHistory())
