@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcap.fit.correspondence.part_blocks import Parts, make_parts
+from jaxcap.fit.correspondence.part_blocks import PartBlocks, make_part_blocks
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.observe.clouds import Cloud
 
@@ -46,11 +46,11 @@ def make_scene(
         jnp.asarray(directions, jnp.float32),
         jnp.ones(num_points, jnp.float32),
     )
-    parts = make_parts(bones, data["weights"].shape[1], vertices)
+    parts = make_part_blocks(bones, data["weights"].shape[1], vertices)
     return parts, jnp.asarray(vertices), jnp.asarray(normals), cloud
 
 
-def part_members(parts: Parts) -> tuple[tuple[int, ...], ...]:
+def part_members(parts: PartBlocks) -> tuple[tuple[int, ...], ...]:
     """List the vertices of each part, as a static argument of `brute_force_posterior`."""
     slots = np.asarray(parts.slots)
     ends = np.cumsum(parts.blocks_of_part)

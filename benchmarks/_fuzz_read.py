@@ -20,8 +20,7 @@ from jaxcap.errors import InputError
 from jaxcap.io.archives.checkpoint import load_checkpoint, load_progress
 from jaxcap.io.archives.journal import read_header, read_records, resume_journal
 from jaxcap.io.archives.limits import load_limits, read_limits
-from jaxcap.io.archives.npz import load_limits as load_body_limits
-from jaxcap.io.archives.npz import load_skeleton
+from jaxcap.io.archives.npz import load_body_limits, load_skeleton
 from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_prior_size
 from jaxcap.io.archives.run_statistics import read_statistics
 from jaxcap.io.cameras import read_cameras

@@ -23,7 +23,7 @@ from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry import rotation
-from jaxcap.geometry.camera import Camera, look_at, project
+from jaxcap.geometry.camera import Camera, look_at, project_points
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import scan_scene
 
@@ -153,7 +153,7 @@ def make_scene(shared: Path, number: int, scenario: Scenario, frames: int) -> Sc
 
 def visible_joints(camera: Camera, joints: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Test which joints are at most `JOINT_DEPTH` behind measured surface of the person."""
-    pixels, along = (np.asarray(a, float) for a in project(camera, jnp.asarray(joints)))
+    pixels, along = (np.asarray(a, float) for a in project_points(camera, jnp.asarray(joints)))
     column, row = np.round(pixels).astype(int).T
     inside = (along > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     shown = np.zeros(len(joints))

@@ -32,7 +32,7 @@ from benchmarks.report import finish, progress
 from jaxcap.cli.limits.motion_limits import format_runs
 from jaxcap.geometry import rotation
 from jaxcap.limits.boxes import learn_boxes
-from jaxcap.limits.check import allowed_frames
+from jaxcap.limits.frame_evaluation import allowed_frames
 from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.samples import JointSamples, gather_samples
 

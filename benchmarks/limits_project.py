@@ -15,7 +15,7 @@ from benchmarks._limits import cmu_motions, hinge_rotations, motion_of, uniform_
 from benchmarks._scenes import shared_folder
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.skeleton import Skeleton, make_skeleton
-from jaxcap.limits.check import allowed_frames, nearest_frames
+from jaxcap.limits.frame_evaluation import allowed_frames, nearest_frames
 from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.samples import gather_samples
 

@@ -27,12 +27,12 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose, rest_pose, retract
 from jaxcap.body.shape_modes import ShapeModes, joint_modes
 from jaxcap.energy.data.landmarks import VertexLandmarks
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import SmoothRotations, stack_energies
 from jaxcap.fit.linear.block_arrow import BlockArrow
 from jaxcap.fit.linear.block_banded import BlockBanded
-from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
-from jaxcap.fit.sequences.solve import solve_sequence
+from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -40,7 +40,7 @@ from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.skeleton.joints import make_curvature
 from jaxcap.learn.skeleton.solve_joints import solve_joints
 from jaxcap.markers.calibration.calibration_parameters import TemplatePrior, solved_joints
-from jaxcap.markers.calibration.problem import CalibrationEstimate, make_calibration_problem
+from jaxcap.markers.calibration.calibration_problem import CalibrationEstimate, make_calibration_problem
 from jaxcap.markers.calibration.solve_calibration import solve_calibration
 from jaxcap.markers.motion.label_matching import match_markers
 

@@ -35,7 +35,7 @@ from .body.skeleton import make_skeleton as make_skeleton
 from .body.skin import DualQuaternionSkin as DualQuaternionSkin
 from .body.skin import LinearSkin as LinearSkin
 from .body.skin import SwingTwistSkin as SwingTwistSkin
-from .edit.ik.solve import solve_ik as solve_ik
+from .edit.ik.solve_ik import solve_ik as solve_ik
 from .edit.retargeting.retarget import retarget as retarget
 from .energy.data.landmarks import JointLandmarks as JointLandmarks
 from .energy.data.landmarks import VertexLandmarks as VertexLandmarks
@@ -44,7 +44,7 @@ from .energy.data.points import PointToPoint as PointToPoint
 from .energy.energy import AbstractEnergy as AbstractEnergy
 from .energy.energy import energies as energies
 from .energy.priors.limits import JointLimits as JointLimits
-from .energy.priors.prior import RestPrior as RestPrior
+from .energy.priors.reference_pose import RestPrior as RestPrior
 from .errors import InputError as InputError
 from .fit.fit_meshes import fit_meshes as fit_meshes
 from .fit.solve import solve as solve

@@ -11,11 +11,11 @@ def asset_path(name: str) -> Path:
 
     **Raises:** `FileNotFoundError` with one sentence when it is in neither.
     """
-    places = (PACKAGE / "_assets" / name, PACKAGE.parent / "assets" / name)
-    for path in places:
+    candidates = (PACKAGE / "_assets" / name, PACKAGE.parent / "assets" / name)
+    for path in candidates:
         if path.is_file():
             return path
     raise FileNotFoundError(
-        f"The data file '{name}' of jaxcap is neither at {places[0]} nor at {places[1]}; "
+        f"The data file '{name}' of jaxcap is neither at {candidates[0]} nor at {candidates[1]}; "
         f"reinstall jaxcap, or build the file with scripts/build_human.py."
     )

@@ -17,14 +17,14 @@ def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> I
     Items are taken in the caller's thread, and not before a core is free for them. The first is completed
     before all others, so that its compilation is shared.
     """
-    drawn = iter(items)
-    for first in drawn:
+    remaining = iter(items)
+    for first in remaining:
         yield function(first)
         break
     cores = os.cpu_count() or 1
     with ThreadPoolExecutor(cores) as threads:
         begun: deque[Future[Result]] = deque()
-        for item in drawn:
+        for item in remaining:
             begun.append(threads.submit(function, item))
             if len(begun) >= cores:
                 yield begun.popleft().result()

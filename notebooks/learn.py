@@ -66,7 +66,9 @@ plt.show()
 # %%
 train, rest = meshes[:8], meshes[8:]
 learned = jc.learn_body(train, joints=14, rounds=3)
-print(f"{learned.body.skeleton.num_joints - 1} joints, {len(learned.pairs)} pairs of left and right")
+print(
+    f"{learned.body.skeleton.num_joints - 1} joints, {len(learned.left_right_pairs)} pairs of left and right"
+)
 
 # %% [markdown]
 # The objective falls from step to step, and never rises.

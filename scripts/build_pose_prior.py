@@ -14,9 +14,9 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._scenes import human_motion
 from jaxcap.assets import PACKAGE
-from jaxcap.energy.priors.gaussian import HUMAN_PRIOR
+from jaxcap.energy.priors.gaussian_pose_prior import HUMAN_PRIOR
 from jaxcap.prior.gaussian_mixture import fit_mixture
-from jaxcap.prior.pose_prior import rotation_vectors
+from jaxcap.prior.learn_pose_prior import rotation_vectors
 
 TAKES = (
     "01_02",

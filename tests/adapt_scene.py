@@ -9,7 +9,7 @@ import jaxcap as jc
 from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.cameras import write_cameras

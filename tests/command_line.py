@@ -14,7 +14,7 @@ from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.cli import main
 from jaxcap.cli.console import heartbeat
 from jaxcap.cli.console.groups import JAXCAP
-from jaxcap.cli.console.verbs import Group, Verb
+from jaxcap.cli.console.verbs import Verb, VerbGroup
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.scanner.scan import scan_frame
@@ -28,9 +28,9 @@ _pose_body = eqx.filter_jit(pose_body)
 
 def verb_named(words: Sequence[str]) -> type:
     """Find the class of a verb by its words, such as "edit", "cut"."""
-    found: Group | Verb = JAXCAP
+    found: VerbGroup | Verb = JAXCAP
     for word in words:
-        assert isinstance(found, Group)
+        assert isinstance(found, VerbGroup)
         found = found.verbs[word]
     assert isinstance(found, Verb)
     return found.load()

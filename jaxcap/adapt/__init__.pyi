@@ -7,7 +7,7 @@ from .shape.shape_prior import make_shape_prior as make_shape_prior
 from .shape.shape_space import ShapeSpace as ShapeSpace
 from .shape.shape_space import learn_shape_space as learn_shape_space
 from .shape.shape_space import shape_space_like as shape_space_like
-from .shape.surface import adapt_together as adapt_together
+from .shape.vertex_adaptation import adapt_together as adapt_together
 from .task import AdaptSettings as AdaptSettings
 from .task import AdaptState as AdaptState
 from .task import AdaptTask as AdaptTask

@@ -217,13 +217,15 @@ def _append_variant(stages: Evaluation, task: AdaptTask, state: AdaptState, moti
     for number, frame in enumerate(stages.measured_frames):
         scan = task.scan(frame)
         vertices = _vertices(body, motion[number])
-        apart = scan_to_surface(scan.points, vertices, faces)
+        distances = scan_to_surface(scan.points, vertices, faces)
         to_body, to_scan = (
-            add_distances(to_body, apart),
+            add_distances(to_body, distances),
             add_distances(to_scan, scan.tree.query(vertices)[0]),
         )
-        np.add.at(sums, KDTree(vertices).query(scan.points)[1], np.stack([apart, np.ones_like(apart)], 1))
-        medians.append(np.median(apart))
+        np.add.at(
+            sums, KDTree(vertices).query(scan.points)[1], np.stack([distances, np.ones_like(distances)], 1)
+        )
+        medians.append(np.median(distances))
     sums += vertex_adjacency(faces, len(body.vertices)) @ sums
     heat = np.where(sums[:, 1] > 0, sums[:, 0] / np.maximum(sums[:, 1], 1.0), np.nan)
     name = variant_names(task.settings)[len(stages.variants)]

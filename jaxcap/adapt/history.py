@@ -27,7 +27,7 @@ def append_history(
         pose=pose_energy(task.prior, body, stacked),
         temporal=0.0 if task.settings.unordered else motion_energy(body.skeleton, state.motion),
         shape=shape_energy(shape_prior_of(task, state), body),
-        symmetry=symmetry_energy(body.skeleton, task.mirrored),
+        symmetry=symmetry_energy(body.skeleton, task.left_right_pairs),
         user=0.0 if task.terms is None else pose_energy(task.terms, body, stacked),
     )
     reached = (name, 1000 * float(np.sqrt(terms.data)))

@@ -19,8 +19,8 @@ from ..energy.data.pairs import PairDistances, PointPairs, num_pairs
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..energy.priors.temporal import second_difference
 from ..energy.stacked import NormalPrior, SmoothRotations, Stacked, weight_frames
-from ..fit.problem import PoseProblem
-from ..fit.sequences.problem import SequenceProblem
+from ..fit.pose_problem import PoseProblem
+from ..fit.sequences.sequence_problem import SequenceProblem
 from ..fit.sequences.unknowns import ShapeCoefficients
 
 #: number of pairs that count as one independent measurement, as neighbouring pairs are correlated
@@ -94,14 +94,14 @@ def shared_problem(
     terms: PoseTerms,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
-    mirrored: tuple[tuple[int, int], ...],
+    left_right_pairs: tuple[tuple[int, int], ...],
     deviation: float | Float[Array, ""],
 ) -> SequenceProblem:
     """Build the problem of several frames' poses and the coefficients of modes that they share.
 
     Paired bones have equal length (eq. 4.13 as a constraint).
 
-    **Arguments:** `pairs` stacked over frames; `terms` of every frame, whose limits have no effect; `mirrored`
+    **Arguments:** `pairs` stacked over frames; `terms` of every frame, whose limits have no effect; `left_right_pairs`
     pairs of joints, left and right; `deviation` of a pair's distance, metres, which scales the prior
     `coefficient_prior`.
     """
@@ -116,7 +116,7 @@ def shared_problem(
         jnp.arange(len(counts), dtype=dtype),
         {"modes": ShapeCoefficients(modes)},
         shared=(NormalPrior("modes", coefficient_prior.mean, spread),),
-        mirrored=mirrored,
+        left_right_pairs=left_right_pairs,
     )
 
 
@@ -159,9 +159,9 @@ def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
     return float(_pose_energy(prior, body, poses))
 
 
-def symmetry_energy(skeleton: Skeleton, mirrored: Sequence[tuple[int, int]]) -> float:
+def symmetry_energy(skeleton: Skeleton, left_right_pairs: Sequence[tuple[int, int]]) -> float:
     """Sum the squared differences of paired bones' lengths (eq. 4.13)."""
-    differences, _ = length_differences(skeleton, mirrored)
+    differences, _ = length_differences(skeleton, left_right_pairs)
     return float(jnp.sum(differences**2))
 
 

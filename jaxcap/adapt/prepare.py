@@ -9,10 +9,10 @@ from ..body.body import Body, body_height
 from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
-from ..body.symmetry import mirrored_joints
-from ..energy.check import UserTerms, sum_user_terms
+from ..body.symmetry import find_left_right_pairs
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy
-from ..energy.priors.prior import RestPrior
+from ..energy.priors.reference_pose import RestPrior
 from ..errors import InputError
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
@@ -82,7 +82,7 @@ def make_adapt_task(
         rate=rate,
         start=start,
         prior=prior if pose_prior is None else prior + pose_prior,
-        mirrored=mirrored_joints(skeleton),
+        left_right_pairs=find_left_right_pairs(skeleton),
         settings=settings,
         shape_space=shape_space_like(template, full_body),
         cameras=tuple(cameras),

@@ -133,7 +133,7 @@ class AdaptTask(NamedTuple):
     start: Pose | None
     prior: AbstractEnergy
     #: pairs of joints, left and right, with bones of equal length
-    mirrored: tuple[tuple[int, int], ...]
+    left_right_pairs: tuple[tuple[int, int], ...]
     settings: AdaptSettings
     #: the shape space of people with the template's triangles
     shape_space: ShapeSpace | None = None

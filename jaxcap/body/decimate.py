@@ -100,5 +100,5 @@ def _is_closed(faces: np.ndarray) -> bool:
 def _remove_degenerate(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Remove degenerate triangles, then unused vertices."""
     triangles = triangles[np.linalg.norm(area_normals(points[triangles]), axis=1) > 0]
-    used, places = np.unique(triangles, return_inverse=True)
-    return points[used], places.reshape(-1, 3)
+    used, inverse = np.unique(triangles, return_inverse=True)
+    return points[used], inverse.reshape(-1, 3)

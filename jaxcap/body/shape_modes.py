@@ -57,9 +57,9 @@ def _displacement_weights(body: Body) -> Float[np.ndarray, "V J"]:
     shares = np.zeros_like(influence)
     for joint in range(skeleton.num_joints):
         children = [child for child, parent in enumerate(skeleton.parents) if parent == joint]
-        held = influence[:, joint]
+        influence_of_joint = influence[:, joint]
         if not children:
-            shares[:, joint] += held
+            shares[:, joint] += influence_of_joint
             continue
         # weight of each child by the position along the bone; the joint has the rest
         ways = centres[children] - centres[joint]
@@ -67,6 +67,6 @@ def _displacement_weights(body: Body) -> Float[np.ndarray, "V J"]:
         along = np.clip((vertices - centres[joint]) @ ways.T / lengths, 0.0, 1.0)
         along /= np.maximum(along.sum(1, keepdims=True), 1.0)
         for column, child in enumerate(children):
-            shares[:, child] += held * along[:, column]
-        shares[:, joint] += held * (1.0 - along.sum(1))
+            shares[:, child] += influence_of_joint * along[:, column]
+        shares[:, joint] += influence_of_joint * (1.0 - along.sum(1))
     return shares

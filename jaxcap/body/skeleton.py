@@ -207,8 +207,8 @@ def has_same_joints(first: Skeleton, second: Skeleton) -> bool:
 
 def rest_distance(first: Skeleton, second: Skeleton) -> float:
     """Compute the largest distance between the same joint of two skeletons at rest, metres."""
-    apart = np.asarray(first.centres, float) - np.asarray(second.centres, float)
-    return float(np.linalg.norm(apart, axis=1).max())
+    differences = np.asarray(first.centres, float) - np.asarray(second.centres, float)
+    return float(np.linalg.norm(differences, axis=1).max())
 
 
 def describe_rest_difference(first: Skeleton, second: Skeleton) -> str | None:

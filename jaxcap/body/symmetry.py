@@ -12,35 +12,35 @@ from jaxtyping import Array, Float, Int
 from .skeleton import Skeleton
 
 #: pairs of joints, the left one first
-JointPairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
+LeftRightPairs = Sequence[tuple[int, int]] | Int[np.ndarray, "P 2"]
 
 
-def left_right_candidates(names: Sequence[str]) -> list[tuple[int, int]]:
+def left_right_pairs_by_name(names: Sequence[str]) -> list[tuple[int, int]]:
     """Find pairs of left and right joints whose names are equal but for the side."""
-    places = {name: joint for joint, name in enumerate(names)}
+    indices = {name: joint for joint, name in enumerate(names)}
     found = []
     for left, right in (("Left", "Right"), ("left", "right"), ("L", "R"), ("l", "r")):
         for joint, name in enumerate(names):
             start = name.find(left)
             while start >= 0:
                 twin = name[:start] + right + name[start + len(left) :]
-                if twin in places:
-                    found.append((joint, places[twin]))
+                if twin in indices:
+                    found.append((joint, indices[twin]))
                 start = name.find(left, start + 1)
     return found
 
 
-def mirrored_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
+def find_left_right_pairs(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     """Find disjoint pairs of left and right joints by their names."""
     found: list[tuple[int, int]] = []
-    for pair in left_right_candidates(skeleton.names):
+    for pair in left_right_pairs_by_name(skeleton.names):
         if not any(joint in other for other in found for joint in pair):
             found.append(pair)
     return tuple(found)
 
 
 def length_differences(
-    skeleton: Skeleton, pairs: JointPairs
+    skeleton: Skeleton, pairs: LeftRightPairs
 ) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
     """Compute the length of the left bone minus that of the right bone of each pair, metres, and its
     derivative by the joint centres.
@@ -50,13 +50,13 @@ def length_differences(
     is the difference of lengths. Pairs whose parent is a root are omitted: they end no bone, as a root's
     own centre is arbitrary.
     """
-    return bone_length_differences(skeleton.centres, mirrored_bones(skeleton, pairs))
+    return bone_length_differences(skeleton.centres, left_right_bones(skeleton, pairs))
 
 
 def bone_length_differences(
     centres: Float[Array, "J 3"], bones: Int[Array | np.ndarray, "B 4"]
 ) -> tuple[Float[Array, "B"], Float[Array, "B J 3"]]:
-    """Compute the differences of lengths, metres, and their derivatives by the centres, for `mirrored_bones`."""
+    """Compute the differences of lengths, metres, and their derivatives by the centres, for `left_right_bones`."""
     rows = np.arange(len(bones))
     total = jnp.zeros(len(bones), centres.dtype)
     slopes = jnp.zeros((len(bones), *centres.shape), centres.dtype)
@@ -69,21 +69,21 @@ def bone_length_differences(
     return total, slopes
 
 
-def mirrored_bones(skeleton: Skeleton, pairs: JointPairs) -> Int[np.ndarray, "B 4"]:
+def left_right_bones(skeleton: Skeleton, pairs: LeftRightPairs) -> Int[np.ndarray, "B 4"]:
     """List the left joint, its parent, the right joint and its parent of each pair that ends bones."""
     left, right = bone_pairs(skeleton, pairs).T
     parents = np.array(skeleton.parents)
     return np.stack([left, parents[left], right, parents[right]], 1)
 
 
-def bone_pairs(skeleton: Skeleton, pairs: JointPairs) -> Int[np.ndarray, "B 2"]:
+def bone_pairs(skeleton: Skeleton, pairs: LeftRightPairs) -> Int[np.ndarray, "B 2"]:
     """Select the pairs that end bones: those whose parents have parents."""
     pairs = np.asarray(pairs, int).reshape(-1, 2)
     grand = np.array([-1 if parent < 0 else skeleton.parents[parent] for parent in skeleton.parents], int)
     return pairs[(grand[pairs] >= 0).all(1) if len(pairs) else slice(0)]
 
 
-def symmetrise(skeleton: Skeleton, pairs: JointPairs, steps: int = 20) -> Skeleton:
+def symmetrise(skeleton: Skeleton, pairs: LeftRightPairs, steps: int = 20) -> Skeleton:
     """Make paired bones equally long, by the smallest displacements of the joint centres."""
     if len(bone_pairs(skeleton, pairs)) == 0:
         return skeleton

@@ -10,7 +10,7 @@ from ..body.pose import Pose, stack_poses
 from ..edit.ik import session as ik
 from ..edit.ik.constraints import describe_point
 from ..edit.ik.session import IkSession, IkSettings
-from ..edit.ik.solve import Solver
+from ..edit.ik.solve_ik import Solver
 from ..energy.priors.pair_prior import MahalanobisPrior
 from ..errors import InputError
 from ..io.archives.prior import load_prior

@@ -19,7 +19,7 @@ from ..io.archives.npz import get_array, save_body, save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.skinned.clip import split_clip
 from ..io.system.lock import run_lock
-from ..learn.check import check_meshes
+from ..learn.check_meshes import check_meshes
 from ..learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ..learn.parts.check_parts import check_learned
 from ..observe.meshes import MeshSequence
@@ -340,7 +340,7 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
 def make_checkpoint(state: LearnState) -> Checkpoint:
     """Convert a state to a checkpoint."""
     arrays = {
-        "pairs": np.asarray(state.pairs, int),
+        "pairs": np.asarray(state.left_right_pairs, int),
         "damping": np.array(float(state.damping)),
         "round": np.array(state.round),
         "curve": np.asarray(state.curve, float),
@@ -361,7 +361,7 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> LearnState:
     return LearnState(
         body=checkpoint.body,
         motion=checkpoint.motion,
-        pairs=pairs,
+        left_right_pairs=pairs,
         damping=get_array(checkpoint.arrays, "damping", path, ()).item(),
         history=checkpoint.history,
         round=get_array(checkpoint.arrays, "round", path, (), "whole").item(),

@@ -14,7 +14,7 @@ from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan, make_scan
-from ..fit.tracking.check import check_extent
+from ..fit.tracking.check_cloud import check_cloud_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera
 from ..io.archives.limits import read_limits
@@ -23,7 +23,7 @@ from ..io.meshes.clouds import Scans
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
 from ..io.skinned.clip import split_clip
-from ..observe import Scan as ReadScan
+from ..observe import Scan
 from ..observe.clouds import Cloud, make_cloud
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -90,12 +90,12 @@ def load_cloud(scans: Scans, frame: int, body: Body, up: Up = "y") -> Cloud:
     return _cloud_of(scans[frame], body, up)
 
 
-def _cloud_of(scan: ReadScan, body: Body, up: Up) -> Cloud:
+def _cloud_of(scan: Scan, body: Body, up: Up) -> Cloud:
     turn = up_rotation(up)
     normals = None if scan.normals is None else scan.normals @ turn.T
     points = scan.points @ turn.T
     # checked before `make_cloud`, as the size of the body allows a better message about the unit
-    check_extent(body, points, scan.name)
+    check_cloud_extent(body, points, scan.name)
     return make_cloud(points, normals, name=scan.name)
 
 

@@ -10,7 +10,7 @@ from ..geometry.camera import Camera
 from .back_projection import camera_rays, measured_points
 
 
-class Scan(NamedTuple):
+class FusedScan(NamedTuple):
     """A scan of one frame, metres."""
 
     points: Float[np.ndarray, "N 3"]
@@ -28,7 +28,7 @@ def fuse_cloud(
     gap: float = 0.03,
     window: int = 2,
     voxel: float = 0.0,
-) -> Scan:
+) -> FusedScan:
     """Fuse the measured pixels of all views in one cloud.
 
     **Arguments:** `depths`, an image for each camera, metres, zero for pixels without measurement; `gap` and
@@ -42,7 +42,7 @@ def fuse_cloud(
     points, normals, numbers = (np.concatenate(parts) for parts in zip(*views, strict=True))
     if voxel > 0 and len(points):
         points, normals, numbers = _average_in_voxels(points, normals, numbers, voxel)
-    return Scan(points, normals, numbers, np.zeros((0, 3), int))
+    return FusedScan(points, normals, numbers, np.zeros((0, 3), int))
 
 
 def fuse_mesh(
@@ -50,7 +50,7 @@ def fuse_mesh(
     depths: Sequence[Float[np.ndarray, "H W"]],
     gap: float = 0.03,
     window: int = 2,
-) -> Scan:
+) -> FusedScan:
     """Fuse the measured pixels of all views in one mesh: the grids of pixels, cut at discontinuities.
 
     Grids of different views overlap and are not merged. Pixels of no triangle are left out.
@@ -63,7 +63,7 @@ def fuse_mesh(
     used = np.unique(triangles)
     number = np.zeros(len(cloud.points), int)
     number[used] = np.arange(len(used))
-    return Scan(cloud.points[used], cloud.normals[used], cloud.views[used], number[triangles])
+    return FusedScan(cloud.points[used], cloud.normals[used], cloud.views[used], number[triangles])
 
 
 def grid_faces(depth: Float[np.ndarray, "H W"], gap: float) -> Int[np.ndarray, "F 3"]:
@@ -103,9 +103,9 @@ def image_normals(
     sums = np.zeros((9, len(rows)))
     for down in range(-window, window + 1):
         for across in range(-window, window + 1):
-            there = framed[rows + window + down, columns + window + across]
-            near = (there > 0) & (np.abs(there - here) < gap)
-            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, there, 1.0), 0.0)
+            neighbours = framed[rows + window + down, columns + window + across]
+            near = (neighbours > 0) & (np.abs(neighbours - here) < gap)
+            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, neighbours, 1.0), 0.0)
             sums += np.stack([
                 weight, weight * across, weight * down, weight * across**2, weight * across * down,
                 weight * down**2, inverse, inverse * across, inverse * down,

@@ -1,7 +1,7 @@
 """Edit motions: retarget, cut, join, loop, redirect the gaze, and reduce to keys; animate scans; solve
 inverse kinematics."""
 
-from .clips import Loop as Loop
+from .clips import LoopedMotion as LoopedMotion
 from .clips import cut as cut
 from .clips import join as join
 from .clips import make_loop as make_loop
@@ -17,10 +17,10 @@ from .glue import glue_scan as glue_scan
 from .ik.constraints import Constraint as Constraint
 from .ik.constraints import Constraints as Constraints
 from .ik.constraints import make_constraints as make_constraints
-from .ik.solve import IkOptions as IkOptions
-from .ik.solve import IkSolution as IkSolution
+from .ik.solve_ik import IkOptions as IkOptions
+from .ik.solve_ik import IkSolution as IkSolution
 from .interpolation import resample as resample
-from .keys import Keys as Keys
+from .keys import Keyframes as Keyframes
 from .keys import find_keys as find_keys
 from .keys import interpolate_keys as interpolate_keys
 from .linear_blend.convert import LinearBlendBody as LinearBlendBody

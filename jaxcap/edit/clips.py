@@ -13,7 +13,7 @@ from .interpolation import interpolate_poses, smooth_step
 from .planar_transform import PlanarTransform, apply_planar_transform, fit_planar_transform, planar_power
 
 
-class Loop(NamedTuple):
+class LoopedMotion(NamedTuple):
     """A loop: the last frame equals the first, up to a planar transform if the motion travels."""
 
     motion: Motion
@@ -81,7 +81,7 @@ def join(skeleton: Skeleton, a: Motion, b: Motion, frames: int = 0) -> Motion:
 @checked
 def make_loop(
     skeleton: Skeleton, motion: Motion, first: int, last: int, frames: int, in_place: bool = False
-) -> Loop:
+) -> LoopedMotion:
     """Make a seamless loop of frames `first` to `last`.
 
     The `frames` before `last` are blended into those before `first`, after a planar transform. The last two
@@ -123,7 +123,7 @@ def make_loop(
         )
         poses = _close_loop(poses)
         travel = PlanarTransform(0.0, np.zeros(2))
-    return Loop(Motion(poses, motion.rate), travel)
+    return LoopedMotion(Motion(poses, motion.rate), travel)
 
 
 def _close_loop(poses: Pose) -> Pose:

@@ -115,8 +115,8 @@ def look_at_target(
     before = _angles_between(looks, goals if is_direction else goals - eyes)
     after = _angles_between(looked, goals if is_direction else goals - moved)
     # an error at full magnitude means that `max_angle` or the limits are active
-    held = (magnitude == 1.0) & (after > 0.1)
-    return GazeResult(Motion(poses, motion.rate), magnitude, before, after, held)
+    limited = (magnitude == 1.0) & (after > 0.1)
+    return GazeResult(Motion(poses, motion.rate), magnitude, before, after, limited)
 
 
 def fade_weights(num_frames: int, first: int, last: int, fade_frames: float) -> Float[np.ndarray, "F"]:

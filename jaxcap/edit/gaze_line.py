@@ -11,7 +11,7 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.people.human import human
 from ..body.skeleton import Skeleton
-from ..body.symmetry import left_right_candidates
+from ..body.symmetry import left_right_pairs_by_name
 from ..geometry.axes import nearest_axis
 
 #: of the embedded human, by resolution: vertices whose means are the back of the head and the point between
@@ -137,7 +137,7 @@ def _joint_index(skeleton: Skeleton, name: str) -> int:
 
 def _front_direction(skeleton: Skeleton, head: int) -> np.ndarray:
     """Compute the front at rest: the cross product of left and up, both along coordinate axes."""
-    pairs = np.array(left_right_candidates(skeleton.names)).reshape(-1, 2)
+    pairs = np.array(left_right_pairs_by_name(skeleton.names)).reshape(-1, 2)
     centres = np.asarray(skeleton.centres, float)
     left = (centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0)
     root = head

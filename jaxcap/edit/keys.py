@@ -20,7 +20,7 @@ from ..geometry import rotation
 from .interpolation import interpolate_poses
 
 
-class Keys(NamedTuple):
+class Keyframes(NamedTuple):
     """The key frames, and the motion that is interpolated from them."""
 
     #: (F, J) key frames of each joint; the same for all joints if whole poses are keys
@@ -43,7 +43,7 @@ def find_keys(
     degrees: float | int = 1.0,
     metres: float | int = 0.005,
     per_joint: bool = False,
-) -> Keys:
+) -> Keyframes:
     """Find few keys whose interpolation is within `degrees` of every joint rotation and `metres` of every
     joint position.
 
@@ -72,7 +72,7 @@ def find_keys(
         keyed[:] = _find_pose_keys(skeleton, motion.poses, paths, keyed[:, 0], tolerance)[:, None]
     poses = interpolate_keys(motion.poses, keyed)
     turned, moved = _interpolation_errors(skeleton, motion.poses, paths, poses)
-    return Keys(
+    return Keyframes(
         keyed, Motion(poses, motion.rate), float(np.degrees(turned.max())), float(moved.max(initial=0.0))
     )
 
@@ -116,8 +116,8 @@ def _interpolation_errors(
 
 def _find_pose_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
     def errors(marked: np.ndarray) -> np.ndarray:
-        there = interpolate_keys(poses, np.repeat(marked[:, None], skeleton.num_joints, 1))
-        turned, moved = _interpolation_errors(skeleton, poses, paths, there)
+        interpolated = interpolate_keys(poses, np.repeat(marked[:, None], skeleton.num_joints, 1))
+        turned, moved = _interpolation_errors(skeleton, poses, paths, interpolated)
         return np.maximum(turned.max(1) / tolerance[0], moved.max(1) / tolerance[1])
 
     return _prune_keys(_insert_keys(keyed, errors), errors)
@@ -127,10 +127,10 @@ def _find_joint_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance:
     """Mark the keys in `keyed`: for each joint by itself, then to limit accumulated errors."""
 
     def errors(marked: np.ndarray) -> np.ndarray:
-        there = interpolate_keys(poses, marked)
-        turned = np.asarray(rotation.distance(poses.rotations, there.rotations), float)
-        slid = np.linalg.norm(np.asarray(there.translations - poses.translations, float), axis=-1)
-        scaled = np.abs(np.asarray(there.scale - poses.scale, float))[:, None] * (
+        interpolated = interpolate_keys(poses, marked)
+        turned = np.asarray(rotation.distance(poses.rotations, interpolated.rotations), float)
+        slid = np.linalg.norm(np.asarray(interpolated.translations - poses.translations, float), axis=-1)
+        scaled = np.abs(np.asarray(interpolated.scale - poses.scale, float))[:, None] * (
             np.arange(slid.shape[1]) == 0
         )
         return np.maximum(turned / tolerance[0], np.maximum(slid, scaled) / (0.5 * tolerance[1]))
@@ -138,15 +138,15 @@ def _find_joint_keys(skeleton, poses: Pose, paths, keyed: np.ndarray, tolerance:
     keyed[:] = _prune_keys(_insert_keys(keyed, errors), errors)
     descent = skeleton.descendants
     while True:
-        there = interpolate_keys(poses, keyed)
-        turned, moved = _interpolation_errors(skeleton, poses, paths, there)
+        interpolated = interpolate_keys(poses, keyed)
+        turned, moved = _interpolation_errors(skeleton, poses, paths, interpolated)
         # a key changes the adjacent gaps, so rotations are checked again
         twisted, beyond = turned > tolerance[0], moved > tolerance[1]
         if not (twisted.any() or beyond.any()):
             return
         for joint in np.flatnonzero(twisted.any(0)):
             keyed[int(np.argmax(turned[:, joint])), joint] = True
-        slid = np.linalg.norm(np.asarray(there.translations - poses.translations, float), axis=-1)
+        slid = np.linalg.norm(np.asarray(interpolated.translations - poses.translations, float), axis=-1)
         # one key for each joint that exceeds the tolerance in some frame: at its largest error, for the
         # ancestor whose error contributes most
         for joint in np.flatnonzero(beyond.any(0)):

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from ..arguments import checked
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..body.symmetry import left_right_candidates
+from ..body.symmetry import left_right_pairs_by_name
 from ..geometry.axes import nearest_axis
 
 
@@ -39,7 +39,7 @@ def mirror(skeleton: Skeleton, motion: Motion) -> Motion:
 def _counterpart_joints(skeleton: Skeleton) -> np.ndarray:
     """Find the joint on the other side of each joint, (J,)."""
     twins = np.arange(skeleton.num_joints)
-    for left, right in left_right_candidates(skeleton.names):
+    for left, right in left_right_pairs_by_name(skeleton.names):
         twins[left], twins[right] = right, left
     if np.array_equal(twins, np.arange(len(twins))):
         raise ValueError(
@@ -60,7 +60,7 @@ def _counterpart_joints(skeleton: Skeleton) -> np.ndarray:
 
 def _lateral_axis(skeleton: Skeleton) -> Float[np.ndarray, "3"]:
     """Find the coordinate axis from right to left at rest, without its sign."""
-    pairs = np.array(left_right_candidates(skeleton.names))
+    pairs = np.array(left_right_pairs_by_name(skeleton.names))
     centres = np.asarray(skeleton.centres, float)
     side = nearest_axis(np.abs(centres[pairs[:, 0]] - centres[pairs[:, 1]]).sum(0))
     if not side.any():

@@ -15,10 +15,10 @@ from .data.soft_object import soft_distance as soft_distance
 from .data.sufficient_statistics import RigidMoments as RigidMoments
 from .data.sufficient_statistics import rigid_moments as rigid_moments
 from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
-from .priors.gaussian import GaussianPrior as GaussianPrior
-from .priors.gaussian import human_prior as human_prior
-from .priors.prior import PosePrior as PosePrior
-from .priors.prior import tangent_deviations as tangent_deviations
+from .priors.gaussian_pose_prior import GaussianPrior as GaussianPrior
+from .priors.gaussian_pose_prior import human_prior as human_prior
+from .priors.reference_pose import PosePrior as PosePrior
+from .priors.reference_pose import tangent_deviations as tangent_deviations
 from .priors.self_collision import SelfCollision as SelfCollision
 from .priors.self_collision import make_self_collision as make_self_collision
 from .priors.symmetry import BoneSymmetry as BoneSymmetry

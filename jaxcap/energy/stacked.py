@@ -129,8 +129,12 @@ class SmoothRotations(AbstractNeighbourEnergy):
 
     def residual(self, posed, gaps):
         turns = [one.pose.rotations for one in posed]
-        apart = second_difference(turns[0], turns[1], turns[2], gaps[0], gaps[1])
-        return safe_sqrt(self.weight) * apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+        differences = second_difference(turns[0], turns[1], turns[2], gaps[0], gaps[1])
+        return (
+            safe_sqrt(self.weight)
+            * differences.reshape(-1)
+            / jnp.sqrt(jnp.asarray(len(differences), differences.dtype))
+        )
 
 
 def split_frames(energy: AbstractEnergy) -> tuple[AbstractEnergy, AbstractEnergy]:

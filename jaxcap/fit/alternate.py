@@ -12,9 +12,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from .solvers.least_squares_problem import AbstractProblem
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
-from .solvers.problem import AbstractProblem
 
 _DONE, _UNFINISHED = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
 _LOG = logging.getLogger(__name__)

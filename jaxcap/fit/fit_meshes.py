@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose, project
-from ..energy.check import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
@@ -68,11 +68,11 @@ def fit_meshes(
         )
     if len(sequence) == 0:
         raise InputError("There is no mesh to fit; give a sequence of at least one mesh.")
-    places = sequence.vertices.astype(body.vertices.dtype)
+    positions = sequence.vertices.astype(body.vertices.dtype)
     poses = procrustes_poses(body, sequence) if start is None else start
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
     own = sum_user_terms("fit_meshes", terms, body)
-    poses, rmse, steps, converged = _fit_all(body, poses, places, chosen, own, max_steps)
+    poses, rmse, steps, converged = _fit_all(body, poses, positions, chosen, own, max_steps)
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
 
@@ -85,18 +85,18 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     A limb whose vertices are collinear, or that has none, follows its parent.
     """
     skeleton = body.skeleton
-    rest, places = np.asarray(body.vertices, float), np.asarray(sequence.vertices, float)
-    known = np.asarray(np.isfinite(places).all(2))
+    rest, positions = np.asarray(body.vertices, float), np.asarray(sequence.vertices, float)
+    known = np.asarray(np.isfinite(positions).all(2))
     # use the vertices that all meshes have, except for meshes with few known vertices
     whole = np.asarray(known[known.mean(1) > 0.5].all(0))
-    places = np.where(known[:, :, None], places, 0.0)[:, whole]
+    positions = np.where(known[:, :, None], positions, 0.0)[:, whole]
     shares = np.asarray(body.skin.bone_weights(skeleton.num_joints), float).T[:, whole]
-    moments = group_moments(shares, rest[whole], np.moveaxis(places, 0, 1))
+    moments = group_moments(shares, rest[whole], np.moveaxis(positions, 0, 1))
     mass = np.where(moments.mass > 0, moments.mass, 1.0)
     cross = moments.cross - moments.target[..., None] * (moments.source / mass[:, None])[:, None, None]
     middles = moments.target / mass[:, None, None]
     follow = PARENT_WEIGHT * np.sum((rest - rest.mean(0)) ** 2)
-    frames, joints = len(places), skeleton.num_joints
+    frames, joints = len(positions), skeleton.num_joints
     turns, trunk = np.zeros((joints, frames, 3, 3)), nearest_rotation(cross.sum(0))
     for joint, parent in enumerate(skeleton.parents):
         before = trunk if parent < 0 else turns[parent]

@@ -66,8 +66,8 @@ def frame_jacobian(
     count = 0 if tangent is None else tangent.centres.shape[2]
 
     def moved(d):
-        there = body if body_at is None else body_at(d[dofs:])
-        placed = pose_body(there, retract(there.skeleton, pose, d[:dofs]))
+        moved_body = body if body_at is None else body_at(d[dofs:])
+        placed = pose_body(moved_body, retract(moved_body.skeleton, pose, d[:dofs]))
         residuals = tuple(term.residual(placed) for term in others)
         return residuals, residuals
 

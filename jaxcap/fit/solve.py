@@ -7,9 +7,9 @@ from jaxtyping import Array, Bool, Float, Int
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
-from ..energy.check import check_energy_arrays, explain_errors
+from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, energies
-from .problem import PoseProblem
+from .pose_problem import PoseProblem
 from .solvers.implicit import implicit_minimum, is_trustworthy
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import AnySolver

@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Pose, project
-from ..energy.check import check_energy_arrays, explain_errors
+from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
-from .problem import PoseProblem
+from .pose_problem import PoseProblem
 from .solvers.hierarchical_least_squares import Damping, LinearSystem, constrained_step, hierarchical_step
 from .solvers.levenberg_marquardt import tree_where
 from .solvers.minimise import HISTORY_LENGTH

@@ -9,9 +9,9 @@ from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
-from ..energy.check import check_energy_arrays, explain_errors
+from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy
-from .problem import PoseProblem
+from .pose_problem import PoseProblem
 
 
 class Uncertainty(eqx.Module):

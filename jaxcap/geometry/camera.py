@@ -57,17 +57,17 @@ class Camera(eqx.Module):
         return -self.translation @ self.rotation
 
 
-def project(
+def project_points(
     camera: Camera, points: Float[Array, "*points 3"]
 ) -> tuple[Float[Array, "*points 2"], Float[Array, "*points"]]:
     """Project points of the world to pixels `(column, row)` and depths along the optical axis, metres.
 
     Where a depth is not above zero the point is behind the camera, and its pixel has no meaning.
     """
-    there = points @ camera.rotation.T + camera.translation
-    depth = there[..., 2]
+    points_in_camera = points @ camera.rotation.T + camera.translation
+    depth = points_in_camera[..., 2]
     safe = jnp.where(depth > 0, depth, 1.0)[..., None]
-    return camera.focal * there[..., :2] / safe + camera.principal_point, depth
+    return camera.focal * points_in_camera[..., :2] / safe + camera.principal_point, depth
 
 
 @checked
@@ -82,7 +82,7 @@ def unproject(
 
 def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array, "*points"]:
     """Test which points lie in front of the camera and within its image, occluded or not."""
-    pixels, depth = project(camera, points)
+    pixels, depth = project_points(camera, points)
     size = jnp.array([camera.width, camera.height])
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
 
@@ -115,12 +115,12 @@ def look_at(eye, target, width: int, height: int, field_of_view: float | int) ->
     if not 1 <= field_of_view <= 170:
         raise InputError(f"The field of view is {field_of_view:g} degrees; expected 1 to 170 degrees.")
     eye, target = np.asarray(eye, float), np.asarray(target, float)
-    apart = np.linalg.norm(target - eye)
-    if not (np.isfinite(apart) and apart > 1e-6):
+    distance = np.linalg.norm(target - eye)
+    if not (np.isfinite(distance) and distance > 1e-6):
         raise InputError(
             f"A camera at {_format_point(eye)} cannot look at {_format_point(target)}; expected two different finite positions."
         )
-    forward = (target - eye) / apart
+    forward = (target - eye) / distance
     # a camera that looks straight up or down has its x axis along the x axis of the world
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-9 else np.array([1.0, 0, 0])
@@ -184,7 +184,7 @@ def check_views(cameras: Sequence[Camera], points: Float[np.ndarray, "N 3"], whe
     for number, camera in enumerate(cameras):
         if bool(is_in_image(camera, jnp.asarray(points)).any()):
             continue
-        behind = not bool((project(camera, jnp.asarray(points))[1] > 0).any())
+        behind = not bool((project_points(camera, jnp.asarray(points))[1] > 0).any())
         what = "points away from the body" if behind else "has the body outside of its image"
         raise InputError(
             f"{where}: camera {number} at {_format_point(np.asarray(camera.eye))} {what}; rotate it, move it or omit it."

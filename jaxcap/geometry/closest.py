@@ -65,8 +65,8 @@ def closest_barycentric(
     second, third = (cc * pb - bc * pc) / safe, (bb * pc - bc * pb) / safe
     first = 1.0 - second - third
     inside = (area > 0) & (first >= 0) & (second >= 0) & (third >= 0)
-    apart = ap - second * ab - third * ac
-    squared = np.where(inside, _dot(apart, apart), np.inf)
+    differences = ap - second * ab - third * ac
+    squared = np.where(inside, _dot(differences, differences), np.inf)
     shares = np.where(inside, np.stack([first, second, third]), 0.0)
     # the sides
     for start, end, side, length, along in (
@@ -78,8 +78,8 @@ def closest_barycentric(
         length = _dot(side, side) if length is None else length
         along = _dot(from_start, side) if along is None else along
         share = np.clip(along / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        apart = from_start - share * side
-        here = _dot(apart, apart)
+        differences = from_start - share * side
+        here = _dot(differences, differences)
         nearer = np.flatnonzero(here < squared)
         squared[nearer] = here[nearer]
         shares[:, nearer] = 0.0
@@ -113,7 +113,7 @@ def _update_nearest(best: SurfacePoints, points, corners, group, centres, radii)
     count = min(FIRST, len(group))
     while left.size:
         # always from the first neighbour: ranks of equidistant centres change between queries
-        apart, near = tree.query(
+        distances, near = tree.query(
             points[left],
             list(range(1, count + 1)),  # pyright: ignore[reportArgumentType]
             distance_upper_bound=np.nextafter(np.max(best.distances[left]) + largest, np.inf),
@@ -122,7 +122,7 @@ def _update_nearest(best: SurfacePoints, points, corners, group, centres, radii)
         # a missing neighbour has an infinite distance and an index out of range
         near = np.minimum(near, len(group) - 1)
         reach = best.distances[left, None] + radii[near]
-        row, column = np.nonzero((apart < reach) & (apart >= tried[left, None]))
+        row, column = np.nonzero((distances < reach) & (distances >= tried[left, None]))
         which, triangle = left[row], group[near[row, column]]
         shares, squared = closest_barycentric(corners[triangle], points[which])
         # the last triangle written for each point is its nearest
@@ -133,6 +133,6 @@ def _update_nearest(best: SurfacePoints, points, corners, group, centres, radii)
         best.distances[which[order]] = np.sqrt(squared[order])
         if count == len(group):
             break
-        tried[left] = apart[:, -1]
-        left = left[apart[:, -1] < best.distances[left] + largest]
+        tried[left] = distances[:, -1]
+        left = left[distances[:, -1] < best.distances[left] + largest]
         count = min(2 * count, len(group))

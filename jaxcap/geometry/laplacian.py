@@ -74,7 +74,7 @@ def adjoint(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V 
     return real * weighted - (total - (width - real) * weighted)
 
 
-def apply(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
+def apply_conformance(metric: Conformance, field: Float[Array, "V C"]) -> Float[Array, "V C"]:
     """Compute `A e`, half the gradient of `energy`."""
     return field + metric.alpha * adjoint(metric, laplacian(metric, field))
 
@@ -170,7 +170,7 @@ def _grow_patches(
     """Partition vertices into patches of at most `size`, each grown breadth first."""
     wanted = np.zeros(len(neighbours), bool)
     wanted[vertices] = True
-    met = np.zeros(len(neighbours), int)
+    visited = np.zeros(len(neighbours), int)
     patches: list[np.ndarray] = []
     patch: list[int] = []
     for seed in vertices.tolist():
@@ -184,7 +184,7 @@ def _grow_patches(
                     patches.append(np.array(patch))
                     patch, queue = [], []
             for near in neighbours[vertex].tolist():
-                if met[near] != len(patches) + 1 and wanted[near]:
-                    met[near] = len(patches) + 1
+                if visited[near] != len(patches) + 1 and wanted[near]:
+                    visited[near] = len(patches) + 1
                     queue.append(near)
     return [*patches, np.array(patch)] if patch else patches

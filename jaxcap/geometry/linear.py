@@ -12,7 +12,9 @@ import scipy.sparse.linalg
 from jaxtyping import Float
 
 
-def solve(matrix: Float[np.ndarray, "*B N N"], rhs: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
+def solve_square(
+    matrix: Float[np.ndarray, "*B N N"], rhs: Float[np.ndarray, "*B N"]
+) -> Float[np.ndarray, "*B N"]:
     """Compute `x` with `A x = b` for every square `A` of a stack.
 
     **Raises:** `numpy.linalg.LinAlgError` where a matrix is exactly singular; the solution of a nearly
@@ -39,7 +41,7 @@ def solve_symmetric(
     zeros.
     """
     scale = _scale(matrix)
-    return scale * solve(_even(matrix, scale), scale * rhs)
+    return scale * solve_square(_even(matrix, scale), scale * rhs)
 
 
 def inverse_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "*B N N"]:

@@ -167,21 +167,21 @@ def identify(path: str | Path) -> str | None:
 
 def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
     """Return the content type of an `.npz` from the names of its arrays and of its format."""
-    there = set(names)
+    found = set(names)
     if format_name.removeprefix("jaxcap ") in _FORMATS:
         return format_name.removeprefix("jaxcap ")
-    if "skin" in there:
+    if "skin" in found:
         # a body without the name of its format
         return "arrays"
-    if "poses" in there and {"trans", "mocap_framerate", "mocap_frame_rate"} & there:
+    if "poses" in found and {"trans", "mocap_framerate", "mocap_frame_rate"} & found:
         return "amass"
-    if there & set(DEPTH_ARRAYS):
+    if found & set(DEPTH_ARRAYS):
         return "depth"
-    if "joints" in there and "points" not in there:
+    if "joints" in found and "points" not in found:
         return "joints"
-    if "vertices" in there and {"faces", "face_counts"} & there:
+    if "vertices" in found and {"faces", "face_counts"} & found:
         return "meshes"
-    return "clouds" if {"points", "vertices"} & there else "arrays"
+    return "clouds" if {"points", "vertices"} & found else "arrays"
 
 
 def wrong_kind_error(path: str | Path, expected: str, suffixes: Sequence[str]) -> InputError:

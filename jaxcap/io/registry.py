@@ -23,7 +23,7 @@ from .gltf.gltf_document import has_skin, missing_skin_error, read_clip_names, r
 from .gltf.gltf_reader import read_gltf, read_gltf_body
 from .kinds import wrong_kind_error
 from .markers.c3d import read_c3d_file, write_c3d
-from .markers.marker_file import BODY_SIZE_RANGE, MarkerFile, check_extent, select_subject
+from .markers.marker_file import BODY_SIZE_RANGE, MarkerFile, check_marker_extent, select_subject
 from .markers.marker_table import read_marker_table, write_marker_table
 from .markers.trc import read_trc, write_trc
 from .meshes.mesh import SUFFIXES, check_mesh, check_size, read_mesh
@@ -261,7 +261,7 @@ def _select_frames(
     file: MarkerFile, path: Path, subject: str | None, size: tuple[float, float]
 ) -> MarkerFrames:
     frames = select_subject(file.frames, path, subject)
-    check_extent(frames, path, file.scale, size)
+    check_marker_extent(frames, path, file.scale, size)
     return frames
 
 

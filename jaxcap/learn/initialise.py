@@ -15,11 +15,11 @@ from ..geometry.procrustes import group_moments
 from ..observe.meshes import MeshSequence
 from ..rig.rig import rig_mesh
 from .parts.parts import find_parts
-from .parts.surface import make_surface_graph, membership
-from .skeleton.left_right_pairs import find_pairs
+from .parts.surface_graph import make_surface_graph, membership
+from .skeleton.joint_tree import find_joint_tree, pose_parts
+from .skeleton.left_right_pairs import detect_left_right_pairs
 from .skeleton.pose_from_parts import fit_poses
 from .skeleton.reference_mesh import choose_reference_mesh
-from .skeleton.tree import find_tree, pose_parts
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]
 
@@ -30,7 +30,7 @@ class InitialBody(NamedTuple):
     body: Body
     poses: Pose
     #: pairs of left and right joints
-    pairs: Int[np.ndarray, "P 2"]
+    left_right_pairs: Int[np.ndarray, "P 2"]
     #: root mean square error over the number of parts, metres; empty for a given skeleton
     curve: Float[np.ndarray, "N"]
 
@@ -49,7 +49,7 @@ def initialise_from_motion(
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_reference_mesh(shapes, faces)]
     parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
-    tree = find_tree(parts, parts.rest, faces)
+    tree = find_joint_tree(parts, parts.rest, faces)
     pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
     skeleton = symmetrise(tree.skeleton, pairs)
     poses = pose_parts(skeleton, tree.parts, parts.rest)
@@ -101,7 +101,7 @@ def choose_pairs(
     **Raises:** `ValueError` for an invalid joint index.
     """
     if isinstance(symmetry, bool):
-        return find_pairs(skeleton, areas) if symmetry else np.zeros((0, 2), int)
+        return detect_left_right_pairs(skeleton, areas) if symmetry else np.zeros((0, 2), int)
     pairs = np.asarray(symmetry, int).reshape(-1, 2)
     wrong = pairs[(pairs < 0) | (pairs >= skeleton.num_joints)]
     if len(wrong):

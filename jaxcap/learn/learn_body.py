@@ -13,7 +13,7 @@ from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
-from ..energy.check import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
@@ -69,7 +69,7 @@ class Learned(NamedTuple):
     body: Body
     motion: Motion
     #: pairs of left and right joints
-    pairs: Int[np.ndarray, "P 2"]
+    left_right_pairs: Int[np.ndarray, "P 2"]
     #: (step, Q) after the start and after every update; Q never rises
     history: tuple[tuple[str, float], ...]
     #: root mean square error over the number of rigid parts, metres; empty if it was not computed
@@ -135,7 +135,7 @@ def learn_body(
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
         sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
-        state = LearnState(start.body, motion, start.pairs, FIRST_DAMPING, (), 0, start.curve)
+        state = LearnState(start.body, motion, start.left_right_pairs, FIRST_DAMPING, (), 0, start.curve)
         if thinned and not on_coarse:
             state = state._replace(body=_thin(state.body, coarse))
     else:
@@ -150,7 +150,7 @@ def learn_body(
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):
         state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
-    return Learned(state.body, state.motion, state.pairs, state.history, state.curve)
+    return Learned(state.body, state.motion, state.left_right_pairs, state.history, state.curve)
 
 
 class _Stage(NamedTuple):
@@ -253,7 +253,7 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
         after = before._replace(
             body=made.body,
             motion=Motion(made.poses, before.motion.rate),
-            pairs=made.pairs,
+            left_right_pairs=made.left_right_pairs,
             damping=FIRST_DAMPING,
             history=(*before.history, (stage.prefix + "edit", value)),
         )
@@ -318,7 +318,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             stage.meshes.vertices,
             stage.metric,
             stage.curvature,
-            state.pairs,
+            state.left_right_pairs,
             state.damping,
             state.history[-1][1],
             given_centres=stage.given_centres,

@@ -16,7 +16,7 @@ class LearnState(NamedTuple):
     #: the poses of the meshes
     motion: Motion
     #: pairs of left and right joints whose bones stay equally long
-    pairs: Int[np.ndarray, "P 2"]
+    left_right_pairs: Int[np.ndarray, "P 2"]
     damping: float
     #: (step, Q) from the start, Q in squared metres
     history: tuple[tuple[str, float], ...]

@@ -15,11 +15,11 @@ from ..body.limits.limits import make_joint_ranges as make_joint_ranges
 from ..body.limits.rotation_vector_boxes import PoseBoxes as PoseBoxes
 from ..body.limits.rotation_vector_boxes import make_pose_boxes as make_pose_boxes
 from .boxes import learn_boxes as learn_boxes
-from .check import allowed_frames as allowed_frames
-from .check import comfort_frames as comfort_frames
-from .check import nearest_frames as nearest_frames
-from .check import residual_frames as residual_frames
 from .compare import compare_samples as compare_samples
+from .frame_evaluation import allowed_frames as allowed_frames
+from .frame_evaluation import comfort_frames as comfort_frames
+from .frame_evaluation import nearest_frames as nearest_frames
+from .frame_evaluation import residual_frames as residual_frames
 from .learn import learn_limits as learn_limits
 from .marker_frames import arm_samples as arm_samples
 from .project import project_motion as project_motion

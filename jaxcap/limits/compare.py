@@ -33,5 +33,5 @@ def compare_samples(reference: JointSamples, other: JointSamples, every: int = 1
     chart = find_chart(reference)
     mine = chart_coordinates(chart, reference.rotations[::every])
     others = chart_coordinates(chart, other.rotations[::every])
-    apart = np.concatenate([KDTree(mine).query(others)[0], KDTree(others).query(mine)[0]])
-    return SampleDistances(float(apart.mean()), float(apart.std()), len(apart))
+    distances = np.concatenate([KDTree(mine).query(others)[0], KDTree(others).query(mine)[0]])
+    return SampleDistances(float(distances.mean()), float(distances.std()), len(distances))

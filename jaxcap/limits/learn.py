@@ -64,27 +64,27 @@ def learn_surface(
 ) -> LimitSurface:
     """Learn the limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""
     chart = find_chart(samples)
-    places = chart_coordinates(chart, samples.rotations)
+    coordinates = chart_coordinates(chart, samples.rotations)
     if samples.parent is None:
         width = (voxel or 0.0) / 2 or choose_voxel_width(
-            places, chart.dimension, samples.blocks, min_samples, coverage
+            coordinates, chart.dimension, samples.blocks, min_samples, coverage
         )
-        voxels = voxelise(places, chart.dimension, width, min_samples)
-        return _uncoupled_surface(samples.joint, chart, places, voxels, width)
+        voxels = voxelise(coordinates, chart.dimension, width, min_samples)
+        return _uncoupled_surface(samples.joint, chart, coordinates, voxels, width)
     parent_chart = find_chart(samples.parent)
     parents = chart_coordinates(parent_chart, samples.parent.rotations)
     width, key_width = (voxel or 0.0) / 2, (keyframe or 0.0) / 2
     if not (voxel and keyframe):
         dimensions = chart.dimension, parent_chart.dimension
-        chosen = choose_keyframes(places, parents, dimensions, samples.blocks, coverage)
+        chosen = choose_keyframes(coordinates, parents, dimensions, samples.blocks, coverage)
         width, key_width = width or chosen[0], key_width or chosen[1]
     # voxels of one size, so that the voxels of a keyframe are a subset of all
-    voxels = voxelise(places, chart.dimension, width, min_samples, levels=0)
-    keys, keyed = _keyframes(places, parents, voxels, parent_chart.dimension, key_width)
+    voxels = voxelise(coordinates, chart.dimension, width, min_samples, levels=0)
+    keys, keyed = _keyframes(coordinates, parents, voxels, parent_chart.dimension, key_width)
     matched = [
         np.arange(len(voxels.counts)) if seen.all() else _match_to_keyframe(voxels, seen) for seen in keyed
     ]
-    home = _nearest_centre(keys, parents), _nearest_centre(voxels.centres, places)
+    home = _nearest_centre(keys, parents), _nearest_centre(voxels.centres, coordinates)
     counts = np.zeros((len(keys), len(voxels.counts)))
     np.add.at(counts, home, 1.0)
     surface = LimitSurface(
@@ -103,7 +103,7 @@ def learn_surface(
         counts=jnp.asarray(_distribute_counts(counts, matched)),
         densities=jnp.zeros(0),
     )
-    return _with_densities(surface, places, parents)
+    return _with_densities(surface, coordinates, parents)
 
 
 def _uncoupled_surface(joint: str, chart: Chart, coordinates, voxels: Voxels, width: float) -> LimitSurface:

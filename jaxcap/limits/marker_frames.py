@@ -40,11 +40,11 @@ def arm_samples(
         if label not in frames.labels:
             raise InputError(f"There is no marker '{label}'; the file has {', '.join(frames.labels)}.")
     columns = [frames.labels.index(label) for label in (*markers, *trunk)]
-    places = np.asarray(frames.positions, float)[:, columns]
-    first = _unit(places[:, 1] - places[:, 0])
-    normal = np.cross(places[:, 2] - places[:, 1], places[:, 3] - places[:, 2])
-    sides = np.linalg.norm(places[:, 2] - places[:, 1], axis=1) * np.linalg.norm(
-        places[:, 3] - places[:, 2], axis=1
+    positions = np.asarray(frames.positions, float)[:, columns]
+    first = _unit(positions[:, 1] - positions[:, 0])
+    normal = np.cross(positions[:, 2] - positions[:, 1], positions[:, 3] - positions[:, 2])
+    sides = np.linalg.norm(positions[:, 2] - positions[:, 1], axis=1) * np.linalg.norm(
+        positions[:, 3] - positions[:, 2], axis=1
     )
     bent = np.linalg.norm(normal, axis=1) > MIN_BEND * np.maximum(sides, 1e-12)
     good = np.asarray(frames.visible)[:, columns].all(1) & bent
@@ -53,13 +53,14 @@ def arm_samples(
             f"No frame shows {', '.join((*markers, *trunk))} at once with the elbow bent; a straight arm does not "
             "define the plane of the elbow."
         )
-    places, first, normal = places[good], first[good], normal[good]
+    positions, first, normal = positions[good], first[good], normal[good]
     arm = _frame(first, normal)
     body = _frame(
-        _unit(places[:, 5] - places[:, 4]), np.cross(places[:, 5] - places[:, 4], places[:, 6] - places[:, 4])
+        _unit(positions[:, 5] - positions[:, 4]),
+        np.cross(positions[:, 5] - positions[:, 4], positions[:, 6] - positions[:, 4]),
     )
     shoulder = body.inv() * arm
-    pointing = arm.inv().apply(_unit(places[:, 3] - places[:, 2]))
+    pointing = arm.inv().apply(_unit(positions[:, 3] - positions[:, 2]))
     # about the normal, then up out of the plane
     flexion = np.arctan2(pointing[:, 2], pointing[:, 0])
     lift = np.arcsin(np.clip(pointing[:, 1], -1, 1))

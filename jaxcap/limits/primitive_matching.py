@@ -29,10 +29,10 @@ def match_primitives(
         )
     mine = np.column_stack([centres, thickness])
     others = np.column_stack([other_centres, other_thickness])
-    apart, closest = KDTree(others).query(mine)
+    nearest_distances, closest = KDTree(others).query(mine)
     chosen = np.asarray(closest, int)
     # primitives that coincide, as on one grid, match
-    same = np.flatnonzero(np.asarray(apart) == 0.0)
+    same = np.flatnonzero(np.asarray(nearest_distances) == 0.0)
     _, first = np.unique(chosen[same], return_index=True)
     taken = same[first]
     rest = np.setdiff1d(np.arange(len(others)), chosen[taken])

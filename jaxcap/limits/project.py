@@ -10,7 +10,7 @@ from ..body.limits.limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
-from .check import map_frames, nearest_frames
+from .frame_evaluation import map_frames, nearest_frames
 
 #: number of rounds, each a smoothing of the corrections and a new projection
 ROUNDS = 4
@@ -43,8 +43,8 @@ def project_motion(
         turns = jax.vmap(_smooth_corrections, (1, 1, None), 1)(turns, within, weight)
         moved = rotation.multiply(poses.rotations, rotation.exp(turns))
         kept = jnp.where(within[..., None], poses.rotations, rotation.normalise(moved))
-        drawn = Pose(poses.translations, kept, poses.scale)
-        return nearest_frames(limits, skeleton, Motion(drawn, motion.rate)).poses
+        smoothed = Pose(poses.translations, kept, poses.scale)
+        return nearest_frames(limits, skeleton, Motion(smoothed, motion.rate)).poses
 
     return Motion(jax.lax.fori_loop(0, rounds, again, nearest), motion.rate)
 

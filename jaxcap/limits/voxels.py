@@ -59,13 +59,13 @@ def _merge_voxels(cells, sizes, counts, size: int):
     dimension, half = cells.shape[1], size // 2
     corner = np.stack(np.meshgrid(*[[0, half]] * dimension, indexing="ij"), -1).reshape(-1, dimension)
     around = np.stack(np.meshgrid(*[[-half, 0, half, size]] * dimension, indexing="ij"), -1)
-    there = {tuple(cell) for cell, s in zip(cells, sizes, strict=True) if s == half}
+    occupied = {tuple(cell) for cell, s in zip(cells, sizes, strict=True) if s == half}
     index = {tuple(cell): i for i, cell in enumerate(cells)}
     gone = np.zeros(len(cells), bool)
     grown, sums = [], []
-    for parent in {tuple(np.array(cell) // size * size) for cell in there}:
+    for parent in {tuple(np.array(cell) // size * size) for cell in occupied}:
         block = around.reshape(-1, dimension) + np.array(parent)
-        if all(tuple(cell) in there for cell in block):
+        if all(tuple(cell) in occupied for cell in block):
             members = [index[tuple(cell)] for cell in corner + np.array(parent)]
             gone[members] = True
             grown.append(parent)

@@ -6,9 +6,9 @@ from .body_shape.vertex_markers import vertex_frames as vertex_frames
 from .calibration.calibrate import Calibration as Calibration
 from .calibration.calibrate import calibrate as calibrate
 from .calibration.calibration_parameters import TemplatePrior as TemplatePrior
-from .calibration.problem import CalibrationEstimate as CalibrationEstimate
-from .calibration.problem import CalibrationProblem as CalibrationProblem
-from .calibration.problem import make_calibration_problem as make_calibration_problem
+from .calibration.calibration_problem import CalibrationEstimate as CalibrationEstimate
+from .calibration.calibration_problem import CalibrationProblem as CalibrationProblem
+from .calibration.calibration_problem import make_calibration_problem as make_calibration_problem
 from .calibration.solve_calibration import CalibrationSolution as CalibrationSolution
 from .calibration.solve_calibration import solve_calibration as solve_calibration
 from .local_technique import LocalFit as LocalFit

@@ -19,7 +19,7 @@ from .segments.segment import Segments
 from .segments.swaps import correct_swaps
 from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
 from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones
-from .skeleton.tree import SegmentTree, find_tree, template_pairs
+from .skeleton.segment_tree import SegmentTree, find_segment_tree, template_pairs
 from .subject import Subject, make_subject
 
 #: a joint is reported as hardly rotating where its swept angle is below this, radians
@@ -73,7 +73,7 @@ def fit_local(
     **Raises:** `ValueError` where no markers are visible, nothing moves, no markers move together, or no
     segment has three markers that are visible together.
     """
-    places, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
+    positions, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
     labels, messages = frames.labels, []
     if not seen.any():
         raise ValueError("No marker is visible in any frame, so there is nothing to fit.")
@@ -86,11 +86,11 @@ def fit_local(
     lost = [label for label, some in zip(labels, ever, strict=True) if not some]
     if lost:
         messages.append(f"{_format_names(lost)} never visible and left out.")
-    mended = correct_swaps(places, seen, labels)
+    mended = correct_swaps(positions, seen, labels)
     messages += mended.messages
-    places, seen = mended.positions, mended.seen
+    positions, seen = mended.positions, mended.seen
     if segments is None:
-        segments = find_partition(places, seen, threshold).segments
+        segments = find_partition(positions, seen, threshold).segments
     if corrections:
         segments = apply_corrections(segments, labels, corrections)
     loose = [labels[m] for m in np.flatnonzero(segments.is_loose) if labels[m] not in lost]
@@ -99,7 +99,7 @@ def fit_local(
             f"{_format_names(loose)} in no segment: no segment has a constant distance from {_pronoun(loose)}."
         )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
-    tree = find_tree(places, seen, segments, method, pairs)
+    tree = find_segment_tree(positions, seen, segments, method, pairs)
     if not tree.augmented.frames.known.any():
         raise ValueError(
             "No segment has three markers that are visible together and not on a line, so none has a frame; "
@@ -128,7 +128,7 @@ def fit_local(
         assembled.bones,
         assembled.offsets,
         subject,
-        MarkerFrames(jnp.asarray(places, frames.positions.dtype), jnp.asarray(seen), labels, frames.rate),
+        MarkerFrames(jnp.asarray(positions, frames.positions.dtype), jnp.asarray(seen), labels, frames.rate),
         tuple(messages),
     )
 
@@ -150,9 +150,11 @@ def _bone_length_map(
         ]
         if len(ends[0]) == len(ends[1]) == 1:
             same.append((ends[0][0], ends[1][0]))
-    places, known = joint_trajectories(tree)
+    positions, known = joint_trajectories(tree)
     deviations = np.array([1.0 if joint is None else max(joint.residual, 1e-4) for joint in tree.joints])
-    found = estimate_bone_lengths(places, known, between, method, equal_pairs=same, deviations=deviations)
+    found = estimate_bone_lengths(
+        positions, known, between, method, left_right_pairs=same, deviations=deviations
+    )
     return dict(zip(between, found.tolist(), strict=True))
 
 

@@ -235,10 +235,10 @@ def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
     The sample of a cloud without points is only padding.
     """
     weights = np.asarray(cloud.weights, float)
-    size, there = padded_size(count), int((weights > 0).sum())
-    likely = weights / weights.sum() if there else None
-    chosen = np.random.default_rng(seed).choice(len(weights), min(count, there), replace=False, p=likely)
+    size, num_points = padded_size(count), int((weights > 0).sum())
+    likely = weights / weights.sum() if num_points else None
+    chosen = np.random.default_rng(seed).choice(len(weights), min(count, num_points), replace=False, p=likely)
     padding = size - len(chosen)
-    index = np.pad(np.sort(chosen), (0, padding), mode="edge") if there else np.zeros(size, int)
+    index = np.pad(np.sort(chosen), (0, padding), mode="edge") if num_points else np.zeros(size, int)
     kept = jnp.asarray(np.arange(size) < len(chosen), cloud.weights.dtype)
     return Cloud(cloud.points[index], cloud.normals[index], kept, cloud.views)

@@ -5,5 +5,5 @@ from ..body.pair_prior import likelihood as likelihood
 from ..body.pair_prior import make_pair_prior as make_pair_prior
 from ..energy.priors.pair_prior import LikelihoodPrior as LikelihoodPrior
 from ..energy.priors.pair_prior import MahalanobisPrior as MahalanobisPrior
-from .pose_prior import learn_pair_prior as learn_pair_prior
-from .pose_prior import learn_ranges as learn_ranges
+from .learn_pose_prior import learn_pair_prior as learn_pair_prior
+from .learn_pose_prior import learn_ranges as learn_ranges

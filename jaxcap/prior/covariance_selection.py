@@ -6,7 +6,7 @@ A zero entry of an inverse covariance means that two variables are conditionally
 import numpy as np
 from jaxtyping import Float
 
-from .gaussian_mixture import Mixture
+from .gaussian_mixture import GaussianMixture
 
 #: lowering a coupling keeps the eigenvalues above this share of the least one, which bounds how far a
 #: component widens
@@ -27,7 +27,7 @@ def partial_correlations(precisions: Float[np.ndarray, "*K D D"]) -> Float[np.nd
     return np.abs(precisions) / (scales[..., :, None] * scales[..., None, :])
 
 
-def threshold_couplings(mixture: Mixture, threshold: float) -> Mixture:
+def threshold_couplings(mixture: GaussianMixture, threshold: float) -> GaussianMixture:
     """Set couplings with a partial correlation below `threshold` to zero (Adaptation, section 4.1.1).
 
     If this would make a matrix indefinite, its weak couplings are lowered as far as it stays positive

@@ -21,7 +21,7 @@ MAX_ITERATIONS, MIN_GAIN = 200, 1e-5
 NUM_KMEANS_RUNS = 5
 
 
-class Mixture(NamedTuple):
+class GaussianMixture(NamedTuple):
     """Weights (with sum one), means and inverse covariances of K Gaussians in D dimensions."""
 
     weights: Float[np.ndarray, "K"]
@@ -32,7 +32,7 @@ class Mixture(NamedTuple):
 class MixtureFit(NamedTuple):
     """A mixture, and the mean log-likelihood of the samples at the start and after each round."""
 
-    mixture: Mixture
+    mixture: GaussianMixture
     history: Float[np.ndarray, "R"]
 
 
@@ -76,10 +76,10 @@ def fit_mixture(
         mixture = _m_step(samples, np.exp(joint - total[:, None]), mixture.means, min_deviation)
     # drop components without samples
     kept = mixture.weights > 0
-    return MixtureFit(Mixture(*(part[kept] for part in mixture)), np.array(history))
+    return MixtureFit(GaussianMixture(*(part[kept] for part in mixture)), np.array(history))
 
 
-def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N K"]:
+def log_joint(mixture: GaussianMixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N K"]:
     """Compute the logarithm of weight times density of each component at each sample."""
     factors = factor_symmetric(mixture.precisions)
     offsets = (samples[None] - mixture.means[:, None]) @ factors
@@ -91,7 +91,7 @@ def log_joint(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.n
     return (weights + scales)[None] - 0.5 * np.einsum("kni,kni->nk", offsets, offsets)
 
 
-def log_density(mixture: Mixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
+def log_density(mixture: GaussianMixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
     """Compute the logarithm of the mixture density at each sample (Adaptation, eq. 4.1)."""
     return np.asarray(logsumexp(log_joint(mixture, samples), axis=1))
 
@@ -113,7 +113,7 @@ def kmeans_labels(
     return labels, float(((samples - centres[labels]) ** 2).sum())
 
 
-def _m_step(samples, responsibilities, means, min_deviation) -> Mixture:
+def _m_step(samples, responsibilities, means, min_deviation) -> GaussianMixture:
     """Perform the M step, with standard deviations bounded from below.
 
     Among covariances with no deviation below the floor, the most likely has the eigenvectors of the samples,
@@ -128,4 +128,4 @@ def _m_step(samples, responsibilities, means, min_deviation) -> Mixture:
     covariances = np.swapaxes(offsets * responsibilities.T[..., None], 1, 2) @ offsets / divisor[..., None]
     variances, axes = np.linalg.eigh(covariances)
     axes = axes / np.sqrt(np.maximum(variances, min_deviation**2))[:, None]
-    return Mixture(sizes / len(samples), means, axes @ np.swapaxes(axes, 1, 2))
+    return GaussianMixture(sizes / len(samples), means, axes @ np.swapaxes(axes, 1, 2))

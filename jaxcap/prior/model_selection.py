@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .covariance_selection import threshold_couplings
-from .gaussian_mixture import MIN_DEVIATION, Mixture, fit_mixture, log_density
+from .gaussian_mixture import MIN_DEVIATION, GaussianMixture, fit_mixture, log_density
 
 #: thresholds of partial correlation below which couplings are removed, from none to all
 THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.01)
@@ -25,7 +25,7 @@ class MixtureSelection(NamedTuple):
     threshold (`THRESHOLDS`); minus infinity where it was not evaluated.
     """
 
-    mixture: Mixture
+    mixture: GaussianMixture
     held_out: Float[np.ndarray, "C T"]
     threshold: float
 

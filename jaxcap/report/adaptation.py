@@ -106,9 +106,9 @@ def adaptation_page(
     if len(stages.measured_frames) > 1:
         parts.append(section("Distances over time", frame_chart(stages, task.rate)))
     if angles is not None and len(angles.seconds) > 2:
-        told = element("p", ANGLE_NOTE, SMOOTHING_NOTE if angles.after is not None else "")
+        notes = element("p", ANGLE_NOTE, SMOOTHING_NOTE if angles.after is not None else "")
         shakes = (jitter_table(angles, skeleton), element("p", JITTER_NOTE, class_="soft"))
-        parts.append(section("Joint angles over time", told, angle_charts(angles, skeleton), *shakes))
+        parts.append(section("Joint angles over time", notes, angle_charts(angles, skeleton), *shakes))
     if state.lost:
         parts.append(section("Lost frames", lost_table(state), element("p", LOST_NOTE, class_="soft")))
     every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
@@ -139,8 +139,8 @@ def summary_cards(task: AdaptTask, state: AdaptState, stages: Evaluation) -> Mar
         (f"{before:.1f} mm → {after:.1f} mm", nearer),
         (f"{task.num_frames - lost} of {task.num_frames} frames", followed),
     )
-    told = [element("div", element("strong", strong), text, class_="card") for strong, text in cards]
-    return element("div", *told, class_="cards")
+    blocks = [element("div", element("strong", strong), text, class_="card") for strong, text in cards]
+    return element("div", *blocks, class_="cards")
 
 
 def lost_table(state: AdaptState) -> Markup:

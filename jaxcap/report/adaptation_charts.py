@@ -169,5 +169,5 @@ def _jitter_cells(angles: JointAngles, joints: Sequence[int]) -> list[str]:
 
 
 def _figure(chart: Markup, caption: str | None = None) -> Markup:
-    told = [] if caption is None else [element("figcaption", element("b", caption))]
-    return element("figure", *told, chart)
+    captions = [] if caption is None else [element("figcaption", element("b", caption))]
+    return element("figure", *captions, chart)

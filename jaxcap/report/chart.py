@@ -71,9 +71,9 @@ def line_chart(
         element("path", d=svg_path(place_x(line.x), place_y(line.y)), class_=f"line {line.style}")
         for line in lines
     ]
-    told = element("title", title)
+    title_element = element("title", title)
     return element(
-        "svg", told, *marks, *paths, viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}", class_="chart", role="img", aria_label=title
+        "svg", title_element, *marks, *paths, viewBox=f"0 0 {WIDTH:g} {HEIGHT:g}", class_="chart", role="img", aria_label=title
     )  # fmt: skip
 
 

@@ -36,14 +36,14 @@ def heat_pictures(bodies: Sequence[Body], heats: Sequence[Float[np.ndarray, "_"]
 
     Vertices whose heat is NaN are grey. Bodies have y up.
     """
-    places = [np.asarray(body.vertices, float) for body in bodies]
-    view = front_view(places[-1])
-    middles = [0.5 * (place.min(0) + place.max(0)) for place in places]
-    seen = [(place - middle) @ view.T for place, middle in zip(places, middles, strict=True)]
+    positions = [np.asarray(body.vertices, float) for body in bodies]
+    view = front_view(positions[-1])
+    middles = [0.5 * (place.min(0) + place.max(0)) for place in positions]
+    seen = [(place - middle) @ view.T for place, middle in zip(positions, middles, strict=True)]
     reach = np.max([np.abs(place).max(0) for place in seen], axis=0)
     return [
         _picture(place - middle, np.asarray(body.faces), heat, limit, view, reach[:2])
-        for body, place, middle, heat in zip(bodies, places, middles, heats, strict=True)
+        for body, place, middle, heat in zip(bodies, positions, middles, heats, strict=True)
     ]
 
 
@@ -52,8 +52,8 @@ def colour_scale(limit: float, unit: str, unseen: str) -> Markup:
     bar = element("div", class_="bar", style=f"background: linear-gradient(90deg, {', '.join(HEAT_COLOURS)})")
     values = [format_number(value) for value in ticks(0.0, limit)]
     ends = element("div", *(element("span", value) for value in values), class_="ends")
-    told = f"Mean distance, {unit}; {values[-1]} and more are dark red. {unseen}"
-    return element("div", bar, ends, element("div", told), class_="scale")
+    legend = f"Mean distance, {unit}; {values[-1]} and more are dark red. {unseen}"
+    return element("div", bar, ends, element("div", legend), class_="scale")
 
 
 def front_view(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "3 3"]:
@@ -87,6 +87,6 @@ def _picture(
         draw_surface(plot, vertices, faces, rotate_view(view, degrees), paint)
         set_frame(plot, -reach, reach)
     figure.subplots_adjust(left=0, right=1, top=1, bottom=0, wspace=0)
-    told = io.BytesIO()
-    canvas.print_png(told)
-    return f"data:image/png;base64,{base64.b64encode(told.getvalue()).decode()}"
+    buffer = io.BytesIO()
+    canvas.print_png(buffer)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"

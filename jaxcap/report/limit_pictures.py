@@ -54,8 +54,8 @@ def draw_limits(
     plots = figure.subplots(len(shown), columns, squeeze=False)
     for row, (key, samples) in enumerate(zip(shown, near, strict=True)):
         primitives = _at_keyframe(surface, key)
-        drawn = _draw_flat if flat else _draw_solid
-        drawn(plots[row], surface, primitives, points[samples])
+        draw = _draw_flat if flat else _draw_solid
+        draw(plots[row], surface, primitives, points[samples])
         if surface.parent is not None:
             plots[row, 0].set_title(
                 f"{surface.parent} near keyframe {key}: {int(samples.sum())} samples",
@@ -128,16 +128,16 @@ def _draw_flat(plots: Any, surface: LimitSurface, primitives: Primitives, points
     else:
         x, y = (np.linspace(low[i], high[i], 160) for i in range(2))
         grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-        apart = _signed_distances(primitives, np.pad(grid, ((0, 0), (0, 1)))).reshape(160, 160)
+        distances = _signed_distances(primitives, np.pad(grid, ((0, 0), (0, 1)))).reshape(160, 160)
         plot.contourf(
             np.degrees(2 * x),
             np.degrees(2 * y),
-            apart.T,
+            distances.T,
             levels=[-np.inf, 0],
             colors=[SURFACE_COLOUR],
             alpha=0.6,
         )
-        plot.contour(np.degrees(2 * x), np.degrees(2 * y), apart.T, levels=[0], colors=[CONTOUR_COLOUR])
+        plot.contour(np.degrees(2 * x), np.degrees(2 * y), distances.T, levels=[0], colors=[CONTOUR_COLOUR])
         dots = points[:: max(1, len(points) // MAX_POINTS)]
         plot.scatter(
             np.degrees(2 * dots[:, 0]), np.degrees(2 * dots[:, 1]), s=1.2, c=SAMPLE_COLOUR, linewidths=0

@@ -54,14 +54,14 @@ def element(tag: str, *children: str, **attributes: object) -> Markup:
     In attribute names, trailing underscores are removed and others become hyphens. An attribute that is None
     is omitted.
     """
-    told = "".join(
+    attributes_text = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{html.escape(str(value))}"'
         for name, value in attributes.items()
         if value is not None
     )
     if tag in VOID:
-        return Markup(f"<{tag}{told}>")
-    return Markup(f"<{tag}{told}>{join_markup(*children)}</{tag}>")
+        return Markup(f"<{tag}{attributes_text}>")
+    return Markup(f"<{tag}{attributes_text}>{join_markup(*children)}</{tag}>")
 
 
 def join_markup(*children: str) -> Markup:

@@ -77,9 +77,9 @@ def score_meshes(
         )
         if not (np.isfinite(place).all() and np.isfinite(posed).all()):
             return MeshScore(names[frame], np.nan, np.nan, np.nan, np.nan, False)
-        apart = scan_to_surface(place, posed, faces)
+        distances = scan_to_surface(place, posed, faces)
         rmse = float(np.sqrt(np.mean(np.sum((place - posed) ** 2, 1))))
-        mean, sd, worst = float(apart.mean()), float(apart.std()), float(apart.max())
+        mean, sd, worst = float(distances.mean()), float(distances.std()), float(distances.max())
         return MeshScore(names[frame], mean, sd, worst, rmse, bool(fitted[frame]))
 
     return total_scores(tuple(progress(score(frame) for frame in range(len(sequence)))))

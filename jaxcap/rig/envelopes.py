@@ -22,9 +22,9 @@ def default_tails(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
     tails = centres.copy()
     for joint, parent in enumerate(skeleton.parents):
         children = centres[parents == joint]
-        apart = children[np.linalg.norm(children - centres[joint], axis=1) > 0]
-        if len(apart):
-            tails[joint] = apart.mean(0)
+        distinct = children[np.linalg.norm(children - centres[joint], axis=1) > 0]
+        if len(distinct):
+            tails[joint] = distinct.mean(0)
         elif parent >= 0:
             tails[joint] += TIP * (centres[joint] - centres[parent])
     return tails

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..geometry import rotation
 from ..units import UNIT_NAMES, units_within
 from .heat import smooth_weights, surface_operators
-from .register import find_closest, register, sample_surface, search_tree
+from .register import find_closest, make_surface_samples, register, search_tree
 from .template import Template, load_template, pose_template
 
 #: limits of a person's height, metres
@@ -60,7 +60,7 @@ def place_human(
     turn = np.array(UPRIGHT[up])
     upright = vertices @ turn.T / unit
     template = load_template()
-    found = register(template, sample_surface(upright, faces))
+    found = register(template, make_surface_samples(upright, faces))
     if found.residual > POOR_FIT:
         raise InputError(
             f"The best fit of the human to the mesh has a mean distance of {1e3 * unit * found.residual:.0f} mm; "
@@ -117,7 +117,9 @@ def _transfer_weights(
     template: Template, posed: Posed, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V J"]:
     """Transfer weights from the closest points of the posed template, with more confidence in closer ones."""
-    donors = sample_surface(np.asarray(posed.vertices, float), np.asarray(template.body.faces), NUM_SOURCES)
+    donors = make_surface_samples(
+        np.asarray(posed.vertices, float), np.asarray(template.body.faces), NUM_SOURCES
+    )
     weights = np.asarray(template.body.skin.bone_weights(template.body.skeleton.num_joints), float)
     donated = np.einsum("nc,ncj->nj", donors.barycentric, weights[donors.corners])
     normals = surface_operators(vertices, faces)[2]

@@ -13,8 +13,8 @@ from ..fit.alternate import anneal_problem
 from ..fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..geometry import rotation
 from ..geometry.mesh import area_normals, vertex_areas
-from .problem import TemplateProblem
 from .template import Build, Person, Template, average_build, pose_template
+from .template_problem import TemplateProblem
 
 #: distance equivalent to a unit difference of normals, metres; opposite normals differ by two
 NORMAL_SCALE = 0.1
@@ -40,7 +40,7 @@ DAMPING = 0.1
 CLIP_DISTANCE = 0.1
 
 
-class SampledSurface(NamedTuple):
+class SurfaceSamples(NamedTuple):
     """Points sampled uniformly on a surface, with unit normals and barycentric coordinates."""
 
     points: Float[np.ndarray, "N 3"]
@@ -59,9 +59,9 @@ class Registration(NamedTuple):
     residual: float
 
 
-def sample_surface(
+def make_surface_samples(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int = SAMPLES
-) -> SampledSurface:
+) -> SurfaceSamples:
     """Sample random points on a surface, the same in every call."""
     across = area_normals(vertices[faces])
     areas = np.linalg.norm(across, axis=1)
@@ -70,7 +70,7 @@ def sample_surface(
     shares = rng.dirichlet(np.ones(3), count)
     corners = faces[chosen]
     points = np.einsum("nc,nca->na", shares, vertices[corners])
-    return SampledSurface(points, across[chosen] / areas[chosen, None], corners, shares)
+    return SurfaceSamples(points, across[chosen] / areas[chosen, None], corners, shares)
 
 
 def search_tree(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> cKDTree:
@@ -85,7 +85,7 @@ def find_closest(
     return tree.query(_features(points, normals), count)
 
 
-def register(template: Template, surface: SampledSurface) -> Registration:
+def register(template: Template, surface: SurfaceSamples) -> Registration:
     """Register the template's build and pose to an upright person, y up, about in A-pose and of adult size.
 
     The heading is unknown: `HEADINGS` starts around the vertical are fitted coarsely, and the best
@@ -100,7 +100,7 @@ def register(template: Template, surface: SampledSurface) -> Registration:
     return _refine(template, surface, search, min(fine, key=lambda found: found.residual), POLISH)
 
 
-def _start(template: Template, surface: SampledSurface, heading: float) -> Registration:
+def _start(template: Template, surface: SurfaceSamples, heading: float) -> Registration:
     """Place the template at the surface's size and centre, with a heading about the vertical."""
     low, high = surface.points.min(0), surface.points.max(0)
     rest = np.asarray(template.body.vertices)
@@ -120,7 +120,7 @@ def _start(template: Template, surface: SampledSurface, heading: float) -> Regis
 
 def _refine(
     template: Template,
-    surface: SampledSurface,
+    surface: SurfaceSamples,
     search: cKDTree,
     start: Registration,
     scales: tuple[float, ...],
@@ -142,7 +142,7 @@ def _refine(
 
 
 def _quadratic_energy(
-    posed: Posed, areas: np.ndarray, surface: SampledSurface, search: cKDTree, scale: float
+    posed: Posed, areas: np.ndarray, surface: SurfaceSamples, search: cKDTree, scale: float
 ) -> tuple[Float[np.ndarray, "V 3 3"], Float[np.ndarray, "V 3"], float]:
     """Compute the quadratic energy of every vertex about its position, `d' A d - 2 b' d`, and the constant.
 
@@ -167,12 +167,12 @@ def _quadratic_energy(
     return matrices, pulls, float(np.sum(gap * pulled))
 
 
-def _residual(posed: Posed, areas: np.ndarray, surface: SampledSurface, search: cKDTree) -> float:
+def _residual(posed: Posed, areas: np.ndarray, surface: SurfaceSamples, search: cKDTree) -> float:
     vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
-    there, _ = find_closest(search, vertices, normals)
+    distances, _ = find_closest(search, vertices, normals)
     back, _ = find_closest(search_tree(vertices, normals), surface.points, surface.normals)
     return float(
-        0.5 * np.average(np.minimum(there, CLIP_DISTANCE), weights=areas)
+        0.5 * np.average(np.minimum(distances, CLIP_DISTANCE), weights=areas)
         + 0.5 * np.minimum(back, CLIP_DISTANCE).mean()
     )
 

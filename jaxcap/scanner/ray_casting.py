@@ -47,8 +47,8 @@ def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     rays = camera_rays(camera)
     shape = rays.shape[:2]
     depth, facing, shown = np.zeros(shape), np.zeros(shape), np.full(shape, -1)
-    there = surface.corners @ rotation.T + translation
-    window = _window(camera, there)
+    corners = surface.corners @ rotation.T + translation
+    window = _window(camera, corners)
     directions = rays[window].reshape(-1, 3) @ rotation
     if len(directions) == 0:
         return DepthImage(depth, facing, shown)
@@ -61,14 +61,14 @@ def render_depth(camera: Camera, surface: RayMesh) -> DepthImage:
     # Rays have a depth of one, so that the ray parameter is the depth
     approach = np.sum(normal * along, 1)
     reach = np.sum(normal * (surface.corners[triangle, 0] - eye), 1)
-    met = reach / np.where(np.abs(approach) > 1e-12, approach, 1.0)
-    shares = _barycentric(eye + met[:, None] * along, surface.corners[triangle], normal)
-    met = np.sum(shares * there[triangle, :, 2], 1)
+    depths = reach / np.where(np.abs(approach) > 1e-12, approach, 1.0)
+    shares = _barycentric(eye + depths[:, None] * along, surface.corners[triangle], normal)
+    depths = np.sum(shares * corners[triangle, :, 2], 1)
     values, cosines = np.zeros((2, len(directions)))
-    values[seen] = np.where(met > 0, met, 0.0)
-    cosines[seen] = np.where(met > 0, np.abs(approach) / np.linalg.norm(along, axis=1), 0.0)
+    values[seen] = np.where(depths > 0, depths, 0.0)
+    cosines[seen] = np.where(depths > 0, np.abs(approach) / np.linalg.norm(along, axis=1), 0.0)
     numbers = np.full(len(directions), -1)
-    numbers[seen] = np.where(met > 0, triangle, -1)
+    numbers[seen] = np.where(depths > 0, triangle, -1)
     for image, of_window in zip((depth, facing, shown), (values, cosines, numbers), strict=True):
         image[window] = of_window.reshape(image[window].shape)
     return DepthImage(depth, facing, shown)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..arguments import check_metres, checked
-from ..depth.fuse import Scan, fuse_cloud, fuse_mesh
+from ..depth.fuse import FusedScan, fuse_cloud, fuse_mesh
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..value_checks import check_faces
@@ -29,7 +29,7 @@ def scan_frame(
     seed: int = 0,
     frame: int = 0,
     room: Room | None = None,
-) -> Scan:
+) -> FusedScan:
     """Simulate the scan of one frame by all cameras, metres: a cloud, or a mesh if `scanner.mesh`.
 
     The scan contains the `room` too, where one is given.
@@ -48,13 +48,13 @@ def scan_frame(
     rng = _random(seed, frame, 1)
     if scanner.points is not None and scanner.points < len(scan.points):
         kept = np.sort(rng.choice(len(scan.points), scanner.points, replace=False))
-        scan = Scan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
+        scan = FusedScan(scan.points[kept], scan.normals[kept], scan.views[kept], scan.faces)
     return add_outliers(scan, scanner.outliers, vertices, rng)
 
 
 def add_outliers(
-    scan: Scan, share: float, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator
-) -> Scan:
+    scan: FusedScan, share: float, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator
+) -> FusedScan:
     """Replace a random share of a cloud by points uniform in the box of the surface and 0.1 m around it.
 
     Their normals are random; their views are those of the points that they replace.
@@ -69,7 +69,7 @@ def add_outliers(
     )
     directions = rng.normal(size=(count, 3))
     normals[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Scan(points, normals, scan.views, scan.faces)
+    return FusedScan(points, normals, scan.views, scan.faces)
 
 
 def scan_depths(

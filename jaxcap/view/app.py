@@ -11,8 +11,8 @@ from .figures.eye import BEGIN, FIELD, place_camera
 from .live import POLL_SECONDS, RunFollower
 from .windows.column import Choice
 from .windows.controls import Controls
+from .windows.scene_figures import SceneFigures
 from .windows.serve import serve_clients
-from .windows.stage import Stage
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneClickEvent, ViserServer
@@ -32,7 +32,7 @@ def serve_contents(
 ) -> list[RunFollower]:
     """Show `contents` to every browser that connects, each with its own timeline and choices.
 
-    **Arguments:** `spacing` of takes as in `Stage.arrange`. Unfinished runs are followed until the returned
+    **Arguments:** `spacing` of takes as in `SceneFigures.arrange`. Unfinished runs are followed until the returned
     followers are stopped.
     """
     followers = [RunFollower(take) for take in contents.takes if take.run_folder is not None]
@@ -54,7 +54,7 @@ class Window:
             # compiles before the browser has to wait for it
             take.motion.frame(0)
         with client.atomic():
-            self.stage = Stage(client.scene, contents)
+            self.stage = SceneFigures(client.scene, contents)
             self.controls = Controls(client.gui, contents, spacing, self._wake.set, self.set_view)
             self.stage.arrange(spacing)
             client.camera.fov = float(FIELD)
@@ -88,17 +88,17 @@ class Window:
             if frames != self.controls.timeline.frames:
                 self.controls.grow(frames)
             versions = tuple(take.motion.version for take in self.contents.takes)
-            told = tuple(follower.error for follower in self.followers)
+            errors = tuple(follower.error for follower in self.followers)
             frame, choice = self.controls.timeline.frame(start), self.controls.choice
             # includes whether it plays: the slider follows once more when it stops
-            wanted = (frame, self.controls.timeline.playing, choice, versions, told)
+            wanted = (frame, self.controls.timeline.playing, choice, versions, errors)
             if spacing != self.controls.spacing:
                 spacing = self.controls.spacing
                 self.stage.arrange(spacing)
             if wanted != shown:
                 # computed before `atomic`, which holds messages to the browser back
                 looks = self.stage.appearances(frame, choice)
-                wrong = (*told, *(look.error for look in looks))
+                wrong = (*errors, *(look.error for look in looks))
                 with self.client.atomic():
                     self.stage.draw(frame, looks, choice)
                     self.controls.draw(frame, next(filter(None, wrong), ""))

@@ -20,8 +20,8 @@ from .contents import Contents, Markers, make_take
 from .figures.clouds import DisplayClouds
 from .figures.eye import FIELD, place_camera
 from .windows.column import DISTANCE, Choice
+from .windows.scene_figures import SceneFigures
 from .windows.serve import address, close_server, open_server
-from .windows.stage import Stage
 
 #: maximum number of frames of a recording; one of 5,000 vertices is some 50 kB
 MAX_RECORDED_FRAMES = 120
@@ -68,7 +68,7 @@ class Player:
         choice = Choice(colours=DISTANCE) if self.heat else Choice()
         server = open_server(0)
         try:
-            stage = Stage(server.scene, self.contents)
+            stage = SceneFigures(server.scene, self.contents)
             eye, target = place_camera(stage.box())
             server.initial_camera.fov = float(FIELD)
             server.initial_camera.position, server.initial_camera.look_at = tuple(eye), tuple(target)

@@ -19,18 +19,18 @@ from jaxcap.adapt.objective import (
 )
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
+from jaxcap.adapt.shape.adapt_round import gauss_newton_step
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
-from jaxcap.adapt.shape.rounds import gauss_newton_step
 from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
-from jaxcap.adapt.shape.surface import adapt_shape
+from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
-from jaxcap.body.symmetry import mirrored_joints
+from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.correspond import Matching
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
@@ -245,7 +245,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     ]
     shape, regressor, modes = body_shape_prior(body), make_joint_regressor(body), joint_modes(body)
     terms, deviation = PoseTerms(prior, jnp.asarray(1e-6)), jnp.asarray(0.003)
-    mirrored = mirrored_joints(body.skeleton)
+    left_right_pairs = find_left_right_pairs(body.skeleton)
 
     def pairs():
         return stack_trees([pairs_of(body, p, s, matching) for p, s in zip(poses, scans, strict=True)])
@@ -261,7 +261,7 @@ def test_joints_and_vertices_come_nearer_in_every_round(scene, matching):
     for _ in range(3):
         shifts = regress_joints(regressor, np.asarray(body.vertices)) - np.asarray(body.skeleton.centres)
         coefficient_prior = CoefficientPrior(jnp.asarray(shifts).reshape(-1), jnp.full(shifts.size, 0.005))
-        problem = shared_problem(body, pairs(), terms, modes, coefficient_prior, mirrored, deviation)
+        problem = shared_problem(body, pairs(), terms, modes, coefficient_prior, left_right_pairs, deviation)
         body, several, _ = gauss_newton_step(problem, stack_trees(poses))
         poses = unstack_trees(several, len(frames))
         body = adapt_shape(body, stack_trees(poses), pairs(), shape, 10.0)
@@ -306,7 +306,7 @@ def test_windows_smooth_a_motion_and_hold_where_they_meet(scene, rng):
 def test_the_whole_way_and_again_from_the_middle(scene):
     template, actor, motion, clouds = scene
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), AdaptSettings(num_frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
+                find_left_right_pairs(template.skeleton), AdaptSettings(num_frames=6, proportion_rounds=3, rounds=(2, 2)))  # fmt: skip
     states = list(adapt_body(task))
     last = states[-1]
     assert last.done == len(plan_stages(task.settings))
@@ -328,7 +328,7 @@ def test_a_body_is_adapted_while_it_is_tracked(scene):
     template, actor, motion, clouds = scene
     settings = AdaptSettings(num_frames=4, every=1, proportion_rounds=2, rounds=(1,), temporal_weight=0.0)
     task = AdaptTask(template, clouds.__getitem__, len(clouds), 30.0, motion[0], human_prior(template),
-                mirrored_joints(template.skeleton), settings)  # fmt: skip
+                find_left_right_pairs(template.skeleton), settings)  # fmt: skip
     states = list(adapt_body(task))
     before, after = (next(s for s, stage in zip(states, plan_stages(settings), strict=True) if str(stage) == name)
                      for name in ("track to frame 1", "track"))  # fmt: skip
@@ -371,7 +371,7 @@ def test_what_is_refused(tmp_path, capsys):
 
 def test_joints_of_left_and_right_are_found_by_their_names():
     skeleton = jc.human(resolution="low").skeleton
-    names = {(skeleton.names[a], skeleton.names[b]) for a, b in mirrored_joints(skeleton)}
+    names = {(skeleton.names[a], skeleton.names[b]) for a, b in find_left_right_pairs(skeleton)}
     assert ("LeftArm", "RightArm") in names
     assert ("LThumb", "RThumb") in names
     assert ("LHipJoint", "RHipJoint") in names

@@ -9,7 +9,7 @@ from adapt_scene import FRAMES, RING, make_scene, task_of, words, write_folder, 
 from command_line import fails
 
 import jaxcap as jc
-from jaxcap.adapt.check import check_cameras
+from jaxcap.adapt.check_scans import check_cameras
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.cli.adapt.input import check_scan_cameras, load_cameras
 from jaxcap.cli.sources import up_rotation

@@ -21,7 +21,7 @@ from jaxcap.cli.adapt.state import fingerprint_of, keep_state
 from jaxcap.energy.priors.pair_prior import MahalanobisPrior
 from jaxcap.io.archives import archive
 from jaxcap.io.archives.journal import hash_files
-from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import has_prior, load_boxes, load_priors
 from jaxcap.io.meshes.clouds import read_clouds
 
@@ -144,9 +144,9 @@ def test_the_actor_carries_on_what_counted(scene, known, folder, capsys, monkeyp
     line = "body.npz: the prior in this file is used (2 pairs of joints, ranges of 1 joints, the shape of 1 meshes)"
     assert (line in told) == (not more)
     skeleton, out = actor.skeleton, folder / "a.npz"
-    np.testing.assert_array_equal(load_limits(out)["angles"], np.arange(3.0))
+    np.testing.assert_array_equal(load_body_limits(out)["angles"], np.arange(3.0))
     assert has_prior(out) == keeps
-    assert not [name for name in load_limits(out) if name.startswith("shape.")]
+    assert not [name for name in load_body_limits(out) if name.startswith("shape.")]
     np.testing.assert_array_equal(jc.load_body(out).vertices, actor.vertices)
     if keeps:
         np.testing.assert_array_equal(jc.io.load_prior(out, skeleton).means, known[0].means)

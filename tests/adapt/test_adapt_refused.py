@@ -10,9 +10,9 @@ from adapt_scene import FRAMES, POINTS, make_scene, task_of, words, write_folder
 from command_line import fails, runs
 
 import jaxcap as jc
-from jaxcap.adapt import check
+from jaxcap.adapt import check_scans
 from jaxcap.adapt.adapt_body import adapt_body
-from jaxcap.adapt.check import (
+from jaxcap.adapt.check_scans import (
     FitQuality,
     check_actor,
     connected_labels,
@@ -30,7 +30,7 @@ from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.data.pairs import stack_pairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
@@ -172,12 +172,12 @@ def test_something_else_than_the_body(scene, monkeypatch):
     out = rng.normal(size=(900, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     # no other person is looked for in it
-    monkeypatch.setattr(check, "_fit_quality_alone", lambda *_: FitQuality(0.0, 0.0))
+    monkeypatch.setattr(check_scans, "_fit_quality_alone", lambda *_: FitQuality(0.0, 0.0))
     with pytest.raises(
         jc.InputError, match=r"a\.ply: this scan does not resemble a person.*give scans of one person"
     ):
         check_actor(alone(task, middle + 0.4 * height * out, out), state, "a.ply")
-    monkeypatch.setattr(check, "_fit_quality_alone", lambda *_: FitQuality(0.9, 0.9))
+    monkeypatch.setattr(check_scans, "_fit_quality_alone", lambda *_: FitQuality(0.9, 0.9))
     column = (
         middle
         + [0.8 * height, 0.0, 0.0]

@@ -29,11 +29,11 @@ from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pose import rest_pose, retract, stack_poses
-from jaxcap.body.symmetry import mirrored_joints
+from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, make_checkpoint
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.io.meshes.clouds import read_clouds
@@ -100,7 +100,14 @@ def scene():
     prior = RestPrior(jnp.full((template.skeleton.num_joints, 3), 0.7))
     settings = AdaptSettings(num_frames=2, proportion_rounds=1, rounds=(1, 1))
     task = AdaptTask(
-        template, clouds.__getitem__, FRAMES, RATE, None, prior, mirrored_joints(template.skeleton), settings
+        template,
+        clouds.__getitem__,
+        FRAMES,
+        RATE,
+        None,
+        prior,
+        find_left_right_pairs(template.skeleton),
+        settings,
     )
     shaken = [retract(actor.skeleton, p, jnp.asarray(0.002 * rng.normal(size=len(way)))) for p in poses]
     done, told = len(plan_stages(settings)), (("size", 4.0), ("smooth", 1.0))

@@ -11,9 +11,9 @@ from jaxcap.adapt.objective import balancing_weight, motion_energy, pose_energy,
 from jaxcap.adapt.shape.shape_prior import body_shape_prior, shape_energy
 from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
 from jaxcap.body.shape_modes import apply_modes, joint_modes
-from jaxcap.body.symmetry import mirrored_joints
+from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, PointPairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise
 from jaxcap.geometry.stacking import stack_trees
 
@@ -71,7 +71,7 @@ def test_a_body_keeps_its_own_shape_and_loses_it_where_it_is_changed(rng):
 
 def test_the_human_is_symmetric_until_a_bone_grows():
     skeleton = jc.human(resolution="low", joints="tracking").skeleton
-    pairs = mirrored_joints(skeleton)
+    pairs = find_left_right_pairs(skeleton)
     assert symmetry_energy(skeleton, pairs) < 1e-8
     along = skeleton.centres[skeleton.index("LeftForeArm")] - skeleton.centres[skeleton.index("LeftArm")]
     shift = 0.02 * along / jnp.linalg.norm(along)

@@ -13,15 +13,15 @@ from helpers import chain_body, random_pairs, random_pose
 import jaxcap as jc
 from jaxcap.adapt.objective import PAIRS_PER_MEASUREMENT, CoefficientPrior, PoseTerms, shared_problem
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
-from jaxcap.adapt.shape.rounds import adapt_round, gauss_newton_step
+from jaxcap.adapt.shape.adapt_round import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
-from jaxcap.adapt.shape.surface import adapt_shape, adapt_together
+from jaxcap.adapt.shape.vertex_adaptation import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.body.pose import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.geometry.stacking import stack_trees, unstack_trees
 

@@ -26,7 +26,7 @@ from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.fit.tracking import track as sequence
-from jaxcap.fit.tracking.compare_poses import log_likelihood
+from jaxcap.fit.tracking.compare_poses import log_posterior
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
@@ -134,13 +134,11 @@ def test_a_frame_keeps_its_pose_where_the_one_before_leads_elsewhere(mixed, monk
     monkeypatch.setattr(sequence, "search_frame", lambda tracker, surface, coarse, frame, *more: frame)
     task, actor, poses = mixed
     tracker, clouds = make_tracker(actor), [task.cloud(n) for n in task.scanned]
-    before = [float(log_likelihood(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]
+    before = [float(log_posterior(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]
 
     def likelihoods(known):
         frames = track_frames(tracker, clouds, poses[0], sigma=0.03, candidates=known)
-        return [
-            float(log_likelihood(tracker, f.pose, cloud)) for f, cloud in zip(frames, clouds, strict=True)
-        ]
+        return [float(log_posterior(tracker, f.pose, cloud)) for f, cloud in zip(frames, clouds, strict=True)]
 
     assert np.min(np.subtract(likelihoods(None), before)) < -0.3
     assert np.min(np.subtract(likelihoods(lambda number: poses[number : number + 2]), before)) >= 0.0
@@ -161,7 +159,7 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
     *steps, (found, _) = find_poses(task, actor, first, is_known=False)
     tracker = make_tracker(actor)
     for n in task.scanned[1:]:
-        assert found.likelihoods[n] > float(log_likelihood(tracker, poses[0], task.cloud(n)))
+        assert found.likelihoods[n] > float(log_posterior(tracker, poses[0], task.cloud(n)))
     halfway, done = steps[3]
     *_, (again, _) = find_poses(task, actor, first | halfway.poses, is_known=False, num_done=done)
     assert again.likelihoods == found.likelihoods
@@ -171,7 +169,7 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
     *_, (second, _) = find_poses(task, actor, dict(enumerate(poses)) | {4: far}, is_known=True)
     assert set(searched) == {(24,)}
     for n in task.scanned:
-        assert second.likelihoods[n] >= float(log_likelihood(tracker, poses[n], task.cloud(n)))
+        assert second.likelihoods[n] >= float(log_posterior(tracker, poses[n], task.cloud(n)))
 
 
 def test_nothing_in_a_plan_without_order_couples_frames(mixed):

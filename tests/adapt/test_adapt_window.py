@@ -15,9 +15,9 @@ from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.data.pairs import PairDistances
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise
-from jaxcap.fit.problem import pose_scales
+from jaxcap.fit.pose_problem import pose_scales
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation

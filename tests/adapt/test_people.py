@@ -14,7 +14,7 @@ from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.attachment import attach_points, attached_positions
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface

@@ -18,7 +18,7 @@ from jaxcap.adapt.shape.shape_prior import (
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.people.sample import select_diverse_poses
 from jaxcap.geometry.mesh import mesh_edges
-from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import load_shape_prior, shape_prior_size
 
 BODY = chain_body()
@@ -140,7 +140,7 @@ def test_round_trip_through_files(tmp_path, pairs, poses, meshes):
         assert shape_energy(again, BODY) == pytest.approx(shape_energy(prior, BODY), rel=1e-4)
         assert shape_prior_size(path) == (MESHES, len(BODY.vertices))
         assert jc.io.load_prior(path, SKELETON).pairs == pairs.pairs
-    np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
+    np.testing.assert_array_equal(load_body_limits(beside)["angles"], np.arange(3.0))
     jc.io.save_prior(alone, pairs)
     assert load_shape_prior(alone, BODY) is None
     assert shape_prior_size(alone) is None

@@ -8,7 +8,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.anatomy import DEVIATIONS, rest_deviations
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry import rotation
 
 

@@ -82,7 +82,7 @@ def slow_learner(monkeypatch):
             state = LearnState(
                 eqx.tree_at(lambda b: b.vertices, state.body, vertices),
                 state.motion,
-                state.pairs,
+                state.left_right_pairs,
                 state.damping / 3,
                 (*state.history, ("vertices", state.history[-1][1] * 0.7)),
                 state.round + 1,
@@ -90,7 +90,7 @@ def slow_learner(monkeypatch):
             on_round(state)
             if state.round == calls["stop_after"]:
                 raise KeyboardInterrupt
-        return Learned(state.body, state.motion, state.pairs, state.history, np.array([0.1, 0.01]))
+        return Learned(state.body, state.motion, state.left_right_pairs, state.history, np.array([0.1, 0.01]))
 
     monkeypatch.setattr(verb, "learn_body", learn_body)
     return calls

@@ -13,7 +13,7 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.body.people.sample import sample_poses
 from jaxcap.cli import main
 from jaxcap.cli.prior.learn import same_bones
-from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import load_shape_prior
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from tests.cli.test_cli_limits import SKELETON, write_motion
@@ -107,7 +107,7 @@ def test_a_body_carries_its_prior(capsys, folder):
     )
     assert len(jc.load_body(out).vertices) == 4
     assert jc.io.load_prior(out, SKELETON).pairs == (("shoulder", "elbow"),)
-    np.testing.assert_array_equal(load_limits(out)["angles"], np.ones(2))
+    np.testing.assert_array_equal(load_body_limits(out)["angles"], np.ones(2))
     assert "pose prior" in runs(capsys, "prior", "info", out)
     assert "body: 4 vertices" in runs(capsys, "info", out)
 

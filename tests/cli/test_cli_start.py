@@ -14,14 +14,14 @@ from command_line import PYTHON, fails
 
 from jaxcap.cli.console import compiled, heartbeat
 from jaxcap.cli.console.groups import JAXCAP
-from jaxcap.cli.console.verbs import Group
+from jaxcap.cli.console.verbs import VerbGroup
 
 MAIN = "import sys; from jaxcap.cli import main; main(sys.argv[1:])"
 
 
-def leaves(group: Group):
+def leaves(group: VerbGroup):
     for name, verb in group.verbs.items():
-        if isinstance(verb, Group):
+        if isinstance(verb, VerbGroup):
             yield from ((f"{name} {inner}", found) for inner, found in leaves(verb))
         else:
             yield name, verb

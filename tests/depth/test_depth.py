@@ -11,7 +11,7 @@ import jaxcap as jc
 from jaxcap.depth import cloud_of_depths, find_person, make_depth_view
 from jaxcap.errors import InputError
 from jaxcap.fit.tracking.track import track_frames
-from jaxcap.geometry.camera import look_at, project
+from jaxcap.geometry.camera import look_at, project_points
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.depth.sequence import read_depths
 from jaxcap.metrics import scan_to_surface
@@ -87,8 +87,8 @@ def test_large_images_are_reduced_to_the_nearest_surface():
     # a point projects to the same place
     point = jnp.array([[0.2, 0.1, 0.3]])
 
-    (large,), _ = project(camera, point)
-    (small,), _ = project(view.camera, point)
+    (large,), _ = project_points(camera, point)
+    (small,), _ = project_points(view.camera, point)
     np.testing.assert_allclose(np.asarray(small), (np.asarray(large) - 0.5) / 2, atol=1e-4)
 
 
@@ -161,7 +161,7 @@ def test_intrinsics_of_other_programs(content, tmp_path):
     np.testing.assert_allclose(camera.principal_point, [319.5, 239.5])
     assert (camera.width, camera.height) == (640, 480)
     # a point before the camera, above its axis, is high in the image
-    pixel, depth = project(camera, jnp.array([0.0, 0.5, -2.0]))
+    pixel, depth = project_points(camera, jnp.array([0.0, 0.5, -2.0]))
     assert float(depth) == pytest.approx(2.0) and float(pixel[1]) < 239.5
 
 

@@ -146,4 +146,4 @@ def test_the_names_of_the_source_show_the_sides_of_a_target_without_names():
         match_joints(source, target)
     found = match_joints(source, target, {"RightUpLeg": "aby"})
     assert found.names["LeftArm"] == "jkx"
-    assert np.isfinite(found.references[1].places).all()
+    assert np.isfinite(found.references[1].positions).all()

@@ -17,7 +17,7 @@ from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import energies
 from jaxcap.energy.priors.limits import JointLimits
-from jaxcap.energy.priors.prior import PosePrior, ReferencePrior, RestPrior
+from jaxcap.energy.priors.reference_pose import PosePrior, ReferencePrior, RestPrior
 from jaxcap.geometry import rotation
 from tests.kineben import cone_gradient
 

@@ -12,7 +12,7 @@ import jaxcap as jc
 from jaxcap.adapt.objective import temporal_energy
 from jaxcap.adapt.shape.shape_prior import make_shape_prior, shape_energy
 from jaxcap.body.pose import rest_pose, stack_poses
-from jaxcap.body.symmetry import mirrored_joints
+from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.laplacian import make_laplacian_shape
 
 BODY = chain_body("linear")
@@ -81,7 +81,7 @@ def test_the_shape_term_is_the_mean_over_meshes(rng):
 
 def test_bones_that_differ():
     body = jc.human(resolution="low", joints="tracking")
-    pairs = mirrored_joints(body.skeleton)
+    pairs = find_left_right_pairs(body.skeleton)
     pose = rest_pose(body.skeleton)
     symmetry = jc.energy.BoneSymmetry(pairs)
     even = float(jc.energies(symmetry, _posed(body, pose))["BoneSymmetry"])

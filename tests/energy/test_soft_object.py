@@ -12,7 +12,7 @@ import jaxcap
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.energy.data.soft_object import ROUNDING, SoftObject, SoftPoints, make_soft_object, soft_distance
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.solve import solve
 from jaxcap.geometry import rotation
 
@@ -197,7 +197,7 @@ def test_single_precision_is_as_good(rng):
     low = jax.tree.map(
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, (energy, BODY, pose)
     )
-    linearise = eqx.filter_jit(jaxcap.fit.problem.linearise)
+    linearise = eqx.filter_jit(jaxcap.fit.pose_problem.linearise)
     (r_low, j_low), (r, j) = linearise(*low), linearise(energy, BODY, pose)
     assert r_low.dtype == j_low.dtype == jnp.float32
     np.testing.assert_allclose(r_low, r, atol=2e-6)

@@ -13,7 +13,7 @@ import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.shape.rounds import adapt_round
+from jaxcap.adapt.shape.adapt_round import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError

@@ -11,11 +11,11 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.energy.data.landmarks import VertexLandmarks
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.errors import InputError
-from jaxcap.fit.problem import PoseProblem
-from jaxcap.fit.sequences.problem import SequenceProblem
-from jaxcap.fit.sequences.solve import solve_sequence
+from jaxcap.fit.pose_problem import PoseProblem
+from jaxcap.fit.sequences.sequence_problem import SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.flat import flat_problem

@@ -19,7 +19,7 @@ from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import BoneLandmarks, JointLandmarks
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.energy.priors.limits import JointLimits
-from jaxcap.energy.priors.prior import PosePrior
+from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.hierarchical_least_squares import (

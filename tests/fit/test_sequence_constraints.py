@@ -15,11 +15,11 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.energy import Weighted
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import NormalPrior, SmoothRotations, stack_energies
 from jaxcap.errors import InputError
-from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
-from jaxcap.fit.sequences.solve import solve_sequence
+from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.uncertainty import describe_sequence, sequence_uncertainty
 from jaxcap.fit.sequences.unknowns import JointCentres, JointOrientations, RestVertices, Size, SkinningWeights
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
@@ -90,7 +90,7 @@ def test_skinning_weights_stay_on_their_simplex():
 
 def test_held_frames_and_equal_bones_are_kept_together(frames):
     held = jnp.asarray([False, True, False, False])
-    found = solve_(problem_of(frames, CENTRES, fixed=held, mirrored=MIRRORED), frames[1], TIGHT)
+    found = solve_(problem_of(frames, CENTRES, fixed=held, left_right_pairs=MIRRORED), frames[1], TIGHT)
     assert found.trustworthy
     for part, start in zip(jax.tree.leaves(found.poses), jax.tree.leaves(frames[1]), strict=True):
         np.testing.assert_allclose(part[1], start[1], rtol=1e-14, atol=1e-15)
@@ -114,7 +114,7 @@ def test_uncertainty_is_within_what_is_kept(frames):
     """Against the dense inverse on the null space of what is held and of equal bones."""
     held = jnp.asarray([False, False, True, False])
     problem = problem_of(
-        frames, CENTRES, fixed=held, mirrored=MIRRORED, between=(SmoothRotations(jnp.asarray(1e-3)),)
+        frames, CENTRES, fixed=held, left_right_pairs=MIRRORED, between=(SmoothRotations(jnp.asarray(1e-3)),)
     )
     found = solve_(problem, frames[1], TIGHT, 400)
     known = sequence_uncertainty(problem, found, variance=0.5)
@@ -198,7 +198,7 @@ def test_what_only_rounding_shows_has_no_end_to_its_variance(frames):
     ("solver", "more", "words"),
     [
         (optx.BFGS(1e-6, 1e-6), {"unknowns": {"size": Size(0.9, 1.1)}}, "bounds of the unknown 'size'"),
-        (GaussNewton(), {"unknowns": CENTRES, "mirrored": MIRRORED}, "bones of equal length"),
+        (GaussNewton(), {"unknowns": CENTRES, "left_right_pairs": MIRRORED}, "bones of equal length"),
     ],
 )
 def test_solvers_that_keep_no_constraints_are_refused(frames, solver, more, words):
@@ -222,9 +222,9 @@ def test_solvers_that_keep_no_constraints_are_refused(frames, solver, more, word
             "strictly increasing times",
         ),
         ({"shared": (NormalPrior("sise", jnp.zeros(1), jnp.ones(1)),)}, "there is no unknown 'sise'"),
-        ({"mirrored": MIRRORED, "unknowns": {}}, "there are no `unknowns`; give some"),
-        ({"mirrored": ((5, 99),)}, "`mirrored` has 99"),
-        ({"mirrored": MIRRORED, "unknowns": {"size": Size(0.5, 2.0)}}, "cannot be combined"),
+        ({"left_right_pairs": MIRRORED, "unknowns": {}}, "there are no `unknowns`; give some"),
+        ({"left_right_pairs": ((5, 99),)}, "`left_right_pairs` has 99"),
+        ({"left_right_pairs": MIRRORED, "unknowns": {"size": Size(0.5, 2.0)}}, "cannot be combined"),
     ],
 )
 def test_what_cannot_be_solved_is_a_sentence(frames, change, words):

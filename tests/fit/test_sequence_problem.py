@@ -13,11 +13,11 @@ from jaxcap.body.body import Posed, pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.energy.data.landmarks import VertexLandmarks, joint_landmarks
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.energy.priors.prior import RestPrior
+from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import SmoothRotations, Stacked, stack_energies
 from jaxcap.errors import InputError
-from jaxcap.fit.sequences.problem import SequenceEstimate, SequenceProblem
-from jaxcap.fit.sequences.solve import solve_sequence
+from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.uncertainty import describe_sequence, sequence_uncertainty
 from jaxcap.fit.sequences.unknowns import JointCentres, RestVertices, Size
 from jaxcap.fit.solvers.gauss_newton import GaussNewton

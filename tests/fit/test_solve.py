@@ -18,15 +18,15 @@ from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.limits import JointLimits
-from jaxcap.energy.priors.prior import PosePrior, RestPrior
+from jaxcap.energy.priors.reference_pose import PosePrior, RestPrior
 from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
+from jaxcap.fit.solvers.least_squares_problem import AbstractDenseProblem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.minimise import minimise
-from jaxcap.fit.solvers.problem import AbstractDenseProblem
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

@@ -13,7 +13,7 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.data.points import PointToPlane
 from jaxcap.fit.linearise import linearise
-from jaxcap.fit.problem import PoseProblem
+from jaxcap.fit.pose_problem import PoseProblem
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.uncertainty import describe_unobservable, uncertainty

@@ -13,7 +13,7 @@ from jaxcap.geometry.camera import (
     check_views,
     is_in_image,
     look_at,
-    project,
+    project_points,
     ring_of_cameras,
     unproject,
 )  # fmt: skip
@@ -30,7 +30,7 @@ def test_unproject_is_project_backwards(rng):
     pixels = jnp.asarray(rng.uniform([0, 0], [319, 239], (50, 2)))
     depth = jnp.asarray(rng.uniform(0.5, 4, 50))
     points = unproject(camera, pixels, depth)
-    again, deep = project(camera, points)
+    again, deep = project_points(camera, points)
     np.testing.assert_allclose(again, pixels, atol=1e-9)
     np.testing.assert_allclose(deep, depth, atol=1e-12)
     assert np.asarray(is_in_image(camera, points)).all()
@@ -39,7 +39,7 @@ def test_unproject_is_project_backwards(rng):
 def test_a_camera_looks_at_its_target_upright():
     camera = look_at([0, 1, 3], [0, 1, 0], 320, 240, 60)
     np.testing.assert_allclose(camera.eye, [0, 1, 3], atol=1e-12)
-    pixels, depth = project(camera, jnp.array([[0.0, 1, 0], [0, 2, 0], [1, 1, 0], [0, 1, 5]]))
+    pixels, depth = project_points(camera, jnp.array([[0.0, 1, 0], [0, 2, 0], [1, 1, 0], [0, 1, 5]]))
     np.testing.assert_allclose(depth, [3, 3, 3, -2])
     np.testing.assert_allclose(pixels[0], [159.5, 119.5])
     focal = 160 / np.tan(np.radians(30))

@@ -46,7 +46,7 @@ def test_what_is_hardly_known_is_not_lost_beside_what_is_known_well():
 
 def test_stacks_agree_with_scipy(rng):
     matrix, side = rng.normal(size=(4, 2, 5, 5)), rng.normal(size=(4, 2, 5))
-    found, inverse = linear.solve(matrix, side), linear.inverse(matrix)
+    found, inverse = linear.solve_square(matrix, side), linear.inverse(matrix)
     positive = matrix @ matrix.swapaxes(-1, -2)
     factor = linear.factor_symmetric(positive)
     for place in np.ndindex(4, 2):
@@ -66,7 +66,7 @@ def test_singular_matrices_are_refused(verb):
 
 def test_singular_equations_and_indefinite_factors_are_refused():
     singular = np.array([[1.0, 1.0], [1.0, 1.0]])
-    for verb in (linear.solve, linear.solve_symmetric):
+    for verb in (linear.solve_square, linear.solve_symmetric):
         with pytest.raises(np.linalg.LinAlgError):
             verb(singular, np.ones(2))
     with pytest.raises(np.linalg.LinAlgError):

@@ -13,7 +13,7 @@ from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.depth.back_projection import camera_rays
 from jaxcap.depth.fuse import fuse_cloud, grid_faces
 from jaxcap.errors import InputError
-from jaxcap.geometry.camera import look_at, project, ring_of_cameras, unproject
+from jaxcap.geometry.camera import look_at, project_points, ring_of_cameras, unproject
 from jaxcap.io.meshes.mesh import read_mesh
 from jaxcap.io.meshes.ply import write_ply
 from jaxcap.metrics import scan_to_surface
@@ -237,7 +237,9 @@ def test_points_come_from_their_pixels(rng):
     want = unproject(camera, jnp.array([[7.0, 5], [60, 30]]), jnp.array([1.5, 2.5]))
     np.testing.assert_allclose(scan.points, want, atol=1e-12)
     assert scan.views.tolist() == [1, 1]
-    np.testing.assert_allclose(project(camera, jnp.asarray(scan.points))[0], [[7, 5], [60, 30]], atol=1e-9)
+    np.testing.assert_allclose(
+        project_points(camera, jnp.asarray(scan.points))[0], [[7, 5], [60, 30]], atol=1e-9
+    )
 
 
 def test_voxels_keep_one_point_each(person):
@@ -261,7 +263,7 @@ def test_a_mesh_has_no_triangle_across_a_discontinuity(person):
     eyes = np.array([np.asarray(camera.eye) for camera in ring])
     for number, camera in enumerate(ring):
         own = scan.faces[views[:, 0] == number]
-        depth = np.asarray(project(camera, jnp.asarray(scan.points))[1])[own]
+        depth = np.asarray(project_points(camera, jnp.asarray(scan.points))[1])[own]
         assert np.ptp(depth, axis=1).max() <= 0.03 + 1e-9
     # counter-clockwise towards the camera, and every vertex in a triangle
     corners = scan.points[scan.faces]

@@ -11,7 +11,14 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
 from jaxcap.errors import InputError
-from jaxcap.io.archives.npz import load_body, load_limits, load_motion, load_skeleton, save_body, save_motion
+from jaxcap.io.archives.npz import (
+    load_body,
+    load_body_limits,
+    load_motion,
+    load_skeleton,
+    save_body,
+    save_motion,
+)
 
 
 @pytest.fixture
@@ -62,7 +69,7 @@ def test_a_body_comes_back_to_the_last_bit(bodies, tmp_path, which):
     same(back.faces, body.faces)
     for ours, theirs in zip(jax.tree.leaves(back.skin), jax.tree.leaves(body.skin), strict=True):
         same(ours, theirs)
-    same(load_limits(path)["lower"], np.array([-1.0, 2.0]))
+    same(load_body_limits(path)["lower"], np.array([-1.0, 2.0]))
     assert [file.name for file in tmp_path.iterdir()] == ["body.npz"]
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.errors import InputError
-from jaxcap.learn.check import check_meshes
+from jaxcap.learn.check_meshes import check_meshes
 from jaxcap.learn.parts.check_parts import check_learned, check_parts
 from jaxcap.observe.meshes import MeshSequence
 

@@ -87,7 +87,7 @@ def test_exchange_puts_the_tree_right(wrong, skin):
         return state._replace(
             body=grafted.body,
             motion=Motion(grafted.poses),
-            pairs=grafted.pairs,
+            left_right_pairs=grafted.left_right_pairs,
             history=(*state.history, ("placed", value)),
         )
 
@@ -107,7 +107,7 @@ def test_exchange_puts_the_tree_right(wrong, skin):
     assert above == [truth.skeleton.parents[bone] for bone in same]
     centres = np.asarray(truth.skeleton.centres)[same]
     np.testing.assert_allclose(skeleton.centres[1:], centres[1:], atol=2e-3)
-    assert len(after.pairs) == 0
+    assert len(after.left_right_pairs) == 0
 
 
 def test_failed_exchanges_leave_all_as_it_was(wrong):
@@ -172,7 +172,7 @@ def test_other_bones_move_as_before(wrong, rng):
     np.testing.assert_allclose(after.rotations[:, :5], before.rotations, atol=1e-8)
     np.testing.assert_allclose(after.translations[:, :5], before.translations, atol=1e-8)
     np.testing.assert_allclose(after.rotations[:, 5], before.rotations[:, 2] @ turns, atol=1e-8)
-    np.testing.assert_array_equal(more.pairs, [[1, 2]])
+    np.testing.assert_array_equal(more.left_right_pairs, [[1, 2]])
     # and away again, by the blend that is best without it
     removals = find_removals(more.body, more.poses, posed_vertices(body, poses))
     gone = next(removal for removal in removals if removal.joint == 5)

@@ -10,9 +10,9 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry.procrustes import group_moments, nearest_rotation, rigid_errors, rigid_fit, rigid_motions
 from jaxcap.learn.parts.agglomerate import agglomerate, merged_labels
 from jaxcap.learn.parts.parts import find_parts
-from jaxcap.learn.skeleton.left_right_pairs import find_pairs
+from jaxcap.learn.skeleton.joint_tree import find_joint_tree, pose_parts
+from jaxcap.learn.skeleton.left_right_pairs import detect_left_right_pairs
 from jaxcap.learn.skeleton.reference_mesh import choose_reference_mesh
-from jaxcap.learn.skeleton.tree import find_tree, pose_parts
 
 _kinematics = jax.jit(jax.vmap(forward_kinematics, (None, 0)))
 
@@ -111,7 +111,7 @@ def test_an_arm_of_rigid_pieces_is_found_exactly(rng, scale):
     parts = find_parts(meshes[:, shuffled], place[faces], rest=vertices[shuffled])
     assert parts.num_parts == 3
     assert same_partition(parts.labels, labels[shuffled])
-    tree = find_tree(parts, parts.rest, place[faces])
+    tree = find_joint_tree(parts, parts.rest, place[faces])
     # the middle piece is neither the longest nor at an end: joints hang on it, or the chain passes it
     found = np.asarray(tree.skeleton.centres)[1:]
     gaps = np.linalg.norm(found[:, None] - joints, axis=-1)
@@ -127,7 +127,7 @@ def test_an_arm_of_rigid_pieces_is_found_exactly(rng, scale):
 def test_the_root_is_amid_the_surface_and_x_points_down_the_chain(rng):
     vertices, faces, meshes, labels, _ = arm(rng)
     parts = find_parts(meshes, faces, 3, vertices)
-    tree = find_tree(parts, parts.rest, faces)
+    tree = find_joint_tree(parts, parts.rest, faces)
     skeleton = tree.skeleton
     assert skeleton.kinds == ("free", "ball", "ball")
     # of 0.4, 0.3 and 0.3 the middle piece leaves the smallest rest on either side
@@ -149,7 +149,7 @@ def test_pieces_without_common_edges_and_vertices_that_stand_twice_are_joined(rn
     parts = find_parts(doubled, whole, 3)
     assert same_partition(parts.labels[: len(vertices)], labels)
     assert parts.labels[len(vertices)] == parts.labels[0]
-    tree = find_tree(parts, parts.rest, whole)
+    tree = find_joint_tree(parts, parts.rest, whole)
     ends = {frozenset((int(labels[np.flatnonzero(tree.parts.labels == j)[0]]), int(labels[np.flatnonzero(tree.parts.labels == p)[0]]))) for j, p in enumerate(tree.skeleton.parents) if p >= 0}  # fmt: skip
     assert ends == {frozenset((0, 1)), frozenset((1, 2))}
 
@@ -181,10 +181,10 @@ def test_pairs_are_siblings_alike_and_doubtful_ones_are_left():
     ]
     skeleton = make_skeleton(names, parents, ["free"] + ["ball"] * 7, centres)
     areas = np.array([3, 1, 1, 1.1, 0.9, 0.8, 2, 2.0])
-    assert find_pairs(skeleton, areas).tolist() == [[1, 3], [2, 4]]
+    assert detect_left_right_pairs(skeleton, areas).tolist() == [[1, 3], [2, 4]]
     # four legs alike have no certain partners
     four = make_skeleton(list("abcde"), [-1, 0, 0, 0, 0], ["free"] + ["ball"] * 4, [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]])  # fmt: skip
-    assert len(find_pairs(four, np.ones(5))) == 0
+    assert len(detect_left_right_pairs(four, np.ones(5))) == 0
 
 
 def test_what_cannot_be_is_said(rng):
@@ -200,7 +200,7 @@ def test_what_cannot_be_is_said(rng):
     # nothing moves: one part, and a skeleton of its root alone
     still = find_parts(np.repeat(meshes[:1], 3, 0), faces)
     assert still.num_parts == 1
-    assert find_tree(still, still.rest, faces).skeleton.parents == (-1,)
+    assert find_joint_tree(still, still.rest, faces).skeleton.parents == (-1,)
 
 
 @pytest.mark.shared
@@ -210,6 +210,6 @@ def test_limbs_of_a_captured_subject(shared):
         meshes, faces = file["vertices"][::2], file["faces"]
     parts = find_parts(meshes, faces, 19)
     assert parts.error < 0.017
-    tree = find_tree(parts, parts.rest, faces)
+    tree = find_joint_tree(parts, parts.rest, faces)
     assert np.max(tree.skeleton.depths) >= 4
-    assert len(find_pairs(tree.skeleton, tree.areas)) >= 3
+    assert len(detect_left_right_pairs(tree.skeleton, tree.areas)) >= 3

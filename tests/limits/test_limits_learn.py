@@ -16,12 +16,12 @@ from jaxcap.body.pose import Motion, Pose, rest_pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
-from jaxcap.edit.ik.solve import IkOptions, solve_ik
+from jaxcap.edit.ik.solve_ik import IkOptions, solve_ik
 from jaxcap.errors import InputError
 from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.charts import chart_coordinates, find_chart, middle_rotation
-from jaxcap.limits.check import allowed_frames, comfort_frames, nearest_frames, residual_frames
 from jaxcap.limits.compare import compare_samples
+from jaxcap.limits.frame_evaluation import allowed_frames, comfort_frames, nearest_frames, residual_frames
 from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.marker_frames import arm_samples
 from jaxcap.limits.primitive_matching import match_primitives

@@ -9,7 +9,7 @@ from jaxcap.markers.local_technique import fit_local
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.segment import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
-from jaxcap.markers.skeleton.tree import find_tree
+from jaxcap.markers.skeleton.segment_tree import find_segment_tree
 from jaxcap.markers.subject import marker_positions
 from jaxcap.observe.markers import make_markers
 from tests.markers_scene import PUPPET, puppet
@@ -56,7 +56,7 @@ def test_pairs_of_markers_come_by_their_frames_through_joints(rng):
     places, owner = scene.places[:, keep], scene.owner[keep]
     seen = np.ones(places.shape[:2], bool)
     segments = make_segments([np.flatnonzero(owner == k) for k in range(6)], len(owner))
-    tree = find_tree(places, seen, segments)
+    tree = find_segment_tree(places, seen, segments)
     assert edges(tree, owner) == PARENTS
     found, _ = joint_trajectories(tree)
     for k in (1, 3):
@@ -115,7 +115,7 @@ def test_lengths_agree_and_symmetry_makes_pairs_equal(rng):
     found = estimate_bone_lengths(noisy, known, between, "global")
     np.testing.assert_allclose(found, [0.3, 0.3, 0.33], atol=1e-3)
     for method in ("mean", "global"):
-        paired = estimate_bone_lengths(noisy, known, between, method, equal_pairs=[(0, 2)])
+        paired = estimate_bone_lengths(noisy, known, between, method, left_right_pairs=[(0, 2)])
         assert paired[0] == paired[2] and 0.3 < paired[0] < 0.33
 
 

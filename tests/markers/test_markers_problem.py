@@ -10,7 +10,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.markers.calibration.problem import (
+from jaxcap.markers.calibration.calibration_problem import (
     RIDGE,
     CalibrationEstimate,
     apply_sliding,

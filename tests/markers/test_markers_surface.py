@@ -15,7 +15,7 @@ from jaxcap.fit.solve import solve
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.markers.body_shape.shape import bone_lengths, fit_shape
-from jaxcap.markers.body_shape.surface import attach_markers, surface_landmarks, vertex_markers
+from jaxcap.markers.body_shape.surface_markers import attach_markers, surface_landmarks, vertex_markers
 from jaxcap.observe.markers import make_markers
 
 BODY = chain_body()

@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from jaxcap.prior.covariance_selection import count_zero_couplings, partial_correlations, threshold_couplings
-from jaxcap.prior.gaussian_mixture import MIN_DEVIATION, Mixture, fit_mixture, kmeans_labels, log_density
+from jaxcap.prior.gaussian_mixture import (
+    MIN_DEVIATION,
+    GaussianMixture,
+    fit_mixture,
+    kmeans_labels,
+    log_density,
+)
 from jaxcap.prior.model_selection import THRESHOLDS, cross_validation_folds, select_mixture
 
 
@@ -40,7 +46,7 @@ def test_em_recovers_a_known_mixture(rng):
 
 def test_density_is_that_of_scipy(rng):
     samples, weights, means, covariances = clusters(rng, 3, 50, apart=0.7)
-    mixture = Mixture(weights, means, np.linalg.inv(covariances))
+    mixture = GaussianMixture(weights, means, np.linalg.inv(covariances))
     normals = [multivariate_normal(m, c).pdf(samples) for m, c in zip(means, covariances, strict=True)]
     np.testing.assert_allclose(log_density(mixture, samples), np.log(weights @ normals), atol=1e-11)
 
@@ -138,7 +144,7 @@ def test_couplings_that_cannot_be_zero_are_lowered():
     precision = np.eye(6)
     precision[0, 1] = precision[1, 0] = precision[0, 2] = precision[2, 0] = strong
     precision[1, 2] = precision[2, 1] = weak
-    mixture = Mixture(np.ones(1), np.zeros((1, 6)), precision[None])
+    mixture = GaussianMixture(np.ones(1), np.zeros((1, 6)), precision[None])
     assert np.linalg.eigvalsh(precision)[0] > 0
     plain = np.where(np.abs(precision) < 0.8, 0.0, precision)
     assert np.linalg.eigvalsh(plain)[0] < 0

@@ -22,9 +22,9 @@ from jaxcap.body.pair_prior import (
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import energies
 from jaxcap.geometry import rotation
-from jaxcap.io.archives.npz import load_limits
+from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import load_boxes
-from jaxcap.prior.pose_prior import rotation_vectors
+from jaxcap.prior.learn_pose_prior import rotation_vectors
 
 BODY = chain_body()
 SKELETON = BODY.skeleton
@@ -287,7 +287,7 @@ def test_files_alone_and_with_the_body(tmp_path, learned):
         assert found is not None
         np.testing.assert_array_equal(found.upper, boxes.upper)
     np.testing.assert_array_equal(jc.load_body(beside).vertices, BODY.vertices)
-    np.testing.assert_array_equal(load_limits(beside)["angles"], np.arange(3.0))
+    np.testing.assert_array_equal(load_body_limits(beside)["angles"], np.arange(3.0))
     jc.io.save_prior(alone, prior)
     assert load_boxes(alone) is None
     jc.save_body(beside, BODY)

@@ -61,7 +61,7 @@ def examples() -> list:
         jc.limits.make_pose_boxes(BODY.skeleton.names, -np.ones((J, 3)), np.ones((J, 3))),
         jc.limits.EulerBoxes(numbers, jnp.ones((4, 4)), three, three),
         jc.geometry.look_at(np.ones(3), np.zeros(3), 32, 24, 60.0),
-        jc.fit.make_mixture(),
+        jc.fit.make_mixture_settings(),
         jc.fit.GaussNewton(),
     ]
 

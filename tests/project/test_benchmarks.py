@@ -61,10 +61,10 @@ def test_track_cmu(checkout, shared, tmp_path):
 @pytest.mark.shared
 def test_lost(checkout, shared, tmp_path):
     picture = tmp_path / "judged.png"
-    options = ("--scenes", "held_whole", "--frames", "12", "--every", "6", "--picture", str(picture))
+    options = ("--scenes", "test_whole", "--frames", "12", "--every", "6", "--picture", str(picture))
     line = run(checkout, "lost", *options)
-    assert meets(line, "held_false_alarms_percent", "held_flagged_percent")
-    assert line["figures"]["scenes"]["held_whole"]["wrong"] > 5
+    assert meets(line, "test_false_positive_rate_percent", "test_recall_percent")
+    assert line["figures"]["scenes"]["test_whole"]["incorrect"] > 5
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 

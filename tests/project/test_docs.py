@@ -57,6 +57,24 @@ def test_every_equation_of_a_paper_is_in_its_table(name, shared):
     assert len(listed) == len(set(listed))
 
 
+def test_files_by_topic_exist():
+    """A name without a folder is in the folder of the file before it."""
+    text = (
+        (CHECKOUT / "CONTRIBUTING.md")
+        .read_text("utf-8")
+        .partition("## Files by topic")[2]
+        .partition("\n## ")[0]
+    )
+    rows = [line.split("|")[2] for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    assert len(rows) > 20
+    for row in rows:
+        folder = CHECKOUT / "jaxcap"
+        for name in re.findall(r"`([^`]+)`", row):
+            path = CHECKOUT / "jaxcap" / name if "/" in name else folder / name
+            assert path.exists(), f"CONTRIBUTING.md names {path}"
+            folder = path.parent
+
+
 def test_every_public_name_has_one_page_of_the_reference():
     wings = [
         wing.strip()

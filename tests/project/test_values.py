@@ -53,10 +53,10 @@ def solved(energy) -> jc.fit.Solution:
 
 
 REFUSED = [
-    (lambda: jc.fit.make_mixture(outlier=1.5), "make_mixture: `outlier` is 1.5; expected a share between 0 and 1"),
-    (lambda: jc.fit.make_mixture(candidates=0), "make_mixture: `candidates` is 0; .* at least 1"),
-    (lambda: jc.fit.make_mixture(smallest_sigma=-1), "make_mixture: `smallest_sigma` is -1; .* above 0 metres"),
-    (lambda: jc.fit.make_mixture(normal_threshold=60), "make_mixture: `normal_threshold` is 60; .* from -1 to 1"),
+    (lambda: jc.fit.make_mixture_settings(outlier=1.5), "make_mixture_settings: `outlier` is 1.5; expected a share between 0 and 1"),
+    (lambda: jc.fit.make_mixture_settings(candidates=0), "make_mixture_settings: `candidates` is 0; .* at least 1"),
+    (lambda: jc.fit.make_mixture_settings(smallest_sigma=-1), "make_mixture_settings: `smallest_sigma` is -1; .* above 0 metres"),
+    (lambda: jc.fit.make_mixture_settings(normal_threshold=60), "make_mixture_settings: `normal_threshold` is 60; .* from -1 to 1"),
     (lambda: jc.make_tracker(BODY, iterations=0), "make_tracker: `iterations` is 0; .* at least 1"),
     (lambda: jc.make_tracker(BODY, motion_deviation=(-0.05, 0.3)), "make_tracker: `motion_deviation` has -0.05;"),
     (lambda: jc.make_tracker(BODY, rest_deviation=NAN), "make_tracker: `rest_deviation` is nan;"),
@@ -128,7 +128,7 @@ def test_traced_values_and_free_ones_pass():
     jax.vmap(lambda faces: jc.Body(SKELETON, BODY.skin, BODY.vertices, faces))(BODY.faces[None] + V)
     jc.RestPrior(jnp.full((J, 3), jnp.inf))
     jc.make_tracker(BODY, motion_deviation=(np.inf, np.inf))
-    whole = jc.fit.make_mixture(smallest_sigma=1, damping=0)
+    whole = jc.fit.make_mixture_settings(smallest_sigma=1, damping=0)
     assert whole.smallest_sigma.dtype == whole.damping.dtype == whole.outlier.dtype
 
 

@@ -13,7 +13,6 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.rig.place_human import UPRIGHT, place_human
-from jaxcap.rig.problem import TemplateProblem
 from jaxcap.rig.rig import rig_mesh
 from jaxcap.rig.template import (
     Person,
@@ -24,6 +23,7 @@ from jaxcap.rig.template import (
     prior_deviations,
     retract_person,
 )
+from jaxcap.rig.template_problem import TemplateProblem
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 #: joints deep inside the trunk, which the surface shows least

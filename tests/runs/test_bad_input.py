@@ -13,7 +13,7 @@ from helpers import chain_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.check import check_cloud, check_extent
+from jaxcap.fit.tracking.check_cloud import check_cloud, check_cloud_extent
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
@@ -301,7 +301,7 @@ def test_units_that_a_scan_may_be_in_are_named(share, factor, likely):
     height = np.ptp(np.asarray(body.vertices), axis=0).max()
     seen = np.linspace([0.0, 0.0, 0.1], [0.1, share * height, 0.1], 200)
     with pytest.raises(InputError, match=re.escape(likely)):
-        check_extent(body, factor * seen, "the cloud")
+        check_cloud_extent(body, factor * seen, "the cloud")
 
 
 def test_a_line_of_very_many_words_takes_little_memory(tmp_path):

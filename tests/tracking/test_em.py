@@ -9,8 +9,8 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose, retract
-from jaxcap.energy.priors.prior import PosePrior
-from jaxcap.fit.correspondence.part_blocks import make_parts
+from jaxcap.energy.priors.reference_pose import PosePrior
+from jaxcap.fit.correspondence.part_blocks import make_part_blocks
 from jaxcap.fit.tracking.em import (
     Estimate,
     box_volume,
@@ -18,16 +18,16 @@ from jaxcap.fit.tracking.em import (
     e_step,
     em_step,
     frame_statistics,
-    make_mixture,
+    make_mixture_settings,
     uniform_priors,
 )
 from jaxcap.observe.clouds import Cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton
-PARTS = make_parts(BODY.skin.dominant_bones(), SKELETON.num_joints, BODY.vertices)
+PARTS = make_part_blocks(BODY.skin.dominant_bones(), SKELETON.num_joints, BODY.vertices)
 #: the paper's: distances to points, all parts, no floor under sigma; normals are not known here
-MIXTURE = make_mixture(
+MIXTURE = make_mixture_settings(
     outlier=0.1,
     smallest_sigma=1e-6,
     tangential_weight=1.0,

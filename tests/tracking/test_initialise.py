@@ -10,7 +10,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.priors.prior import tangent_deviations
+from jaxcap.energy.priors.reference_pose import tangent_deviations
 from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation

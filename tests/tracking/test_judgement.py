@@ -23,7 +23,7 @@ from jaxcap.fit.judgement.baseline import (
 )
 from jaxcap.fit.judgement.evidence import _visible_in_camera, gather_evidence
 from jaxcap.fit.judgement.inside import inside_degrees
-from jaxcap.fit.judgement.surface import _even_samples, region_name, sampled_surface
+from jaxcap.fit.judgement.region_samples import _even_samples, region_name, sample_regions
 from jaxcap.fit.judgement.verdict import judge_evidence
 from jaxcap.geometry.camera import look_at
 from jaxcap.geometry.mesh import sample_surface
@@ -31,7 +31,7 @@ from jaxcap.observe.clouds import Cloud, make_cloud
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton
-SURFACE = sampled_surface(BODY)
+SURFACE = sample_regions(BODY)
 REST = rest_pose(SKELETON)
 NOTHING = initial_baseline(SURFACE)
 NOBODY = sensor_directions(NOTHING)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from jaxcap.fit.correspondence import nearest as nearest_module
 from jaxcap.fit.correspondence.nearest import nearest_vertices
-from jaxcap.fit.correspondence.part_blocks import make_parts
+from jaxcap.fit.correspondence.part_blocks import make_part_blocks
 from jaxcap.fit.correspondence.posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
@@ -84,7 +84,7 @@ def test_equals_the_loops(sigma):
         bones, vertices, normals, cloud, sigma, priors, **SETTINGS
     )
     for positions in (None, vertices):
-        parts = make_parts(bones, NUM_PARTS, positions)
+        parts = make_part_blocks(bones, NUM_PARTS, positions)
         got = e_step(parts, vertices, normals, cloud, sigma, priors=jnp.array(priors), **SETTINGS)
         np.testing.assert_allclose(got.weights, weights, rtol=0, atol=1e-12)
         np.testing.assert_allclose(got.outlier, outliers, rtol=0, atol=1e-12)
@@ -103,7 +103,7 @@ def test_a_culled_search_finds_the_same():
     order = spatial_order(cloud.points, cloud.weights)
     assert np.all(np.asarray(cloud.weights)[order[-7:]] == 0)
     ordered = jax.tree.map(lambda x: x[order], cloud)
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     reach = jnp.array(0.1)
     squared, nearest = search(parts, vertices, normals, ordered, normal_threshold=0.4, reach=reach)
     everything, vertex = search(
@@ -131,7 +131,7 @@ def test_a_human_in_any_order(shared):
     points = vertices[chosen] + jnp.array(0.004 * rng.normal(size=(2000, 3)), jnp.float32)
     cloud = Cloud(points, normals[chosen], jnp.ones(2000, jnp.float32))
     bones = data["weights"][::4].argmax(1)
-    parts = make_parts(bones, data["weights"].shape[1], vertices)
+    parts = make_part_blocks(bones, data["weights"].shape[1], vertices)
     order = spatial_order(points)
     ordered = jax.tree.map(lambda x: x[order], cloud)
     for sigma in (0.005, 0.3):
@@ -149,7 +149,7 @@ def test_a_human_in_any_order(shared):
 
 def test_rows_sum_to_one_and_padding_is_no_inlier():
     bones, vertices, normals, cloud = limbs()
-    got = e_step(make_parts(bones, NUM_PARTS), vertices, normals, cloud, 0.05, **SETTINGS)
+    got = e_step(make_part_blocks(bones, NUM_PARTS), vertices, normals, cloud, 0.05, **SETTINGS)
     np.testing.assert_allclose(got.weights.sum(1) + got.outlier, 1.0, atol=1e-12)
     padding = np.asarray(cloud.weights) == 0
     assert np.all(got.weights[padding] == 0)
@@ -159,7 +159,7 @@ def test_rows_sum_to_one_and_padding_is_no_inlier():
 
 def test_candidates_are_the_likeliest_parts():
     bones, vertices, normals, cloud = limbs()
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     dense = e_step(parts, vertices, normals, cloud, 0.1, **SETTINGS)
     few = e_step(parts, vertices, normals, cloud, 0.1, candidates=2, **SETTINGS)
     order = np.argsort(-dense.weights, 1, kind="stable")[:, :2]
@@ -177,7 +177,7 @@ def test_small_sigma_is_the_nearest_neighbour():
     rng = np.random.default_rng(3)
     points = vertices + 1e-5 * jnp.array(rng.normal(size=vertices.shape))
     cloud = Cloud(points, normals, jnp.ones(len(points)))
-    got = e_step(make_parts(bones, NUM_PARTS), vertices, normals, cloud, 1e-4, candidates=2, **SETTINGS)
+    got = e_step(make_part_blocks(bones, NUM_PARTS), vertices, normals, cloud, 1e-4, candidates=2, **SETTINGS)
     np.testing.assert_array_equal(got.vertices[:, 0], np.arange(len(points)))
     np.testing.assert_array_equal(got.parts[:, 0], bones)
     np.testing.assert_allclose(got.weights[:, 0], 1.0, atol=1e-9)
@@ -187,7 +187,7 @@ def test_no_compatible_vertex_means_outlier():
     bones, vertices, normals, _ = limbs()
     facing = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), normals.shape)
     cloud = Cloud(vertices, -facing, jnp.ones(len(vertices)))
-    parts = make_parts(bones, NUM_PARTS)
+    parts = make_part_blocks(bones, NUM_PARTS)
     for share in (0.1, 0.0):
         settings = SETTINGS | {"outlier": share}
         got = e_step(parts, vertices, facing, cloud, 0.05, **settings)
@@ -199,7 +199,7 @@ def test_no_compatible_vertex_means_outlier():
 
 def test_a_rigid_motion_of_both_changes_nothing_and_points_may_be_shuffled():
     bones, vertices, normals, cloud = limbs()
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     before = e_step(parts, vertices, normals, cloud, 0.03, **SETTINGS)
     turn = rotation.to_matrix(rotation.exp(jnp.array([0.4, -1.1, 0.7])))
     shift = jnp.array([0.3, -2.0, 1.0])
@@ -216,7 +216,7 @@ def test_float32_agrees_with_float64():
     """Within 1e-3 at a sigma of 1 cm, the body three metres from the origin."""
     bones, vertices, normals, cloud = limbs()
     vertices, cloud = vertices + 3.0, eqx.tree_at(lambda c: c.points, cloud, cloud.points + 3.0)
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     exact = e_step(parts, vertices, normals, cloud, 0.01, **SETTINGS)
     single = jax.tree.map(lambda x: x.astype(jnp.float32), (vertices, normals, cloud))
     rounded = e_step(parts, *single, jnp.float32(0.01), **SETTINGS)
@@ -227,7 +227,7 @@ def test_float32_agrees_with_float64():
 
 def test_new_sigma_and_priors_raise_the_likelihood():
     bones, vertices, normals, cloud = limbs()
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     # vertices that stand still keep their points, so every round is a true step of EM
     sigma, priors = jnp.array(0.2), jnp.array([0.2, 0.2, 0.2, 0.0, 0.2, 0.2])
     values = []
@@ -248,14 +248,14 @@ def test_sigma_is_recovered_from_known_correspondences():
     cloud = Cloud(
         vertices + 0.02 * jnp.array(rng.normal(size=(2000, 3))), jnp.zeros((2000, 3)), jnp.ones(2000)
     )
-    parts = make_parts(np.zeros(2000, int), 1)
+    parts = make_part_blocks(np.zeros(2000, int), 1)
     got = e_step(parts, vertices, jnp.zeros((2000, 3)), cloud, 0.03, **SETTINGS)
     np.testing.assert_allclose(update_sigma(got, got.squared_distances, cloud.weights), 0.02, rtol=0.03)
 
 
 def test_equal_shapes_are_traced_once():
     bones, vertices, normals, cloud = limbs()
-    parts = make_parts(bones, NUM_PARTS, vertices)
+    parts = make_part_blocks(bones, NUM_PARTS, vertices)
     traces = []
 
     @eqx.filter_jit
@@ -264,14 +264,14 @@ def test_equal_shapes_are_traced_once():
         return posterior(parts, vertices, normals, cloud, sigma, **SETTINGS)
 
     counted(parts, vertices, normals, cloud, jnp.array(0.1))
-    counted(make_parts(bones, NUM_PARTS, vertices), vertices + 1, normals, limbs(1)[3], jnp.array(0.2))
+    counted(make_part_blocks(bones, NUM_PARTS, vertices), vertices + 1, normals, limbs(1)[3], jnp.array(0.2))
     assert len(traces) == 1
 
 
 def test_blocks_hold_every_vertex_in_its_own_part():
     bones, vertices, *_ = limbs()
     for positions in (None, vertices):
-        parts = make_parts(bones, NUM_PARTS, positions)
+        parts = make_part_blocks(bones, NUM_PARTS, positions)
         assert parts.blocks_of_part == (3, 1, 2, 0, 2, 2)
         of_block = np.repeat(np.arange(NUM_PARTS), parts.blocks_of_part)
         slots = np.asarray(parts.slots)
@@ -281,8 +281,8 @@ def test_blocks_hold_every_vertex_in_its_own_part():
 
 def test_wrong_parts_are_said():
     with pytest.raises(ValueError, match="Vertex 1 belongs to bone 7"):
-        make_parts(np.array([0, 7]), 2)
+        make_part_blocks(np.array([0, 7]), 2)
     with pytest.raises(ValueError, match="at least one vertex"):
-        make_parts(np.array([], int), 2)
+        make_part_blocks(np.array([], int), 2)
     with pytest.raises(ValueError, match=r"expected \(2, 3\)"):
-        make_parts(np.array([0, 1]), 2, np.zeros((3, 3)))
+        make_part_blocks(np.array([0, 1]), 2, np.zeros((3, 3)))

@@ -230,7 +230,7 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
     assert first(away, False).verdict != "good"
     assert not searched and not announced
     frame = first(away, "auto")
-    assert (len(searched), frame.verdict, frame.searches) == (1, "good", 1.0)
+    assert (len(searched), frame.verdict, frame.searches.count) == (1, "good", 1.0)
     assert joint_error(frame.pose, truth[0]) < 0.012
     assert first(truth[0], True).verdict == "good"
     assert len(searched) == 2
@@ -239,7 +239,7 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
 
 
 def test_searches_that_do_not_help_become_rare():
-    patience, waits = recover.SearchPause(), []
+    patience, waits = recover.SearchHistory(), []
     for _ in range(8):
         patience = patience.extend()
         waits.append(patience.wait)

@@ -14,7 +14,7 @@ import jaxcap as jc
 from benchmarks._browser import project_to_page as on_page
 from benchmarks._browser import wait_for_camera
 from jaxcap.edit.ik import session as ik
-from jaxcap.edit.ik.solve import SOLVERS
+from jaxcap.edit.ik.solve_ik import SOLVERS
 from jaxcap.view.ik.controls import SOLVERS as LABELS
 from jaxcap.view.ik.handles import REACHED_COLOUR
 from jaxcap.view.ik.window import serve_ik

@@ -18,8 +18,8 @@ from jaxcap.view.figures.eye import DIRECTIONS, FIELD, place_camera
 from jaxcap.view.figures.skeleton_figure import bone_solids
 from jaxcap.view.load import load
 from jaxcap.view.windows.column import Choice
+from jaxcap.view.windows.scene_figures import SceneFigures
 from jaxcap.view.windows.serve import close_server, open_server
-from jaxcap.view.windows.stage import Stage
 from jaxcap.view.windows.timeline import Timeline
 
 
@@ -120,7 +120,7 @@ def test_takes_stand_in_line_on_one_floor():
         jnp.zeros_like(rest.translations).at[0].set(jnp.array([5.0, 2.0, -7.0])), rest.rotations, rest.scale
     )
     takes = [make_take("a", body.skeleton, body), make_take("b", body.skeleton, None, far)]
-    stage = Stage(server.scene, Contents(takes=takes))
+    stage = SceneFigures(server.scene, Contents(takes=takes))
 
     def boxes():
         return [column.extent() + column.group.position for column in stage.columns]
@@ -140,7 +140,7 @@ def test_takes_stand_in_line_on_one_floor():
 
 def test_a_click_names_what_it_hits():
     body, server = chain_body(), open_server(0)
-    stage = Stage(
+    stage = SceneFigures(
         server.scene,
         Contents(takes=[make_take("solid", body.skeleton, body), make_take("bare", body.skeleton)]),
     )

@@ -9,7 +9,7 @@ from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...fit.judgement.baseline import median_baseline, sensor_directions
 from ...fit.judgement.evidence import Evidence, gather_evidence
-from ...fit.judgement.surface import sampled_surface
+from ...fit.judgement.region_samples import sample_regions
 from ...fit.judgement.verdict import Judgement, judge_evidence
 from ...geometry.camera import Camera
 from ...geometry.closest import nearest_on_surface
@@ -54,7 +54,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
 
 def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     """Compare each scanned frame by part with the baseline of all frames."""
-    surface = sampled_surface(state.body)
+    surface = sample_regions(state.body)
 
     def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
         return [gather_evidence(surface, state.motion[n], task.cloud(n), sensors) for n in task.scanned]

@@ -16,10 +16,10 @@ from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import Matching, find_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
 from ...fit.correspondence.visibility import visible_vertices
-from ...fit.problem import PoseProblem
+from ...fit.pose_problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
-from ...observe import Scan as FileScan
+from ...observe import Scan
 from ...observe.clouds import Cloud
 from ...parallel import parallel_map
 from ..objective import PoseTerms, mean_squared_distance, pose_problem
@@ -47,7 +47,7 @@ class PoseFit(NamedTuple):
 @checked
 def fit_pose(
     body: Body,
-    scan: IndexedScan | Cloud | FileScan,
+    scan: IndexedScan | Cloud | Scan,
     start: Pose,
     terms: PoseTerms,
     matching: Matching = Matching(),

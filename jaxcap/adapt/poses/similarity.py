@@ -79,14 +79,14 @@ def is_unordered(cloud: Callable[[int], Cloud], frames: Sequence[int], height: f
     rows = np.union1d(first, first + 1)
     shapes = {row: distance_field(cloud(frames[row]), height) for row in rows.tolist()}
     steps = np.array([scan_distance(shapes[row], shapes[row + 1]) for row in first.tolist()])
-    apart = [
+    distances = [
         scan_distance(shapes[one], shapes[other])
         for one in rows.tolist()
         for other in rows.tolist()
         if other > one + 1
     ]
     return bool(
-        np.median(steps) > MAX_TRACKED_STEP and share_nearer(steps, np.array(apart)) < MIN_NEARER_SHARE
+        np.median(steps) > MAX_TRACKED_STEP and share_nearer(steps, np.array(distances)) < MIN_NEARER_SHARE
     )
 
 

@@ -10,7 +10,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...energy.data.pairs import PointPairs, stack_pairs
 from ...fit.alternate import alternate
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 from ...body.body import Body, body_height
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, concatenate_poses
-from ...fit.correspondence.part_blocks import make_parts
-from ...fit.tracking.compare_poses import log_likelihood, track_from
+from ...fit.correspondence.part_blocks import make_part_blocks
+from ...fit.tracking.compare_poses import log_posterior, track_from
 from ...fit.tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
@@ -76,8 +76,8 @@ def visiting_order(shapes: Mapping[int, DistanceField]) -> list[int]:
     order, nearest = frames[:1], dict.fromkeys(frames[1:], np.inf)
     while nearest:
         for frame in nearest:
-            apart = float(rotated_distances(shapes[order[-1]], shapes[frame]).min())
-            nearest[frame] = min(nearest[frame], apart)
+            distance = float(rotated_distances(shapes[order[-1]], shapes[frame]).min())
+            nearest[frame] = min(nearest[frame], distance)
         order.append(min(nearest, key=lambda frame: nearest[frame]))
         del nearest[order[-1]]
     return order
@@ -121,7 +121,7 @@ class _Search:
         self.shapes = {frame: distance_field(self.cloud(frame), height) for frame in task.scanned}
 
     def likelihood(self, frame: int, pose: Pose) -> float:
-        return float(log_likelihood(self.tracker, pose, self.cloud(frame)))
+        return float(log_posterior(self.tracker, pose, self.cloud(frame)))
 
     def refine(self, frame: int, pose: Pose) -> tuple[Pose, float]:
         """Refine a nearby pose by the tracker."""
@@ -146,14 +146,14 @@ class _Search:
     def start_poses(self, frame: int, found: FoundPoses, cloud: Cloud, count: int, turns: int) -> Pose:
         """Stack start poses from the most similar explained frames, in `turns` directions each."""
         own = self.shapes[frame]
-        apart = {n: rotated_distances(self.shapes[n], own) for n in found.explained if n != frame}
-        near = sorted(apart, key=lambda n: float(apart[n].min()))[:count]
+        distances = {n: rotated_distances(self.shapes[n], own) for n in found.explained if n != frame}
+        near = sorted(distances, key=lambda n: float(distances[n].min()))[:count]
         # a single frame starts from its own pose
         near = near or [frame]
         picked = []
         for number in range(count):
             source = near[number % len(near)]
-            best = int(np.argmin(apart[source])) if source in apart else 0
+            best = int(np.argmin(distances[source])) if source in distances else 0
             rows = (best + np.arange(turns) * DIRECTIONS // turns) % DIRECTIONS
             turned = rotated_starts(self.coarse, cloud, found.poses[source], DIRECTIONS, jnp.asarray(UP))
             picked.append(jax.tree.map(lambda leaf, rows=rows: leaf[rows], turned))
@@ -171,7 +171,7 @@ def coarse_template_tracker(template: Body, tracker: Tracker) -> Tracker:
     hold = attach_points(
         np.asarray(coarse.vertices, float), np.asarray(template.vertices, float), np.asarray(template.faces)
     )
-    places = jnp.asarray(attached_positions(hold, np.asarray(body.vertices, float)), body.vertices.dtype)
-    coarse = Body(body.skeleton, coarse.skin, places, coarse.faces)
-    parts = make_parts(coarse.skin.dominant_bones(), coarse.skeleton.num_joints, coarse.vertices)
+    positions = jnp.asarray(attached_positions(hold, np.asarray(body.vertices, float)), body.vertices.dtype)
+    coarse = Body(body.skeleton, coarse.skin, positions, coarse.faces)
+    parts = make_part_blocks(coarse.skin.dominant_bones(), coarse.skeleton.num_joints, coarse.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts), tracker, (coarse, parts))

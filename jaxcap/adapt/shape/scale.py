@@ -13,7 +13,7 @@ from ...energy.data.pairs import stack_pairs
 from ...fit.alternate import alternate
 from ...fit.correspondence.correspond import Matching
 from ...fit.correspondence.nearest_assignment import IndexedScan
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
@@ -47,9 +47,9 @@ def fit_size(
     count = len(scans)
 
     def remake(y: SequenceEstimate) -> SequenceProblem:
-        there = scale_body(body, jnp.exp(y.values["size"]))
+        scaled = scale_body(body, jnp.exp(y.values["size"]))
         pairs = [
-            pairs_of(there, pose, scan, matching, cameras)
+            pairs_of(scaled, pose, scan, matching, cameras)
             for pose, scan in zip(unstack_trees(y.poses, count), scans, strict=True)
         ]
         stacked = stack_pairs(pairs)

@@ -83,8 +83,8 @@ def shape_energy(prior: ShapePrior, body: Body) -> float:
     `Q = 1/(M V) sum |L(v_m) - L(T_m(v))|^2`, the mean over meshes and vertices (eqs. 4.11 and 4.12).
     """
     meshes = np.asarray(_deform_all(body, prior.poses), float)
-    apart = np.stack([prior.laplacian @ mesh for mesh in meshes]) - prior.vectors
-    return float(np.mean(np.sum(apart**2, -1)))
+    differences = np.stack([prior.laplacian @ mesh for mesh in meshes]) - prior.vectors
+    return float(np.mean(np.sum(differences**2, -1)))
 
 
 def scale_shape_prior(prior: ShapePrior, size: float) -> ShapePrior:

@@ -108,11 +108,11 @@ def fit_person(template: Body, shape_space: ShapeSpace) -> tuple[Body, Float[np.
     shift = np.asarray(template.skeleton.centres - body.skeleton.centres, float).mean(0)
     vertices, faces = np.asarray(template.vertices, float), np.asarray(template.faces)
     for _ in range(NUM_FIT_ITERATIONS):
-        there = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
-        places = np.einsum("nk,nka->na", there.barycentric, vertices[faces[there.triangles]])
-        seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(places, body.vertices.dtype))
+        nearest = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
+        positions = np.einsum("nk,nka->na", nearest.barycentric, vertices[faces[nearest.triangles]])
+        seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(positions, body.vertices.dtype))
         body = make_person(shape_space, fit_coefficients(shape_space, seen))
-        shift = (places - np.asarray(body.vertices, float)).mean(0)
+        shift = (positions - np.asarray(body.vertices, float)).mean(0)
     moved_body = eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres),
         body,

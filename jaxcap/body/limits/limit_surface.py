@@ -49,8 +49,8 @@ class LimitSurface(eqx.Module):
 
     def keyframe_weights(self, parent_coordinates: Float[Array, "3"]) -> Float[Array, "V"]:
         """Compute the blend weight of each keyframe at coordinates of the parent; they sum to one."""
-        apart = jnp.sum((self.keys - parent_coordinates) ** 2, -1)
-        return jax.nn.softmax(-0.5 * apart / self.reach**2)
+        squared_distances = jnp.sum((self.keys - parent_coordinates) ** 2, -1)
+        return jax.nn.softmax(-0.5 * squared_distances / self.reach**2)
 
     def primitives(self, parent_coordinates: Float[Array, "3"] | None) -> Primitives:
         """Interpolate the primitives at coordinates of the parent."""

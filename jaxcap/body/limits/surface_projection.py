@@ -25,17 +25,17 @@ def project_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
     def inside(x):
         return field(primitives, x) >= primitives.level + LEVEL_MARGIN / 2
 
-    def apart(x):
+    def squared_distance(x):
         return chart.squared_distance(x, point)
 
     def improve(_, place):
         edge = _last_inside(inside, place, chart.unwrap(point, place))
         normal = _unit(jax.grad(lambda x: field(primitives, x))(edge))
-        down = -jax.grad(apart)(edge) / 2
+        down = -jax.grad(squared_distance)(edge) / 2
         aside = edge + down - jnp.sum(down * normal) * normal
         aside = jnp.where(inside(aside), aside, _nearest_ball_point(primitives, chart, aside))
-        best = jnp.where(apart(edge) < apart(place), edge, place)
-        return jnp.where(inside(aside) & (apart(aside) < apart(best)), aside, best)
+        best = jnp.where(squared_distance(edge) < squared_distance(place), edge, place)
+        return jnp.where(inside(aside) & (squared_distance(aside) < squared_distance(best)), aside, best)
 
     # in one dimension there is no tangential direction
     rounds = 1 if chart.dimension == 1 else ROUNDS
@@ -44,9 +44,9 @@ def project_inside(primitives: Primitives, chart: Chart, point: Float[Array, "3"
 
 def _nearest_ball_point(primitives: Primitives, chart: Chart, point: Float[Array, "3"]) -> Float[Array, "3"]:
     """Find the nearest point of the balls, by rotation distance."""
-    apart = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
+    squared_distances = jax.vmap(chart.squared_distance, (0, None))(primitives.centres, point)
     reach = radii(primitives) - LEVEL_MARGIN * primitives.unit / primitives.stiffness
-    nearest = jnp.argmin(jnp.sqrt(jnp.maximum(apart, 0.0)) - reach)
+    nearest = jnp.argmin(jnp.sqrt(jnp.maximum(squared_distances, 0.0)) - reach)
     centre, radius = primitives.centres[nearest], reach[nearest]
     towards = -jax.grad(chart.squared_distance)(centre, point)
     away = jnp.linalg.norm(chart.unwrap(point, centre) - centre)

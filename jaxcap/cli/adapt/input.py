@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...adapt.check import check_actor, check_cameras
+from ...adapt.check_scans import check_actor, check_cameras
 from ...adapt.poses.select_frames import select_evenly
 from ...adapt.task import AdaptState, AdaptTask
 from ...body.body import Body
@@ -17,7 +17,7 @@ from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
-from ...fit.tracking.check import check_extent
+from ...fit.tracking.check_cloud import check_cloud_extent
 from ...geometry.camera import Camera
 from ...io.archives.prior import Priors
 from ...io.cameras import read_cameras
@@ -72,7 +72,7 @@ def check_input(scans: Scans, body: Body) -> InputSummary:
         try:
             scan = scans[frame]
             digests[frame] = _digest(scan)
-            check_extent(body, scan.points, scan.name)
+            check_cloud_extent(body, scan.points, scan.name)
         except InputError as error:
             if frame == 0:
                 raise

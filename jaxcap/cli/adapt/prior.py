@@ -7,7 +7,7 @@ import numpy as np
 
 from ...body.body import Body
 from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
-from ...io.archives.npz import load_limits
+from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import Priors, has_prior, load_priors, prior_arrays
 from ..console.console import say
 
@@ -52,7 +52,7 @@ def carried_arrays(body: str, priors: Priors | None) -> dict[str, np.ndarray]:
     A shape prior is not copied: it constrains vertices to the template's shape, which the actor does not
     have.
     """
-    others = load_limits(body) if _is_npz(body) else {}
+    others = load_body_limits(body) if _is_npz(body) else {}
     kept = {name: a for name, a in others.items() if not name.startswith(("prior.", "boxes.", "shape."))}
     return kept if priors is None else kept | prior_arrays(priors.prior, priors.boxes)
 

@@ -1,8 +1,8 @@
 """All verbs of the command line in their groups, by class name; a verb is imported only when it runs."""
 
-from .verbs import Group, Verb
+from .verbs import Verb, VerbGroup
 
-MARKERS = Group(
+MARKERS = VerbGroup(
     "Optical markers: calibrate a subject, solve its motion",
     """Optical markers: inspect a file of markers, calibrate a subject from takes, solve its motion in trials.
 
@@ -14,7 +14,7 @@ Results are in metres.""",
     },
 )
 
-LIMITS = Group(
+LIMITS = VerbGroup(
     "Joint limits: learn, check and enforce them",
     """Joint limits: learn them from motions, find violations in a motion, project a motion onto them.
 
@@ -27,7 +27,7 @@ Angles are in degrees.""",
     },
 )
 
-PRIOR = Group(
+PRIOR = VerbGroup(
     "Pose priors: learn and inspect them",
     """Pose priors: learn from motions how probable the rotations of joints are, for each pair of successive joints.
 
@@ -38,7 +38,7 @@ Angles are in degrees.""",
     },
 )
 
-EDIT = Group(
+EDIT = VerbGroup(
     "Edit motions: retarget, cut, join, loop, mirror and more",
     """Edit motions: retarget, cut, join, loop, resample or mirror them, change the gaze, or reduce them to keys.
 A raw scan can also be animated, with the body that is fitted to it.
@@ -57,7 +57,7 @@ Results are in metres and have y up.""",
     },
 )
 
-JAXCAP = Group(
+JAXCAP = VerbGroup(
     "Fit articulated bodies to captures",
     """Fit articulated bodies to point clouds, meshes and markers.
 

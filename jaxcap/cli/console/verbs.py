@@ -29,15 +29,15 @@ class Verb(NamedTuple):
         return getattr(importlib.import_module(f"jaxcap.cli.{module}"), name)
 
 
-class Group(NamedTuple):
+class VerbGroup(NamedTuple):
     """Verbs and groups of verbs by name."""
 
     summary: str
     description: str
-    verbs: "Mapping[str, Verb | Group]"
+    verbs: "Mapping[str, Verb | VerbGroup]"
 
 
-def run_verb(group: Group, prog: str, arguments: Sequence[str], use_cache: bool = True) -> None:
+def run_verb(group: VerbGroup, prog: str, arguments: Sequence[str], use_cache: bool = True) -> None:
     """Run the verb named by the first arguments with the others; without arguments, print the help. Only this
     verb is imported; `use_cache` enables the cache of compiled functions.
 
@@ -52,7 +52,7 @@ def run_verb(group: Group, prog: str, arguments: Sequence[str], use_cache: bool 
     if found is None:
         what = f"no option '{word}' of '{prog}'" if word.startswith("-") else f"no '{prog} {word}'"
         raise InputError(f"there is {what}{_meant(word, group.verbs)}; verbs are {', '.join(group.verbs)}.")
-    if isinstance(found, Group):
+    if isinstance(found, VerbGroup):
         run_verb(found, f"{prog} {word}", rest, use_cache)
     else:
         command = _command(found, f"{prog} {word}", rest, use_cache)
@@ -60,7 +60,7 @@ def run_verb(group: Group, prog: str, arguments: Sequence[str], use_cache: bool 
         command.run()
 
 
-def help_of(group: Group, prog: str) -> str:
+def help_of(group: VerbGroup, prog: str) -> str:
     """Format the help of a group of verbs."""
     wide = max(map(len, group.verbs))
     lines = [f"  {name:{wide}}  {verb.summary}" for name, verb in group.verbs.items()]

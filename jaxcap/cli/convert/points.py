@@ -9,7 +9,7 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_file import MarkerFile, check_extent, group_by_subject, select_subject
+from ...io.markers.marker_file import MarkerFile, check_marker_extent, group_by_subject, select_subject
 from ...io.meshes.vertex_list import read_vertex_list
 from ...io.registry import write_markers
 from ...markers.body_shape.vertex_markers import vertex_frames
@@ -47,7 +47,7 @@ def check_marker_unit(file: MarkerFile, path: Path) -> None:
     not give. Raises `InputError`."""
     hint = f"{UNIT_ASKED}, or --unit {file.unit} if the size is right"
     for subject in group_by_subject(file.frames.labels) or (None,):
-        check_extent(select_subject(file.frames, path, subject), path, file.scale, option_hint=hint)
+        check_marker_extent(select_subject(file.frames, path, subject), path, file.scale, option_hint=hint)
 
 
 def write_points(

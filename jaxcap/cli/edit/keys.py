@@ -8,8 +8,7 @@ import numpy as np
 
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...edit.keys import Keys as Found
-from ...edit.keys import find_keys
+from ...edit.keys import Keyframes, find_keys
 from ...errors import InputError
 from ...io.archives.npz import save_arrays, skeleton_arrays
 from ...io.table import write_json
@@ -68,7 +67,7 @@ class Keys:
             write_edited(self.out, skeleton, found.motion)
 
 
-def print_summary(name: str, skeleton: Skeleton, found: Found, per_joint: bool) -> None:
+def print_summary(name: str, skeleton: Skeleton, found: Keyframes, per_joint: bool) -> None:
     frames, joints = found.is_key.shape
     if per_joint:
         counts = found.is_key.sum(0)
@@ -84,7 +83,7 @@ def print_summary(name: str, skeleton: Skeleton, found: Found, per_joint: bool) 
     )
 
 
-def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Found) -> None:
+def write_keys(path: Path, skeleton: Skeleton, motion: Motion, found: Keyframes) -> None:
     """Write the keys with their frames: as JSON by joint, as .npz all keys concatenated.
 
     Rotations are `wxyz` from rest, in the frame of the parent; translations in metres. Raises `InputError`.

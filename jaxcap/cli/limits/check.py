@@ -8,7 +8,7 @@ import numpy as np
 
 from ...body.limits.limit_surface import SurfaceLimits
 from ...io.table import write_json
-from ...limits.check import comfort_frames
+from ...limits.frame_evaluation import comfort_frames
 from ..console.console import print_table, say
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new

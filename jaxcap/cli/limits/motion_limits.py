@@ -10,7 +10,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.archives.limits import read_limits
-from ...limits.check import allowed_frames, residual_frames
+from ...limits.frame_evaluation import allowed_frames, residual_frames
 from ...markers.segments.gaps import find_runs
 from ..console.options import arg
 from ..motions import load_body_motion, load_motion

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ...markers.calibration.calibrate import Calibration
 from ...markers.calibration.observability import bone_length_deviations
 from ...markers.local_technique import LocalFit
-from ...report.markers.markers import list_bones
+from ...report.markers.markers import describe_bones
 from ..console.console import print_table, say
 
 #: residual of a stray marker, metres, and the share of frames above which it is reported
@@ -85,13 +85,13 @@ def print_bones(local_fit: LocalFit, calibrated: Calibration | None) -> None:
     """Print a row for each bone between two joints: its length from separate joints, and from the joint
     fit."""
     rows = []
-    bones = list_bones(local_fit.skeleton)
+    bones = describe_bones(local_fit.skeleton)
     if calibrated is None:
         rows = [[f"{bone.start} - {bone.end}", f"{1e3 * bone.length:.1f} mm"] for bone in bones]
         print_bone_table(rows, ["bone", "length"])
         return
     deviations = bone_length_deviations(calibrated.subject, calibrated.joints, calibrated.covariance)
-    after = {(bone.start, bone.end): bone.length for bone in list_bones(calibrated.subject.skeleton)}
+    after = {(bone.start, bone.end): bone.length for bone in describe_bones(calibrated.subject.skeleton)}
     for bone in bones:
         deviation = deviations[calibrated.subject.skeleton.index(bone.end)]
         known = "" if np.isnan(deviation) else f"± {1e3 * deviation:.1f} mm"

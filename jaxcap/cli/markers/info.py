@@ -9,7 +9,7 @@ import numpy as np
 import tyro
 
 from ...errors import InputError, user_message
-from ...io.markers.marker_file import check_extent, group_by_subject, median_extent, select_subject
+from ...io.markers.marker_file import check_marker_extent, group_by_subject, median_extent, select_subject
 from ...io.markers.up_axis import find_up_axis
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
@@ -69,7 +69,7 @@ class Info:
                 f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject."
             )
         try:
-            check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+            check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
         except InputError as error:
             warn(user_message(error))
         if self.picture is not None:

@@ -11,7 +11,7 @@ import tyro
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_file import check_extent, select_subject
+from ...io.markers.marker_file import check_marker_extent, select_subject
 from ...io.markers.up_axis import UpAxis, find_up_axis
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
 from ...markers.motion.gap_filling import joint_frames
@@ -41,7 +41,7 @@ def read_take(
     """
     file = read_marker_file(path, unit)
     frames = select_subject(file.frames, path, subject, "--subject {}")
-    check_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+    check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
     found = find_up_axis(file._replace(frames=frames))

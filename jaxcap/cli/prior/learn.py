@@ -13,10 +13,10 @@ from ...body.skeleton import Skeleton, has_same_joints
 from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, user_message
-from ...io.archives.npz import load_limits
+from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import save_prior
 from ...prior.covariance_selection import count_zero_couplings
-from ...prior.pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
+from ...prior.learn_pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
 from ..console.console import pluralise, print_table, progress, say, warn
 from ..console.options import BODY_FORMATS, MOTION_FORMATS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..motions import load_motion
@@ -93,7 +93,7 @@ class Learn:
         except ValueError as error:
             raise InputError(f"{', '.join(self.motions)}: {user_message(error)}") from None
         own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
-        limits = load_limits(str(self.body)) if own else None
+        limits = load_body_limits(str(self.body)) if own else None
         save_prior(self.out, prior, boxes, body, limits, shape)
         print_summary(learned)
         say(f"written: {self.out}")

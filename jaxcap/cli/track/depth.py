@@ -6,7 +6,7 @@ from pathlib import Path
 from ...body.body import Body
 from ...depth.clouds import cloud_of_depths
 from ...errors import InputError
-from ...fit.tracking.check import check_cloud
+from ...fit.tracking.check_cloud import check_cloud
 from ...io.cameras import read_cameras
 from ...io.depth.sequence import read_depths
 from ...io.lazy_frames import LazyFrames

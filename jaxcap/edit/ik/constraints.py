@@ -122,8 +122,8 @@ def check_constraints(constraints: Sequence[Constraint], skeleton: Skeleton, num
                     f"There is a constraint on {name}, but the skeleton has {', '.join(skeleton.names)}."
                 )
         elif not 0 <= c.point < num_vertices:
-            held = f"vertices 0 to {num_vertices - 1}" if num_vertices else "no vertices"
-            raise ValueError(f"There is a constraint on {name}, but the body has {held}.")
+            available = f"vertices 0 to {num_vertices - 1}" if num_vertices else "no vertices"
+            raise ValueError(f"There is a constraint on {name}, but the body has {available}.")
         elif c.orientation is not None:
             raise ValueError(f"The constraint on {name} has an orientation; only joints can have one.")
         if c.point in seen:

@@ -15,10 +15,10 @@ from ...body.limits.limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, project, rest_pose
 from ...energy.energy import AbstractEnergy
-from ...energy.priors.prior import RestPrior
+from ...energy.priors.reference_pose import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
 from .point_positions import point_positions
-from .solve import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
+from .solve_ik import SOLVERS, IkOptions, IkSolution, Solver, solve_ik
 
 #: number of undo steps that a session keeps
 MAX_UNDO_STEPS = 200
@@ -211,9 +211,9 @@ def reset_pose(session: IkSession) -> IkSession:
 
 def set_pose(session: IkSession, pose: Pose) -> IkSession:
     """Set another pose; constraints keep their points, with targets at the positions in that pose."""
-    pose, held = project(session.body.skeleton, pose), session.state.constraints
-    places = point_positions(session.body, pose, held)
-    moved = tuple(one._replace(target=place) for one, place in zip(held, places, strict=True))
+    pose, constraints = project(session.body.skeleton, pose), session.state.constraints
+    positions = point_positions(session.body, pose, constraints)
+    moved = tuple(one._replace(target=place) for one, place in zip(constraints, positions, strict=True))
     return _add_undo_step(session, session.state._replace(pose=pose, constraints=moved))
 
 
@@ -264,10 +264,11 @@ def solve_session(session: IkSession) -> IkSession:
 
 def target_distances(session: IkSession) -> tuple[float, ...]:
     """Compute the distance of every constrained point from its target in the current pose, metres."""
-    held = session.state.constraints
-    places = point_positions(session.body, session.state.pose, held)
+    constraints = session.state.constraints
+    positions = point_positions(session.body, session.state.pose, constraints)
     return tuple(
-        float(np.linalg.norm(np.subtract(place, one.target))) for place, one in zip(places, held, strict=True)
+        float(np.linalg.norm(np.subtract(place, one.target)))
+        for place, one in zip(positions, constraints, strict=True)
     )
 
 
@@ -277,8 +278,8 @@ def _set_constraints(session: IkSession, constraints: tuple[Constraint, ...]) ->
 
 def _replace_constraint(state: IkState, changed: Constraint) -> IkState:
     """Replace the constraint on a point in a state."""
-    held = tuple(changed if one.point == changed.point else one for one in state.constraints)
-    return state._replace(constraints=held)
+    constraints = tuple(changed if one.point == changed.point else one for one in state.constraints)
+    return state._replace(constraints=constraints)
 
 
 def _add_undo_step(session: IkSession, state: IkState) -> IkSession:

@@ -105,9 +105,9 @@ def extended_pose(skeleton: Skeleton, bones: VirtualBones, pose: Pose) -> Pose:
     frames = bone_frames(skeleton, bones.skin, pose) / pose.scale
     above = transforms.rotations[bones.parents] / pose.scale
     local = jnp.einsum("sba,sbc->sac", above, frames[:, :, :3])
-    apart = frames[:, :, 3] - transforms.translations[bones.parents] / pose.scale
+    offsets = frames[:, :, 3] - transforms.translations[bones.parents] / pose.scale
     centres = skeleton.centres[bones.joints]
-    moved = jnp.einsum("sba,sb->sa", above, apart) + jnp.einsum("sab,sb->sa", local, centres) - centres
+    moved = jnp.einsum("sba,sb->sa", above, offsets) + jnp.einsum("sab,sb->sa", local, centres) - centres
     moved = jnp.where(bones.turns[:, None] > 0, 0.0, moved)
     return Pose(
         jnp.concatenate([pose.translations, moved]),

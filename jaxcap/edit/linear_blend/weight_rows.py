@@ -109,12 +109,12 @@ def choose_candidates(terms: BlendTerms, rows: WeightRows, count: int) -> Int[np
     bones = np.where(np.take_along_axis(terms.bones, order, 1), order, -1)
     if not len(rows.bases):
         return bones
-    apart = cdist(terms.blends, rows.blends, "cityblock")
-    apart[terms.bases[:, None] != rows.bases] = np.inf
-    apart[~terms.states[:, rows.states]] = np.inf
-    nearest = np.argsort(apart, axis=1, kind="stable")[:, :count]
-    there = np.isfinite(np.take_along_axis(apart, nearest, 1))
-    return np.concatenate([bones, np.where(there, joints + nearest, -1)], 1)
+    distances = cdist(terms.blends, rows.blends, "cityblock")
+    distances[terms.bases[:, None] != rows.bases] = np.inf
+    distances[~terms.states[:, rows.states]] = np.inf
+    nearest = np.argsort(distances, axis=1, kind="stable")[:, :count]
+    found = np.isfinite(np.take_along_axis(distances, nearest, 1))
+    return np.concatenate([bones, np.where(found, joints + nearest, -1)], 1)
 
 
 def _unsupported_skin(skin: AbstractSkin) -> str:

@@ -129,7 +129,9 @@ def _check_chains(matches: JointMatches, table: Table) -> None:
 
 def _check_facing(matches: JointMatches, table: Table) -> list[str]:
     """Warn if the sides of a table contradict the direction of the toes."""
-    looks = [toes_point_backward(stand.person, stand.places, stand.axes) for stand in matches.references]
+    looks = [
+        toes_point_backward(upright.person, upright.positions, upright.axes) for upright in matches.references
+    ]
     if not table.pairs or looks[0] == looks[1]:
         return []
     return [
@@ -144,7 +146,7 @@ def _check_limbs(matches: JointMatches, table: Table) -> list[str]:
     **Raises:** `UnmatchedJoints` if no arm or no leg has one, unless a table is given and no source joint
     that could belong to one remains.
     """
-    here, there = (stand.person for stand in matches.references)
+    here, there = (upright.person for upright in matches.references)
     said = []
     for kind in ("arm", "leg"):
         own: list[Side] = [side for side in SIDES if here.limb(side, kind)]

@@ -32,7 +32,7 @@ class UprightPose(NamedTuple):
 
     person: PersonJoints
     #: (J, 3) positions, metres
-    places: Float[np.ndarray, "J 3"]
+    positions: Float[np.ndarray, "J 3"]
     #: (J, 4) world rotations from rest
     rotations: Float[np.ndarray, "J 4"]
     #: frame of the motion; None if it is the rest pose
@@ -74,15 +74,15 @@ def find_upright_pose(
             )
         )
     frames = even_indices(len(motion), MAX_FRAMES)
-    places, turns = joint_transforms(skeleton, take_poses(motion.poses, frames))
-    scores = np.array([upright_score(person, frame) for frame in places])
+    positions, turns = joint_transforms(skeleton, take_poses(motion.poses, frames))
+    scores = np.array([upright_score(person, frame) for frame in positions])
     best = int(np.argmax(scores))
     if scores[best] <= 0:
         raise ValueError(
             f"The {which} is upright, legs below the trunk, neither at rest nor in any frame, so its rest pose cannot "
             "be compared with another one; give a motion with an upright frame."
         )
-    return _make_upright_pose(person, places[best], turns[best], int(frames[best]), which, known_sides)
+    return _make_upright_pose(person, positions[best], turns[best], int(frames[best]), which, known_sides)
 
 
 def joint_transforms(
@@ -96,18 +96,18 @@ def joint_transforms(
     turns = np.array(poses.rotations, float)
     steps = np.asarray(poses.translations, float)
     scale = np.asarray(poses.scale, float)[:, None]
-    places = np.zeros((len(turns), len(centres), 3))
+    positions = np.zeros((len(turns), len(centres), 3))
     for joint, parent in enumerate(skeleton.parents):
         if parent < 0:
-            places[:, joint] = scale * (centres[joint] + steps[:, joint])
+            positions[:, joint] = scale * (centres[joint] + steps[:, joint])
             continue
         above = Rotation.from_quat(turns[:, parent][:, [1, 2, 3, 0]])
-        places[:, joint] = places[:, parent] + scale * above.apply(
+        positions[:, joint] = positions[:, parent] + scale * above.apply(
             centres[joint] - centres[parent] + steps[:, joint]
         )
         whole = above * Rotation.from_quat(turns[:, joint][:, [1, 2, 3, 0]])
         turns[:, joint] = whole.as_quat()[:, [3, 0, 1, 2]]
-    return places, turns
+    return positions, turns
 
 
 def upright_score(person: PersonJoints, positions: Float[np.ndarray, "J 3"]) -> float:

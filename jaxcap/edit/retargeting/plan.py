@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
-from ...body.symmetry import left_right_candidates
+from ...body.symmetry import left_right_pairs_by_name
 from ...geometry import rotation
 from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
@@ -86,8 +86,8 @@ def plan_retarget(
     ]
     bones = [pair for leg in legs for pair in pairwise(leg)] or list(follows.items())
     lengths = [
-        sum(np.linalg.norm(places[own(b)] - places[own(a)]) for a, b in bones)
-        for places, own in ((centres, int), (here.places, matches.pairs.__getitem__))
+        sum(np.linalg.norm(positions[own(b)] - positions[own(a)]) for a, b in bones)
+        for positions, own in ((centres, int), (here.positions, matches.pairs.__getitem__))
     ]
     anchors = np.array([leg[0] for leg in legs] or [min(matches.pairs)])
     ratio = float(lengths[0] / lengths[1]) if lengths[1] > 0 else 1.0
@@ -108,12 +108,12 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
     """Compute the rotation of each target bone from its rest to the source's upright pose, (J, 4)."""
     source, target = matches.source, matches.target
     person, pairs = matches.references[1].person, matches.pairs
-    places = matches.references[0].places
+    positions = matches.references[0].positions
     limbs = _limb_bones(matches)
     follows, descent = _next_matched_joints(target, source, pairs), source.descendants
     girdles = {joint for (_, part), joint in person.parts.items() if part == "clavicle"}
     ends = {joint for (_, part), joint in person.parts.items() if part in ("hand", "foot")}
-    sided = {joint for pair in left_right_candidates(target.names) for joint in pair} | set(
+    sided = {joint for pair in left_right_pairs_by_name(target.names) for joint in pair} | set(
         person.parts.values()
     )
     alignment = np.tile(np.asarray(rotation.from_matrix(jnp.asarray(upright))), (target.num_joints, 1))
@@ -133,7 +133,7 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
         if not descent[pairs[joint], own]:
             continue
         bone = centres[child] - centres[joint]
-        goal = places[own] - places[pairs[joint]]
+        goal = positions[own] - positions[pairs[joint]]
         lengths = np.linalg.norm(bone), np.linalg.norm(goal)
         if min(lengths) < 1e-6:
             continue
@@ -152,7 +152,7 @@ def _align_bones(matches: JointMatches, centres: np.ndarray, upright: np.ndarray
 
 def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
     """Find the far ends of the bones of matched limb joints, in target and source."""
-    here, there = (stand.person for stand in matches.references)
+    here, there = (upright.person for upright in matches.references)
     found: dict[int, tuple[int, int]] = {}
     for side in SIDES:
         for kind in ("leg", "arm"):
@@ -171,13 +171,13 @@ def _limb_bones(matches: JointMatches) -> dict[int, tuple[int, int]]:
 def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Find the hinge axes of limbs by their first joints: the target's at rest, and the source's in the
     upright pose."""
-    stand, source = matches.references[0], matches.source
+    upright, source = matches.references[0], matches.source
     centres, found = np.asarray(matches.target.centres, float), {}
     if motion is None or len(motion) == 0:
-        places, turns = stand.places[None], stand.rotations[None]
+        positions, turns = upright.positions[None], upright.rotations[None]
     else:
         frames = even_indices(len(motion), MAX_FRAMES)
-        places, turns = joint_transforms(source, take_poses(motion.poses, frames))
+        positions, turns = joint_transforms(source, take_poses(motion.poses, frames))
     for side in SIDES:
         for kind in ("leg", "arm"):
             limb = matches.references[1].person.limb(side, kind)
@@ -185,16 +185,16 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
                 continue
             own = rest_hinge_axis(*centres[list(limb)])
             here = [matches.pairs[joint] for joint in limb]
-            if own is None or _has_equal_rest(centres[list(limb)], stand.places[here], matches):
+            if own is None or _has_equal_rest(centres[list(limb)], upright.positions[here], matches):
                 continue
             bone = matches.followed[limb[0]][0]
             normal = hinge_axis(
                 source,
                 (here[0], here[1], here[2]),
-                places,
+                positions,
                 _matrices(turns[:, bone]),
-                stand.places,
-                _matrices(stand.rotations[bone]),
+                upright.positions,
+                _matrices(upright.rotations[bone]),
             )
             if normal is None:
                 continue
@@ -202,7 +202,7 @@ def _hinge_axes(matches: JointMatches, motion: Motion | None) -> dict[int, tuple
                 # the sign of a joint axis is arbitrary: the limb's own bend determines it, or else the nearer
                 # direction
                 normal = normal * (
-                    _bend_sign(places, turns[:, bone], here, normal, stand.rotations[bone]) or 1.0
+                    _bend_sign(positions, turns[:, bone], here, normal, upright.rotations[bone]) or 1.0
                 )
             found[limb[0]] = own, normal
     return found
@@ -255,7 +255,7 @@ def _trunk_alignment(matches: JointMatches, centres: np.ndarray) -> np.ndarray:
     if here.axes is not None and there.axes is not None:
         return here.axes @ there.axes.T
     joints = sorted(matches.pairs)
-    target, source = centres[joints], here.places[[matches.pairs[joint] for joint in joints]]
+    target, source = centres[joints], here.positions[[matches.pairs[joint] for joint in joints]]
     fit = nearest_rotation((source - source.mean(0)).T @ (target - target.mean(0)))
     snapped = nearest_signed_permutation(fit)
     near = np.trace(snapped.T @ fit) > 1 + 2 * np.cos(np.radians(30.0)) and np.linalg.det(snapped) > 0

@@ -16,7 +16,7 @@ from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 from ...body.skin import RigidSkin
 from ...energy.data.landmarks import VertexLandmarks
-from ...energy.priors.prior import PosePrior, tangent_deviations
+from ...energy.priors.reference_pose import PosePrior, tangent_deviations
 from ...fit.solve import solve
 from ..ik.constraints import Constraint, Constraints, constrained_body, make_constraints
 from .retarget import UP
@@ -85,18 +85,18 @@ def match_points(
             )
     here = _PointSet(target, [pair.target for pair in pairs], "target")
     there = _PointSet(source, [pair.source for pair in pairs], "source")
-    places = ratio * there.positions(motion.poses)[:, there.rows] + (1.0 - ratio) * floor * up
-    targets, weights = here.mean_targets(places, [pair.weight for pair in pairs])
+    scaled = ratio * there.positions(motion.poses)[:, there.rows] + (1.0 - ratio) * floor * up
+    targets, weights = here.mean_targets(scaled, [pair.weight for pair in pairs])
     dtype = retargeted.poses.translations.dtype
     poses = _solve_frames(
         here.body,
-        here.held,
+        here.constraints,
         retargeted.poses,
         jnp.asarray(targets, dtype),
         jnp.asarray(weights / PAIR_DEVIATION**2, dtype),
     )
     reached = here.positions(poses)[:, here.rows]
-    return PointPairResult(Motion(poses, retargeted.rate), np.linalg.norm(reached - places, axis=-1))
+    return PointPairResult(Motion(poses, retargeted.rate), np.linalg.norm(reached - scaled, axis=-1))
 
 
 class _PointSet:
@@ -109,16 +109,18 @@ class _PointSet:
         order = sorted(dict.fromkeys(points), key=lambda point: isinstance(point, str))
         #: row of each of `points`
         self.rows = np.array([order.index(point) for point in points])
-        self.held = make_constraints(self.body, [Constraint(point, (0.0, 0.0, 0.0)) for point in order])
+        self.constraints = make_constraints(
+            self.body, [Constraint(point, (0.0, 0.0, 0.0)) for point in order]
+        )
 
     def positions(self, poses: Pose) -> Float[np.ndarray, "F C 3"]:
-        return np.asarray(_point_positions(self.body, self.held, poses), float)
+        return np.asarray(_point_positions(self.body, self.constraints, poses), float)
 
     def mean_targets(
         self, positions: Float[np.ndarray, "F K 3"], weights: Sequence[float]
     ) -> tuple[Float[np.ndarray, "F C 3"], Float[np.ndarray, "C"]]:
         """Average the targets of pairs that share a point; return position and weight of every row."""
-        shares = np.zeros((len(self.held.weights), len(self.rows)))
+        shares = np.zeros((len(self.constraints.weights), len(self.rows)))
         shares[self.rows, np.arange(len(self.rows))] = weights
         total = shares.sum(1)
         shares /= np.where(total > 0, total, 1.0)[:, None]
@@ -168,8 +170,8 @@ def _solve_frames(
     deviations = tangent_deviations(body.skeleton, TRANSLATION_DEVIATION, ROTATION_DEVIATION)
 
     def one(frame):
-        pose, places = frame
-        energy = VertexLandmarks(points, places, weights) + PosePrior(pose, deviations)
+        pose, landmarks = frame
+        energy = VertexLandmarks(points, landmarks, weights) + PosePrior(pose, deviations)
         return solve(energy, small, pose).pose
 
     return jax.lax.map(one, (poses, targets))

@@ -66,9 +66,9 @@ def retarget(
         for sentence in plan.matches.warnings:
             warnings.warn(f"{sentence[0].upper()}{sentence[1:]}.", stacklevel=2)
     # source data stay in NumPy, so that one target compiles once for all sources
-    places, turns = joint_transforms(source, motion.poses)
+    positions, turns = joint_transforms(source, motion.poses)
     if floor is None:
-        floor = floor_height(places, plan.up)
+        floor = floor_height(positions, plan.up)
     dtype = target.centres.dtype
     since = _multiply_quaternions(turns, plan.reference * np.array([1.0, -1.0, -1.0, -1.0]))
     first, second = (since[:, np.maximum(plan.sources[:, end], 0)] for end in (0, 1))
@@ -80,7 +80,7 @@ def retarget(
         jnp.asarray(plan.shares, dtype),
         jnp.asarray(plan.alignment, dtype),
         jnp.asarray(plan.sources[:, 0] >= 0),
-        jnp.asarray(plan.ratio * places[:, plan.anchors[0]].mean(1) + lift, dtype),
+        jnp.asarray(plan.ratio * positions[:, plan.anchors[0]].mean(1) + lift, dtype),
         jnp.asarray(plan.anchors[1]),
     )
     return Motion(poses, motion.rate)

@@ -164,8 +164,8 @@ def _connect_components(vertices: np.ndarray, faces: np.ndarray) -> Int[np.ndarr
     found = []
     while not joined.all():
         inside, outside = np.flatnonzero(joined), np.flatnonzero(~joined)
-        apart, nearest = KDTree(vertices[inside]).query(vertices[outside])
-        best = int(np.argmin(apart))
+        distances, nearest = KDTree(vertices[inside]).query(vertices[outside])
+        best = int(np.argmin(distances))
         found.append([outside[best], inside[np.asarray(nearest)[best]]])
         joined |= labels == labels[outside[best]]
     return np.array(found, int).reshape(-1, 2)

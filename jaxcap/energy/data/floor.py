@@ -62,9 +62,9 @@ def make_floor(
     check_values("make_floor", np.isfinite, "a finite number of metres", height=height)
     check_deviations("make_floor", deviation=deviation)
     vertical = np.asarray(up, float) / np.linalg.norm(up)
-    places, dtype = np.asarray(body.vertices, float) @ vertical, body.vertices.dtype
-    lowest = np.argsort(places, kind="stable")[:NUM_LOWEST]
-    others = even_indices(len(places), NUM_SPREAD)
+    heights, dtype = np.asarray(body.vertices, float) @ vertical, body.vertices.dtype
+    lowest = np.argsort(heights, kind="stable")[:NUM_LOWEST]
+    others = even_indices(len(heights), NUM_SPREAD)
     rows = np.union1d(lowest, others)
     numbers = (jnp.asarray(number, dtype) for number in (vertical, height, deviation))
     return Floor(jnp.asarray(rows, jnp.int32), *numbers)

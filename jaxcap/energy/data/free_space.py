@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Posed
-from ...geometry.camera import project
+from ...geometry.camera import project_points
 from ...observe import DepthView
 from .vertices import AbstractVertexEnergy
 
@@ -40,7 +40,7 @@ class FreeSpace(AbstractVertexEnergy):
         """Compute the residual of each vertex and its derivative by the vertex's position."""
         camera = self.view.camera
         points = posed.vertices[self.vertices]
-        pixels, z = project(camera, points)
+        pixels, z = project_points(camera, points)
         size = jnp.array([camera.width, camera.height])
         inside = (z > 0) & jnp.all((pixels > 0) & (pixels < size - 1.0), -1)
         pixels, z = jnp.where(inside[:, None], pixels, 0.0), jnp.where(inside, z, 1.0)

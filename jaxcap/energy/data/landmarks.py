@@ -40,8 +40,8 @@ class BoneLandmarks(AbstractEnergy):
 
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations[self.bones], posed.transforms.translations[self.bones]
-        places = jnp.einsum("cab,cb->ca", r, self.rest) + t
-        return _weighted_residual(self.weights, places, self.targets)
+        positions = jnp.einsum("cab,cb->ca", r, self.rest) + t
+        return _weighted_residual(self.weights, positions, self.targets)
 
 
 class JointLandmarks(AbstractEnergy):

@@ -22,8 +22,8 @@ class LaplacianShape(AbstractEnergy):
     vectors: Float[Array, "V 3"]
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        apart = laplacian(self.metric, posed.vertices) - self.vectors
-        return apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+        differences = laplacian(self.metric, posed.vertices) - self.vectors
+        return differences.reshape(-1) / jnp.sqrt(jnp.asarray(len(differences), differences.dtype))
 
 
 @checked

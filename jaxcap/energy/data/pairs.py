@@ -58,8 +58,8 @@ class PairDistances(AbstractVertexEnergy):
     pairs: PointPairs
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        apart = pair_positions(self.pairs, posed.vertices) - self.pairs.points
-        return jnp.einsum("cra,ca->cr", pair_directions(self.pairs), apart).reshape(-1)
+        differences = pair_positions(self.pairs, posed.vertices) - self.pairs.points
+        return jnp.einsum("cra,ca->cr", pair_directions(self.pairs), differences).reshape(-1)
 
     def vertex_jacobian(self, posed: Posed):
         del posed

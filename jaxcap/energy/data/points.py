@@ -20,8 +20,8 @@ class PointToPoint(AbstractVertexEnergy):
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        apart = posed.vertices[self.vertices] - self.points
-        return (safe_sqrt(self.weights)[:, None] * apart).reshape(-1)
+        differences = posed.vertices[self.vertices] - self.points
+        return (safe_sqrt(self.weights)[:, None] * differences).reshape(-1)
 
     def vertex_jacobian(self, posed: Posed):
         del posed
@@ -39,8 +39,8 @@ class PointToPlane(AbstractVertexEnergy):
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        apart = posed.vertices[self.vertices] - self.points
-        return safe_sqrt(self.weights) * jnp.sum(self.normals * apart, -1)
+        differences = posed.vertices[self.vertices] - self.points
+        return safe_sqrt(self.weights) * jnp.sum(self.normals * differences, -1)
 
     def vertex_jacobian(self, posed: Posed):
         del posed

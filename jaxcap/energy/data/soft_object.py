@@ -102,8 +102,8 @@ def _blend(points, centres, precisions, stiffness):
     each tangent is a product with them. With automatic differentiation, every tangent would pass through all
     of the N x P distances.
     """
-    apart = points[:, None] - centres
-    distances = jax.vmap(jax.vmap(primitive_distance), (0, None))(apart, precisions)
+    differences = points[:, None] - centres
+    distances = jax.vmap(jax.vmap(primitive_distance), (0, None))(differences, precisions)
     return -jax.nn.logsumexp(-stiffness * distances, axis=1) / stiffness
 
 

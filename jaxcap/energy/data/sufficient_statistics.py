@@ -42,11 +42,11 @@ def rigid_moments(
     member = (bones[:, None] == jnp.arange(num_bones)) * weights[:, None]
     total = jnp.sum(member, 0)[:, None]
     safe = jnp.where(total > 0, total, 1.0)
-    origins, places = member.T @ rest / safe, member.T @ points / safe
-    stacked = jnp.concatenate([rest - origins[bones], jnp.ones_like(rest[:, :1]), points - places[bones]], 1)
+    origins, targets = member.T @ rest / safe, member.T @ points / safe
+    stacked = jnp.concatenate([rest - origins[bones], jnp.ones_like(rest[:, :1]), points - targets[bones]], 1)
     products = (stacked[:, :, None] * stacked[:, None, :]).reshape(-1, 49)
     moments = (member.T @ products).reshape(-1, 7, 7)
-    return RigidMoments(_semidefinite_factor(moments), origins, places)
+    return RigidMoments(_semidefinite_factor(moments), origins, targets)
 
 
 def _semidefinite_factor(moments: Float[Array, "J 7 7"]) -> Float[Array, "J 7 7"]:
@@ -58,9 +58,9 @@ def _semidefinite_factor(moments: Float[Array, "J 7 7"]) -> Float[Array, "J 7 7"
     columns, rest = [], moments
     for k in range(7):
         pivot = rest[:, k, k]
-        there = pivot > smallest[:, k]
-        column = rest[:, :, k] / jnp.sqrt(jnp.where(there, pivot, 1.0))[:, None]
-        column = jnp.where(there[:, None], column, 0.0)
+        valid = pivot > smallest[:, k]
+        column = rest[:, :, k] / jnp.sqrt(jnp.where(valid, pivot, 1.0))[:, None]
+        column = jnp.where(valid[:, None], column, 0.0)
         columns.append(column)
         rest = rest - column[:, :, None] * column[:, None, :]
     return jnp.stack(columns, -1)

@@ -11,11 +11,11 @@ from ..energy import AbstractEnergy
 class BoneSymmetry(AbstractEnergy):
     """Differences of the lengths of paired bones, metres (Adaptation, eq. 4.13).
 
-    They depend on the body and not on its pose, for problems with joint centres among the unknowns. `pairs`
-    of joints, left and right, as of `mirrored_joints`.
+    They depend on the body and not on its pose, for problems with joint centres among the unknowns.
+    `left_right_pairs` of joints are as of `body.symmetry.find_left_right_pairs`.
     """
 
-    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True)
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        return length_differences(posed.body.skeleton, self.pairs)[0]
+        return length_differences(posed.body.skeleton, self.left_right_pairs)[0]

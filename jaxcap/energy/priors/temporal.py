@@ -21,8 +21,8 @@ class SecondDifference(AbstractEnergy):
     after: Pose
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
-        apart = second_difference(self.before.rotations, posed.pose.rotations, self.after.rotations)
-        return apart.reshape(-1) / jnp.sqrt(jnp.asarray(len(apart), apart.dtype))
+        differences = second_difference(self.before.rotations, posed.pose.rotations, self.after.rotations)
+        return differences.reshape(-1) / jnp.sqrt(jnp.asarray(len(differences), differences.dtype))
 
 
 def second_difference(

@@ -102,17 +102,17 @@ def _weighted_pairs(
     """
     count = len(surface.vertices)
     own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
-    places = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
-    apart = np.linalg.norm(places - found.points, axis=1)
+    positions = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
+    distances = np.linalg.norm(positions - found.points, axis=1)
     good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= normal_threshold)
     if matching.uniform and found.row_type == "point" and len(scan.faces):
-        good &= ~_furthest_in(scan.faces, np.where(good, apart, 0.0))
+        good &= ~_furthest_in(scan.faces, np.where(good, distances, 0.0))
     elif matching.uniform and found.row_type == "point":
         corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
-        good &= ~_furthest_at(corner, np.where(good, apart, 0.0), count)
+        good &= ~_furthest_at(corner, np.where(good, distances, 0.0), count)
     elif matching.uniform and found.row_type == "vertex":
-        good &= ~_furthest_in(surface.faces, np.where(good, apart, 0.0))
-    weights = np.where(good, found.mass * _charbonnier_weights(apart, matching), 0.0)
+        good &= ~_furthest_in(surface.faces, np.where(good, distances, 0.0))
+    weights = np.where(good, found.mass * _charbonnier_weights(distances, matching), 0.0)
     wide = ((0, 0), (0, width - found.vertices.shape[1]))
     columns = (
         # padded with a repeated vertex with share zero
@@ -124,9 +124,9 @@ def _weighted_pairs(
     )
     if found.row_type != "point":
         return columns
-    *places, weights = columns
+    *positions, weights = columns
     extra = (0, scan.padded_size - len(weights))
-    return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in places), np.pad(weights, extra)
+    return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in positions), np.pad(weights, extra)
 
 
 def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:

@@ -13,7 +13,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from ...observe.clouds import Cloud
-from .part_blocks import BLOCK, Parts
+from .part_blocks import BLOCK, PartBlocks
 
 #: Points in a tile.
 TILE = 32
@@ -26,7 +26,7 @@ MAX_CULLED_SHARE = 0.3
 
 
 def nearest_vertices(
-    parts: Parts,
+    parts: PartBlocks,
     vertices: Float[Array, "V 3"],
     normals: Float[Array, "V 3"],
     cloud: Cloud,
@@ -123,7 +123,7 @@ def _nearest_in_reach(tiles, blocks, near):
     return tuple(rows.reshape(*near.shape, TILE) for rows in found)
 
 
-def _nearest_by_part(parts: Parts, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
+def _nearest_by_part(parts: PartBlocks, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
     """Find the best of each part's blocks, `(K, N)`, by a running minimum that restarts with every part."""
     counts = np.array(parts.blocks_of_part)
     last = np.cumsum(counts) - 1

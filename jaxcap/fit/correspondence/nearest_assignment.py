@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from ...arguments import checked
 from ...geometry.closest import nearest_on_surface
-from ...observe import Scan as FileScan
+from ...observe import Scan
 from ...observe.clouds import Cloud, as_cloud, padded_size, unit_normals
 
 
@@ -36,14 +36,14 @@ def make_scan(cloud: Cloud) -> IndexedScan:
 
     **Raises:** `ValueError` where there is none.
     """
-    there = np.asarray(cloud.weights) > 0
-    if not there.any():
+    valid = np.asarray(cloud.weights) > 0
+    if not valid.any():
         raise ValueError("The cloud has no points with a weight above zero.")
-    points, normals = (np.asarray(part, float)[there] for part in (cloud.points, cloud.normals))
-    return IndexedScan(points, normals, KDTree(points), len(there), np.zeros((0, 3), int))
+    points, normals = (np.asarray(part, float)[valid] for part in (cloud.points, cloud.normals))
+    return IndexedScan(points, normals, KDTree(points), len(valid), np.zeros((0, 3), int))
 
 
-def as_scan(frame: IndexedScan | Cloud | FileScan) -> IndexedScan:
+def as_scan(frame: IndexedScan | Cloud | Scan) -> IndexedScan:
     """Convert a frame to a scan: the points of a cloud, or of a frame read from a file; a scan is returned
     unchanged.
     """

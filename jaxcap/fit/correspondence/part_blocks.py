@@ -12,7 +12,7 @@ from ...arguments import checked
 BLOCK = 32
 
 
-class Parts(eqx.Module):
+class PartBlocks(eqx.Module):
     """A body's vertices in blocks of 32, each of one part and compact in space.
 
     The blocks of part `k` are consecutive: `blocks_of_part[k]` of them, after those of the previous parts. A
@@ -36,11 +36,11 @@ class Parts(eqx.Module):
 
 
 @checked
-def make_parts(
+def make_part_blocks(
     bones: Int[Array | np.ndarray, "V"],
     num_parts: int,
     vertices: Float[Array | np.ndarray, "W 3"] | None = None,
-) -> Parts:
+) -> PartBlocks:
     """Make the blocks of a body with vertex `v` in part `bones[v]`; once, in NumPy.
 
     **Arguments:** `bones (V,)` in `[0, num_parts)`; `vertices (V, 3)` positions, for example at rest, to make
@@ -71,7 +71,7 @@ def make_parts(
             split = _split(members, np.asarray(vertices))
         counts.append(len(split))
         blocks += [np.pad(block, (0, BLOCK - len(block)), mode="edge") for block in split]
-    return Parts(jnp.array(blocks, jnp.int32), tuple(counts))
+    return PartBlocks(jnp.array(blocks, jnp.int32), tuple(counts))
 
 
 def _split(members: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:

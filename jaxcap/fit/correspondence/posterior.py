@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...arguments import checked
 from ...observe.clouds import Cloud
 from .nearest import nearest_vertices
-from .part_blocks import Parts
+from .part_blocks import PartBlocks
 
 #: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without which a point
 #: with no compatible vertex would have no posterior.
@@ -38,7 +38,7 @@ class Posterior(eqx.Module):
 
 @checked
 def posterior(
-    parts: Parts,
+    parts: PartBlocks,
     vertices: Float[Array, "V 3"],
     normals: Float[Array, "V 3"],
     cloud: Cloud,

@@ -86,9 +86,9 @@ class SoftAssignment(AbstractAssignment):
             near = KDTree(points[own]).sparse_distance_matrix(tree, max_distance, output_type="ndarray")
             row, column = near["i"], near["j"]
             good = np.einsum("pa,pa->p", normals[own][row], centre_normals[column]) >= normal_threshold
-            row, column, apart = row[good], column[good], near["v"][good]
+            row, column, distances = row[good], column[good], near["v"][good]
             shares = _posterior_shares(
-                row, highest - 0.5 * (apart / self.sigma) ** 2, outlier_density, len(points[own])
+                row, highest - 0.5 * (distances / self.sigma) ** 2, outlier_density, len(points[own])
             )
             shape = (len(points[own]), len(centres))
             rows.append(scipy.sparse.csr_array((shares, (row, column)), shape=shape))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
-from ...geometry.camera import Camera, is_in_image, project
+from ...geometry.camera import Camera, is_in_image, project_points
 from ...geometry.mesh import vertex_normals
 
 #: depth below which triangles occlude nothing, metres
@@ -45,29 +45,31 @@ def visible_vertices(
 @partial(jax.jit, static_argnums=5)
 def _visible_from(camera: Camera, vertices, normals, faces, tolerance, pixels: int) -> Bool[Array, "V"]:
     turned = jnp.sum(normals * (camera.eye - vertices), -1) > 0
-    places, depth = project(camera, vertices)
+    positions, depth = project_points(camera, vertices)
     front = depth > MIN_DEPTH
     # the buffer covers the box around the vertices in the image
     inside = is_in_image(camera, vertices)
-    first = jnp.min(jnp.where(inside[:, None], places, jnp.inf), 0)
-    last = jnp.max(jnp.where(inside[:, None], places, -jnp.inf), 0)
+    first = jnp.min(jnp.where(inside[:, None], positions, jnp.inf), 0)
+    last = jnp.max(jnp.where(inside[:, None], positions, -jnp.inf), 0)
     scale = (pixels - 1) / jnp.maximum(last - first, 1e-3)
-    places = jnp.where(inside.any(), (places - first) * scale, 0.0)
-    nearest = _depth_buffer(places, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels)
+    positions = jnp.where(inside.any(), (positions - first) * scale, 0.0)
+    nearest = _depth_buffer(
+        positions, jnp.where(front, 1.0 / jnp.where(front, depth, 1.0), 0.0), faces, pixels
+    )
     # slopes of the inverse depth of the plane at each vertex, by column and row
     normal = normals @ camera.rotation.T
     away = jnp.sum(normals * (vertices - camera.eye), -1)
     slopes = normal[:, :2] / (camera.focal * scale * jnp.where(turned, away, -1.0)[:, None])
-    corner = jnp.clip(jnp.floor(places), 0, pixels - 2)
+    corner = jnp.clip(jnp.floor(positions), 0, pixels - 2)
     clear = jnp.zeros(len(vertices))
     for step in ((0, 0), (0, 1), (1, 0), (1, 1)):
         at = corner + jnp.array(step)
-        apart = at - places
-        there = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
+        offsets = at - positions
+        inverse_depth = nearest[at[:, 1].astype(int), at[:, 0].astype(int)]
         # for a plane seen edge-on the prediction is useless
-        change = jnp.clip(jnp.sum(slopes * apart, -1) * depth**2, -MAX_DEPTH_CHANGE, MAX_DEPTH_CHANGE)
-        share = jnp.prod(1 - jnp.abs(apart), -1)
-        clear = clear + share * (there * (depth - change - tolerance) < 1.0)
+        change = jnp.clip(jnp.sum(slopes * offsets, -1) * depth**2, -MAX_DEPTH_CHANGE, MAX_DEPTH_CHANGE)
+        share = jnp.prod(1 - jnp.abs(offsets), -1)
+        clear = clear + share * (inverse_depth * (depth - change - tolerance) < 1.0)
     return inside & front & turned & (clear > 0.5)
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .evidence import COVERAGE_TOLERANCE, NUM_DIRECTIONS, Evidence
-from .surface import SampledSurface
+from .region_samples import RegionSamples
 
 #: least rate of the running statistics
 MIN_RATE = 0.03
@@ -35,7 +35,7 @@ class Baseline(eqx.Module):
     flagged: Float[Array, ""]
 
 
-def initial_baseline(surface: SampledSurface, num_cameras: int = 0) -> Baseline:
+def initial_baseline(surface: RegionSamples, num_cameras: int = 0) -> Baseline:
     """Make the statistics before the first frame; `num_cameras` is zero if the cameras are not known."""
     level = jnp.zeros((NUM_ROWS, len(surface.names) + 1), surface.areas.dtype)
     none = jnp.zeros((), level.dtype)

@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import pose_body
 from ...body.pose import Pose
-from ...geometry.camera import Camera, is_in_image, project
+from ...geometry.camera import Camera, is_in_image, project_points
 from ...observe.clouds import Cloud
 from .inside import inside_degrees
-from .surface import MIN_DISTANCE, STRIDE, SampledSurface
+from .region_samples import MIN_DISTANCE, STRIDE, RegionSamples
 
 #: points sampled from a cloud
 NUM_POINTS = 1536
@@ -61,7 +61,7 @@ class Evidence(eqx.Module):
 
 @eqx.filter_jit
 def gather_evidence(
-    surface: SampledSurface, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
+    surface: RegionSamples, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
 ) -> Evidence:
     """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
@@ -105,10 +105,10 @@ def gather_evidence(
         clear = _visible_from(directions, vertices, size)
         # at grazing angles the coverage falls steeply with the angle to the next sensor
         share = _coverage(clear & (cosine > MIN_COVERAGE_COSINE), covered)
-        there = share >= jnp.max(share) - COVERAGE_TOLERANCE
+        selected = share >= jnp.max(share) - COVERAGE_TOLERANCE
         if len(sensors):
-            there = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, there)
-        facing = (cosine > MIN_SIGHT_COSINE) & there[:, None]
+            selected = jnp.where(jnp.any(jnp.asarray(sensors) > 0), jnp.asarray(sensors) > 0, selected)
+        facing = (cosine > MIN_SIGHT_COSINE) & selected[:, None]
         # the direction of a sensor is approximate: a sample occluded from any direction nearby may be
         # occluded
         expected = jnp.any(facing, 0) & ~jnp.any(facing & ~clear, 0)
@@ -184,8 +184,8 @@ def _visible_from(
     across = jnp.cross(helper, directions)
     across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
     up = jnp.cross(directions, across)
-    places = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
-    return jax.vmap(_unoccluded, (1, 1, None))(places, vertices @ directions.T, OCCLUSION_DEPTH * size)
+    cells = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
+    return jax.vmap(_unoccluded, (1, 1, None))(cells, vertices @ directions.T, OCCLUSION_DEPTH * size)
 
 
 def _visible_in_camera(
@@ -194,7 +194,7 @@ def _visible_in_camera(
     """Find the samples that a camera sees."""
     sight = camera.eye - vertices
     sight = sight / jnp.linalg.norm(sight, axis=1, keepdims=True)
-    pixels, depth = project(camera, vertices)
+    pixels, depth = project_points(camera, vertices)
     # a cell is as wide as `DEPTH_CELL_SIZE` in the depth of the body's centre
     wide = DEPTH_CELL_SIZE * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
     clear = _unoccluded(pixels / wide, -depth, OCCLUSION_DEPTH * size)

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from .baseline import INSIDE, Baseline, stack_evidence
 from .evidence import NUM_POINTS, Evidence
-from .surface import SampledSurface
+from .region_samples import RegionSamples
 
 #: excesses over the normal level at which a frame is lost, in one region and of the whole body, of the rows
 #: of `stack_evidence`
@@ -95,7 +95,7 @@ class Judgement(eqx.Module):
 
 
 @eqx.filter_jit
-def judge_evidence(surface: SampledSurface, baseline: Baseline, evidence: Evidence) -> Judgement:
+def judge_evidence(surface: RegionSamples, baseline: Baseline, evidence: Evidence) -> Judgement:
     """Compare the evidence of a frame with the baseline.
 
     Before the first frame it has no frames (`initial_baseline`). Absolute limits then make a frame doubtful, and

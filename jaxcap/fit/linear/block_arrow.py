@@ -78,8 +78,8 @@ class BlockArrow(AbstractStructuredMatrix):
         frames = self.frames.factorise()
         columns = frames.forward(self.coupling)
         with jax.default_matmul_precision("highest"):
-            told = jnp.tensordot(columns, columns, ((0, 1), (0, 1)))
-            return ArrowFactor(frames, columns, factorise(self.shared - told))
+            eliminated = jnp.tensordot(columns, columns, ((0, 1), (0, 1)))
+            return ArrowFactor(frames, columns, factorise(self.shared - eliminated))
 
 
 class ArrowFactor(AbstractFactor):

@@ -71,8 +71,8 @@ class BlockBanded(AbstractStructuredMatrix):
         frames, width, dofs, _ = self.blocks.shape
         scale = diagonal_scale(self.diagonal())
         even = self.blocks * scale[:, None, :, None] * stack_previous(scale, width)[:, :, None, :]
-        there = jnp.arange(frames)[:, None] >= jnp.arange(width)
-        even = jnp.where(there[:, :, None, None], even, 0.0)
+        exists = jnp.arange(frames)[:, None] >= jnp.arange(width)
+        even = jnp.where(exists[:, :, None, None], even, 0.0)
         one = jnp.eye(dofs, dtype=even.dtype)
         even = even.at[:, 0].add(rounding_bound(dofs, even.dtype) * one)
 

@@ -44,9 +44,11 @@ def window_equations(
         poses, gaps = window
 
         def moved(d):
-            there = body_at(d[number * dofs :])
+            moved_body = body_at(d[number * dofs :])
             steps = d[: number * dofs].reshape(number, dofs)
-            r = _residual(term, there, jax.vmap(retract, (None, 0, 0))(there.skeleton, poses, steps), gaps)
+            r = _residual(
+                term, moved_body, jax.vmap(retract, (None, 0, 0))(moved_body.skeleton, poses, steps), gaps
+            )
             return r, r
 
         rows, r = jax.jacfwd(moved, has_aux=True)(jnp.zeros(number * dofs + count, dtype))

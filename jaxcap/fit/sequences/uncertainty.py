@@ -16,8 +16,8 @@ from ...body.skeleton import dof_layout
 from ...errors import InputError
 from ..linear.cholesky import diagonal_scale
 from ..solvers.implicit import free_unknowns
-from .problem import SequenceEstimate, SequenceProblem
-from .solve import SequenceSolution
+from .sequence_problem import SequenceEstimate, SequenceProblem
+from .solve_sequence import SequenceSolution
 
 #: a coordinate is unobservable if its variance, on a unit diagonal, is above this share of the largest
 #: resolvable one

@@ -185,8 +185,8 @@ class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):
         return jnp.zeros((len(self.vertices), 3), body.vertices.dtype)
 
     def apply(self, body, value):
-        places = body.vertices.at[jnp.array(self.vertices, int)].add(value)
-        return eqx.tree_at(lambda b: b.vertices, body, places)
+        vertices = body.vertices.at[jnp.array(self.vertices, int)].add(value)
+        return eqx.tree_at(lambda b: b.vertices, body, vertices)
 
     def retract(self, value, d):
         return value + d.reshape(value.shape)

@@ -105,7 +105,7 @@ def _find_releasable(system: AbstractStructuredMatrix, rhs: PyTree, step: PyTree
     """Find the fixed unknowns that would lower the objective by moving inwards from their bound."""
     largest = system.abs_mv(jax.tree.map(jnp.abs, step))
 
-    def drawn(image, b, size, a):
+    def points_inwards(image, b, size, a):
         return a * (image - b) > ROUNDINGS * jnp.finfo(b.dtype).eps * (size + jnp.abs(b))
 
-    return jax.tree.map(drawn, system.mv(step), rhs, largest, active)
+    return jax.tree.map(points_inwards, system.mv(step), rhs, largest, active)

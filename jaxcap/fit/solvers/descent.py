@@ -13,7 +13,7 @@ from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
 
 
-class Constraints(eqx.Module):
+class StepConstraints(eqx.Module):
     """Constraints on a step from the point of linearisation, in scaled tangents.
 
     Bounds on each unknown, which may be infinite, and linear equalities of the shared unknowns, which then
@@ -28,7 +28,7 @@ class Constraints(eqx.Module):
 class ConstrainedInfo(optx.FunctionInfo.EvalGradHessian):
     """Value, gradient and structured Hessian, with the constraints on a step."""
 
-    constraints: Constraints | None = None
+    constraints: StepConstraints | None = None
 
 
 class NormalDescent(optx.AbstractDescent):
@@ -60,7 +60,7 @@ class NormalDescent(optx.AbstractDescent):
         return _solve(matrix, side, state.constraints), optx.RESULTS.successful
 
 
-def _solve(matrix: AbstractStructuredMatrix, rhs: PyTree, constraints: Constraints | None) -> PyTree:
+def _solve(matrix: AbstractStructuredMatrix, rhs: PyTree, constraints: StepConstraints | None) -> PyTree:
     equalities = None if constraints is None else constraints.equalities
     if constraints is not None and constraints.low is not None:
         return solve_bounded(matrix, rhs, constraints.low, constraints.high, equalities)

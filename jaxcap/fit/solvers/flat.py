@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ...arguments import checked
-from .problem import AbstractProblem
+from .least_squares_problem import AbstractProblem
 
 
 class FlatProblem(eqx.Module):

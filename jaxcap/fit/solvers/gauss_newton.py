@@ -11,8 +11,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..linear.cholesky import factorise
+from .least_squares_problem import AbstractProblem
 from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
-from .problem import AbstractProblem
 
 
 class GaussNewtonState(eqx.Module):

@@ -60,11 +60,11 @@ def hierarchical_step(levels: list[LinearSystem], damping: Damping) -> Float[Arr
         normal = jacobian.T @ jacobian
         stiffest = jnp.linalg.norm(normal)
         values, vectors = jnp.linalg.eigh(free @ normal @ free)
-        held = values > size * jnp.finfo(dtype).eps * stiffest
+        significant = values > size * jnp.finfo(dtype).eps * stiffest
         # eigenvectors of small values leave the free space by rounding
-        vectors = jnp.where(held, free @ vectors, 0.0)
+        vectors = jnp.where(significant, free @ vectors, 0.0)
         gradient = vectors.T @ (jacobian.T @ (residual + jacobian @ d))
-        values = jnp.where(held, values, 1.0)
+        values = jnp.where(significant, values, 1.0)
         # with damping l^2 a step is at most c / 2 l long, where c is the length of the reducible residual
         limit = jnp.sum(gradient**2 / values) / (2 * MAX_STEP) ** 2
         added = damping.constant + (damping.relative * stiffest if number else 0.0)

@@ -13,8 +13,8 @@ from ..linear.conjugate_gradients import conjugate_gradients
 from ..linear.structured import damped
 from .descent import ConstrainedInfo
 from .equalities import Equalities
+from .least_squares_problem import AbstractProblem
 from .minimise import AnySolver, Minimum, minimise
-from .problem import AbstractProblem
 
 #: of the conjugate gradients for a derivative: largest number of steps, relative residual at the end, and its
 #: lower limit in roundings
@@ -112,9 +112,11 @@ def _constrained_system(info: ConstrainedInfo) -> _ConstrainedSystem:
     if constraints is not None and constraints.low is not None:
         hessian = hessian.restricted(free)
     dtype = info.as_min().dtype
-    held = damped(hessian, jnp.asarray(jnp.finfo(dtype).eps ** RIDGE_EXPONENT, dtype))
-    little = jax.tree.map(jnp.subtract, held.diagonal(), hessian.diagonal())
-    return _ConstrainedSystem(held.factorise(), little, free, None if equalities is None else equalities.rows)
+    damped_hessian = damped(hessian, jnp.asarray(jnp.finfo(dtype).eps ** RIDGE_EXPONENT, dtype))
+    little = jax.tree.map(jnp.subtract, damped_hessian.diagonal(), hessian.diagonal())
+    return _ConstrainedSystem(
+        damped_hessian.factorise(), little, free, None if equalities is None else equalities.rows
+    )
 
 
 def free_unknowns(info: ConstrainedInfo) -> Any:

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ...errors import InputError
 from .descent import NormalDescent
+from .least_squares_problem import AbstractNestedProblem, AbstractProblem
 from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
-from .problem import AbstractNestedProblem, AbstractProblem
 
 #: changes of the energy count if they exceed this many roundings of it
 ENERGY_ROUNDINGS = 4

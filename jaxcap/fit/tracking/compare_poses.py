@@ -14,16 +14,18 @@ from .track_frame import Tracker, TrackState, penalty, start_state
 
 #: standard deviation at which poses are compared, metres
 COMPARISON_SIGMA = 0.02
-#: a pose with a mean log-likelihood below the best by more than this is not improved
+#: a pose with a `log_posterior` below the best by more than this is not improved
 MAX_DEFICIT = 0.3
 
 _change = eqx.filter_jit(difference)
 
 
 @eqx.filter_jit
-def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
-    """Evaluate a pose by the mean log-likelihood of a cloud's points, at a standard deviation that is the
-    same for all poses.
+def log_posterior(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
+    """Compute the log-density of a pose for each point of a cloud, up to a constant: the mean log-likelihood of the
+    points minus the `penalty` of the priors.
+
+    The standard deviation is the same for all poses.
     """
     sigma = jnp.asarray(COMPARISON_SIGMA, pose.rotations.dtype)
     estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
@@ -37,13 +39,13 @@ def log_likelihood(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, "
 def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
     """Track a frame from a nearby pose, by the tracker's own steps; never to a less likely pose.
 
-    Returns the result of `track_frame`, and the log-likelihood of the pose.
+    Returns the result of `track_frame`, and the `log_posterior` of the pose.
     """
     state, statistics = track_frame_jit(
         tracker, reset_velocity(tracker, start_state(tracker, pose), 0.0), cloud
     )
     state = reset_velocity(tracker, state)
-    before, after = (float(log_likelihood(tracker, p, cloud)) for p in (pose, state.estimate.pose))
+    before, after = (float(log_posterior(tracker, p, cloud)) for p in (pose, state.estimate.pose))
     if after >= before:
         return state, statistics, after
     return eqx.tree_at(lambda s: s.estimate.pose, state, pose), statistics, before
@@ -60,14 +62,14 @@ def choose_likeliest(
 ) -> tuple[TrackState, FrameStatistics]:
     """Choose between the tracked pose of a frame and some other `poses`, unchanged and improved.
 
-    **Arguments:** `previous` is the pose of the previous frame, from which the body has moved; `margin` the mean
-    log-likelihood by which another pose has to be better.
+    **Arguments:** `previous` is the pose of the previous frame, from which the body has moved; `margin` the
+    `log_posterior` by which another pose has to be better.
 
     The state and the statistics are the same objects if no other pose is better.
     """
-    best = float(log_likelihood(tracker, state.estimate.pose, cloud)) + margin
+    best = float(log_posterior(tracker, state.estimate.pose, cloud)) + margin
     for pose in poses:
-        if float(log_likelihood(tracker, pose, cloud)) < best - MAX_DEFICIT:
+        if float(log_posterior(tracker, pose, cloud)) < best - MAX_DEFICIT:
             continue
         found, measured, likelihood = track_from(tracker, pose, cloud)
         if likelihood > best:
@@ -78,5 +80,5 @@ def choose_likeliest(
 
 def likelier_pose(tracker: Tracker, first: Pose, second: Pose, cloud: Cloud) -> Pose:
     """Choose the likelier of two poses of a frame; the first where they are equal."""
-    likelihoods = [float(log_likelihood(tracker, pose, cloud)) for pose in (first, second)]
+    likelihoods = [float(log_posterior(tracker, pose, cloud)) for pose in (first, second)]
     return first if likelihoods[0] >= likelihoods[1] else second

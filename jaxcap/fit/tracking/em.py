@@ -12,14 +12,14 @@ from ...energy.data.sufficient_statistics import rigid_moments
 from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
-from ..correspondence.part_blocks import Parts
+from ..correspondence.part_blocks import PartBlocks
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
-from ..problem import PoseProblem
+from ..pose_problem import PoseProblem
 from ..solvers.descent import NormalDescent
 from ..solvers.minimise import take_step
 
 
-class Mixture(eqx.Module):
+class MixtureSettings(eqx.Module):
     """Parameters of the mixture model."""
 
     #: least cosine between a point's normal and that of a matched vertex
@@ -44,7 +44,7 @@ class Mixture(eqx.Module):
 
 
 @checked
-def make_mixture(
+def make_mixture_settings(
     normal_threshold: float = 0.5,
     outlier: float = 0.1,
     smallest_sigma: float = 0.002,
@@ -52,19 +52,19 @@ def make_mixture(
     damping: float = 1.0,
     candidates: int = 1,
     estimate_priors: bool = False,
-) -> Mixture:
-    """Make a `Mixture` from plain numbers.
+) -> MixtureSettings:
+    """Make a `MixtureSettings` from plain numbers.
 
     **Raises:** `InputError` for one that is out of its range.
     """
-    where = "make_mixture"
+    where = "make_mixture_settings"
     check_within(where, -1, 1, normal_threshold=normal_threshold)
     check_values(where, lambda share: (share > 0) & (share < 1), "a share between 0 and 1", outlier=outlier)
     check_positive(where, "metres", smallest_sigma=smallest_sigma)
     check_within(where, 0, 1, tangential_weight=tangential_weight)
     check_at_least(where, 0, damping=damping)
     check_at_least(where, 1, candidates=candidates)
-    return Mixture(
+    return MixtureSettings(
         normal_threshold=as_number(normal_threshold),
         outlier=as_number(outlier),
         smallest_sigma=as_number(smallest_sigma),
@@ -97,7 +97,7 @@ class FrameStatistics(eqx.Module):
     sigma: Float[Array, ""]
 
 
-def uniform_priors(parts: Parts, dtype=None) -> Float[Array, "K"]:
+def uniform_priors(parts: PartBlocks, dtype=None) -> Float[Array, "K"]:
     """Make uniform priors over the parts that have vertices (Kineben, eq. 19)."""
     present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
     return present / jnp.sum(present)
@@ -123,7 +123,7 @@ def data_energy(
     return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
 
 
-def e_step(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, estimate: Estimate):
+def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud, volume, estimate: Estimate):
     """Compute the E-step at an estimate: `(posed, posterior)`."""
     posed = pose_body(body, estimate.pose)
     found = posterior(
@@ -143,8 +143,8 @@ def e_step(body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume, est
 
 def em_step(
     body: Body,
-    parts: Parts,
-    mixture: Mixture,
+    parts: PartBlocks,
+    mixture: MixtureSettings,
     prior: AbstractEnergy,
     cloud: Cloud,
     volume: Float[Array, ""],
@@ -159,8 +159,8 @@ def em_step(
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
     energy = Sum(terms_of(data) + terms_of(prior))
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
-    apart = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
-    squared = jnp.sum(apart**2, -1)
+    differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
+    squared = jnp.sum(differences**2, -1)
     # without a single inlier there is nothing to estimate from, and nothing moves
     seen = jnp.sum(cloud.weights[:, None] * found.weights) > 0
     sigma = jnp.maximum(update_sigma(found, squared, cloud.weights), mixture.smallest_sigma)
@@ -172,7 +172,12 @@ def em_step(
 
 
 def frame_statistics(
-    body: Body, parts: Parts, mixture: Mixture, cloud: Cloud, volume: Float[Array, ""], estimate: Estimate
+    body: Body,
+    parts: PartBlocks,
+    mixture: MixtureSettings,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    estimate: Estimate,
 ) -> FrameStatistics:
     """Compute the statistics of an estimate's fit to its cloud."""
     _, found = e_step(body, parts, mixture, cloud, volume, estimate)

@@ -15,13 +15,13 @@ from ...body.pose import Pose, concatenate_poses, rest_pose, retract
 from ...body.skeleton import Skeleton, dof_layout
 from ...energy.energy import Sum, unweighted
 from ...energy.priors.limits import JointLimits
-from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
 from ...parallel import parallel_map
 from ...value_checks import check_at_least, check_direction
-from ..correspondence.part_blocks import make_parts
+from ..correspondence.part_blocks import make_part_blocks
 from .em import Estimate, box_volume, em_step, uniform_priors
 from .prior_starts import limb_starts, mean_pose
 from .track_frame import Tracker, frame_terms, penalty
@@ -178,7 +178,7 @@ def coarse_tracker(tracker: Tracker) -> Tracker:
     over_joints = tuple(
         t for t in tracker.terms if isinstance(unweighted(t), JointLimits | PosePrior | RestPrior)
     )
-    parts = make_parts(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
+    parts = make_part_blocks(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
     return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
 
 
@@ -221,7 +221,7 @@ def initialise(
     vertical = jnp.asarray(up, rest.rotations.dtype)
     wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE_SIGMAS, FINE_SIGMAS))
     if starts is None:
-        standing = [rest] if tracker.people is None else [rest, mean_pose(tracker.people, skeleton)]
+        standing = [rest] if tracker.pose_prior is None else [rest, mean_pose(tracker.pose_prior, skeleton)]
         starts = concatenate_poses([rotated_starts(coarse, few, pose, turns, vertical) for pose in standing])
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses, _ = anneal_sorted(coarse, few, starts, wide)
@@ -247,8 +247,8 @@ def refine(
     """
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
-    if tracker.people is not None:
-        near = concatenate_poses([near, limb_starts(tracker.people, skeleton, poses)])
+    if tracker.pose_prior is not None:
+        near = concatenate_poses([near, limb_starts(tracker.pose_prior, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
     poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)

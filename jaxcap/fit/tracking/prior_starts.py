@@ -5,7 +5,7 @@ import numpy as np
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...energy.priors.gaussian import GaussianPrior
+from ...energy.priors.gaussian_pose_prior import GaussianPrior
 from ...geometry import rotation
 
 #: first joints of the limbs that one start moves to the mean

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 from ...body.pose import Pose, concatenate_poses
-from ...energy.priors.prior import tangent_deviations
+from ...energy.priors.reference_pose import tangent_deviations
 from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
@@ -19,7 +19,7 @@ from ..judgement.baseline import (
     update_baseline,
 )
 from ..judgement.evidence import gather_evidence
-from ..judgement.surface import SampledSurface
+from ..judgement.region_samples import RegionSamples
 from ..judgement.verdict import Judgement, judge_evidence
 from .em import Estimate, FrameStatistics
 from .initialise import (
@@ -46,22 +46,29 @@ NUM_JUMP_DIRECTIONS = 4
 track_frame_jit = eqx.filter_jit(track_frame)
 
 
-class SearchPause(eqx.Module):
-    """The pause between searches, after searches without success."""
+class SearchHistory(eqx.Module):
+    """The number of searches, and the pause after searches without success."""
 
     #: frames until the next search is allowed
     wait: float = 0.0
     #: length of the pause after the last search
     length: float = 0.0
+    #: number of searches so far
+    count: float = 0.0
 
-    def advance(self, good: bool) -> "SearchPause":
+    def advance(self, good: bool) -> "SearchHistory":
         """Advance by one frame; good frames shorten the pauses again."""
-        return SearchPause(max(self.wait - 1.0, 0.0), 0.5 * self.length if good else self.length)
+        return SearchHistory(
+            max(self.wait - 1.0, 0.0), 0.5 * self.length if good else self.length, self.count
+        )
 
-    def extend(self) -> "SearchPause":
-        """Double the pause after a search without success."""
+    def extend(self) -> "SearchHistory":
+        """Count a search without success, and double the pause after it."""
         pause = min(max(2.0 * self.length, MIN_PAUSE), MAX_PAUSE)
-        return SearchPause(pause, pause)
+        return SearchHistory(pause, pause, self.count + 1.0)
+
+
+NO_SEARCHES = SearchHistory()
 
 
 class TrackedFrame(eqx.Module):
@@ -73,15 +80,14 @@ class TrackedFrame(eqx.Module):
     lost: bool
     #: faults by part, compared with the previous frames
     judgement: Judgement
-    #: start of the next frame; with the four fields below it is sufficient to resume after a stop
+    #: start of the next frame; with the three fields below it is sufficient to resume after a stop
     state: TrackState
     #: pose of the last frame that was not lost, including this one
     trusted: Pose
     #: statistics of the good frames so far
     baseline: Baseline
-    search_pause: SearchPause
-    #: number of searches so far, including this frame's
-    searches: float
+    #: searches so far, including this frame's
+    searches: SearchHistory
 
     @property
     def verdict(self) -> str:
@@ -121,7 +127,7 @@ def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
 
 
 def track_first_frame(
-    tracker: Tracker, surface: SampledSurface, cloud: Cloud, pose: Pose, sigma: float
+    tracker: Tracker, surface: RegionSamples, cloud: Cloud, pose: Pose, sigma: float
 ) -> TrackedFrame:
     """Track the first frame from a pose near it.
 
@@ -134,18 +140,17 @@ def track_first_frame(
         state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
     baseline = initial_baseline(surface, len(cloud.views))
-    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline, SearchPause())
+    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline)
     return finish_frame(tracker, frame, pose)
 
 
 def judge_frame(
-    surface: SampledSurface,
+    surface: RegionSamples,
     cloud: Cloud,
     state: TrackState,
     statistics: FrameStatistics,
     baseline: Baseline,
-    patience: SearchPause,
-    searches: float = 0.0,
+    searches: SearchHistory = NO_SEARCHES,
 ) -> TrackedFrame:
     """Compare a frame with the `baseline`, and update this if the frame is good.
 
@@ -157,12 +162,12 @@ def judge_frame(
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
-    return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, patience, searches)
+    return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, searches)
 
 
 @eqx.filter_jit
 def _compare(
-    surface: SampledSurface, baseline: Baseline, pose: Pose, cloud: Cloud
+    surface: RegionSamples, baseline: Baseline, pose: Pose, cloud: Cloud
 ) -> tuple[Judgement, Baseline]:
     cameras = [view.camera for view in cloud.views]
     evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline))
@@ -173,7 +178,7 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
     """Determine the start of the next frame: the last trusted pose, `previous`, if the body is not in the
     cloud.
     """
-    patience = frame.search_pause.advance(frame.verdict == "good")
+    searches = frame.searches.advance(frame.verdict == "good")
     pose, state = frame.pose, frame.state
     if frame.lost:
         finite = _finite(pose)
@@ -182,13 +187,13 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
     return eqx.tree_at(
-        lambda f: (f.pose, f.trusted, f.state, f.search_pause), frame, (pose, trusted, state, patience)
+        lambda f: (f.pose, f.trusted, f.state, f.searches), frame, (pose, trusted, state, searches)
     )
 
 
 def needs_search(frame: TrackedFrame) -> bool:
     """Decide if a frame is to be searched for: it is not good, and no search has just failed."""
-    return frame.verdict != "good" and frame.search_pause.wait <= 0
+    return frame.verdict != "good" and frame.searches.wait <= 0
 
 
 def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
@@ -199,7 +204,7 @@ def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
 
 def search_frame(
     tracker: Tracker,
-    surface: SampledSurface,
+    surface: RegionSamples,
     coarse: Tracker,
     frame: TrackedFrame,
     baseline: Baseline,
@@ -216,9 +221,7 @@ def search_frame(
     people's poses, starts are also those with limbs at its mean. The
     result is used if it is likelier and its worst fault is smaller.
     """
-    failed = eqx.tree_at(
-        lambda f: (f.search_pause, f.searches), frame, (frame.search_pause.extend(), frame.searches + 1.0)
-    )
+    failed = eqx.tree_at(lambda f: f.searches, frame, frame.searches.extend())
     skeleton = tracker.body.skeleton
     few = thin_cloud(cloud, COARSE_POINTS)
     if not float(jnp.sum(few.weights)) > 0:
@@ -232,25 +235,19 @@ def search_frame(
         subtree_starts(skeleton, here, 7, wide, keys[1]),
         rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
     ]
-    if tracker.people is not None:
-        starts.append(limb_starts(tracker.people, skeleton, here))
+    if tracker.pose_prior is not None:
+        starts.append(limb_starts(tracker.pose_prior, skeleton, here))
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
     state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
-    patience = SearchPause(0.0, frame.search_pause.length)
-    found = judge_frame(
-        surface, cloud, reset_velocity(tracker, state), statistics, baseline, patience, frame.searches + 1.0
-    )
+    searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
+    found = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline, searches)
     if choose_better(found, frame) is frame:
         return failed
     # a better pose that is not good either keeps the pause
-    return (
-        found
-        if found.verdict == "good"
-        else eqx.tree_at(lambda f: f.search_pause, found, failed.search_pause)
-    )
+    return found if found.verdict == "good" else eqx.tree_at(lambda f: f.searches, found, failed.searches)
 
 
 def _finite(pose: Pose) -> bool:

@@ -13,18 +13,18 @@ import numpy as np
 from ...arguments import check_rate, checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose, rest_pose, stack_poses
-from ...energy.check import UserTerms
+from ...energy.check_energies import UserTerms
 from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
 from ..judgement.baseline import initial_baseline
-from ..judgement.surface import sampled_surface
-from .check import check_cloud
+from ..judgement.region_samples import sample_regions
+from .check_cloud import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
 from .recover import (
-    SearchPause,
+    SearchHistory,
     TrackedFrame,
     choose_better,
     finish_frame,
@@ -105,7 +105,7 @@ def _track_frames(
     margin: float,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
-    coarse, surface = None, sampled_surface(tracker.body)
+    coarse, surface = None, sample_regions(tracker.body)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
 
     def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
@@ -125,7 +125,7 @@ def _track_frames(
                 pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
                 found = track_first_frame(tracker, surface, cloud, pose, 0.03)
                 frame = found if frame is None else choose_better(found, frame)
-                frame = eqx.tree_at(lambda f: f.searches, frame, 1.0)
+                frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
             if candidates is not None:
                 reached = frame.state, frame.statistics
                 state, statistics = choose_likeliest(
@@ -133,8 +133,8 @@ def _track_frames(
                 )
                 if state is not frame.state:
                     baseline = initial_baseline(surface, len(cloud.views))
-                    patience = SearchPause()
-                    frame = judge_frame(surface, cloud, state, statistics, baseline, patience, frame.searches)
+                    searches = SearchHistory(count=frame.searches.count)
+                    frame = judge_frame(surface, cloud, state, statistics, baseline, searches)
                     frame = finish_frame(tracker, frame, pose)
         else:
             before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
@@ -150,11 +150,9 @@ def _track_frames(
                 )
             if frame.lost:
                 state = reset_velocity(tracker, state)
-            frame = judge_frame(
-                surface, cloud, state, statistics, baseline, frame.search_pause, frame.searches
-            )
+            frame = judge_frame(surface, cloud, state, statistics, baseline, frame.searches)
             if needs_search(frame):
-                coarse = begin_search(number, frame.reasons, frame.searches)
+                coarse = begin_search(number, frame.reasons, frame.searches.count)
                 key = jax.random.key(number)
                 found = search_frame(tracker, surface, coarse, frame, baseline, trusted, cloud, key, up)
                 if candidates is not None and found.pose is not frame.pose:

@@ -9,16 +9,24 @@ from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, difference, retract
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.data.free_space import FreeSpace
 from ...energy.energy import AbstractEnergy, Sum, terms_of, weighted
-from ...energy.priors.gaussian import GaussianPrior, human_prior
-from ...energy.priors.prior import PosePrior, RestPrior, tangent_deviations
+from ...energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...energy.priors.self_collision import SelfCollision, make_self_collision
 from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
-from ..correspondence.part_blocks import Parts, make_parts
-from .em import Estimate, FrameStatistics, Mixture, box_volume, em_step, make_mixture, uniform_priors
+from ..correspondence.part_blocks import PartBlocks, make_part_blocks
+from .em import (
+    Estimate,
+    FrameStatistics,
+    MixtureSettings,
+    box_volume,
+    em_step,
+    make_mixture_settings,
+    uniform_priors,
+)
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
 ITERATIONS, PARTIAL_ITERATIONS = 3, 6
@@ -38,15 +46,15 @@ class Tracker(eqx.Module):
     """The constants of a tracked sequence."""
 
     body: Body
-    parts: Parts
-    mixture: Mixture
+    parts: PartBlocks
+    mixture: MixtureSettings
     #: standard deviations of a pose from its prediction, metres and radians
     motion_deviations: Float[Array, "D"]
     #: standard deviations of joints from rest in their own frames, for coordinates that a cloud does not
     #: determine
     rest_deviations: Float[Array, "J 3"]
     #: of bodies that are seen in part: the prior of people's poses, and limbs inside of other parts
-    people: GaussianPrior | None
+    pose_prior: GaussianPrior | None
     collision: SelfCollision | None
     #: share of the last change in the prediction of a frame
     momentum: Float[Array, ""]
@@ -73,7 +81,7 @@ class TrackState(eqx.Module):
 @checked
 def make_tracker(
     body: Body,
-    mixture: Mixture | None = None,
+    mixture: MixtureSettings | None = None,
     terms: UserTerms = (),
     *,
     motion_deviation: tuple[float, float] = (0.05, 0.3),
@@ -108,11 +116,11 @@ def make_tracker(
     bones = body.skin.dominant_bones()
     return Tracker(
         body=body,
-        parts=make_parts(bones, body.skeleton.num_joints, body.vertices),
-        mixture=make_mixture() if mixture is None else mixture,
+        parts=make_part_blocks(bones, body.skeleton.num_joints, body.vertices),
+        mixture=make_mixture_settings() if mixture is None else mixture,
         motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
-        people=human_prior(body.skeleton) if partial else None,
+        pose_prior=human_prior(body.skeleton) if partial else None,
         collision=make_self_collision(body) if partial else None,
         momentum=as_number(momentum),
         sigma_growth=as_number(sigma_growth),
@@ -149,8 +157,8 @@ def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
 def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
     """Return the terms that determine unobserved joints: pose prior, self-collision, and free space."""
     total, terms = jnp.sum(cloud.weights), []
-    if tracker.people is not None:
-        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.people))
+    if tracker.pose_prior is not None:
+        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.pose_prior))
     if tracker.collision is not None:
         terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
     if cloud.views:

@@ -42,7 +42,7 @@ SKINS: dict[str, tuple[type[AbstractSkin], tuple[str, ...]]] = {
 
 @checked
 def save_body(path: str | Path, body: Body, limits: Mapping[str, np.ndarray] | None = None) -> None:
-    """Write a body with joint limits, which are any named arrays; read these by `load_limits`.
+    """Write a body with joint limits, which are any named arrays; read these by `load_body_limits`.
 
     **Raises:** `InputError` if the file cannot be written or the skin has no name in `SKINS`.
     """
@@ -138,8 +138,8 @@ def _check_weights(weights: np.ndarray, path: str | Path, partial: bool) -> None
             f"{path}: the weight of bone {bone} for vertex {vertex} is {weights.min():g}; expected weights of at least 0 "
             "that sum to one."
         )
-    apart = weights.sum(1) - 1.0
-    wrong = (apart > WEIGHT_SUM_TOLERANCE) | ((apart < -WEIGHT_SUM_TOLERANCE) & (not partial))
+    excess = weights.sum(1) - 1.0
+    wrong = (excess > WEIGHT_SUM_TOLERANCE) | ((excess < -WEIGHT_SUM_TOLERANCE) & (not partial))
     if wrong.any():
         vertex = int(wrong.argmax())
         raise InputError(
@@ -147,7 +147,7 @@ def _check_weights(weights: np.ndarray, path: str | Path, partial: bool) -> None
         )
 
 
-def load_limits(path: str | Path) -> dict[str, np.ndarray]:
+def load_body_limits(path: str | Path) -> dict[str, np.ndarray]:
     """Read the joint limits of a body file, by the names they were saved under; `{}` if there are none."""
     return extract_limits(
         load_format(path, "jaxcap body", select=lambda name: name.startswith(LIMITS_PREFIX))
@@ -166,8 +166,8 @@ def save_motion(
     **Raises:** `InputError` if the file cannot be written.
     """
     names = {} if skeleton is None else skeleton_arrays(skeleton)
-    told = {"verdicts": np.array(verdicts, dtype=str)} if len(verdicts) else {}
-    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names, **told})
+    verdict_arrays = {"verdicts": np.array(verdicts, dtype=str)} if len(verdicts) else {}
+    save_arrays(path, "jaxcap motion", {**motion_arrays(motion), **names, **verdict_arrays})
 
 
 def motion_arrays(motion: Motion) -> dict[str, Any]:
@@ -209,17 +209,19 @@ def load_motion(path: str | Path, skeleton: Skeleton | None = None) -> Motion:
 
 
 def _warn_of_verdicts(verdicts: np.ndarray, path: str | Path) -> None:
-    told = []
+    messages = []
     for verdict in ("lost", "doubtful"):
         numbers = np.flatnonzero(verdicts == verdict)
         if len(numbers):
             named = ", ".join(map(str, numbers[:MAX_LISTED_FRAMES])) + (
                 " and more" if len(numbers) > MAX_LISTED_FRAMES else ""
             )
-            told.append(f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)")
-    if told:
+            messages.append(
+                f"{len(numbers)} of {len(verdicts)} frames are {verdict} ({named}, counted from 0)"
+            )
+    if messages:
         warnings.warn(
-            f"{path}: in this tracked motion, {' and '.join(told)}; see statistics.csv in its folder for the reasons.",
+            f"{path}: in this tracked motion, {' and '.join(messages)}; see statistics.csv in its folder for the reasons.",
             stacklevel=3,
         )
 

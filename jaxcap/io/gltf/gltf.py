@@ -93,11 +93,11 @@ def _unique_name(name: str, skeleton: Skeleton) -> str:
 def _joint_nodes(skeleton: Skeleton) -> "list[pygltflib.Node]":
     import pygltflib
 
-    places, turns = rest_frames(skeleton)
+    translations, turns = rest_frames(skeleton)
     return [
         pygltflib.Node(
             name=name,
-            translation=places[joint].tolist(),
+            translation=translations[joint].tolist(),
             rotation=turns[joint].tolist(),
             children=[child for child, parent in enumerate(skeleton.parents) if parent == joint],
             extras={"kind": skeleton.kinds[joint], "axes": np.asarray(skeleton.axes[joint], float).tolist()},

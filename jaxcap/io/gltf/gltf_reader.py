@@ -12,9 +12,9 @@ from ...body.skeleton import KINDS, Skeleton
 from ..skinned.bind_pose import (
     BindPose,
     FileJoints,
-    body_of,
     make_bind_pose,
-    motion_of,
+    make_skinned_body,
+    make_skinned_motion,
     surface_to_world_transform,
 )
 from ..skinned.left_out import warn_of_unread_content
@@ -69,7 +69,7 @@ def read_gltf_body(
     bound = _read_bind_pose(file)
     surface = read_surface(file, _nodes(file, bound))
     warn_of_unread_content(file.path, find_unread_content(file, skin_joints(file, 0), surface=True))
-    return body_of(file.path, bound, surface), _motion(file, bound, rate)
+    return make_skinned_body(file.path, bound, surface), _motion(file, bound, rate)
 
 
 def _read_bind_pose(file: GltfFile) -> BindPose:
@@ -141,7 +141,7 @@ def _motion(file: GltfFile, bound: BindPose, rate: float | None) -> Motion | Non
     file.reserve_memory(3 * 16 * len(clock) * len(nodes), "the motion of its joints")
     frames = np.stack([np.broadcast_to(world[node], (len(clock), 4, 4)) for node in nodes], 1)
     found = (len(clock) - 1) / (clock[-1] - clock[0]) if len(clock) > 1 else 30.0
-    return motion_of(file.path, bound, frames, found)
+    return make_skinned_motion(file.path, bound, frames, found)
 
 
 def _nodes(file: GltfFile, bound: BindPose) -> list[int]:

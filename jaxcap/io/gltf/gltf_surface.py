@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ...errors import InputError
 from ..skinned.bind_pose import invert_affine
 from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES
-from ..skinned.surface import SkinnedSurface, concatenate_surfaces, merge_seams, normalise_weights
+from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, merge_seams, normalise_weights
 from .gltf_file import GltfFile
 from .gltf_parts import Part
 

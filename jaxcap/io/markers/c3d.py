@@ -70,10 +70,10 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
             f"{path}: the file is cut short: it contains {points.shape[2]} of the {declared} frames of its header; "
             "copy it again."
         )
-    labels, told = _read_string_list(words, "LABELS"), []
+    labels, messages = _read_string_list(words, "LABELS"), []
     count = points.shape[1]
     if len(labels) > count:
-        told.append(
+        messages.append(
             f"there are {len(labels)} labels for {count} points; the last {len(labels) - count} are dropped."
         )
     labels = [label.strip(" \t\r\n\0") for label in labels[:count]] + [""] * (count - len(labels))
@@ -83,16 +83,16 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
         if kind:
             others[kind] = (*others.get(kind, ()), label)
     markers = [i for i, kind in enumerate(kinds) if not kind]
-    places = np.transpose(points[:, markers], (2, 1, 0)).copy()
-    places[(residuals[markers] < 0).T] = np.nan
-    _check_finite(path, places, [labels[i] for i in markers])
+    positions = np.transpose(points[:, markers], (2, 1, 0)).copy()
+    positions[(residuals[markers] < 0).T] = np.nan
+    _check_finite(path, positions, [labels[i] for i in markers])
     said = " ".join(_read_string_list(words, "UNITS")[:1])
     if unit is None and not parse_unit(said, ""):
-        told.append(f"its unit is {repr(said) if said else 'missing'}; lengths are read as millimetres.")
+        messages.append(f"its unit is {repr(said) if said else 'missing'}; lengths are read as millimetres.")
     rate = loaded.rates[0] if loaded.rates and loaded.rates[0] > 0 else loaded.header_rate
     return make_marker_file(
         path,
-        places,
+        positions,
         # a point without a label is named by its index in the file
         [labels[i] or f"*{i + 1}" for i in markers],
         # the rate is stored in single precision
@@ -100,7 +100,7 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
         parse_unit(said) if unit is None else unit,
         first_frame=first,
         other_points=others,
-        warnings=told,
+        warnings=messages,
         up=parse_screen_axis(" ".join(words.get("Y_SCREEN", ())[:1])),
     )
 
@@ -129,9 +129,9 @@ def write_c3d(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
         raise InputError(
             f"{path}: the motion has {len(frames)} frames; a C3D file can contain at most {MAX_FRAMES}; write several files."
         )
-    places, seen = shift_from_origin(frames)
-    values = np.ones((4, places.shape[1], len(places)))
-    values[:3] = np.transpose(np.where(seen[..., None], places / metres, 0), (2, 1, 0))
+    positions, seen = shift_from_origin(frames)
+    values = np.ones((4, positions.shape[1], len(positions)))
+    values[:3] = np.transpose(np.where(seen[..., None], positions / metres, 0), (2, 1, 0))
     file = ezc3d.c3d()
     group = file["parameters"]["POINT"]
     group["RATE"]["value"] = [frames.rate]

@@ -64,25 +64,25 @@ def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], li
     Surrounding blanks are removed. An empty label becomes `*7`, as capture programs name unlabelled points;
     the second `A` becomes `A_2`. Labels after the first `count` are dropped.
     """
-    told, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
+    messages, names = [], [label.strip(" \t\r\n\0") for label in labels[:count]]
     names += [""] * (count - len(names))
     nameless = [i for i, name in enumerate(names) if not name]
     if nameless:
-        told.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
+        messages.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
                     f"*{nameless[0] + 1} and so on.")  # fmt: skip
     names = [name or f"*{i + 1}" for i, name in enumerate(names)]
     taken = set(names)
-    met: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for i, name in enumerate(names):
-        met[name] += 1
-        if met[name] > 1:
-            number = met[name]
+        counts[name] += 1
+        if counts[name] > 1:
+            number = counts[name]
             while f"{name}_{number}" in taken:
                 number += 1
             names[i] = f"{name}_{number}"
             taken.add(names[i])
-            told.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
-    return names, told
+            messages.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
+    return names, messages
 
 
 def group_by_subject(labels: Sequence[str]) -> dict[str, list[int]]:
@@ -141,7 +141,7 @@ def median_extent(frames: MarkerFrames) -> float:
     return float(np.median(sides.max(1))) if len(sides) else float("nan")
 
 
-def check_extent(
+def check_marker_extent(
     frames: MarkerFrames,
     where: str | Path,
     scale: float,
@@ -205,7 +205,7 @@ def make_marker_file(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
     check_rate(rate, str(where))
-    # `check_extent` checks the unit, as it knows other units
+    # `check_marker_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
     return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed), up)
@@ -216,9 +216,9 @@ def shift_from_origin(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"],
 
     Zeros in files are gaps.
     """
-    places, seen = np.array(frames.positions, float), np.asarray(frames.visible)
-    places[seen & (places == 0).all(2), 0] = 1e-9
-    return places, seen
+    positions, seen = np.array(frames.positions, float), np.asarray(frames.visible)
+    positions[seen & (positions == 0).all(2), 0] = 1e-9
+    return positions, seen
 
 
 def fill_missing_frames(

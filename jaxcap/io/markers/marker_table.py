@@ -65,18 +65,18 @@ def read_marker_table(
         )
     labels, columns = _markers(path, rows[0][0], names)
     width = len(names)
-    places, clock, numbers = [], [], []
+    positions, clock, numbers = [], [], []
     time_at, frame_at = _find(_TIME_COLUMN, names), _find(_FRAME_COLUMN, names)
     for number, cells in rows[begin:]:
         where = f"{path}:{number}"
         if len(cells) != width and any(cells[width:] if len(cells) > width else [True]):
             raise InputError(f"{where}: this row has {len(cells)} cells for {width} columns; it is damaged or cut short.")  # fmt: skip
-        places.append(parse_positions([cells[i] for three in columns for i in three], labels, where))
+        positions.append(parse_positions([cells[i] for three in columns for i in three], labels, where))
         if time_at is not None:
             clock += parse_floats([cells[time_at]], where, f"column '{names[time_at]}'")
         if frame_at is not None:
             numbers += parse_floats([cells[frame_at]], where, f"column '{names[frame_at]}'")
-    there = np.asarray(places, float).reshape(len(places), len(labels), 3)
+    there = np.asarray(positions, float).reshape(len(positions), len(labels), 3)
     full, found = there, None
     if len(there) > 1 and time_at is not None:
         scale = 1e-3 if "m" in (re.sub(r"^(times?stamp|times?)", "", names[time_at].lower())) else 1.0
@@ -93,12 +93,12 @@ def read_marker_table(
             "'# rate: 120'."
         )
     missing = len(full) - len(there)
-    told = (
+    messages = (
         [f"{missing} frames are missing between its rows; no marker is visible in them."] if missing else []
     )
     first = round(numbers[0]) if numbers else 1
     return make_marker_file(
-        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, warnings=told
+        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, warnings=messages
     )
 
 
@@ -111,14 +111,14 @@ def write_marker_table(path: str | Path, frames: MarkerFrames, unit: str | float
 
     **Raises:** `InputError` if the file cannot be written.
     """
-    places, seen = shift_from_origin(frames)
-    places = places / unit_scale(unit)
+    positions, seen = shift_from_origin(frames)
+    positions = positions / unit_scale(unit)
     text = io.StringIO()
     if len(frames) == 1:
         text.write(f"# rate: {frames.rate:.9g}\n")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["time", *(f"{label}.{axis}" for label in frames.labels for axis in "xyz")])
-    for number, (row, there) in enumerate(zip(places, seen, strict=True)):
+    for number, (row, there) in enumerate(zip(positions, seen, strict=True)):
         cells = [
             f"{x:.9g}" if is_seen else "" for place, is_seen in zip(row, there, strict=True) for x in place
         ]

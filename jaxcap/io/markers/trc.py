@@ -73,8 +73,8 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             f"{path}:{last}: the file is cut short: it contains {len(rows)} of the {head.frames} frames of its "
             "header."
         )
-    places = np.asarray(rows, float).reshape(len(rows), count, 3)
-    told = (
+    positions = np.asarray(rows, float).reshape(len(rows), count, 3)
+    messages = (
         []
         if head.frames in (None, len(rows))
         else [f"the file has {len(rows)} frames; its header declares {head.frames}."]
@@ -82,10 +82,10 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     rate = head.rate
     if len(rows) > 1:
         at = np.asarray(numbers, float)
-        _, places = fill_missing_frames(path, at, places, "the column of frames")
-        if len(places) > len(rows):
-            told.append(
-                f"{len(places) - len(rows)} frames are missing between its rows; no marker is visible in them."
+        _, positions = fill_missing_frames(path, at, positions, "the column of frames")
+        if len(positions) > len(rows):
+            messages.append(
+                f"{len(positions) - len(rows)} frames are missing between its rows; no marker is visible in them."
             )
         if not rate > 0 and np.isfinite(times).all():
             rate, _ = fill_missing_frames(
@@ -93,7 +93,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             )
     unit = parse_unit(head.unit) if unit is None else unit
     first = numbers[0] if numbers else 1
-    return make_marker_file(path, places, head.labels, rate, unit, first_frame=first, warnings=told)
+    return make_marker_file(path, positions, head.labels, rate, unit, first_frame=first, warnings=messages)
 
 
 def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:
@@ -111,7 +111,7 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
         raise InputError(
             f"{path}: the label {wrong[0]!r} contains a tab or a line break, which TRC files cannot represent; change it."
         )
-    places, seen = shift_from_origin(frames)
+    positions, seen = shift_from_origin(frames)
     count, rate = len(frames.labels), f"{frames.rate:.9g}"
     settings = ("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame",
                 "OrigNumFrames")  # fmt: skip
@@ -124,8 +124,8 @@ def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") 
         "\t".join(["", "", *(f"{axis}{i + 1}" for i in range(count) for axis in "XYZ")]),
         "",
     ]
-    places = places / unit_scale(unit)
-    for number, (row, there) in enumerate(zip(places, seen, strict=True)):
+    positions = positions / unit_scale(unit)
+    for number, (row, there) in enumerate(zip(positions, seen, strict=True)):
         cells = [
             f"{x:.9g}" if is_seen else "" for place, is_seen in zip(row, there, strict=True) for x in place
         ]

@@ -111,10 +111,10 @@ def save_clouds(path: str | Path, clouds: Sequence[Cloud | Scan]) -> None:
 
 def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> Scans:
     arrays = load_arrays(path, lambda name: name in _ARRAYS)
-    held = array_names(path)
+    names = array_names(path)
     faces, offsets = arrays.get("faces"), arrays.get("offsets")
     points, normals = arrays.get("points", arrays.get("vertices")), arrays.get("normals")
-    if points is None or "skin" in held:
+    if points is None or "skin" in names:
         raise wrong_arrays_error(path, "clouds, an array 'points' (F, N, 3) or 'vertices' (F, V, 3)")
     if points.dtype.kind not in "fiu":
         raise InputError(

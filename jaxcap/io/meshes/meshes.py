@@ -119,9 +119,9 @@ def _read(path: Path) -> _File:
 
 
 def _arrays(path: Path) -> _File:
-    arrays, held = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
+    arrays, stored = load_arrays(path, lambda name: name in _ARRAYS), array_names(path)
     vertices = arrays.get("vertices")
-    if vertices is None or "skin" in held:
+    if vertices is None or "skin" in stored:
         raise wrong_arrays_error(path, "registered meshes, an array 'vertices' (F, V, 3)")
     if vertices.dtype.kind not in "fiu":
         raise InputError(f"{path}: 'vertices' has the type {vertices.dtype}; expected numbers, (F, V, 3).")

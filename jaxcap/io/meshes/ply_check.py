@@ -76,11 +76,11 @@ def _check_words(words: list[str], lines: list[int], one: Property, path: Path, 
                 f"{path}:{lines[row]}: this face refers to vertex {shortened(words[row])}, but the vertices are 0 to {vertices - 1}."
             )
     limits = np.finfo(one.type) if one.type.kind == "f" else np.iinfo(one.type)
-    held = (numbers >= limits.min) & (numbers <= limits.max)
+    in_range = (numbers >= limits.min) & (numbers <= limits.max)
     if one.type.kind == "f":
         # readers check for positions and directions that are not finite
-        held |= np.isnan(numbers) | [word.lower().strip("+-") in ("inf", "infinity") for word in words]
-    wrong |= ~held
+        in_range |= np.isnan(numbers) | [word.lower().strip("+-") in ("inf", "infinity") for word in words]
+    wrong |= ~in_range
     if wrong.any():
         row = int(wrong.argmax())
         raise InputError(

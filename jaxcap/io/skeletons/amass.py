@@ -179,10 +179,10 @@ def _skeleton(
                 f"{path}: this motion has the joints {', '.join(own.names)}; expected {', '.join(skeleton.names)} as in the body; "
                 "retarget it."
             )
-        apart = rest_distance(own, skeleton)
-        if apart > MAX_REST_DISTANCE:
+        distance = rest_distance(own, skeleton)
+        if distance > MAX_REST_DISTANCE:
             raise InputError(
-                f"{path}: this motion belongs to another body: its joints at rest differ by up to {1000 * apart:.0f} mm "
+                f"{path}: this motion belongs to another body: its joints at rest differ by up to {1000 * distance:.0f} mm "
                 "from those of this body; retarget it."
             )
         return skeleton

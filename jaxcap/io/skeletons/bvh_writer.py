@@ -168,8 +168,8 @@ class BvhWriter:
         angles = _continuous_euler_angles(matrices.reshape(*turned.shape[:2], 3, 3), self._previous)
         self._previous = angles[-1]
         moves = self._is_translating[self._order]
-        places = (self._offsets + translations[:, self._order]) * self._factor
-        numbers = np.concatenate([places, np.degrees(angles)], 2)
+        positions = (self._offsets + translations[:, self._order]) * self._factor
+        numbers = np.concatenate([positions, np.degrees(angles)], 2)
         # positions of the joints that translate, and rotations of all
         rows = numbers[:, np.stack([moves, np.ones_like(moves)], 1).repeat(3, 1)]
         line = " ".join(["%.6f"] * self._width) + "\n"

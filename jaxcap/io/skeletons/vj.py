@@ -29,9 +29,9 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
     lines = [line.strip() for line in read_text(path).splitlines()]
     while lines and not lines[-1]:
         lines.pop()
-    places = {name: joint for joint, name in enumerate(skeleton.names)}
+    indices = {name: joint for joint, name in enumerate(skeleton.names)}
     for number, name in enumerate(lines, 1):
-        if name not in places:
+        if name not in indices:
             what = f"'{shortened(name)}' is not a joint of the skeleton" if name else "this line is empty"
             raise InputError(
                 f"{path}:{number}: {what}; expected one of {', '.join(skeleton.names)} for vertex {number - 1}."
@@ -42,7 +42,7 @@ def read_vj(path: str | Path, skeleton: Skeleton, num_vertices: int) -> Int[np.n
             f"{path}:{len(lines)}: there are {len(lines)} lines, {than} the mesh's {num_vertices} vertices; "
             "give the .vj file of this mesh."
         )
-    return np.array([places[name] for name in lines], np.int64)
+    return np.array([indices[name] for name in lines], np.int64)
 
 
 @checked

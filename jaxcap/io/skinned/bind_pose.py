@@ -16,7 +16,7 @@ from ...body.skin import LinearSkin
 from ...errors import InputError, user_message
 from ...geometry.linear import inverse
 from ..text import MAX_NUMBER, check_rate
-from .surface import SkinnedSurface
+from .skinned_surface import SkinnedSurface
 
 #: largest relative error of a scale of one
 _SCALE_TOLERANCE = 1e-5
@@ -90,7 +90,7 @@ def surface_to_world_transform(
     return placed
 
 
-def body_of(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
+def make_skinned_body(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
     """Build the body of a surface with weights for the skeleton's joints. Raises `InputError`."""
     vertices = surface.vertices @ bound.surface_to_world[:3, :3].T + bound.surface_to_world[:3, 3]
     _check_positions(path, vertices, "vertices")
@@ -99,7 +99,9 @@ def body_of(path: Path, bound: BindPose, surface: SkinnedSurface) -> Body:
     return Body(bound.skeleton, skin, jnp.asarray(vertices, dtype), jnp.asarray(surface.faces))
 
 
-def motion_of(path: Path, bound: BindPose, frames: Float[np.ndarray, "F J 4 4"], rate: float) -> Motion:
+def make_skinned_motion(
+    path: Path, bound: BindPose, frames: Float[np.ndarray, "F J 4 4"], rate: float
+) -> Motion:
     """Build the motion from the `frames` of the joints in the world, in the skeleton's order.
 
     **Raises:** `InputError` if a joint is scaled or sheared individually.
@@ -153,8 +155,8 @@ def _check_positions(path: Path, positions: Float[np.ndarray, "*any 3"], what: s
 
 def check_rotations(path: Path, matrices: Float[np.ndarray, "*any 3 3"]) -> None:
     """Check that matrices are rotations. Raises `InputError`."""
-    apart = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max()
-    if not apart < 1e-3 or not (np.linalg.det(matrices) > 0).all():
+    deviation = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max()
+    if not deviation < 1e-3 or not (np.linalg.det(matrices) > 0).all():
         raise InputError(
             f"{path}: a joint is scaled, sheared or mirrored; expected rotations and translations, so export it again."
         )

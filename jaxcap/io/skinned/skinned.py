@@ -75,13 +75,13 @@ def moving_frames(skeleton: Skeleton, motion: Motion) -> LocalFrames:
     steps, frames, above = _frames(skeleton)
     moves = np.asarray(motion.poses.translations, float)
     quaternions = np.asarray(motion.poses.rotations, float)
-    places, turns = np.empty_like(moves), np.empty_like(quaternions)
+    translations, turns = np.empty_like(moves), np.empty_like(quaternions)
     for joint in range(skeleton.num_joints):
         back = above[joint].inv()
-        places[:, joint] = back.apply(steps[joint] + moves[:, joint])
+        translations[:, joint] = back.apply(steps[joint] + moves[:, joint])
         turned = back * Rotation.from_quat(quaternions[:, joint], scalar_first=True) * frames[joint]
         turns[:, joint] = _make_continuous(turned.as_quat(), (back * frames[joint]).as_quat())
-    return LocalFrames(places, turns)
+    return LocalFrames(translations, turns)
 
 
 def bind_frames(skeleton: Skeleton) -> Float[np.ndarray, "J 4 4"]:

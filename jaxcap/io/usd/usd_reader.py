@@ -18,14 +18,14 @@ from ..meshes.mesh import check_faces, check_points
 from ..meshes.meshes import triangulate
 from ..skinned.bind_pose import (
     FileJoints,
-    body_of,
     invert_affine,
     make_bind_pose,
-    motion_of,
+    make_skinned_body,
+    make_skinned_motion,
     surface_to_world_transform,
 )
 from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn_of_unread_content
-from ..skinned.surface import SkinnedSurface, concatenate_surfaces, normalise_weights
+from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, normalise_weights
 from ..system.inside import is_inside, outside_folder_error
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, check_rate
@@ -166,8 +166,10 @@ class _Skinned:
         surface = concatenate_surfaces([self.surface(target, order) for target in self.targets])
         surface = surface._replace(weights=surface.weights[:, list(bound.order)])
         frames, rate = self.frames(len(order))
-        motion = motion_of(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
-        return body_of(self.path, bound, surface), motion
+        motion = (
+            make_skinned_motion(self.path, bound, frames[:, list(bound.order)], rate) if len(frames) else None
+        )
+        return make_skinned_body(self.path, bound, surface), motion
 
     def find_unread_content(self, predicate: "Usd.PrimFlagsPredicate", others: list) -> dict[str, list[str]]:
         """List the names of unread contents besides the first figure, by type."""

@@ -96,5 +96,5 @@ def _rms(gaps: Float[np.ndarray, "F N 3"]) -> float:
     return float(np.sqrt(np.mean(np.sum(gaps**2, -1))))
 
 
-def _spread(places: Float[np.ndarray, "F N 3"]) -> float:
-    return _rms(places - places.mean(0))
+def _spread(positions: Float[np.ndarray, "F N 3"]) -> float:
+    return _rms(positions - positions.mean(0))

@@ -8,7 +8,7 @@ from jaxtyping import Int
 from ...geometry.procrustes import Moments, rigid_errors, rigid_motions
 from .agglomerate import agglomerate, merged_labels
 from .rigid_residuals import MovingSurface, part_costs, part_moments
-from .surface import adjacency, boundary_edges, cut_patches, make_connected, membership
+from .surface_graph import adjacency, boundary_edges, cut_patches, make_connected, membership
 from .two_bone_blend import Motions, TwoBoneBlend, fit_part_blends, fit_two_bone_blends, make_motions
 
 #: patches into which a part is cut before it is split in two

@@ -11,7 +11,7 @@ from .agglomerate import Dendrogram, agglomerate, merged_labels
 from .part_kmeans import improve_parts, refine_patch_borders
 from .rigid_residuals import MovingSurface, mean_rest_positions, part_moments
 from .ssdr_motions import estimate_bone_motions
-from .surface import boundary_edges, cut_patches, make_surface_graph
+from .surface_graph import boundary_edges, cut_patches, make_surface_graph
 
 #: the number of patches that are merged into parts
 PATCHES = 300
@@ -23,7 +23,7 @@ NEGLIGIBLE = 2e-4
 MAX_PARTS = 60
 
 
-class Parts(NamedTuple):
+class RigidParts(NamedTuple):
     """K rigid parts of V vertices in F frames.
 
     Part `k` moves vertex `p` to `rotations[f, k] p + translations[f, k]`, metres. The motions are those of
@@ -54,7 +54,7 @@ def find_parts(
     faces: Int[np.ndarray, "T 3"],
     num_parts: int | None = None,
     rest: Float[np.ndarray, "V 3"] | None = None,
-) -> Parts:
+) -> RigidParts:
     """Segment a surface into connected parts that move as rigidly as possible.
 
     Some hundred small patches are merged by least rigid error, which gives the error over the number of
@@ -94,7 +94,7 @@ def find_parts(
     rotations, translations = motions.rotations, motions.translations
     # move the origin back to that of the world
     translations = translations + middles - np.einsum("kfab,b->kfa", rotations, middle)
-    return Parts(
+    return RigidParts(
         labels,
         rotations.swapaxes(0, 1),
         translations.swapaxes(0, 1),

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...geometry.procrustes import Moments, group_moments
-from .surface import SurfaceGraph, membership
+from .surface_graph import SurfaceGraph, membership
 
 
 class MovingSurface(NamedTuple):

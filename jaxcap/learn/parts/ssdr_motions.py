@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from ...geometry.linear import solve_symmetric
 from ...geometry.procrustes import Moments, group_moments, rigid_motions
 from .rigid_residuals import MovingSurface
-from .surface import boundary_edges, membership
+from .surface_graph import boundary_edges, membership
 from .two_bone_blend import Motions, TwoBoneBlend, fit_part_blends, homogeneous, make_motions, path_products
 
 #: rounds of weights, rest vertices and motions; more rounds fit better, but bones separate at the joints

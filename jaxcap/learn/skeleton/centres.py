@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
-from ..parts.surface import SurfaceGraph, boundary_edges
+from ..parts.surface_graph import SurfaceGraph, boundary_edges
 
 #: rounds of updating the residual variance, and with it the weight of the prior
 ROUNDS = 5

@@ -20,13 +20,19 @@ from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import body_tangent
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import minimise
-from ...fit.solvers.problem import AbstractProblem
 from ...geometry import rotation
-from ...geometry.laplacian import Conformance, PatchLaplacian, apply, laplacian_rows, make_patch_laplacian
+from ...geometry.laplacian import (
+    Conformance,
+    PatchLaplacian,
+    apply_conformance,
+    laplacian_rows,
+    make_patch_laplacian,
+)
 from ..objective import objective
 from .joint_centre_prior import GivenCentres, JointCentrePrior, boundary_centre_prior, given_centre_prior
 
@@ -71,7 +77,7 @@ class JointProblem(AbstractProblem[JointState]):
 
     The unknowns are the parameters of all poses and, for each joint below a root, its centre and, if the skin
     has twist axes, two parameters of its orientation (a roll about the twist axis has no effect). The bones
-    of left and right `pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
+    of `left_right_pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
     Q_sym` (eqs. 3.23 to 3.26). Anchors damp steps along directions of a centre that no motion determines, and
     pull with a `prior_strength`. They are not part of the objective.
     """
@@ -83,7 +89,7 @@ class JointProblem(AbstractProblem[JointState]):
     centre_prior: JointCentrePrior | None = None
     prior_strength: float | Float[Array, ""] = 0.0
     terms: AbstractEnergy | None = None
-    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -119,7 +125,7 @@ class JointProblem(AbstractProblem[JointState]):
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
 
     def describe_constraints(self):
-        return "bones of equal length" if self.pairs else None
+        return "bones of equal length" if self.left_right_pairs else None
 
     def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
@@ -130,10 +136,12 @@ class JointProblem(AbstractProblem[JointState]):
             )
         if self.terms is not None:
             arrow, side = _add_energies(arrow, side, self.terms, y, self)
-        differences, by_centre = length_differences(body.skeleton, np.array(self.pairs, int).reshape(-1, 2))
+        differences, by_centre = length_differences(
+            body.skeleton, np.array(self.left_right_pairs, int).reshape(-1, 2)
+        )
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
-        constraints = Constraints(equalities=Equalities(rows, -differences))
+        constraints = StepConstraints(equalities=Equalities(rows, -differences))
         gradient = jax.tree.map(jnp.negative, side)
         return ConstrainedInfo(self.value(y), gradient, arrow, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
@@ -171,11 +179,11 @@ def improve_joints(
         if given_centres is None
         else given_centre_prior(body, poses, given_centres)
     )
-    mirrored = tuple(map(tuple, np.asarray(pairs, int).tolist()))
+    left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
     shares = jnp.asarray(damping, targets.dtype)
     for strength in (1.0, 0.0):
         strength = jnp.asarray(strength, targets.dtype)
-        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, mirrored)
+        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, left_right_pairs)
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
             improved = problem.body_at(y)
@@ -222,7 +230,7 @@ def normal_equations(
             select_parameters(joint_jacobian(skeleton, pose, transforms), chosen),
         )
         rows = body.skin.jacobian(body.vertices, every, skeleton, pose, transforms, rates)
-        side = jnp.tensordot(apply(metric, target - pose_body(body, pose).vertices), rows, 2)
+        side = jnp.tensordot(apply_conformance(metric, target - pose_body(body, pose).vertices), rows, 2)
         rough = laplacian_rows(curvature.laplacian, rows.reshape(count, -1)).reshape(-1, rows.shape[2])
         plain = rows[curvature.vertices].reshape(-1, rows.shape[2])
         gram = curvature.weight * (plain.T @ plain + metric.alpha * rough.T @ rough)

@@ -31,7 +31,7 @@ class _Match(NamedTuple):
         return float(np.sqrt(self.dissimilarity / self.num_terms))
 
 
-def find_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndarray, "P 2"]:
+def detect_left_right_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -> Int[np.ndarray, "P 2"]:
     """Find pairs of joints that mirror each other, the lesser index first.
 
     Two branches of one joint are a pair if they match joint by joint in pose-invariant properties: the

@@ -73,9 +73,9 @@ def make_bone_state(skeleton: Skeleton, poses: Pose) -> PosedTree:
     still = jnp.broadcast_to(rotation.identity(dtype), (len(turns[0]), 4))
     turns = rotation.normalise(jnp.stack([*turns, *[still] * room], 1))
     centres = np.asarray(skeleton.centres, float)
-    places = np.asarray(poses.translations, float)[:, roots] + centres[roots]
+    positions = np.asarray(poses.translations, float)[:, roots] + centres[roots]
     centres = np.pad(centres, ((0, room), (0, 0)))
-    limbs = BoneState(*(jnp.asarray(part, dtype) for part in (turns, places, centres)))
+    limbs = BoneState(*(jnp.asarray(part, dtype) for part in (turns, positions, centres)))
     return PosedTree(tree, limbs)
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 from ...geometry.procrustes import group_moments, nearest_rotation, rigid_motions
 from ...geometry.sampling import even_indices
-from ..parts.surface import cut_patches, make_surface_graph, membership
+from ..parts.surface_graph import cut_patches, make_surface_graph, membership
 
 #: the number of patches whose rotations are compared
 PATCHES = 100

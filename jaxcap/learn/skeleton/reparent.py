@@ -11,7 +11,7 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.spanning_tree import spanning_tree
-from ..parts.surface import SurfaceGraph
+from ..parts.surface_graph import SurfaceGraph
 from .centres import PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import world_transforms
 
@@ -50,14 +50,14 @@ def reparent_children(
         return {}
     size = float(np.linalg.norm(np.ptp(rest, axis=0)))
     ends = [parent, *children]
-    places = [centres[joint], *centres[children]]
+    positions = [centres[joint], *centres[children]]
     picked = [(a, b) for a in range(len(ends)) for b in range(a + 1, len(ends))]
     rows = [
         (
             ends[a],
             ends[b],
-            (places[a] + places[b]) / 2,
-            max(float(np.linalg.norm(places[a] - places[b])) / 2, MAX_CENTRE_SHIFT * size),
+            (positions[a] + positions[b]) / 2,
+            max(float(np.linalg.norm(positions[a] - positions[b])) / 2, MAX_CENTRE_SHIFT * size),
         )
         for a, b in picked
     ]
@@ -88,8 +88,8 @@ def reparent_new_bone(
     old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     rows = [(parent, joint, centres[joint], reach) for joint, parent in old]
     # bones without vertices have no boundary
-    shown, places = np.unique(labels, return_inverse=True)
-    seams = find_boundaries(surface, places, rest, len(shown))
+    shown, inverse = np.unique(labels, return_inverse=True)
+    seams = find_boundaries(surface, inverse, rest, len(shown))
     rows += [
         (int(shown[first]), count, seams.centroids[row], seams.radii[row])
         for row, (first, second) in enumerate(seams.pairs)

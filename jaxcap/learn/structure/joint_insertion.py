@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...geometry.procrustes import group_moments, rigid_motions
-from ..parts.surface import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
+from ..parts.surface_graph import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_new_bone
 from .blend_fit import blend_grams, fit_blends, neighbouring_bones
 from .skeleton_edit import Split
@@ -105,9 +105,9 @@ def _motions(scene: _Scene, groups) -> BoneMotions:
 def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     """Fit all seeds at once."""
     count = scene.bones.rotations.shape[1]
-    places = [np.flatnonzero(np.isin(scene.patches, seed.patches)) for seed in seeds]
+    members = [np.flatnonzero(np.isin(scene.patches, seed.patches)) for seed in seeds]
     columns = []
-    for vertices in places:
+    for vertices in members:
         owner = int(np.argmax(np.bincount(scene.labels[vertices])))
         columns.append([count, *sorted({owner, *scene.neighbours[owner], *scene.labels[vertices].tolist()})])
     width = -(-max(len(row) for row in columns) // 4) * 4
@@ -119,9 +119,9 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
             scene.targets[:, vertices],
             width,
         )
-        for seed, row, vertices in zip(seeds, columns, places, strict=True)
+        for seed, row, vertices in zip(seeds, columns, members, strict=True)
     ]
-    owner = np.repeat(np.arange(len(seeds)), [len(vertices) for vertices in places])
+    owner = np.repeat(np.arange(len(seeds)), [len(vertices) for vertices in members])
     real = np.arange(width) < np.array([len(row) for row in columns])[owner, None]
     grams = np.concatenate(grams)
     whole, weights = fit_blends(grams, real)
@@ -130,7 +130,7 @@ def _fits(scene: _Scene, seeds: list[_Seed]) -> list[_Fit]:
     gains = np.bincount(owner, np.maximum(lost - whole, 0.0), len(seeds))
     return [
         _Fit(float(gain), vertices, row, weights[owner == number, : len(row)])
-        for number, (gain, vertices, row) in enumerate(zip(gains, places, columns, strict=True))
+        for number, (gain, vertices, row) in enumerate(zip(gains, members, columns, strict=True))
     ]
 
 

@@ -13,9 +13,9 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ...body.skin.swing_twist import add_base_weight, assign_bases
+from ..skeleton.joint_tree import orient
 from ..skeleton.pose_from_parts import fit_poses, motion_moments
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_children
-from ..skeleton.tree import orient
 
 #: mass of a bone's frame relative to a vertex, and its width as a share of the body's diagonal
 FRAME_MASS, FRAME_WIDTH = 1e-2, 0.02
@@ -54,7 +54,7 @@ class EditedBody(NamedTuple):
 
     body: Body
     poses: Pose
-    pairs: Int[np.ndarray, "P 2"]
+    left_right_pairs: Int[np.ndarray, "P 2"]
 
 
 def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: Split) -> EditedBody:

@@ -58,11 +58,11 @@ def exchange_joints(
         if not splits:
             break
         before = state.history[-1][1]
-        made, trial = insert_joints(state.body, state.motion.poses, state.pairs, splits), state
+        made, trial = insert_joints(state.body, state.motion.poses, state.left_right_pairs, splits), state
         if variable_count:
             # after improvement, idle new bones can be recognised
             trial = improve(state, made)
-            made = EditedBody(trial.body, trial.motion.poses, trial.pairs)
+            made = EditedBody(trial.body, trial.motion.poses, trial.left_right_pairs)
         removals = select_removals(made.body, made.poses, targets, len(splits), variable_count)
         more = len(splits) - len(removals)
         if removals and (variable_count or more == 0):
@@ -93,7 +93,7 @@ def _remove_redundant_joints(
     removals = select_removals(body, poses, targets, count, only_idle=False)
     if not removals:
         return state
-    trial = improve(state, remove_joints(body, poses, state.pairs, removals))
+    trial = improve(state, remove_joints(body, poses, state.left_right_pairs, removals))
     after = trial.history[-1][1]
     history = (*state.history, (step, min(after, before)))
     return (trial if after <= before else state)._replace(history=history)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin
-from ...body.symmetry import mirrored_bones
+from ...body.symmetry import left_right_bones
 from ...fit.alternate import alternate
 from ...fit.linear.block_arrow import Unknowns
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -25,7 +25,7 @@ from ..skeleton.limbs import (
     read_bone_state,
 )
 from ..weights.weights_and_rest import choose_candidate_bones
-from .problem import Blend, BlendProblem, blend_residuals, gauss_newton_matrix, optimise_blend
+from .blend_problem import Blend, BlendProblem, blend_residuals, gauss_newton_matrix, optimise_blend
 
 #: vertices sampled for the steps, and the least number from each part
 SAMPLES, MIN_PART_SAMPLES = 1200, 12
@@ -168,7 +168,7 @@ _errors = eqx.filter_jit(blend_residuals)
 
 
 def _padded_bones(body: Body, pairs, width: int) -> Int[Array, "P 4"]:
-    rows = mirrored_bones(body.skeleton, pairs)
+    rows = left_right_bones(body.skeleton, pairs)
     return jnp.asarray(np.pad(rows, ((0, width // 2 - len(rows)), (0, 0))), jnp.int32)
 
 

@@ -44,7 +44,7 @@ def improve_linear_skin(
             state = exchange_joints(
                 state, targets, _trial(targets, prefix), prefix + "exchange", TRIALS, variable_count
             )
-        made = EditedBody(state.body, state.motion.poses, state.pairs)
+        made = EditedBody(state.body, state.motion.poses, state.left_right_pairs)
         state = _improve(state, made, targets, prefix + "projection", PASSES)
         state = state._replace(round=state.round + 1)
         if on_round is not None:
@@ -57,11 +57,11 @@ def _trial(targets, prefix: str) -> Callable[[LearnState, EditedBody], LearnStat
 
 
 def _improve(state: LearnState, made: EditedBody, targets, step: str, passes: int) -> LearnState:
-    found = improve_body(made.body, made.poses, targets, made.pairs, rounds=passes, steps=STEPS)
+    found = improve_body(made.body, made.poses, targets, made.left_right_pairs, rounds=passes, steps=STEPS)
     return state._replace(
         body=found.body,
         motion=Motion(found.poses, state.motion.rate),
-        pairs=made.pairs,
+        left_right_pairs=made.left_right_pairs,
         history=(*state.history, (step, found.value)),
     )
 

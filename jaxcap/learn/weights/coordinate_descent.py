@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ...geometry.laplacian import Conformance, laplacian
-from .linear_weights import LinearWeightChooser, RigidWeightChooser
-from .swing_twist_weights import NUM_NEIGHBOURS, SwingTwistWeightChooser
+from .linear_weights import LinearWeightSolver, RigidWeightSolver
+from .swing_twist_weights import NUM_NEIGHBOURS, SwingTwistWeightSolver
 
 
 class ErrorField(NamedTuple):
@@ -52,7 +52,7 @@ def scale_alpha(metric: Conformance, share: float) -> Conformance:
 
 @functools.partial(jax.jit, donate_argnames="field")
 def sweep(
-    chooser: SwingTwistWeightChooser | LinearWeightChooser | RigidWeightChooser,
+    solver: SwingTwistWeightSolver | LinearWeightSolver | RigidWeightSolver,
     rows,
     field: ErrorField,
     rest: Float[Array, "V 3"],
@@ -65,9 +65,9 @@ def sweep(
 ) -> SweepResult:
     """Update the weights of the vertices of every block, block after block.
 
-    **Arguments:** `rows` are the weights of all vertices in the format of the `chooser`; `blocks` are
+    **Arguments:** `rows` are the weights of all vertices in the format of the `solver`; `blocks` are
     vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`,
-    `num_candidates` as in `SwingTwistWeightChooser.choose`; `neighbour_offset` selects the neighbours whose
+    `num_candidates` as in `SwingTwistWeightSolver.solve`; `neighbour_offset` selects the neighbours whose
     weights are tried. The buffer of `field` is donated.
     """
     total = len(rest)
@@ -92,7 +92,7 @@ def sweep(
         lent = [
             take(jnp.take(ring, (neighbour_offset + i) % len(slots), axis=1)) for i in range(NUM_NEIGHBOURS)
         ]
-        new, shift, gain = chooser.choose(
+        new, shift, gain = solver.solve(
             take(vertices), lent, rest[vertices], aims, slide_length, relaxation, num_candidates
         )
         better = (block < total) & (gain > least * jnp.sum(aims**2, (1, 2)))

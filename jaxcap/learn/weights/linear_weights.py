@@ -11,8 +11,8 @@ from ...body.skeleton import Skeleton
 from .simplex import largest_weights, simplex_least_squares
 
 
-class LinearWeightChooser(eqx.Module):
-    """Bone transforms, frames last, for the choice of linear weights by least squares."""
+class LinearWeightSolver(eqx.Module):
+    """Bone transforms, frames last, to solve for linear weights by least squares."""
 
     rotations: Float[Array, "J 9 F"]
     translations: Float[Array, "J 3 F"]
@@ -20,7 +20,7 @@ class LinearWeightChooser(eqx.Module):
     influences: int | None = eqx.field(static=True, default=None)
     num_candidates: int = eqx.field(static=True, default=1)
 
-    def choose(
+    def solve(
         self,
         rows: Float[Array, "C J"],
         neighbour_rows: list[Float[Array, "C J"]],
@@ -30,7 +30,7 @@ class LinearWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Float[Array, "C J"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Solve for the best weights of each vertex; the interface of `SwingTwistWeightChooser.choose`,
+        """Solve for the best weights of each vertex; the interface of `SwingTwistWeightSolver.solve`,
         without slides."""
         del neighbour_rows, slide_length, num_candidates
         images = self._images(rest)
@@ -61,13 +61,13 @@ class LinearWeightChooser(eqx.Module):
         return jnp.stack(axes, 2)
 
 
-class RigidWeightChooser(eqx.Module):
-    """Bone transforms, frames last, for the choice of the bone of a rigid skin."""
+class RigidWeightSolver(eqx.Module):
+    """Bone transforms, frames last, to find the bone of each vertex of a rigid skin."""
 
-    linear: LinearWeightChooser
+    linear: LinearWeightSolver
     num_candidates: int = eqx.field(static=True, default=1)
 
-    def choose(
+    def solve(
         self,
         rows: Int[Array, "C"],
         neighbour_rows: list[Int[Array, "C"]],
@@ -77,7 +77,7 @@ class RigidWeightChooser(eqx.Module):
         relaxation: Float[Array, ""],
         num_candidates: Int[Array, ""],
     ) -> tuple[Int[Array, "C"], Float[Array, "C 3 F"], Float[Array, "C"]]:
-        """Choose the best bone of each vertex; the interface of `SwingTwistWeightChooser.choose`, without
+        """Choose the best bone of each vertex; the interface of `SwingTwistWeightSolver.solve`, without
         slides."""
         del neighbour_rows, slide_length, relaxation, num_candidates
         images = self.linear._images(rest)
@@ -90,11 +90,11 @@ class RigidWeightChooser(eqx.Module):
 
 
 @eqx.filter_jit
-def make_linear_chooser(
+def make_linear_weight_solver(
     skeleton: Skeleton, poses: Pose, influences: int | None = None
-) -> LinearWeightChooser:
+) -> LinearWeightSolver:
     """Compute the bone transforms in stacked poses."""
     bones = jax.vmap(lambda pose: forward_kinematics(skeleton, pose))(poses)
     frames, joints = bones.translations.shape[:2]
     last = lambda array: jnp.moveaxis(array.reshape(frames, joints, -1), 0, -1)  # noqa: E731
-    return LinearWeightChooser(last(bones.rotations), last(bones.translations), influences)
+    return LinearWeightSolver(last(bones.rotations), last(bones.translations), influences)

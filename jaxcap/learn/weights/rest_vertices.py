@@ -10,7 +10,7 @@ from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...fit.linear.chebyshev import chebyshev
 from ...fit.linear.conjugate_gradients import conjugate_gradients
-from ...geometry.laplacian import Conformance, apply
+from ...geometry.laplacian import Conformance, apply_conformance
 from .simplex import gauss_jordan_solve
 
 #: the most steps of conjugate gradients, the degree of the preconditioner in each, and the least gap between
@@ -39,7 +39,9 @@ def solve_rest_vertices(
 
     def precondition(rest):
         # the eigenvalues of a uniform Laplacian are at most two
-        return chebyshev(lambda x: apply(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + MIN_GAP, DEGREE)
+        return chebyshev(
+            lambda x: apply_conformance(metric, x), rest, 1.0, 1.0 + 4.0 * metric.alpha + MIN_GAP, DEGREE
+        )
 
     step = conjugate_gradients(
         lambda rest: _curvature(metric, slopes, rest),
@@ -84,7 +86,7 @@ def _pull(metric, slopes, errors) -> Float[Array, "V 3"]:
 
     def add(total, frame):
         slope, error = frame
-        return total + jnp.einsum("vab,va->vb", slope, apply(metric, error)), None
+        return total + jnp.einsum("vab,va->vb", slope, apply_conformance(metric, error)), None
 
     return jax.lax.scan(add, jnp.zeros_like(errors[0]), (slopes, errors))[0]
 
@@ -94,6 +96,6 @@ def _curvature(metric, slopes, step) -> Float[Array, "V 3"]:
 
     def add(total, slope):
         moved = jnp.einsum("vab,vb->va", slope, step)
-        return total + jnp.einsum("vab,va->vb", slope, apply(metric, moved)), None
+        return total + jnp.einsum("vab,va->vb", slope, apply_conformance(metric, moved)), None
 
     return jax.lax.scan(add, jnp.zeros_like(step), slopes)[0]

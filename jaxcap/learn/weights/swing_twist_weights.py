@@ -34,8 +34,8 @@ class SwingTwistRows(eqx.Module):
     twist: Float[Array, "V K"]
 
 
-class SwingTwistWeightChooser(eqx.Module):
-    """Tables of skeleton and poses for the choice of swing-twist weights, frames last."""
+class SwingTwistWeightSolver(eqx.Module):
+    """Tables of skeleton and poses to solve for swing-twist weights, frames last."""
 
     #: children of each bone, padded with J
     children: Int[Array, "J K"]
@@ -54,7 +54,7 @@ class SwingTwistWeightChooser(eqx.Module):
     def num_candidates(self) -> int:
         return len(STEPS) + NUM_NEIGHBOURS + 2 * self.children.shape[1] + self.passes.shape[1]
 
-    def choose(
+    def solve(
         self,
         rows: SwingTwistRows,
         neighbour_rows: list[SwingTwistRows],
@@ -208,27 +208,27 @@ class SwingTwistWeightChooser(eqx.Module):
         return SwingTwistRows(jnp.where(passed, child, rows.bases), rows.swing * keep, rows.twist * keep)
 
 
-def make_swing_twist_chooser(skeleton: Skeleton, poses: Pose) -> SwingTwistWeightChooser:
+def make_swing_twist_weight_solver(skeleton: Skeleton, poses: Pose) -> SwingTwistWeightSolver:
     """Build the tables of a skeleton in stacked poses."""
     children, passes, upward = _tree(skeleton)
     motions = _motions(skeleton, poses)
-    return SwingTwistWeightChooser(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
+    return SwingTwistWeightSolver(jnp.asarray(children), jnp.asarray(passes), jnp.asarray(upward), *motions)
 
 
-def skin_to_rows(chooser: SwingTwistWeightChooser, skin: SwingTwistSkin) -> SwingTwistRows:
+def skin_to_rows(solver: SwingTwistWeightSolver, skin: SwingTwistSkin) -> SwingTwistRows:
     """Convert the weights of a skin to sparse rows."""
-    children = chooser.children[skin.bases]
+    children = solver.children[skin.bases]
     pick = lambda w: jnp.where(  # noqa: E731
         children < w.shape[1], jnp.take_along_axis(w, jnp.minimum(children, w.shape[1] - 1), 1), 0.0
     )
     return SwingTwistRows(skin.bases, pick(skin.swing), pick(skin.twist))
 
 
-def rows_to_skin(chooser: SwingTwistWeightChooser, rows: SwingTwistRows) -> SwingTwistSkin:
+def rows_to_skin(solver: SwingTwistWeightSolver, rows: SwingTwistRows) -> SwingTwistSkin:
     """Convert sparse rows to a skin."""
-    children = chooser.children[rows.bases]
+    children = solver.children[rows.bases]
     lines = jnp.arange(len(children))[:, None]
-    wide = jnp.zeros((len(children), len(chooser.children)), rows.swing.dtype)
+    wide = jnp.zeros((len(children), len(solver.children)), rows.swing.dtype)
     spread = lambda w: wide.at[lines, children].set(w, mode="drop")  # noqa: E731
     return SwingTwistSkin(rows.bases, spread(rows.swing), spread(rows.twist))
 

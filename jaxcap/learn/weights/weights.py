@@ -29,8 +29,14 @@ from ...body.skin import LinearSkin, RigidSkin, SwingTwistSkin
 from ...geometry.laplacian import Conformance
 from .coordinate_descent import error_field, field_energy, make_blocks, scale_alpha, sweep
 from .graph_colouring import colour_vertices, within_two_rings
-from .linear_weights import RigidWeightChooser, make_linear_chooser
-from .swing_twist_weights import NUM_NEIGHBOURS, STEPS, make_swing_twist_chooser, rows_to_skin, skin_to_rows
+from .linear_weights import RigidWeightSolver, make_linear_weight_solver
+from .swing_twist_weights import (
+    NUM_NEIGHBOURS,
+    STEPS,
+    make_swing_twist_weight_solver,
+    rows_to_skin,
+    skin_to_rows,
+)
 
 
 class SweepSettings(NamedTuple):
@@ -107,11 +113,11 @@ def improve_weights(
 
 
 class _Descent:
-    """The state of the descent: weights in the format of their chooser, and the error field."""
+    """The state of the descent: weights in the format of their solver, and the error field."""
 
     def __init__(self, body: Body, poses: Pose, targets, metric: Conformance, influences: int | None):
         self._body, self._poses, self._targets, self._metric = body, poses, targets, metric
-        self._chooser, rows, self._restore = _chooser(body, poses, influences)
+        self._solver, rows, self._restore = _weight_solver(body, poses, influences)
         self._colours = colour_vertices(metric)
         self._share, self._turns = 1.0, 0
         self.reset(rows)
@@ -130,14 +136,14 @@ class _Descent:
 
     def sweep(self, settings: SweepSettings) -> None:
         """Update the weights of all vertices that may change."""
-        slides = self._chooser.num_candidates > 1
+        slides = self._solver.num_candidates > 1
         every = settings.alpha_share != self._share or (slides and settings.slide_length > 0)
         active = np.ones_like(self.stale) if every else self.stale
         bases = getattr(self.rows, "bases", None)
         # sorting vertices by base shares memory reads of its motion
         order = np.arange(len(active)) if bases is None else np.argsort(np.asarray(bases), kind="stable")
         self.rows, self._field, changed = sweep(
-            self._chooser,
+            self._solver,
             self.rows,
             self._field,
             self._body.vertices,
@@ -145,24 +151,24 @@ class _Descent:
             make_blocks(self._colours, active, order),
             jnp.asarray(settings.slide_length, self._body.vertices.dtype),
             jnp.asarray(1.0 if slides else settings.relaxation, self._body.vertices.dtype),
-            self._chooser.num_candidates if settings.slide_length > 0 else len(STEPS),
+            self._solver.num_candidates if settings.slide_length > 0 else len(STEPS),
             self._turns,
         )
         self.stale = within_two_rings(self._metric, np.asarray(changed))
         self._share, self._turns = settings.alpha_share, self._turns + NUM_NEIGHBOURS
 
 
-def _chooser(body: Body, poses: Pose, influences: int | None):
-    """Return the chooser of weights, the weights in its format, and the function back to a skin."""
+def _weight_solver(body: Body, poses: Pose, influences: int | None):
+    """Return the solver of the weights, the weights in its format, and the function back to a skin."""
     skin = body.skin
     if isinstance(skin, SwingTwistSkin):
-        slides = make_swing_twist_chooser(body.skeleton, poses)
+        slides = make_swing_twist_weight_solver(body.skeleton, poses)
         return slides, skin_to_rows(slides, skin), functools.partial(rows_to_skin, slides)
-    blends = make_linear_chooser(body.skeleton, poses, influences)
+    blends = make_linear_weight_solver(body.skeleton, poses, influences)
     if isinstance(skin, LinearSkin):
         return blends, skin.weights, LinearSkin
     if isinstance(skin, RigidSkin):
-        return RigidWeightChooser(blends), skin.bones, RigidSkin
+        return RigidWeightSolver(blends), skin.bones, RigidSkin
     raise ValueError(
         f"The body has a {type(skin).__name__}; expected a SwingTwistSkin, LinearSkin or RigidSkin."
     )

@@ -121,7 +121,7 @@ def bone_images(
     bones: Float[Array, "F J 3 4"], rest: Float[Array, "V 3"], candidates: Int[Array, "V K"]
 ) -> Float[Array, "V K N"]:
     """Compute the positions of each vertex under the bones near it in all frames, 3 F numbers."""
-    places = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
+    homogeneous = jnp.concatenate([rest, jnp.ones_like(rest[:, :1])], 1)
     count = bones.shape[1]
-    every = (places @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
+    every = (homogeneous @ bones.transpose(3, 1, 0, 2).reshape(4, -1)).reshape(len(rest), count, -1)
     return jnp.take_along_axis(every, candidates[:, :, None], 1)

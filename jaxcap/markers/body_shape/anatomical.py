@@ -12,7 +12,7 @@ import numpy as np
 from ...body.people.human import human
 from ...body.skin.interpolate import clamp_barycentric
 from ...geometry.attachment import Attachment
-from .surface import MARKER_HEIGHT, SurfaceMarkers, attach_markers
+from .surface_markers import MARKER_HEIGHT, SurfaceMarkers, attach_markers
 
 #: names without their side: the joint, and the offset from it, metres to the left, up and to the front. The
 #: first name is that in the ISB's recommendations (Wu et al. 2002, 2005), others are Plug-in Gait's

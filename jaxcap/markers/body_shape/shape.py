@@ -18,14 +18,14 @@ from ...body.people.human import human_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...energy.priors.prior import RestPrior
+from ...energy.priors.reference_pose import RestPrior
 from ...fit.solve import solve
 from ...geometry import rotation
 from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
 from .anatomical import anatomical_markers
 from .shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS, Measurements, search_shape
-from .surface import SurfaceMarkers, surface_landmarks, vertex_markers
+from .surface_markers import SurfaceMarkers, surface_landmarks, vertex_markers
 
 #: a trait is undetermined if its deviation is above this share of the prior's
 UNDETERMINED_RATIO = 0.7
@@ -78,7 +78,7 @@ def fit_shape(
         )
     start, free = _initial_traits(known_traits or {})
     body = human_from_traits(start, resolution, joints)
-    pose, energy, surface, places = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
+    pose, energy, surface, positions = rest_pose(body.skeleton), None, None, np.zeros((0, 3))
     if frames is not None:
         if isinstance(markers, Mapping):
             surface = vertex_markers(body, markers)
@@ -86,8 +86,8 @@ def fit_shape(
             surface = markers
         else:
             surface = anatomical_markers(frames.labels, resolution)
-        places = _static_positions(frames, surface.labels)
-        seen = np.asarray(np.isfinite(places).all(axis=1))
+        positions = _static_positions(frames, surface.labels)
+        seen = np.asarray(np.isfinite(positions).all(axis=1))
         if seen.sum() < 6:
             raise ValueError(
                 f"Only {int(seen.sum())} markers are both attached to the body and visible; expected at "
@@ -95,8 +95,8 @@ def fit_shape(
             )
         dtype = body.vertices.dtype
         deviations = jnp.asarray(rest_deviations(body.skeleton), dtype)
-        energy = surface_landmarks(surface, places, seen, deviation) + RestPrior(deviations)
-        pose = _align_rest_pose(body, surface, places, seen)
+        energy = surface_landmarks(surface, positions, seen, deviation) + RestPrior(deviations)
+        pose = _align_rest_pose(body, surface, positions, seen)
     measured = _check_measurements(body.skeleton, lengths or {}, height)
     numbers = np.array(start)
     if energy is not None:
@@ -111,7 +111,9 @@ def fit_shape(
     spread[list(free)] = np.sqrt(np.diag(covariance))
     residuals = np.zeros(0)
     if surface is not None:
-        residuals = np.linalg.norm(np.asarray(_marker_positions(surface, body, pose), float) - places, axis=1)
+        residuals = np.linalg.norm(
+            np.asarray(_marker_positions(surface, body, pose), float) - positions, axis=1
+        )
     messages = _describe_fit(traits, spread, free, residuals, () if surface is None else surface.labels)
     return ShapeFit(body, pose, traits, Traits(*map(float, spread)), surface, residuals, messages)
 
@@ -158,14 +160,14 @@ def _initial_traits(known_traits: Mapping[str, float]) -> tuple[Traits, tuple[in
 
 def _static_positions(frames: MarkerFrames, labels: Sequence[str]) -> np.ndarray:
     """Compute the median position (M, 3) of each marker over the frames with it, NaN where there are none."""
-    places = np.full((len(labels), 3), np.nan)
+    positions = np.full((len(labels), 3), np.nan)
     for number, label in enumerate(labels):
         if label in frames.labels:
             column = frames.labels.index(label)
             seen = np.asarray(frames.visible)[:, column]
             if seen.any():
-                places[number] = np.median(np.asarray(frames.positions, float)[seen, column], axis=0)
-    return places
+                positions[number] = np.median(np.asarray(frames.positions, float)[seen, column], axis=0)
+    return positions
 
 
 def _align_rest_pose(body: Body, markers: SurfaceMarkers, positions: np.ndarray, seen: np.ndarray) -> Pose:

@@ -18,10 +18,10 @@ from ...body.people.morph_targets import AGES, Traits
 from ...body.pose import Pose
 from ...body.shape_modes import ShapeModes
 from ...energy.energy import AbstractEnergy
-from ...energy.priors.prior import RestPrior
+from ...energy.priors.reference_pose import RestPrior
 from ...energy.stacked import NormalPrior
 from ...fit.alternate import alternate
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 

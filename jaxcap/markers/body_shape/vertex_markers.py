@@ -23,5 +23,5 @@ def vertex_frames(body: Body, motion: Motion, vertices: Sequence[int], labels: S
     if wrong:
         raise ValueError(f"There is no vertex {wrong[0]}; the body has the vertices 0 to {count - 1}.")
     chosen = jnp.asarray(vertices, int)
-    places = posed_vertices(take_vertices(body, chosen), motion.poses)
-    return make_markers(np.asarray(places), labels, motion.rate)
+    positions = posed_vertices(take_vertices(body, chosen), motion.poses)
+    return make_markers(np.asarray(positions), labels, motion.rate)

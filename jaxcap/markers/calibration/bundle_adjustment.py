@@ -20,7 +20,7 @@ from ...fit.linear.precision import in_float64
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..subject import Subject
 from .calibration_parameters import shared_parameters
-from .problem import CalibrationEstimate, CalibrationProblem, apply_sliding
+from .calibration_problem import CalibrationEstimate, CalibrationProblem, apply_sliding
 from .residuals import marker_residuals
 from .robust import MEDIAN_SQUARED_LENGTH, UNBOUNDED
 from .rotation_prior import estimate_rotation_prior, free_rotation_prior

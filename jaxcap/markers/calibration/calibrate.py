@@ -13,13 +13,14 @@ from threadpoolctl import threadpool_limits
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.symmetry import bone_pairs
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
 from .calibration_parameters import TemplatePrior, solved_joints
+from .calibration_problem import make_calibration_problem
 from .frame_selection import choose_frames
 from .observability import (
     ImpreciseDirection,
@@ -27,7 +28,6 @@ from .observability import (
     find_imprecise_directions,
     shared_covariance,
 )
-from .problem import make_calibration_problem
 from .soft_tissue import shift_variances
 
 _LOG = logging.getLogger(__name__)
@@ -119,12 +119,12 @@ def _calibrate(
     while True:
         chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
-        places, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
+        positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
         again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
         # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
-            template, places, seen, joints, pairs, template_prior, robust=robust, terms=terms
+            template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
         fit = bundle_adjust(
             problem,

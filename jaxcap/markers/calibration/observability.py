@@ -12,8 +12,8 @@ from ...body.pose import Pose
 from ...fit.linear.precision import in_float64
 from ..subject import Subject
 from .calibration_parameters import centre_jacobian, equal_length_constraints
+from .calibration_problem import CalibrationEstimate, CalibrationProblem
 from .gauge_freedom import remove_gauge
-from .problem import CalibrationEstimate, CalibrationProblem
 from .robust import OUTLIER_BOUND
 
 #: a direction is imprecise with a larger standard deviation, metres
@@ -56,9 +56,10 @@ def shared_covariance(problem: CalibrationProblem, estimate: CalibrationEstimate
         lambda p: p.outlier_bound, problem, jnp.asarray(OUTLIER_BOUND, problem.outlier_bound.dtype)
     )
     both, loose = (np.asarray(part, float) for part in in_float64(_compute_covariances, problem, estimate))
-    if problem.pairs:
+    if problem.left_right_pairs:
         rows = np.asarray(
-            equal_length_constraints(problem.subject(estimate), problem.joints, problem.pairs)[0], float
+            equal_length_constraints(problem.subject(estimate), problem.joints, problem.left_right_pairs)[0],
+            float,
         )
         both, loose = (_condition_on(covariance, rows) for covariance in (both, loose))
     return SharedCovariances(both, loose)

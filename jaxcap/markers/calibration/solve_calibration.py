@@ -10,7 +10,7 @@ from ...fit.solvers.implicit import implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import AnySolver
 from ..subject import Subject
-from .problem import CalibrationEstimate, CalibrationProblem
+from .calibration_problem import CalibrationEstimate, CalibrationProblem
 
 
 class CalibrationSolution(eqx.Module):

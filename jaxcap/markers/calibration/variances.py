@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...fit.linear.cholesky import factorise
-from .problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
+from .calibration_problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
 from .residuals import linearise_residuals
 from .robust import robust_kernel
 from .rotation_prior import rotation_prior_equations

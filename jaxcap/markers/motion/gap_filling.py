@@ -21,11 +21,11 @@ def joint_frames(
     skeleton: Skeleton, motion: Motion, lost: Bool[np.ndarray, "F"] | None = None
 ) -> MarkerFrames:
     """Compute the joint centres of every frame as markers with the joints' names; none in `lost` frames."""
-    places = np.asarray(_joint_centres(skeleton, motion.poses))
-    seen = np.ones(places.shape[:2], bool)
+    positions = np.asarray(_joint_centres(skeleton, motion.poses))
+    seen = np.ones(positions.shape[:2], bool)
     if lost is not None:
         seen &= ~np.asarray(lost)[:, None]
-    return MarkerFrames(np.where(seen[..., None], places, 0), seen, skeleton.names, motion.rate)
+    return MarkerFrames(np.where(seen[..., None], positions, 0), seen, skeleton.names, motion.rate)
 
 
 @checked
@@ -48,11 +48,11 @@ def fill_gaps(
     and for markers with the subject's weight 0, nothing is filled.
     """
     matched = match_markers(subject, frames)
-    places, seen = np.asarray(matched.positions, float), np.asarray(matched.seen)
+    positions, seen = np.asarray(matched.positions, float), np.asarray(matched.seen)
     local = np.asarray(_to_rest_frames(subject, motion.poses, matched.positions), float)
     trusted = seen if weights is None else seen & (np.asarray(weights) >= 0.5)
-    filled = np.tile(np.asarray(subject.offsets, float), (len(places), 1, 1))
-    at = np.arange(len(places))
+    filled = np.tile(np.asarray(subject.offsets, float), (len(positions), 1, 1))
+    at = np.arange(len(positions))
     for marker in np.flatnonzero(trusted.any(0)):
         known = np.flatnonzero(trusted[:, marker])
         for axis in range(3):
@@ -64,7 +64,7 @@ def fill_gaps(
     carried = np.asarray(
         _to_world(subject, motion.poses, jnp.asarray(filled, matched.positions.dtype)), float
     )
-    whole = np.where(gap[..., None], carried, places)
+    whole = np.where(gap[..., None], carried, positions)
     dtype = np.asarray(frames.positions).dtype
     return MarkerFrames(whole.astype(dtype), seen | gap, subject.labels, frames.rate)
 

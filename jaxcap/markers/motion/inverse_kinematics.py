@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...geometry.stacking import concatenate
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
@@ -68,20 +68,20 @@ def solve_markers(
     **Raises:** `ValueError` where frames and subject share no label.
     """
     matched = match_markers(subject, frames)
-    places, seen = matched.positions, np.asarray(matched.seen)
+    positions, seen = matched.positions, np.asarray(matched.seen)
     used = seen & (np.asarray(subject.weights) > 0)
     enough = used.sum(1) >= MIN_MARKERS
-    _LOG.info("solving %d frames", len(places))
+    _LOG.info("solving %d frames", len(positions))
     energy = sum_user_terms("solve_markers", terms, marker_body(subject))
-    solved = _solve_in_chunks(subject, places, jnp.asarray(used & enough[:, None]), search, energy)
+    solved = _solve_in_chunks(subject, positions, jnp.asarray(used & enough[:, None]), search, energy)
     _LOG.info("solving poorly fitted frames again")
-    solved = _solve_doubtful_frames(subject, places, used, enough, solved, energy)
+    solved = _solve_doubtful_frames(subject, positions, used, enough, solved, energy)
     lost = (
         ~enough
         | ~np.isfinite(np.asarray(solved.residuals)).all(1)
         | _poorly_fitted_frames(subject, used, solved)
     )
-    residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, places)), np.nan)
+    residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, positions)), np.nan)
     messages = _describe_solution(subject, frames, seen, lost)
     weights = np.asarray(solved.weights) * ~lost[:, None]
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)

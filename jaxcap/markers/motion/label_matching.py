@@ -34,7 +34,7 @@ def match_markers(subject: Subject, frames: MarkerFrames) -> MatchedMarkers:
         )
     if len(frames) == 0:
         raise ValueError("There are no frames to solve; give at least one.")
-    places = np.asarray(frames.positions)[:, chosen]
-    seen = np.asarray(frames.visible)[:, chosen] & (chosen >= 0) & np.isfinite(places).all(2)
+    positions = np.asarray(frames.positions)[:, chosen]
+    seen = np.asarray(frames.visible)[:, chosen] & (chosen >= 0) & np.isfinite(positions).all(2)
     dtype = subject.offsets.dtype
-    return MatchedMarkers(jnp.asarray(np.where(seen[..., None], places, 0.0), dtype), jnp.asarray(seen))
+    return MatchedMarkers(jnp.asarray(np.where(seen[..., None], positions, 0.0), dtype), jnp.asarray(seen))

@@ -13,8 +13,8 @@ from ...fit.alternate import reweighted_least_squares
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.dense import DenseMatrix
 from ...fit.solvers.descent import ConstrainedInfo
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...fit.solvers.problem import AbstractProblem
 from ..calibration.residuals import linearise_residuals, marker_residuals
 from ..calibration.robust import robust_kernel, variance_ratio
 from ..subject import Subject, marker_body

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...body.pose import Pose, rest_pose
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ..subject import Subject, marker_body

@@ -27,21 +27,21 @@ def align_hinge_centres(
             if joint is None or joint.axis_in_parent is None or joint.axis_in_child is None:
                 continue
             # positions of the neighbouring joints along the axis, and variances
-            places, variances = [], []
+            positions, variances = [], []
             above = settled[joint.parent]
             if above is not None and np.isfinite(above.in_child).all():
-                places.append((above.in_child - joint.in_parent) @ joint.axis_in_parent)
+                positions.append((above.in_child - joint.in_parent) @ joint.axis_in_parent)
                 variances.append(_max_variance(above))
             for other, parent in enumerate(parents):
                 below = settled[other]
                 if parent == child and below is not None:
-                    places.append((below.in_parent - joint.in_child) @ joint.axis_in_child)
+                    positions.append((below.in_parent - joint.in_child) @ joint.axis_in_child)
                     along = below.directions @ joint.axis_in_child
                     variances.append(float(np.sum((along * below.deviations) ** 2)))
             variance = float(joint.deviations[-1]) ** 2
-            weights = 1 / (MIN_LEVEL_DEVIATION**2 + np.array(variances)) if places else np.zeros(0)
+            weights = 1 / (MIN_LEVEL_DEVIATION**2 + np.array(variances)) if positions else np.zeros(0)
             total = weights.sum() + 1 / max(variance, MIN_LEVEL_DEVIATION**2)
-            shift = float(weights @ np.array(places)) / total if places else 0.0
+            shift = float(weights @ np.array(positions)) / total if positions else 0.0
             settled[child] = joint._replace(
                 in_parent=joint.in_parent + shift * joint.axis_in_parent,
                 in_child=joint.in_child + shift * joint.axis_in_child,

@@ -62,8 +62,8 @@ def never_visible(frames: MarkerFrames) -> tuple[str, ...]:
 def is_static(frames: MarkerFrames) -> bool:
     """Test if all frames are equal: no marker moves by more than a micrometre."""
     seen = np.asarray(frames.visible)[..., None]
-    places = np.asarray(frames.positions, float)
-    spread = np.where(seen, places, -np.inf).max(0) - np.where(seen, places, np.inf).min(0)
+    positions = np.asarray(frames.positions, float)
+    spread = np.where(seen, positions, -np.inf).max(0) - np.where(seen, positions, np.inf).min(0)
     return bool(np.all(spread <= STATIC_TOLERANCE))
 
 
@@ -100,17 +100,17 @@ def find_pieces(
     than `max_error` metres from the predicted position. Each has at most one successor. The matching minimises
     the total cost (linear assignment).
     """
-    seen, places = np.array(frames.visible), np.array(frames.positions, float)
+    seen, positions = np.array(frames.visible), np.array(frames.positions, float)
     chains: dict[int, tuple[int, ...]] = {i: (int(i),) for i in np.flatnonzero(seen.any(0)).tolist()}
     # joined trajectories can carry others through gaps that their pieces could not
     while follows := _successors(
-        places, seen, list(chains), max_gap * frames.rate, MAX_SPEED / frames.rate, max_error
+        positions, seen, list(chains), max_gap * frames.rate, MAX_SPEED / frames.rate, max_error
     ):
         for head in [i for i in chains if i in follows and i not in follows.values()]:
             piece = head
             while (piece := follows.get(piece, -1)) >= 0:
                 chains[head] += chains.pop(piece)
-                places[:, head] += places[:, piece]
+                positions[:, head] += positions[:, piece]
                 seen[:, head] |= seen[:, piece]
     return tuple(sorted(chain for chain in chains.values() if len(chain) > 1))
 
@@ -126,7 +126,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
     frame.
     """
     chains = find_pieces(frames) if chains is None else chains
-    seen, places = np.array(frames.visible), np.array(frames.positions)
+    seen, positions = np.array(frames.visible), np.array(frames.positions)
     labels, used, joined = list(frames.labels), set(), set()
     for chain in chains:
         if used & set(chain) or len(set(chain)) < len(chain):
@@ -140,7 +140,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
                 f"{names} are visible in the same frame, so they are not pieces of one trajectory."
             )
         head = min(chain)
-        places[:, head] = places[:, index].sum(1)
+        positions[:, head] = positions[:, index].sum(1)
         seen[:, head] = seen[:, index].any(1)
         labels[head] = next(
             (frames.labels[i] for i in chain if frames.labels[i][0] != "*"), frames.labels[chain[0]]
@@ -148,7 +148,7 @@ def join_pieces(frames: MarkerFrames, chains: tuple[tuple[int, ...], ...] | None
         used |= set(chain)
         joined |= set(chain) - {head}
     kept = [i for i in range(len(labels)) if i not in joined]
-    return MarkerFrames(places[:, kept], seen[:, kept], tuple(labels[i] for i in kept), frames.rate)
+    return MarkerFrames(positions[:, kept], seen[:, kept], tuple(labels[i] for i in kept), frames.rate)
 
 
 def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
@@ -158,7 +158,7 @@ def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
     sequence. Such a name does not identify a marker across a gap. `join_pieces` joins the pieces that belong
     together.
     """
-    seen, places = np.asarray(frames.visible), np.asarray(frames.positions)
+    seen, positions = np.asarray(frames.visible), np.asarray(frames.positions)
     columns: list[tuple[str, int, np.ndarray]] = []
     for i, label in enumerate(frames.labels):
         pieces = find_runs(seen[:, i])
@@ -170,7 +170,7 @@ def split_unlabelled(frames: MarkerFrames) -> MarkerFrames:
             (f"{label}.{n}", i, (at >= begin) & (at < end)) for n, (begin, end) in enumerate(pieces, 1)
         ]
     kept = np.stack([column for _, _, column in columns], 1)
-    moved = np.where(kept[..., None], places[:, [i for _, i, _ in columns]], 0)
+    moved = np.where(kept[..., None], positions[:, [i for _, i, _ in columns]], 0)
     return MarkerFrames(moved, kept, tuple(label for label, _, _ in columns), frames.rate)
 
 

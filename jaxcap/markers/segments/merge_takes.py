@@ -30,13 +30,13 @@ def merge_takes(takes: Sequence[MarkerFrames]) -> MarkerFrames:
             labels.setdefault(label, len(labels))
     count = sum(len(take) for take in takes)
     dtype = np.result_type(*(np.asarray(take.positions).dtype for take in takes))
-    places, seen = np.zeros((count, len(labels), 3), dtype), np.zeros((count, len(labels)), bool)
+    positions, seen = np.zeros((count, len(labels), 3), dtype), np.zeros((count, len(labels)), bool)
     begin = 0
     for take in takes:
         rows, columns = slice(begin, begin + len(take)), [labels[label] for label in take.labels]
-        places[rows, columns], seen[rows, columns] = np.asarray(take.positions), np.asarray(take.visible)
+        positions[rows, columns], seen[rows, columns] = np.asarray(take.positions), np.asarray(take.visible)
         begin += len(take)
-    return MarkerFrames(places, seen, tuple(labels), takes[0].rate)
+    return MarkerFrames(positions, seen, tuple(labels), takes[0].rate)
 
 
 def _format_labels(labels: tuple[str, ...]) -> str:

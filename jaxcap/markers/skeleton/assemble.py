@@ -12,7 +12,7 @@ from ...body.pose import Pose, project
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation
-from .tree import SegmentTree
+from .segment_tree import SegmentTree
 
 
 class AssembledSkeleton(NamedTuple):
@@ -48,8 +48,8 @@ def assemble_skeleton(
         axis = np.eye(3)[:2]
         if joint is None:
             children = [tree.joints[k] for k in order if tree.parents[k] == segment]
-            places = [child.in_parent for child in children if child is not None]
-            centroid = np.mean(places, axis=0) if len(places) > 1 else np.zeros(3)
+            positions = [child.in_parent for child in children if child is not None]
+            centroid = np.mean(positions, axis=0) if len(positions) > 1 else np.zeros(3)
             centre, kind = turns[segment] @ centroid + origin, "free"
         else:
             place = joint.in_parent

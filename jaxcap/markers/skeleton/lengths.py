@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..rotation_centres.centre_estimate import iterate_until_converged
-from .tree import SegmentTree
+from .segment_tree import SegmentTree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
 #: maximal number of iterations over directions and lengths
@@ -31,7 +31,7 @@ def joint_trajectories(tree: SegmentTree) -> tuple[Float[np.ndarray, "F K 3"], B
     """
     frames = tree.augmented.frames
     count, number = frames.known.shape
-    places, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
+    positions, known = np.zeros((count, number, 3)), np.zeros((count, number), bool)
     for k, joint in enumerate(tree.joints):
         if joint is None:
             continue
@@ -41,11 +41,11 @@ def joint_trajectories(tree: SegmentTree) -> tuple[Float[np.ndarray, "F K 3"], B
                 continue
             ok = frames.known[:, segment, None]
             at = frames.rotations[:, segment] @ place + frames.origins[:, segment]
-            places[:, k] += np.where(ok, at, 0.0)
+            positions[:, k] += np.where(ok, at, 0.0)
             total += ok
         known[:, k] = total[:, 0] > 0
-        places[:, k] /= np.maximum(total, 1)
-    return places, known
+        positions[:, k] /= np.maximum(total, 1)
+    return positions, known
 
 
 def list_bones(tree: SegmentTree) -> list[tuple[int, int]]:
@@ -63,7 +63,7 @@ def estimate_bone_lengths(
     joint_pairs: list[tuple[int, int]],
     method: LengthMethod = "global",
     *,
-    equal_pairs: list[tuple[int, int]] | None = None,
+    left_right_pairs: list[tuple[int, int]] | None = None,
     deviations: Float[np.ndarray, "K"] | None = None,
 ) -> Float[np.ndarray, "B"]:
     """Estimate the length of each bone, metres; NaN for a bone with ends that are never known together.
@@ -76,7 +76,7 @@ def estimate_bone_lengths(
       For given directions the lengths are the generalised least squares solution. Directions and lengths
       alternate until convergence.
 
-    **Arguments:** `joint_pairs` the joints at the ends of each of B bones, a forest; `equal_pairs` pairs of left and
+    **Arguments:** `joint_pairs` the joints at the ends of each of B bones, a forest; `left_right_pairs` pairs of left and
     right bones with equal length; `deviations` of the joints, metres, by default all equal.
 
     **Raises:** `ValueError` for a method that does not exist.
@@ -90,7 +90,7 @@ def estimate_bone_lengths(
     a, b = (np.array(side) for side in zip(*joint_pairs, strict=True))
     both = known[:, a] & known[:, b]
     away = positions[:, b] - positions[:, a]
-    group = _group_bones(len(joint_pairs), equal_pairs or [])
+    group = _group_bones(len(joint_pairs), left_right_pairs or [])
     spread = np.eye(int(group.max()) + 1)[group]
     distances = np.where(both, np.linalg.norm(away, axis=-1), 0.0)
     counts = spread.T @ both.sum(0)
@@ -129,8 +129,8 @@ def estimate_bone_lengths(
     return np.where(counts[group] > 0, lengths[group], np.nan)
 
 
-def _group_bones(count: int, equal_pairs: list[tuple[int, int]]) -> np.ndarray:
+def _group_bones(count: int, left_right_pairs: list[tuple[int, int]]) -> np.ndarray:
     group = np.arange(count)
-    for one, other in equal_pairs:
+    for one, other in left_right_pairs:
         group[group == group[other]] = group[one]
     return np.unique(group, return_inverse=True)[1].ravel()

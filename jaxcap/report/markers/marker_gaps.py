@@ -26,11 +26,11 @@ def draw_gaps(path: str | Path, frames: MarkerFrames, title: str = "markers") ->
     seen = np.asarray(frames.visible)
     count = seen.shape[1]
     parts = np.linspace(0, len(seen), min(MAX_COLUMNS, len(seen)) + 1).astype(int)[:-1]
-    drawn = np.logical_and.reduceat(seen, parts, axis=0).T
+    visible = np.logical_and.reduceat(seen, parts, axis=0).T
     rows = min(count, MAX_LABELS)
     canvas, figure = new_figure(11.0, max(ROW_HEIGHT * rows, 1.0) + 1.3)
     plot = figure.add_axes((0.14, 0.7 / figure.get_figheight(), 0.83, 1 - 1.3 / figure.get_figheight()))
-    colours = np.where(drawn[..., None], np.array(SEEN_COLOUR), np.array(GAP_COLOUR))
+    colours = np.where(visible[..., None], np.array(SEEN_COLOUR), np.array(GAP_COLOUR))
     plot.imshow(
         colours,
         aspect="auto",

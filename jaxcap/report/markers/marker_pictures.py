@@ -42,15 +42,15 @@ def draw_skeleton(
     **Raises:** `InputError` if the file cannot be written.
     """
     matched = match_markers(subject, frames)
-    seen, places = np.asarray(matched.seen), np.asarray(matched.positions, float)
+    seen, positions = np.asarray(matched.seen), np.asarray(matched.positions, float)
     shown = _choose_frames(seen, residuals)
     some = Motion(_take_poses(motion.poses, shown), motion.rate)
     joints = np.asarray(joint_frames(subject.skeleton, some).positions, float)
     expected = np.asarray(predicted_positions(subject, some), float)
-    held, bones = np.asarray(subject.weights) > 0, np.asarray(subject.bones)
+    attached, bones = np.asarray(subject.weights) > 0, np.asarray(subject.bones)
     palette = distinct_colours(subject.skeleton.num_joints)
-    axes = upright_view(places[shown], seen[shown])
-    middles = [_centre(places[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
+    axes = upright_view(positions[shown], seen[shown])
+    middles = [_centre(positions[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
     views = [axes, np.array([-axes[2], axes[1], axes[0]])]
     legend = 0.2 * -(-subject.skeleton.num_joints // LEGEND_COLUMNS)
     canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6 + legend)
@@ -58,17 +58,17 @@ def draw_skeleton(
     for row, view in enumerate(views):
         # the frame ignores loose markers, which may be far from the body
         reach = np.concatenate([(joints[i] - middles[i]) @ view.T for i in range(len(shown))]
-                               + [(expected[i, held] - middles[i]) @ view.T for i in range(len(shown))])  # fmt: skip
+                               + [(expected[i, attached] - middles[i]) @ view.T for i in range(len(shown))])  # fmt: skip
         low, high = reach.min(0)[:2], reach.max(0)[:2]
         for column, f in enumerate(shown):
             plot = plots[row, column]
             at = lambda x, c=column, v=view: ((x - middles[c]) @ v.T)[..., :2]  # noqa: E731
             _draw_bones(plot, subject, at(joints[column]), at(expected[column]), palette)
             there = seen[f]
-            colours = np.where(held[:, None], palette[bones], _rgb(LOOSE_COLOUR))
-            xy = at(places[f])
+            colours = np.where(attached[:, None], palette[bones], _rgb(LOOSE_COLOUR))
+            xy = at(positions[f])
             plot.scatter(*xy[there].T, s=17, c=colours[there], edgecolors=INK, linewidths=0.35, zorder=4)
-            cross = at(expected[column])[held]
+            cross = at(expected[column])[attached]
             plot.scatter(*cross.T, s=11, c=INK, marker="+", linewidths=0.5, zorder=5)
             own = residuals[f][np.isfinite(residuals[f])]
             off = f", {1e3 * np.sqrt(np.mean(own**2)):.1f} mm rms" if len(own) else ""
@@ -183,12 +183,12 @@ def _draw_bones(
     plot: Any, subject: Subject, joints: np.ndarray, markers: np.ndarray, palette: np.ndarray
 ) -> None:
     skeleton = subject.skeleton
-    held, bones = np.asarray(subject.weights) > 0, np.asarray(subject.bones)
+    attached, bones = np.asarray(subject.weights) > 0, np.asarray(subject.bones)
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0:
             line = joints[[parent, joint]]
             plot.plot(*line.T, color=palette[parent], linewidth=3.2, solid_capstyle="round", zorder=2)
-        own = markers[held & (bones == joint)]
+        own = markers[attached & (bones == joint)]
         for place in own:
             plot.plot(
                 *np.stack([joints[joint], place]).T, color=palette[joint], linewidth=0.5, alpha=0.6, zorder=1
@@ -216,8 +216,8 @@ def _add_bone_legend(figure: Any, subject: Subject, palette: np.ndarray, bottom:
 
 def _choose_frames(seen: np.ndarray, residuals: np.ndarray) -> list[int]:
     """Choose the frames with most markers in each third, the middle one of equals."""
-    told = np.isfinite(residuals).sum(1)
-    shown = told if told.any() else seen.sum(1)
+    counts = np.isfinite(residuals).sum(1)
+    shown = counts if counts.any() else seen.sum(1)
     chosen = []
     for part in np.array_split(np.arange(len(seen)), min(NUM_FRAMES, len(seen))):
         best = part[shown[part] == shown[part].max()]
@@ -229,8 +229,8 @@ def _take_poses(poses, rows: list[int]):
     return type(poses)(*(leaf[np.array(rows)] for leaf in (poses.translations, poses.rotations, poses.scale)))
 
 
-def _centre(places: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    both = np.concatenate([places, joints]) if len(places) else joints
+def _centre(positions: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    both = np.concatenate([positions, joints]) if len(positions) else joints
     return 0.5 * (both.min(0) + both.max(0))
 
 

@@ -46,11 +46,11 @@ def score_markers(
     weights, bones = np.asarray(subject.weights), np.asarray(subject.bones)
     scores = []
     for marker, label in enumerate(subject.labels):
-        own, held = kept[:, marker], weights[marker] > 0
-        some = own[np.isfinite(own)] if held else own[:0]
+        own, has_weight = kept[:, marker], weights[marker] > 0
+        some = own[np.isfinite(own)] if has_weight else own[:0]
         figures = [float(f(some)) for f in (_rms, np.median, np.max)] if len(some) else [float("nan")] * 3
         seen = float(np.isfinite(own).mean()) if len(own) else 0.0
-        bone = subject.skeleton.names[bones[marker]] if held else ""
+        bone = subject.skeleton.names[bones[marker]] if has_weight else ""
         scores.append(MarkerScore(label, bone, float(weights[marker]), seen, *figures))
     return tuple(scores)
 
@@ -76,7 +76,7 @@ def summarise_residuals(residuals: Float[np.ndarray, "F M"]) -> dict[str, float]
     }
 
 
-def list_bones(skeleton: Skeleton) -> tuple[Bone, ...]:
+def describe_bones(skeleton: Skeleton) -> tuple[Bone, ...]:
     """List the bones between two joints that are not roots, as a root's centre may be anywhere."""
     centres = np.asarray(skeleton.centres, float)
     return tuple(
@@ -132,7 +132,7 @@ def report_markers(
                 "kinds": list(skeleton.kinds),
                 "centres": np.asarray(skeleton.centres, float).tolist(),
             },
-            "bones": [bone._asdict() for bone in list_bones(skeleton)],
+            "bones": [bone._asdict() for bone in describe_bones(skeleton)],
             "messages": list(notes),
             **(extra or {}),
         },

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from ...body.body import Body
 from ...io.meshes.mesh import Mesh
-from .group import Group
+from .figure_node import FigureNode
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -49,7 +49,7 @@ class BodyFigure:
         at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
         self.name = name
-        self._group = Group(scene, name, at, self._send)
+        self._group = FigureNode(scene, name, at, self._send)
         self._scene, self._colour = scene, colour
         self._faces = np.asarray(body.faces, np.uint32)
         self._vertices = np.asarray(body.vertices, np.float32)

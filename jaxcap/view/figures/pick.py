@@ -48,8 +48,8 @@ def pick_sphere(
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
     along = (centres - origin) @ direction
     beside = np.linalg.norm(centres - origin - along[:, None] * direction, axis=1)
-    met = np.flatnonzero((beside <= radius) & (along > 0))
-    return int(met[np.argmin(along[met])]) if len(met) else None
+    hits = np.flatnonzero((beside <= radius) & (along > 0))
+    return int(hits[np.argmin(along[hits])]) if len(hits) else None
 
 
 def _nearest_to_ray(
@@ -80,5 +80,5 @@ def _nearest_corner(
         if steep
         else float((corners.mean(0) - origin) @ direction)
     )
-    met = origin + along * direction
-    return int(faces[triangle][np.argmin(np.linalg.norm(corners - met, axis=1))])
+    position = origin + along * direction
+    return int(faces[triangle][np.argmin(np.linalg.norm(corners - position, axis=1))])

@@ -64,15 +64,15 @@ class LabelledPoints:
         self._points = PointFigure(scene, f"{name}/points", colour, size)
         self._texts: list[Any] = []
 
-    def show(self, places: Float[np.ndarray, "M 3"], seen: np.ndarray, names: bool) -> None:
+    def show(self, positions: Float[np.ndarray, "M 3"], seen: np.ndarray, names: bool) -> None:
         """Set the positions, metres, of the observed points `seen (M,)`, with or without names."""
-        self._points.show(places[seen])
+        self._points.show(positions[seen])
         if names and not self._texts:
             self._texts = [
                 self._scene.add_label(f"{self._name}/names/{number}", label, font_screen_scale=0.7)
                 for number, label in enumerate(self._labels)
             ]
-        for text, place, there in zip(self._texts, places, seen, strict=False):
+        for text, place, there in zip(self._texts, positions, seen, strict=False):
             text.visible = bool(names and there)
             if names and there:
                 text.position = place

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from ...body.body import Body
-from ...fit.correspondence.part_blocks import Parts, make_parts
+from ...fit.correspondence.part_blocks import PartBlocks, make_part_blocks
 from ...fit.correspondence.posterior import posterior
 from ...geometry.closest import nearest_on_surface
 from ...geometry.mesh import vertex_normals
@@ -102,7 +102,7 @@ class PartColours(eqx.Module):
     """The inputs of the part posterior of a body, and a colour for each part."""
 
     body: Body
-    parts: Parts
+    parts: PartBlocks
     #: one colour for each joint, and the last for outliers
     palette: UInt8[np.ndarray, "K 3"]
 
@@ -116,7 +116,7 @@ def make_part_colours(body: Body) -> PartColours:
     """Assign a colour to each part of a body, the same as in the reports' figures."""
     count = body.skeleton.num_joints
     palette = _append_unseen_colour(distinct_colours(count))
-    return PartColours(body, make_parts(body.skin.dominant_bones(), count, body.vertices), palette)
+    return PartColours(body, make_part_blocks(body.skin.dominant_bones(), count, body.vertices), palette)
 
 
 def posterior_colours(

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ...body.skeleton import Skeleton
 from .figure import Colour
-from .group import Group
+from .figure_node import FigureNode
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -35,7 +35,7 @@ class SkeletonFigure:
         at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
         self.name, self.skeleton = name, skeleton
-        self._group = Group(scene, name, at, self._send)
+        self._group = FigureNode(scene, name, at, self._send)
         self._scene = scene
         self._joints = np.asarray(skeleton.centres, np.float32)
         self._rotations = np.tile(np.eye(3), (skeleton.num_joints, 1, 1))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from ...edit.ik import session as ik
 from ...edit.ik.constraints import Constraint, describe_point
 from ...edit.ik.session import IkSession, IkSettings
-from ...edit.ik.solve import Solver
+from ...edit.ik.solve_ik import Solver
 from ..figures.eye import FRONT, SIDE, TOP
 from ..windows.text import as_markdown
 
@@ -174,9 +174,9 @@ def _status_text(session: IkSession) -> str:
     count = len(session.state.constraints)
     if not count:
         return "No constraints."
-    apart = 1000 * max(ik.target_distances(session))
+    distance = 1000 * max(ik.target_distances(session))
     many = "1 constraint" if count == 1 else f"{count} constraints"
-    return f"{many}, {apart:.1f} mm from its target." if count == 1 else f"{many}, at most {apart:.1f} mm from their targets."  # fmt: skip
+    return f"{many}, {distance:.1f} mm from its target." if count == 1 else f"{many}, at most {distance:.1f} mm from their targets."  # fmt: skip
 
 
 def _set_if_changed(control: Any, name: str, value: Any) -> None:

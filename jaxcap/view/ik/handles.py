@@ -118,12 +118,12 @@ class _Handle:
     def show(self, constraint: Constraint, place: Position, selected: bool) -> None:
         if not self.held:
             self.put(constraint.target)
-        apart = float(np.linalg.norm(np.subtract(place, self._target)))
+        distance = float(np.linalg.norm(np.subtract(place, self._target)))
         self._ball.color = (
             PINNED_COLOUR
             if constraint.pinned
             else REACHED_COLOUR
-            if apart < REACHED_DISTANCE
+            if distance < REACHED_DISTANCE
             else UNREACHED_COLOUR
         )
         self._ball.opacity = None if selected else 0.6

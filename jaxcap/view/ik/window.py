@@ -126,8 +126,8 @@ class IkWindow:
         """Set the camera to view the body, from a direction of `eye.DIRECTIONS`."""
         camera = self.client.camera
         camera.fov = float(FIELD)
-        places = self.shown.vertices if name != BEGIN else self._home
-        box = np.stack([places.min(0), places.max(0)]).astype(float)
+        positions = self.shown.vertices if name != BEGIN else self._home
+        box = np.stack([positions.min(0), positions.max(0)]).astype(float)
         size = float(camera.image_width), float(camera.image_height)
         eye, target = place_camera(box, name, *size, camera.fov)
         with self.client.atomic():
@@ -163,7 +163,7 @@ class IkWindow:
     def _show(self) -> ShownGeometry:
         session, state = self.session, self.session.state
         vertices, joints, rotations = (np.asarray(found) for found in posed_arrays(session.body, state.pose))
-        places = point_positions(session.body, state.pose, state.constraints)
+        positions = point_positions(session.body, state.pose, state.constraints)
         whole = bone_rotations(session.body, state.pose)
         names = session.body.skeleton.names
         turns = [
@@ -177,7 +177,7 @@ class IkWindow:
             self._skeleton.show(joints, rotations)
             self._skeleton.visible = self.controls.skeleton
             self._surface.translucent = self.controls.skeleton
-            self.handles.show(state.constraints, places, turns, self.selected, self.controls.arrows)
+            self.handles.show(state.constraints, positions, turns, self.selected, self.controls.arrows)
             self.controls.draw(session, self.selected, self.note)
         return ShownGeometry(vertices, joints)
 
@@ -185,11 +185,11 @@ class IkWindow:
         """Select the clicked handle, or constrain the clicked point of the body."""
         shown, session = self.shown, self.session
         eye, ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        held = session.state.constraints
-        targets = np.array([one.target for one in held]).reshape(-1, 3)
+        constraints = session.state.constraints
+        targets = np.array([one.target for one in constraints]).reshape(-1, 3)
         handle = pick_sphere(targets, eye, ray, self.handles.radius)
         if handle is not None:
-            self._select(held[handle].point)
+            self._select(constraints[handle].point)
             return
         joints = shown.joints if self.controls.skeleton else None
         point = pick_point(
@@ -201,11 +201,11 @@ class IkWindow:
             self._inbox.put(_raise_no_hit)
 
     def _constrain(self, point: int | str) -> None:
-        def held(session: IkSession) -> IkSession:
+        def constrain(session: IkSession) -> IkSession:
             self.selected = point
             return ik.add_constraint(session, point)
 
-        self._inbox.put(held)
+        self._inbox.put(constrain)
 
     def _dragged(
         self, point: int | str, phase: Phase, place: Position | None, turn: Quaternion | None

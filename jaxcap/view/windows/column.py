@@ -211,9 +211,9 @@ class Column:
             subject, centres = self.take.subject, np.asarray(self.take.motion.skeleton.centres)
             bones = np.asarray(subject.bones)
             offsets = np.asarray(subject.offsets) - centres[bones]
-            places = np.einsum("mab,mb->ma", posed.rotations[bones], offsets) + posed.joints[bones]
+            positions = np.einsum("mab,mb->ma", posed.rotations[bones], offsets) + posed.joints[bones]
             if choice.markers:
-                self.markers.show(places, np.asarray(subject.weights) > 0, choice.names)
+                self.markers.show(positions, np.asarray(subject.weights) > 0, choice.names)
             else:
                 self.markers.hide()
 

@@ -13,8 +13,8 @@ from ...body.pose import Motion, Pose
 from ..solvers.implicit import implicit_minimum, is_trustworthy
 from ..solvers.levenberg_marquardt import LevenbergMarquardt
 from ..solvers.minimise import AnySolver
-from .check import check_sequence
-from .problem import SequenceEstimate, SequenceProblem
+from .check_sequence import check_sequence
+from .sequence_problem import SequenceEstimate, SequenceProblem
 
 
 class SequenceSolution(eqx.Module):

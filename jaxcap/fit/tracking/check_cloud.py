@@ -23,10 +23,10 @@ def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
     **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an extent that
     points to another unit, which is named.
     """
-    check_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
+    check_cloud_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
 
 
-def check_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> None:
+def check_cloud_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) -> None:
     """Check points that are in no cloud yet as `check_cloud` does, metres."""
     dofs = body.skeleton.num_dofs
     if len(points) < dofs:

@@ -22,10 +22,10 @@ from ...body.pose import Pose
 from ...energy.data.pairs import PairDistances, PointPairs, corner_directions
 from ...fit.linear.sparse_blocks import BorderedMatrix, SparseBlocks
 from ...fit.linearise import frame_jacobian, vertex_maps
-from ...fit.sequences.problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.minimise import take_step
-from ...fit.solvers.problem import AbstractProblem
 from ...geometry.mesh import mesh_edges
 from .shape_prior import ShapePrior
 
@@ -234,9 +234,9 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
 
         def of_mesh(total, mesh):
             pose, vectors = mesh
-            maps, places = vertex_maps(body, pose)
+            maps, positions = vertex_maps(body, pose)
             slopes = jax.jacfwd(lambda d: pose_body(self.body_at(y, d), pose).vertices)(jnp.zeros_like(s))
-            slopes, missing = shape.laplacian(slopes), shape.laplacian(places) - vectors
+            slopes, missing = shape.laplacian(slopes), shape.laplacian(positions) - vectors
             flat = slopes.reshape(-1, len(s))
             matrix, pull, border = total
             border = border + jnp.einsum("vba,vbk->vak", maps, shape.transposed(slopes))
@@ -246,8 +246,8 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
         # recomputed in reverse mode, to save the memory of all pairs' rows
         border, by_frame = jax.lax.scan(jax.checkpoint(of_frame), border, (y.sequence.poses, self.pairs))
         none = jnp.zeros((len(s), len(s)), s.dtype), jnp.zeros_like(s), jnp.zeros_like(border)
-        told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
-        matrix, pull, rough = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
+        sums, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
+        matrix, pull, rough = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, sums)
         arrow: Any = inner.hessian
         arrow = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + matrix * s[:, None] * s)
         hessian = BorderedMatrix(
@@ -300,9 +300,9 @@ def vertex_normal_equations(
         pose, pairs, slots = frame
         matrices, sides = total
         rows = _pair_jacobian(body, pose, pairs)
-        apart = PairDistances(pairs).residual(pose_body(body, pose)).reshape(-1, 3)
+        differences = PairDistances(pairs).residual(pose_body(body, pose)).reshape(-1, 3)
         matrices = matrices.at[pairs.vertices].add(jnp.einsum("ckra,ckrb->ckab", rows, rows))
-        sides = sides.at[pairs.vertices].add(-jnp.einsum("ckra,cr->cka", rows, apart))
+        sides = sides.at[pairs.vertices].add(-jnp.einsum("ckra,cr->cka", rows, differences))
         for number, (k, other) in enumerate(couples):
             block = jnp.einsum("cra,crb->cab", rows[:, k], rows[:, other])
             turned = jnp.swapaxes(block, 1, 2)
@@ -315,8 +315,8 @@ def vertex_normal_equations(
     def of_mesh(total, mesh):
         pose, vectors = mesh
         own, across, side = total
-        maps, places = vertex_maps(body, pose)
-        missing = vectors - shape.laplacian(places)
+        maps, positions = vertex_maps(body, pose)
+        missing = vectors - shape.laplacian(positions)
         first, second = shape.coupled_vertices.T
         own = own + jnp.einsum("v,vba,vbc->vac", shape.diagonal, maps, maps)
         across = across + jnp.einsum("e,eba,ebc->eac", shape.off_diagonal, maps[first], maps[second])
@@ -327,8 +327,8 @@ def vertex_normal_equations(
         of_frame, (zero, zero[:count, 0]), (poses, pairs, coupling.block_indices)
     )
     none = zero[:count], jnp.zeros((len(shape.coupled_vertices), 3, 3), zero.dtype), zero[:count, 0]
-    told, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
-    own, across, pull = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, told)
+    sums, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
+    own, across, pull = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, sums)
     own = blocks[:count] + own + shape.shift_weight * jnp.eye(3, dtype=zero.dtype)
     matrix = SparseBlocks(
         own,

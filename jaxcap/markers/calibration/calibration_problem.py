@@ -10,15 +10,15 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.body import pose_body
 from ...body.pose import Pose, retract
-from ...energy.check import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linearise import BodyTangent, body_tangent
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
-from ...fit.solvers.problem import AbstractNestedProblem
+from ...fit.solvers.least_squares_problem import AbstractNestedProblem
 from ..subject import Subject, marker_body, shift_markers
 from .calibration_parameters import TemplatePrior, equal_length_constraints, prior_precision, shift_subject
 from .residuals import linearise_residuals, marker_residuals
@@ -61,7 +61,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
-    - `joints` are those with unknown centres; `pairs` those with bones of equal length.
+    - `joints` are those with unknown centres; `left_right_pairs` those with bones of equal length.
     """
 
     template: Subject
@@ -75,7 +75,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     outlier_bound: Float[Array, ""]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
-    pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def subject(self, y: CalibrationEstimate) -> Subject:
         """Build the subject of an estimate."""
@@ -101,15 +101,15 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return jnp.ones((len(self.positions), self.template.skeleton.num_dofs), dtype), jnp.ones(size, dtype)
 
     def describe_constraints(self):
-        return "bones of equal length" if self.pairs else None
+        return "bones of equal length" if self.left_right_pairs else None
 
     def information(self, y):
         value, gradient, hessian = self.normal_equations(y)
         equalities = None
-        if self.pairs:
-            rows, violation = equal_length_constraints(self.subject(y), self.joints, self.pairs)
+        if self.left_right_pairs:
+            rows, violation = equal_length_constraints(self.subject(y), self.joints, self.left_right_pairs)
             equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
-        constraints = Constraints(equalities=equalities)
+        constraints = StepConstraints(equalities=equalities)
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
     def improve_nested(self, y):
@@ -287,7 +287,7 @@ def make_calibration_problem(
     positions: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
     joints: tuple[int, ...],
-    pairs: tuple[tuple[int, int], ...] = (),
+    left_right_pairs: tuple[tuple[int, int], ...] = (),
     template_prior: TemplatePrior = TemplatePrior(),
     *,
     robust: bool = True,
@@ -307,7 +307,7 @@ def make_calibration_problem(
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
         sum_user_terms("make_calibration_problem", terms, marker_body(template)),
         joints,
-        pairs,
+        left_right_pairs,
     )
 
 

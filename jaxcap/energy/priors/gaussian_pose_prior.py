@@ -1,4 +1,4 @@
-"""A normal distribution over the joint rotations of whole poses, and that of people."""
+"""The pose prior of whole poses: a normal distribution over joint rotations, and that of people."""
 
 import functools
 

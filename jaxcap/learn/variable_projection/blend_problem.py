@@ -25,9 +25,9 @@ from ...body.symmetry import bone_length_differences
 from ...fit.linear.block_arrow import BlockArrow, Unknowns
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linear.cholesky import factorise
-from ...fit.solvers.descent import ConstrainedInfo, Constraints
+from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
-from ...fit.solvers.problem import AbstractProblem
+from ...fit.solvers.least_squares_problem import AbstractProblem
 from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives, bone_transforms, move_bones
 from ..weights.weights_and_rest import bone_images, expand_weights, optimise_vertices
 from .hessian import BoneJacobian, ProjectedHessian, VertexDirections, flat_bones
@@ -58,7 +58,7 @@ class BlendProblem(AbstractProblem[Blend]):
     candidates: Int[Array, "V K"]
     targets: Float[Array, "V N"]
     #: left joint, its parent, right joint, its parent
-    mirrored_bones: Int[Array, "P 4"]
+    left_right_bones: Int[Array, "P 4"]
     units: Unknowns
 
     def value(self, y: Blend) -> Float[Array, ""]:
@@ -93,16 +93,16 @@ class BlendProblem(AbstractProblem[Blend]):
             lambda u, s: 2.0 * value * s * u**2, self.units, (ROTATION_STIFFNESS, CENTRE_STIFFNESS)
         )
         hessian = hessian.add_diagonal(stiff)
-        differences, by_centre = bone_length_differences(y.bone_state.centres, self.mirrored_bones)
+        differences, by_centre = bone_length_differences(y.bone_state.centres, self.left_right_bones)
         rows = by_centre.reshape(len(differences), -1) * self.units[1]
-        constraints = Constraints(equalities=Equalities(rows, -differences))
+        constraints = StepConstraints(equalities=Equalities(rows, -differences))
         return ConstrainedInfo(value, moves.vjp(left), hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
 
 
 def weighted_rest_positions(y: Blend) -> Float[Array, "V B"]:
     """Multiply the homogeneous rest position of each vertex by its weight for each bone."""
-    places = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
-    return (y.weights[:, :, None] * places[:, None]).reshape(len(places), -1)
+    homogeneous = jnp.concatenate([y.rest, jnp.ones_like(y.rest[:, :1])], 1)
+    return (y.weights[:, :, None] * homogeneous[:, None]).reshape(len(homogeneous), -1)
 
 
 def blend_residuals(y: Blend, tree: TreeTopology, targets: Float[Array, "V N"]) -> Float[Array, "V N"]:

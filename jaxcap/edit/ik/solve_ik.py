@@ -18,7 +18,7 @@ from ...body.skeleton import Skeleton
 from ...energy.data.landmarks import VertexLandmarks
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.limits import JointLimits
-from ...energy.priors.prior import ReferencePrior
+from ...energy.priors.reference_pose import ReferencePrior
 from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
@@ -153,8 +153,8 @@ def _make_solution(reduced, constraints, options, pose, num_steps, result) -> Ik
     if options.limits is not None:
         within = project(reduced.skeleton, options.limits.project(reduced.skeleton, pose))
         pose = jax.tree.map(lambda a, b: jnp.where(options.keep_limits, a, b), within, pose)
-    apart = jnp.linalg.norm(pose_body(reduced, pose).vertices - constraints.targets, axis=-1)
-    return IkSolution(pose, jnp.where(constraints.weights > 0, apart, 0.0), num_steps, result)
+    distances = jnp.linalg.norm(pose_body(reduced, pose).vertices - constraints.targets, axis=-1)
+    return IkSolution(pose, jnp.where(constraints.weights > 0, distances, 0.0), num_steps, result)
 
 
 def _target_energy(constraints: Constraints, factors: Float[Array, "C"]) -> AbstractEnergy:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...body.body import Body, Posed, posed_vertices
 from ...body.pose import Pose, rest_pose
-from ...energy.data.surface import SurfaceLandmarks, surface_points
+from ...energy.data.surface_landmarks import SurfaceLandmarks, surface_points
 from ...geometry.attachment import Attachment, attach_points
 
 #: a marker farther from the surface is not on this body, or the body is in another pose, metres

@@ -24,7 +24,7 @@ MIN_AREA = 0.012
 _SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
 
 
-class SampledSurface(eqx.Module):
+class RegionSamples(eqx.Module):
     """Samples of a body's surface with their regions; all data of a body for judgement."""
 
     #: the samples as vertices, without faces
@@ -56,7 +56,7 @@ class SampledSurface(eqx.Module):
     part_parents: tuple[int, ...] = eqx.field(static=True)
 
 
-def sampled_surface(body: Body) -> SampledSurface:
+def sample_regions(body: Body) -> RegionSamples:
     """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to
     their parents.
 
@@ -85,18 +85,20 @@ def sampled_surface(body: Body) -> SampledSurface:
         np.ptp(vertices, axis=0).max(),
         0.5 * np.linalg.norm(area_normals(vertices[faces]), axis=1).sum(),
     )
-    apart = jnp.asarray(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
+    non_adjacent = jnp.asarray(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
     few = slice(None, None, STRIDE)
     at_rest = (jnp.asarray(points[few] - points.mean(0), dtype), jnp.asarray(normals[few], dtype))
     areas = jnp.full(len(bones[few]), area / len(bones[few]), dtype)
-    within = inside_degrees(*at_rest, areas, jnp.asarray(regions[few]), apart, MIN_DISTANCE * float(size))
-    return SampledSurface(
+    within = inside_degrees(
+        *at_rest, areas, jnp.asarray(regions[few]), non_adjacent, MIN_DISTANCE * float(size)
+    )
+    return RegionSamples(
         body=samples,
         normals=jnp.asarray(normals, dtype),
         bones=jnp.asarray(bones),
         areas=jnp.full(len(bones), 1.0 / len(bones), dtype),
         regions=jnp.asarray(regions),
-        non_adjacent=apart,
+        non_adjacent=non_adjacent,
         outside_at_rest=1.0 - within,
         area=jnp.asarray(area, dtype),
         size=jnp.asarray(size, dtype),

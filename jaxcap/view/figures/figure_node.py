@@ -9,7 +9,7 @@ else:
     SceneApi = Any
 
 
-class Group:
+class FigureNode:
     """A scene node that sends nothing while it is hidden, and sends its last state when it is shown again.
 
     **Arguments:** `scene` and `name` as of `BodyFigure`; `at (3,)` metres, the position of its origin; `send`

@@ -19,10 +19,10 @@ from ..frame_equations import frame_equations
 from ..linear.block_arrow import BlockArrow
 from ..linear.block_banded import BlockBanded
 from ..linearise import BodyTangent, body_tangent
-from ..problem import pose_scales
-from ..solvers.descent import ConstrainedInfo, Constraints
+from ..pose_problem import pose_scales
+from ..solvers.descent import ConstrainedInfo, StepConstraints
 from ..solvers.equalities import Equalities
-from ..solvers.problem import AbstractProblem
+from ..solvers.least_squares_problem import AbstractProblem
 from .neighbours import window_equations, window_residuals
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
@@ -53,7 +53,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
       unknown.
     - `boxes` are hard: poses stay within. Their tangents are then coordinates of the boxes' charts.
     - `fixed` frames keep their poses.
-    - `mirrored`: pairs of joints with bones of equal length, kept exactly to first order.
+    - `left_right_pairs`: pairs of joints with bones of equal length, kept exactly to first order.
 
     Normal equations are block-arrow, and block-banded among coupled frames: time and memory are linear in the
     number of frames. No array of the size frames by rows by unknowns is stored.
@@ -67,7 +67,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
     shared: tuple[AbstractEnergy | AbstractSharedEnergy, ...] = ()
     boxes: PoseBoxes | None = None
     fixed: Bool[Array, "F"] | None = None
-    mirrored: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         check_fields(self)
@@ -244,7 +244,7 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             )
 
         values = {name: inside(name, value) for name, value in y.values.items()}
-        if self.mirrored:
+        if self.left_right_pairs:
             s = self.scales()[1]
 
             def equalise(_, values):
@@ -262,19 +262,21 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
             if self.unknowns[name].bounds(self.unknowns[name].start(self.body))
         ]
         names = [f"bounds of the unknown '{name}'" for name in bounded]
-        names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(self.mirrored)
+        names += ["pose boxes"] * (self.boxes is not None) + ["bones of equal length"] * bool(
+            self.left_right_pairs
+        )
         return " and ".join(names) or None
 
-    def _constraints(self, y: SequenceEstimate) -> Constraints | None:
+    def _constraints(self, y: SequenceEstimate) -> StepConstraints | None:
         low, high = self._bounds(y)
-        equalities = Equalities(*self._equalities(y.values)) if self.mirrored else None
-        return None if low is None and equalities is None else Constraints(low, high, equalities)
+        equalities = Equalities(*self._equalities(y.values)) if self.left_right_pairs else None
+        return None if low is None and equalities is None else StepConstraints(low, high, equalities)
 
     def _equalities(self, values: dict[str, Any]) -> tuple[Float[Array, "C S"], Float[Array, "C"]]:
         """Linearise the length differences of mirrored bones; the values are their negative residuals."""
         body, tangent = self.body_at(values), self.body_tangent(values)
         assert tangent is not None
-        differences, by_centre = length_differences(body.skeleton, self.mirrored)
+        differences, by_centre = length_differences(body.skeleton, self.left_right_pairs)
         rows = jnp.einsum("bja,jas->bs", by_centre, tangent.centres)
         return rows * self.scales()[1], -differences
 

@@ -17,8 +17,8 @@ from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations
 from .linear.dense import DenseMatrix
 from .linearise import linearise
-from .solvers.descent import ConstrainedInfo, Constraints
-from .solvers.problem import AbstractDenseProblem
+from .solvers.descent import ConstrainedInfo, StepConstraints
+from .solvers.least_squares_problem import AbstractDenseProblem
 
 #: metres that the rotation of a joint by a radian moves its descendants by, about
 LEVER_ARM = 0.3
@@ -49,7 +49,7 @@ class PoseProblem(AbstractDenseProblem[Pose]):
         if self.boxes is not None:
             chart = self._chart(self.boxes, y)
             matrix, gradient = transform_normal_equations(chart, matrix, gradient)
-            bounds = Constraints(chart.lower / scales, chart.upper / scales)
+            bounds = StepConstraints(chart.lower / scales, chart.upper / scales)
         hessian = DenseMatrix(matrix * scales[:, None] * scales)
         return ConstrainedInfo(value, gradient * scales, hessian, constraints=bounds)  # pyright: ignore[reportCallIssue]
 

@@ -1,4 +1,4 @@
-"""Priors for poses near a given one, or near rest."""
+"""Priors for poses near a reference pose, or near rest."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -64,10 +64,10 @@ class ReferencePrior(AbstractEnergy):
         check_deviations("ReferencePrior", metres=self.metres, radians=self.radians)
 
     def residual(self, posed: Posed):
-        here, there = self.reference, posed.pose
-        shifts = there.translations - here.translations
-        turns = rotation.multiply(rotation.conjugate(here.rotations), there.rotations)
-        vectors = local_rotation_vectors(posed.body.skeleton, Pose(shifts, turns, there.scale))
+        reference, pose = self.reference, posed.pose
+        shifts = pose.translations - reference.translations
+        turns = rotation.multiply(rotation.conjugate(reference.rotations), pose.rotations)
+        vectors = local_rotation_vectors(posed.body.skeleton, Pose(shifts, turns, pose.scale))
         return jnp.concatenate(
             [(shifts / self.metres[:, None]).reshape(-1), (vectors / self.radians).reshape(-1)]
         )

@@ -12,7 +12,7 @@ from ...body.pose import Motion, Pose, stack_poses
 from ...body.shape_modes import ShapeModes, joint_modes
 from ...energy.data.pairs import stack_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan
-from ...fit.sequences.problem import SequenceProblem
+from ...fit.sequences.sequence_problem import SequenceProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...geometry.stacking import stack_trees, unstack_trees
@@ -25,7 +25,7 @@ from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
 from .joint_regressor import make_joint_regressor, regress_joints
 from .reference import reference_body, shape_prior_of
 from .shape_space import ShapeSpace, fit_coefficients, make_person
-from .surface import adapt_shape, adapt_together
+from .vertex_adaptation import adapt_shape, adapt_together
 
 #: weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides
@@ -82,7 +82,9 @@ def _proportions(
     """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
     if task.shape_space is None:
         modes, coefficient_prior = joint_modes(state.body), _regressed_joint_prior(task, state)
-        body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.mirrored)
+        body, stacked, _ = _step(
+            task, state, poses, pair_cache, modes, coefficient_prior, task.left_right_pairs
+        )
         return body, _unstack(stacked, poses), state.coefficients
     from_mean = task.shape_space.template_coefficients + jnp.asarray(state.coefficients)
     # the error of the shape space is the same in all frames, which therefore count as one
@@ -103,10 +105,10 @@ def _surface(
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
     if task.settings.simultaneous:
         pairs = stack_pairs(pair_cache.pairs(state.body, poses))
-        problem = _problem(task, state, pairs, modes, coefficient_prior, task.mirrored)
+        problem = _problem(task, state, pairs, modes, coefficient_prior, task.left_right_pairs)
         body, stacked = adapt_together(problem, _stack(poses), pairs, shape, weight)
         return body, _unstack(stacked, poses)
-    body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.mirrored)
+    body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.left_right_pairs)
     poses = _unstack(stacked, poses)
     pairs = stack_pairs(pair_cache.pairs(body, poses))
     return adapt_shape(body, stacked, pairs, shape, weight), poses
@@ -119,7 +121,7 @@ def _step(
     pair_cache: PairCache,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
-    mirrored: tuple[tuple[int, int], ...],
+    left_right_pairs: tuple[tuple[int, int], ...],
     max_tangential_weight: float = 1.0,
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
     """Take one step on poses and modes; return the body, stacked poses and the modes' coefficients.
@@ -130,7 +132,9 @@ def _step(
     pairs = eqx.tree_at(
         lambda p: p.tangential_weights, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
     )
-    return gauss_newton_step(_problem(task, state, pairs, modes, coefficient_prior, mirrored), _stack(poses))
+    return gauss_newton_step(
+        _problem(task, state, pairs, modes, coefficient_prior, left_right_pairs), _stack(poses)
+    )
 
 
 def _stack(poses: dict[int, Pose]) -> Pose:
@@ -158,11 +162,11 @@ def _problem(
     pairs,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
-    mirrored,
+    left_right_pairs,
 ) -> SequenceProblem:
     weight, deviation = (jnp.asarray(x, float) for x in (state.pose_weight, task.settings.pair_deviation))
     return shared_problem(
-        state.body, pairs, task.pose_terms(weight), modes, coefficient_prior, mirrored, deviation
+        state.body, pairs, task.pose_terms(weight), modes, coefficient_prior, left_right_pairs, deviation
     )
 
 

@@ -49,7 +49,7 @@ class SegmentTree(NamedTuple):
         return tuple(k for k, parent in enumerate(self.parents) if parent < 0)
 
 
-def find_tree(
+def find_segment_tree(
     positions: Float[np.ndarray, "F M 3"],
     seen: Bool[np.ndarray, "F M"],
     segments: Segments,

@@ -27,7 +27,7 @@ MESH_COLOUR, CAMERA_COLOUR = (205, 190, 160), (110, 112, 124)
 PIN_COLOUR = (214, 40, 57)
 
 
-class Stage:
+class SceneFigures:
     """The figures of `contents` in a scene of a server or of one client."""
 
     def __init__(self, scene: SceneApi, contents: Contents):

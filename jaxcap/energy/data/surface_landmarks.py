@@ -19,8 +19,8 @@ class SurfaceLandmarks(AbstractEnergy):
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        places = surface_points(posed, self.attachment)
-        return (safe_sqrt(self.weights)[:, None] * (places - self.targets)).reshape(-1)
+        positions = surface_points(posed, self.attachment)
+        return (safe_sqrt(self.weights)[:, None] * (positions - self.targets)).reshape(-1)
 
 
 def surface_points(posed: Posed, attachment: Attachment) -> Float[Array, "C 3"]:

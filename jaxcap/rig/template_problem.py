@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from ..fit.linear.dense import DenseMatrix
 from ..fit.solvers.descent import ConstrainedInfo
-from ..fit.solvers.problem import AbstractProblem
+from ..fit.solvers.least_squares_problem import AbstractProblem
 from .template import Person, Template, pose_template, prior_deviations, prior_offset, retract_person
 
 

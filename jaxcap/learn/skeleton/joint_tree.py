@@ -12,8 +12,8 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
-from ..parts.parts import Parts
-from ..parts.surface import make_surface_graph
+from ..parts.parts import RigidParts
+from ..parts.surface_graph import make_surface_graph
 from .centres import Centres, PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import fit_poses, motion_moments
 
@@ -29,7 +29,7 @@ class JointTree(NamedTuple):
     """A skeleton with its parts: bone `j` is part `j` of `parts`."""
 
     skeleton: Skeleton
-    parts: Parts
+    parts: RigidParts
     #: (J,) root mean square distance between the positions of a joint centre under its two parts, metres;
     #: zero at the root
     residuals: Float[np.ndarray, "J"]
@@ -37,7 +37,9 @@ class JointTree(NamedTuple):
     areas: Float[np.ndarray, "J"]
 
 
-def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> JointTree:
+def find_joint_tree(
+    parts: RigidParts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]
+) -> JointTree:
     """Connect rigid parts by joints at their common points, in the spanning tree with the least gaps.
 
     Adjacent parts are joined at the point that both move alike (`find_centres`). The skeleton is the spanning
@@ -68,7 +70,7 @@ def find_tree(parts: Parts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
     return _make_tree(parts, order, above, np.array(place), means[order], gaps, areas[order])
 
 
-def pose_parts(skeleton: Skeleton, parts: Parts, rest: Float[np.ndarray, "V 3"]) -> Pose:
+def pose_parts(skeleton: Skeleton, parts: RigidParts, rest: Float[np.ndarray, "V 3"]) -> Pose:
     """Fit poses, stacked over the frames, in which each bone follows the part of the same index."""
     rest = np.asarray(rest, float)
     moments = motion_moments(rest, parts.labels, np.ones(len(rest)), parts.rotations, parts.translations)
@@ -137,7 +139,7 @@ def _from_root(
     return order, above, joint
 
 
-def _make_tree(parts: Parts, order, above, centres, ends, residuals, areas) -> JointTree:
+def _make_tree(parts: RigidParts, order, above, centres, ends, residuals, areas) -> JointTree:
     """Build the skeleton, and reorder the parts to match."""
     count = len(order)
     place = np.empty(count, int)

@@ -65,10 +65,10 @@ def check_cameras(cameras: Sequence[Camera], clouds: Sequence[Float[np.ndarray, 
     points = np.concatenate(clouds)
     middle = np.median(points, 0)
     for number, camera in enumerate(cameras):
-        apart = float(np.linalg.norm(np.asarray(camera.eye) - middle))
-        if apart > MAX_CAMERA_DISTANCE:
+        distance = float(np.linalg.norm(np.asarray(camera.eye) - middle))
+        if distance > MAX_CAMERA_DISTANCE:
             raise InputError(
-                f"{where}: camera {number} is {apart:.4g} m away from the scans; give translations in metres."
+                f"{where}: camera {number} is {distance:.4g} m away from the scans; give translations in metres."
             )
     check_views(cameras, points, where)
     share = float(np.mean(within_aperture(cameras, points)))
@@ -89,10 +89,10 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
     """
     first = task.scanned[0]
     scan, height = task.scan(first), height_of(state.body)
-    like, apart = fit_quality(state, first, scan)
+    like, distances = fit_quality(state, first, scan)
     # a floor would link all objects on it
     floor = float(np.quantile(scan.points[:, 1], FLOOR_QUANTILE)) + LINK_LENGTH * height
-    far = np.flatnonzero((apart > MIN_OBJECT_DISTANCE * height) & (scan.points[:, 1] > floor))
+    far = np.flatnonzero((distances > MIN_OBJECT_DISTANCE * height) & (scan.points[:, 1] > floor))
     for group in person_sized_groups(scan.points[far], height, len(scan.points)):
         rows = far[group]
         other = _fit_quality_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))

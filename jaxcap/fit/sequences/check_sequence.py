@@ -8,10 +8,10 @@ from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ...body.pose import Pose
-from ...energy.check import check_energy_arrays, check_indices, explain_errors
+from ...energy.check_energies import check_energy_arrays, check_indices, explain_errors
 from ...energy.stacked import NormalPrior, frame_counts, join_frame, split_frames
 from ...errors import InputError
-from .problem import SequenceEstimate, SequenceProblem
+from .sequence_problem import SequenceEstimate, SequenceProblem
 from .unknowns import AbstractUnknown
 
 #: fields of unknowns that are indices of joints or of vertices
@@ -90,20 +90,26 @@ def _check_frames(problem: SequenceProblem, poses: Pose) -> None:
 
 
 def _check_constraints(problem: SequenceProblem) -> None:
-    if not problem.mirrored:
+    if not problem.left_right_pairs:
         return
-    check_indices("SequenceProblem", "mirrored", problem.mirrored, "joints", problem.body.skeleton.num_joints)
+    check_indices(
+        "SequenceProblem",
+        "left_right_pairs",
+        problem.left_right_pairs,
+        "joints",
+        problem.body.skeleton.num_joints,
+    )
     if not problem.unknowns:
         raise InputError(
-            "SequenceProblem: `mirrored` needs unknown lengths of bones, but there are no `unknowns`; give "
-            "some, or leave out `mirrored`."
+            "SequenceProblem: `left_right_pairs` needs unknown lengths of bones, but there are no `unknowns`; give "
+            "some, or leave out `left_right_pairs`."
         )
     bounded = [
         name for name, each in problem.unknowns.items() if each.bounds(each.start(problem.body)) is not None
     ]
     if bounded:
         raise InputError(
-            f"SequenceProblem: `mirrored` and bounds of the unknown '{bounded[0]}' cannot be combined; "
+            f"SequenceProblem: `left_right_pairs` and bounds of the unknown '{bounded[0]}' cannot be combined; "
             "leave out one of them."
         )
 

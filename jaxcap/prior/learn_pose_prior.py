@@ -1,4 +1,4 @@
-"""Pose priors and joint limits learned from sample poses."""
+"""Learn pose priors and joint limits from sample poses; `energy.priors` has their energies."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple

@@ -42,9 +42,9 @@ def make_surface_graph(
     count = len(rest)
     edges = mesh_edges(faces)
     chosen = even_indices(len(meshes), BRIDGE_FRAMES, nearest=True)
-    places = meshes[chosen].transpose(1, 0, 2).reshape(count, -1).astype(float) / np.sqrt(len(chosen))
-    edges = np.concatenate([edges, _coincident(places)])
-    bridges = _bridges(places, edges)
+    positions = meshes[chosen].transpose(1, 0, 2).reshape(count, -1).astype(float) / np.sqrt(len(chosen))
+    edges = np.concatenate([edges, _coincident(positions)])
+    bridges = _bridges(positions, edges)
     real = np.arange(len(edges) + len(bridges)) < len(edges)
     edges = np.concatenate([edges, bridges])
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
@@ -142,19 +142,19 @@ def _areas(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return areas / areas.sum()
 
 
-def _coincident(places: np.ndarray) -> np.ndarray:
+def _coincident(positions: np.ndarray) -> np.ndarray:
     """Find edges between vertices that coincide in every frame."""
-    _, inverse = np.unique(places, axis=0, return_inverse=True)
+    _, inverse = np.unique(positions, axis=0, return_inverse=True)
     order = np.argsort(inverse, kind="stable")
     alike = inverse[order][1:] == inverse[order][:-1]
     return np.stack([order[:-1][alike], order[1:][alike]], 1)
 
 
-def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _bridges(positions: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Find the shortest edges over all frames that connect all pieces (Borůvka's algorithm)."""
-    count = len(places)
+    count = len(positions)
     found = [np.zeros((0, 2), int)]
-    squares = np.sum(places * places, 1)
+    squares = np.sum(positions * positions, 1)
     while True:
         joined = np.concatenate([edges, *found])
         graph = sparse.coo_matrix((np.ones(len(joined)), tuple(joined.T)), shape=(count, count))
@@ -168,7 +168,7 @@ def _bridges(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
                 continue
             members = np.flatnonzero(pieces == piece)
             members = members[even_indices(len(members), BRIDGE_SAMPLES)]
-            gaps = squares[members, None] + squares - 2 * places[members] @ places.T
+            gaps = squares[members, None] + squares - 2 * positions[members] @ positions.T
             gaps[:, pieces == piece] = np.inf
             best = np.unravel_index(np.argmin(gaps), gaps.shape)
             links.append(sorted((int(members[best[0]]), int(best[1]))))
