@@ -40,6 +40,8 @@ def scan_frame(
     **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices
     that cannot be in metres, and triangles of missing vertices.
     """
+    check_metres("scan_frame", "vertices", vertices)
+    check_faces("scan_frame", faces, len(vertices))
     surfaces = [(vertices, faces), *([] if room is None else [(room.vertices, room.faces)])]
     depths = [image.depth for image in scan_scene(scanner, cameras, surfaces, seed, frame)]
     if scanner.mesh:
@@ -117,8 +119,8 @@ def scan_scene(
     if seed < 0 or frame < 0:
         raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
     for vertices, faces in surfaces:
-        check_metres("scan", "vertices", vertices)
-        check_faces("scan", faces, len(vertices))
+        check_metres("scan_scene", "vertices", vertices)
+        check_faces("scan_scene", faces, len(vertices))
     first = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = np.concatenate([faces + start for (_, faces), start in zip(surfaces, first, strict=False)])
     owners = np.repeat(np.arange(len(surfaces)), [len(faces) for _, faces in surfaces])
