@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from ..arguments import checked
 from ..errors import InputError
@@ -12,6 +12,9 @@ from .shadows import fill_shadows
 
 #: longest side of the images of a view, pixels: larger images are reduced
 MAX_VIEW_SIDE = 320
+#: number of rows and columns around a pixel whose nearest depth it takes: at edges, pixels mix depths, and a finger is as
+#: narrow as a pixel
+EDGE_WINDOW = 5
 
 
 @checked
@@ -22,7 +25,7 @@ def make_depth_view(
 
     Background in the shadow of the person is filled (`fill_shadows`). Images with more than `MAX_VIEW_SIDE`
     pixels on a side are reduced: a reduced pixel belongs to the person if any of its pixels does, and has the
-    smallest depth of these.
+    smallest depth of these. A pixel of the person has the smallest depth of the person's pixels next to it.
 
     **Arguments:** `depth`, metres, zero where nothing was measured; `where` names the image in messages.
 
@@ -40,10 +43,11 @@ def make_depth_view(
     step = -(-max(depth.shape) // MAX_VIEW_SIDE)
     person, background = person & measured, ~person & measured
     person_depth = _reduce(np.where(person, depth, np.inf), step)
+    nearest = minimum_filter(np.where(person, depth, np.inf), EDGE_WINDOW, mode="constant", cval=np.inf)
     background_depth = _reduce(np.where(background, depth, np.inf), step)
     shown = np.isfinite(person_depth)
     empty = ~shown & np.isfinite(background_depth)
-    depth = np.where(shown, person_depth, np.where(empty, background_depth, 0.0))
+    depth = np.where(shown, _reduce(nearest, step), np.where(empty, background_depth, 0.0))
     outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
     return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
 
