@@ -14,7 +14,7 @@ from .shadows import fill_shadows
 MAX_VIEW_SIDE = 320
 #: number of rows and columns around a pixel whose nearest depth it takes: at edges, pixels mix depths, and a finger is as
 #: narrow as a pixel
-EDGE_WINDOW = 5
+EDGE_WINDOW = 3
 
 
 @checked
