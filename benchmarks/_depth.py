@@ -18,7 +18,7 @@ from jaxcap.body.limits.limits import allowed
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import Sum, terms_of
 from jaxcap.fit.task_priority import priority_step
-from jaxcap.fit.tracking.em import Estimate, box_volume, data_energy, e_step, uniform_priors
+from jaxcap.fit.tracking.em_step import Estimate, box_volume, data_energy, e_step, uniform_priors
 from jaxcap.geometry.normals import estimate_normals
 
 #: pixels, of 640 x 480

@@ -40,7 +40,7 @@ from benchmarks._scenes import (
     shared_folder,
 )
 from benchmarks.report import finish, progress
-from jaxcap.fit.tracking.em import box_volume
+from jaxcap.fit.tracking.em_step import box_volume
 from jaxcap.metrics import joint_errors
 
 TAKE, FRAMES = "02_05", 150

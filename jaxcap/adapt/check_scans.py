@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..errors import InputError
-from ..fit.correspondence.correspond import within_aperture
+from ..fit.correspondence.find_pairs import within_aperture
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface

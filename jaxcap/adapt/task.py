@@ -10,7 +10,7 @@ from ..body.limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
-from ..fit.correspondence.correspond import Matching
+from ..fit.correspondence.find_pairs import Matching
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..fit.tracking.recover import TrackedFrame
 from ..fit.tracking.track_frame import Tracker, make_tracker

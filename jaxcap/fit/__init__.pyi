@@ -1,8 +1,8 @@
 """Fitting of bodies: least-squares problems, correspondence, tracking."""
 
 from ..energy.data.pairs import pair_positions as pair_positions
-from .correspondence.correspond import Matching as Matching
-from .correspondence.correspond import find_pairs as find_pairs
+from .correspondence.find_pairs import Matching as Matching
+from .correspondence.find_pairs import find_pairs as find_pairs
 from .correspondence.nearest_assignment import NearestOnSurface as NearestOnSurface
 from .correspondence.nearest_assignment import NearestVertex as NearestVertex
 from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
@@ -37,8 +37,8 @@ from .task_priority import priority_step as priority_step
 from .task_priority import solve_in_order as solve_in_order
 from .tracking.batch import fit_batch as fit_batch
 from .tracking.batch import scan_track as scan_track
-from .tracking.em import MixtureSettings as MixtureSettings
-from .tracking.em import make_mixture_settings as make_mixture_settings
+from .tracking.em_step import MixtureSettings as MixtureSettings
+from .tracking.em_step import make_mixture_settings as make_mixture_settings
 from .tracking.limb_flips import flip_limb_ends as flip_limb_ends
 from .tracking.recover import TrackedFrame as TrackedFrame
 from .tracking.track import track_frames as track_frames

@@ -22,5 +22,5 @@ from .frame_evaluation import nearest_frames as nearest_frames
 from .frame_evaluation import residual_frames as residual_frames
 from .learn import learn_limits as learn_limits
 from .marker_frames import arm_samples as arm_samples
-from .project import project_motion as project_motion
+from .motion_projection import project_motion as project_motion
 from .samples import gather_samples as gather_samples

@@ -31,7 +31,7 @@ from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions
 from jaxcap.energy.priors.reference_pose import RestPrior
-from jaxcap.fit.correspondence.correspond import Matching
+from jaxcap.fit.correspondence.find_pairs import Matching
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.fit.frame_equations import frame_equations

@@ -20,7 +20,7 @@ from jaxcap.body.limits.rotation_vector_boxes import (
 from jaxcap.body.pose import local_rotation_vectors, project, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.reference_pose import RestPrior
-from jaxcap.fit.correspondence.correspond import Matching
+from jaxcap.fit.correspondence.find_pairs import Matching
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.geometry import rotation

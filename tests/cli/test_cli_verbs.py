@@ -69,7 +69,10 @@ def test_version(capsys, checkout):
             "jaxcap: --seconds is '1 x'; give 2 numbers.",
         ),
         (["convert", "a.npz", "b.npz", "--as", "foo"], "jaxcap: --as is 'foo'; give amass or body."),
-        (["scan", "human", "m", "-o", "x", "--as", "foo"], "jaxcap: --as is 'foo'; give cloud, mesh or depth."),
+        (
+            ["scan", "human", "m", "-o", "x", "--as", "foo"],
+            "jaxcap: --as is 'foo'; give cloud, mesh or depth.",
+        ),
         (["markers", "fit", "a.c3d", "--up", "q"], "jaxcap: --up is 'q'; give x, y, z, -x, -y or -z."),
         (["--foo"], "scan, markers, limits,"),
     ],

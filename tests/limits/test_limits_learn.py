@@ -24,8 +24,8 @@ from jaxcap.limits.compare import compare_samples
 from jaxcap.limits.frame_evaluation import allowed_frames, comfort_frames, nearest_frames, residual_frames
 from jaxcap.limits.learn import learn_limits
 from jaxcap.limits.marker_frames import arm_samples
+from jaxcap.limits.motion_projection import project_motion
 from jaxcap.limits.primitive_matching import match_primitives
-from jaxcap.limits.project import project_motion
 from jaxcap.limits.samples import JointSamples, gather_samples, parse_joints
 from jaxcap.limits.voxels import voxelise
 from jaxcap.observe.markers import make_markers

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from jaxcap.energy.data.pairs import pair_positions
-from jaxcap.fit.correspondence.correspond import Matching, find_pairs, within_aperture
+from jaxcap.fit.correspondence.find_pairs import Matching, find_pairs, within_aperture
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex, make_scan
 from jaxcap.fit.correspondence.soft_assignment import SoftAssignment
 from jaxcap.geometry.camera import look_at

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.fit.correspondence.correspond import Matching, find_pairs
+from jaxcap.fit.correspondence.find_pairs import Matching, find_pairs
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_mesh_scan, make_scan
 from jaxcap.observe.clouds import make_cloud
 

@@ -11,7 +11,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose, retract
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
-from jaxcap.fit.tracking.em import (
+from jaxcap.fit.tracking.em_step import (
     Estimate,
     box_volume,
     data_energy,

@@ -13,7 +13,7 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import Matching, find_pairs
+from ...fit.correspondence.find_pairs import Matching, find_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
 from ...fit.correspondence.visibility import visible_vertices
 from ...fit.pose_problem import PoseProblem

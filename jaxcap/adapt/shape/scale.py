@@ -11,7 +11,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...energy.data.pairs import stack_pairs
 from ...fit.alternate import alternate
-from ...fit.correspondence.correspond import Matching
+from ...fit.correspondence.find_pairs import Matching
 from ...fit.correspondence.nearest_assignment import IndexedScan
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size

@@ -13,7 +13,7 @@ from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from ...body.body import Body
 from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
-from ...fit.correspondence.correspond import Matching
+from ...fit.correspondence.find_pairs import Matching
 from ...io.archives.journal import hash_files
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...io.registry import write_motion
-from ...limits.project import project_motion
+from ...limits.motion_projection import project_motion
 from ..console.console import say, warn
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalFile, OptionalUnit, arg
 from ..outputs import check_motion, check_new

@@ -15,7 +15,7 @@ from ...body.skeleton import Skeleton
 from ...fit.judgement.baseline import initial_baseline
 from ...fit.judgement.region_samples import sample_regions
 from ...fit.judgement.verdict import UNSEEN, Judgement
-from ...fit.tracking.em import FrameStatistics
+from ...fit.tracking.em_step import FrameStatistics
 from ...fit.tracking.recover import SearchHistory, TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...fit.tracking.track_frame import Tracker, start_state
 

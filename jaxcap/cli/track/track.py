@@ -10,7 +10,7 @@ import numpy as np
 from ...body.body import Body
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
-from ...fit.tracking.em import make_mixture_settings
+from ...fit.tracking.em_step import make_mixture_settings
 from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker

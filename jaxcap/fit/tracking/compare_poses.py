@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose, difference
 from ...observe.clouds import Cloud
-from .em import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
+from .em_step import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
 from .recover import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, penalty, start_state
 

@@ -22,7 +22,7 @@ from ...observe.clouds import Cloud, as_cloud
 from ...parallel import parallel_map
 from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_part_blocks
-from .em import Estimate, box_volume, em_step, uniform_priors
+from .em_step import Estimate, box_volume, em_step, uniform_priors
 from .prior_starts import limb_starts, mean_pose
 from .track_frame import Tracker, frame_terms, penalty
 

@@ -21,7 +21,7 @@ from ..judgement.baseline import (
 from ..judgement.evidence import gather_evidence
 from ..judgement.region_samples import RegionSamples
 from ..judgement.verdict import Judgement, judge_evidence
-from .em import Estimate, FrameStatistics
+from .em_step import Estimate, FrameStatistics
 from .initialise import (
     COARSE_POINTS,
     FINE_SIGMAS,
