@@ -41,9 +41,9 @@ CLOUD_OPTIONS = ("voxel", "points", "outliers")
 
 @dataclass
 class Scan:
-    """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., the cameras (cameras.json) and the
-    true motion (truth.npz). With --as depth, write depth images (depth0/0000.png, ...) with masks of the person
-    (mask0/0000.png, ...).
+    """Scan a moving body with virtual depth cameras; write scan_0000.ply, ..., the cameras (cameras.json), the
+    true motion (truth.npz) and the rate (scan.json). With --as depth, write depth images (depth0/0000.png, ...) with
+    masks of the person (mask0/0000.png, ...) instead of clouds.
 
     Each scan is written when it is finished, and does not depend on the scans before it. --resume continues an
     interrupted run."""
@@ -65,24 +65,25 @@ class Scan:
     field_of_view: float = 60.0
     """Horizontal field of view, degrees."""
     cameras: OptionalFile = None
-    """Calibrated cameras, .json as written by this verb, instead of the arc of cameras."""
+    """Calibrated cameras, .json as written by this verb, instead of the arc of cameras. The file then determines the
+    image size and the field of view."""
     sensor: Annotated[
         Literal["kinect-v1", "azure-kinect", "realsense-d435"] | None, arg(help_behavior_hint="")
     ] = None
-    """Depth camera whose image size, field of view and published errors are used. It replaces the options of images
-    and of their errors."""
+    """Depth camera whose image size, field of view and published errors are used, instead of --resolution,
+    --field-of-view and the options from --noise to --max-grazing-angle."""
     room: Flag = False
     """Put floor, walls, a table and a chair around the body."""
     noise: float = 0.002
-    """Standard deviation of the part of the depth error that is the same at every depth, metres."""
+    """Standard deviation of the part of the depth error that does not depend on the depth, metres."""
     noise_growth: float = 0.0
-    """Standard deviation of the part of the depth error that grows with the square of the depth: its value at 1 m,
+    """Standard deviation, at a depth of 1 m, of the part of the depth error that grows with the square of the depth,
     metres."""
     depth_step: float = 0.0
-    """Step to which depths are rounded, which grows with the square of the depth: its value at 1 m, metres. 0 disables
-    rounding."""
+    """Step to which depths are rounded, at a depth of 1 m, metres. The step grows with the square of the depth.
+    0 disables rounding."""
     flying: float = 0.0
-    """Share of the pixels at depth edges that are flying pixels, between foreground and background."""
+    """Share of the pixels at depth edges whose depth is between foreground and background (flying pixels)."""
     holes: float = 0.0
     """Share of the measured pixels that are lost in holes."""
     max_grazing_angle: float = 80.0
@@ -96,13 +97,14 @@ class Scan:
     outliers: float = 0.0
     """Share of points replaced by random points around the body."""
     kind: Annotated[Literal["cloud", "mesh", "depth"], arg(name="as")] = "cloud"
-    """Write points only (cloud), also a grid of triangles for each view (mesh), or depth images (depth)."""
+    """Content of the scans: points (cloud); points, and a grid of triangles for each view (mesh); or depth images
+    (depth)."""
     npz: Flag = False
     """Also write all clouds to one file, clouds.npz."""
     seed: int = 0
     """Random seed. The same seed gives the same scans."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
-    """Scans per second, at most the rate of the motion. Default: one scan of every frame."""
+    """Scans per second, at most the rate of the motion. Default: the rate of the motion, one scan for each frame."""
     resume: Flag = False
     """Continue an interrupted run."""
     overwrite: Flag = False

@@ -49,8 +49,8 @@ SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": Fal
 
 @dataclass
 class Track:
-    """Fit a body to a sequence of point clouds or depth images; write motion.bvh, motion.npz, and the statistics of each
-    frame in statistics.csv and statistics.json.
+    """Fit a body to a sequence of point clouds or depth images; write motion.bvh, motion.npz, and the statistics of
+    each frame in statistics.csv and statistics.json.
 
     An interrupted run continues with --resume. The result is the same as without the interruption."""
 
@@ -60,17 +60,20 @@ class Track:
     clouds: CloudsSpec = ()
     depth: DepthSpec = ()
     """Depth images instead of CLOUDS: for each camera a folder, a quoted glob ('cam0/*.png', 16 bits) or an .npz with
-    the array `depth` (F, H, W). The person is found in each image, unless --masks is given."""
+    the array `depth` (F, H, W). The person is found in each image, unless --masks is given or the .npz has an array
+    `mask` (F, H, W)."""
     cameras: OptionalFile = None
     """Cameras of --depth, .json: intrinsics as written by Open3D, RealSense or OpenCV, or calibrated cameras as written
     by `jaxcap scan`."""
     masks: DepthSpec = ()
-    """Masks of the person in the images of --depth, for each camera a folder or a quoted glob."""
+    """Masks of the person in the images of --depth: for each camera a folder or a quoted glob. The person is where a
+    mask is not zero."""
     depth_scale: float = 1000.0
-    """Number of units of --depth in one metre: 1000 if the images are in millimetres."""
+    """Number of units of --depth in one metre: 1000 if the images are in millimetres. It applies to whole numbers;
+    other depths are in metres."""
     partial: Flag = False
-    """The clouds show only a part of the body. A prior of human poses and self-collision then determine the other joints.
-    Implied by --depth."""
+    """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
+    self-collision term keeps limbs out of other parts. --depth implies this option."""
     skl: Skl = None
     vj: Vj = None
     limits: LimitsFile = None
@@ -87,9 +90,9 @@ class Track:
     """Up axis of the clouds, and of BODY if it is a mesh. Results have y up."""
     rate: ScanRate = None
     normal_angle: float = 60.0
-    """Largest angle between the normals of a point and of a vertex that is matched to it, degrees."""
+    """Largest angle between the normal of a point and that of the vertex matched to it, degrees."""
     sigma0: float = 0.1
-    """Initial standard deviation of the distances from points to the body, in the first frame, metres."""
+    """Initial standard deviation of the distances from the points of the first frame to the body, metres."""
     outlier: float = 0.1
     """Expected share of points that are not on the body."""
     damping: float = 1.0
@@ -101,8 +104,8 @@ class Track:
     estimate_priors: Flag = False
     """Also estimate, for each body part, its share of the points."""
     initialise: Literal["auto", "always", "never"] = "auto"
-    """Search for the pose of the first frame if the rest pose does not explain the first cloud (auto); always search;
-    or never search, and start at the rest pose."""
+    """Search for the pose of the first frame: if the rest pose does not explain the first cloud (auto), always, or
+    never. Without a search, tracking starts at the rest pose."""
     resume: Flag = False
     """Continue an interrupted run."""
     overwrite: Flag = False
