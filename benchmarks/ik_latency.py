@@ -99,16 +99,16 @@ def browser_milliseconds(body: Body, moves: int, rest: float) -> list[float]:
         window = windows[0]
         wait_for_camera(page, window.client.camera, window.middle)
         at = project_to_page(window.client.camera, ik.find_constraint(window.session, hand).target)
-        page.mouse.retract(*at)
+        page.mouse.move(*at)
         page.mouse.down()
-        page.mouse.retract(at[0] + 6, at[1] - 6)
-        page.mouse.retract(at[0] + 8, at[1] - 8)
+        page.mouse.move(at[0] + 6, at[1] - 6)
+        page.mouse.move(at[0] + 8, at[1] - 8)
         time.sleep(2.0)
         page.evaluate(WATCH, SURFACE)
         for number in range(moves):
             turn = 2 * np.pi * number / moves
             page.evaluate("() => { window.moves = []; window.changes = []; }")
-            page.mouse.retract(at[0] + 20 * np.cos(turn), at[1] - 30 + 20 * np.sin(turn))
+            page.mouse.move(at[0] + 20 * np.cos(turn), at[1] - 30 + 20 * np.sin(turn))
             time.sleep(rest)
             moved, changed = page.evaluate("[window.moves, window.changes]")
             later = [change for change in changed if moved and change > moved[0]]

@@ -2,12 +2,12 @@
 
 _BLENDER = "open it in Blender and export it by File > Export > glTF 2.0 as .glb"
 _IMPORT = "export .glb from Blender (File > Import > {}, then File > Export > glTF 2.0, with its animation)"
-_CLOUD = "convert it to .ply with CloudCompare or `pcl_pcd2ply`"
+_CLOUD = "convert it to .ply with CloudCompare"
 _UNPACK = "extract it and give the files in it"
 _EXPORT = "export its markers as .c3d or its skeleton as .bvh from the program that recorded it"
-_VIDEO = "poses are not estimated from images; give clouds, meshes, depth maps as clouds, or markers"
+_VIDEO = "poses are not estimated from colour images; give clouds, meshes, markers, or depth images by `track --depth`"
 
-#: images and pages, which are written but never read
+#: images and pages, which are written; of these, only depth images and masks are read, by readers of their own
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
 #: suffix -> the format to write instead
 WRITABLE_ALTERNATIVES: dict[str, str] = {

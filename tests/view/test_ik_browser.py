@@ -74,10 +74,10 @@ def hand_of(body) -> int:
 
 
 def drag(page, start, end, steps: int = 8) -> None:
-    page.mouse.retract(*start)
+    page.mouse.move(*start)
     page.mouse.down()
     for share in np.linspace(0, 1, steps + 1)[1:]:
-        page.mouse.retract(*(start + share * (end - start)))
+        page.mouse.move(*(start + share * (end - start)))
         time.sleep(0.05)
 
 
@@ -129,7 +129,7 @@ def test_a_point_is_clicked_dragged_and_arrives(chromium, served, body):
     assert np.linalg.norm(np.subtract(ik.point_position(session, held.point), target)) < 0.01
     wait(lambda: np.linalg.norm(vertices(page, SURFACE)[held.point] - target) < 0.01)
     # a ball under the mouse is lit up
-    page.mouse.retract(5, 300)
+    page.mouse.move(5, 300)
     wait(lambda: looks_like(colour_at(page, end), REACHED_COLOUR))
     assert not looks_like(colour_at(page, start), REACHED_COLOUR)
 

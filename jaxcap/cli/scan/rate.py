@@ -30,14 +30,16 @@ class Rate(NamedTuple):
     file: Path | None = None
 
 
-def find_rate(requested: float | None, clouds: Sequence[str]) -> Rate:
+def find_rate(requested: float | None, clouds: Sequence[str], images: Sequence[str] = ()) -> Rate:
     """Return the given rate, or else that of the scans, or else the default.
+
+    The scanner's file is in the folder of the clouds, or next to the folder of each camera's depth `images`.
 
     **Raises:** `InputError` if the rate next to the clouds is invalid, or there are several.
     """
     if requested is not None:
         return Rate(requested)
-    folders = dict.fromkeys(Path(one) if Path(one).is_dir() else Path(one).parent for one in clouds)
+    folders = dict.fromkeys([*map(_folder_of, clouds), *(_folder_of(one).parent for one in images)])
     found = [rate for folder in folders if (rate := _read_rate(folder / HEADER)) is not None]
     other = next((rate for rate in found if rate.frames != found[0].frames), None)
     if other is not None:
@@ -46,6 +48,10 @@ def find_rate(requested: float | None, clouds: Sequence[str]) -> Rate:
             "frames per second; give one rate with --rate."
         )
     return found[0] if found else Rate(DEFAULT_RATE)
+
+
+def _folder_of(source: str) -> Path:
+    return Path(source) if Path(source).is_dir() else Path(source).parent
 
 
 def print_rate(rate: Rate) -> None:

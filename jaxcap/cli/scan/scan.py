@@ -32,10 +32,11 @@ from .folder import frame_path, gather_clouds, prepare_folder
 
 #: number of frames in which a camera has to see part of the body at least once
 CHECKED_FRAMES = 24
-#: options that a model of a depth camera replaces, and those of clouds, which depth images do not have
+#: options that a model of a depth camera and a file of cameras replace, and those that depth images do not have
 SENSOR_OPTIONS = (
     "resolution", "field_of_view", "noise", "noise_growth", "depth_step", "flying", "holes", "max_grazing_angle",
 )  # fmt: skip
+CAMERA_OPTIONS = ("views", "arc", "distance", "height", "resolution", "field_of_view")
 CLOUD_OPTIONS = ("voxel", "points", "outliers")
 
 
@@ -171,6 +172,7 @@ class Scan:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.npz and self.kind != "cloud":
             raise InputError(f"--npz is for clouds, and --as {self.kind} was given; omit one of them.")
+        self.check_replaced("--cameras", CAMERA_OPTIONS, self.cameras is not None)
         self.check_replaced("--sensor", SENSOR_OPTIONS, self.sensor is not None)
         self.check_replaced("--as depth", CLOUD_OPTIONS, self.kind == "depth")
         if self.cameras is None:

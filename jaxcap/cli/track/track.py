@@ -119,7 +119,7 @@ class Track:
         terms = read_terms(
             body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
         )
-        rate = find_rate(self.rate, self.clouds)
+        rate = find_rate(self.rate, self.clouds, self.depth)
         clouds = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
