@@ -81,7 +81,7 @@ def test_speed_track(checkout, shared, tmp_path):
     picture = tmp_path / "cost.png"
     options = ("--small", "--frames", "6", "--repeats", "3", "--no-pycpd", "--picture", str(picture))
     line = run(checkout, "speed_track", *options)
-    assert meets(line, "e_step_apart", "tracked_mean_mm", "tracked_lost")
+    assert meets(line, "e_step_difference", "tracked_mean_mm", "tracked_lost")
     assert line["seconds"]["compile"]["cold_start"]["first_frame"] < line["figures"]["cold_start_s"]
     assert not line["seconds"]["compile"]["cold_start"]["lost"]
     assert picture.read_bytes().startswith(b"\x89PNG")
