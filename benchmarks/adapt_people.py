@@ -54,7 +54,7 @@ REQUIREMENTS = {"a": {"surface_mm": 1.5, "joints_mm": 10.0}, "b": {"surface_mm":
 POSES = 60
 #: frames that are judged; metres of the bumps and of their spread
 NUM_SCORED_FRAMES, BUMP_HEIGHT, BUMP_WIDTH = 12, 0.02, 0.07
-#: figures of which the actor that has the worst is told too
+#: figures for which the worst actor is named too
 WORST = {"surface_mm": max, "joints_mm": max, "bump_percent": min, "fall": min, "fall_surface": min}
 #: joints that a wrong first pose has off
 PERTURBED_JOINTS = ("LeftArm", "RightArm", "LeftUpLeg", "RightUpLeg")

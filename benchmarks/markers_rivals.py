@@ -3,10 +3,10 @@
 The embedded human under a take of CMU's, some 60 markers with a millimetre of noise, from a template with bones 8 %
 and markers 14 mm off: 100 of 300 frames to calibrate, all to solve. Each rival runs in a virtual environment of
 its own, which is made under FOLDER where it is not there, in a process of its own, one after the other; one that
-does not install, or ends before its time, is told and left out. Momentum and nimblephysics calibrate and solve;
+does not install, or ends before its time, is named and left out. Momentum and nimblephysics calibrate and solve;
 OpenSim solves with the subject that we calibrated, as its scaling has no joint centres of its own. Errors are those
-of the centres of joints that turn (20 degrees or more), in the world, over all frames (`told`: along the directions
-that our calibration says are told only); seconds are those after compilation. Run it with nothing else beside.
+of the centres of joints that turn (20 degrees or more), in the world, over all frames (`determined`: only along the directions
+that our calibration calls determined); seconds are those after compilation. Run nothing else at the same time.
 """
 
 import argparse

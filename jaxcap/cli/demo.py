@@ -152,9 +152,9 @@ class Demo:
                     scan_to_surface(points, vertices, np.asarray(body.faces)),
                 )
             )
-        with atomic_path(self.out / PICTURE) as beside:
+        with atomic_path(self.out / PICTURE) as temporary:
             title = f"jaxcap: {self.points:,} noisy points per frame, mean joint error {1000 * errors.mean():.1f} mm"
-            draw_views(beside, views, np.asarray(body.faces), title)
+            draw_views(temporary, views, np.asarray(body.faces), title)
 
 
 @eqx.filter_jit

@@ -137,17 +137,17 @@ class Ik:
             session = ik.solve_session(session)
             if np.abs(np.asarray(session.state.pose.rotations) - before).max() < 1e-5:
                 break
-        held, apart = session.state.constraints, ik.target_distances(session)
+        constraints, distances = session.state.constraints, ik.target_distances(session)
         write_motion(out, session.body.skeleton, stack_poses([session.state.pose]))
         rows = [
             [describe_point(one.point), f"{1000 * metres:.1f}"]
-            for one, metres in zip(held, apart, strict=True)
+            for one, metres in zip(constraints, distances, strict=True)
         ]
         print_table(["constraint", "distance to target, mm"], rows)
         say(f"written: {out}")
-        missed = [row[0] for row, metres in zip(rows, apart, strict=True) if metres > REACHED]
+        missed = [row[0] for row, metres in zip(rows, distances, strict=True) if metres > REACHED]
         if missed:
-            warn(f"{len(missed)} of {len(held)} targets are not reached: {', '.join(missed[:8])}")
+            warn(f"{len(missed)} of {len(constraints)} targets are not reached: {', '.join(missed[:8])}")
 
     def serve(self, session: IkSession) -> None:
         """Open a window until Ctrl-C."""

@@ -119,8 +119,8 @@ class Learn:
             raise InputError(
                 f"--hold-out {self.hold_out} leaves out none of {len(sequence)} meshes; give a lower number."
             )
-        for told in check_meshes(sequence, names):
-            warn(told)
+        for message in check_meshes(sequence, names):
+            warn(message)
         skeleton = None if self.skeleton is None else load_skeleton(self.skeleton, self.unit)
         header = {**self.settings(), **mesh_hashes(sequence[train])}
         resumed = self.start(checkpoint_path, header)
@@ -134,8 +134,8 @@ class Learn:
         bones, joints = body.skeleton.num_joints, sum(parent >= 0 for parent in body.skeleton.parents)
         between = "without parents" if self.free_bones else f"with {joints} joints between them"
         say(f"{self.out}: {len(body.vertices)} vertices on {bones} bones {between}; poses in {motion_path}")
-        for told in check_learned(body, learned.motion):
-            warn(told)
+        for message in check_learned(body, learned.motion):
+            warn(message)
         self.score(learned, sequence, names, train, held)
         checkpoint_path.unlink(missing_ok=True)
 
@@ -256,12 +256,12 @@ class Learn:
                 )
             except KeyboardInterrupt:
                 # a checkpoint that exists before the first round is of a run that this one replaces
-                told = (
+                message = (
                     f"round {done} is saved in {checkpoint_path}; --resume continues"
                     if done
                     else "no round is complete"
                 )
-                raise KeyboardInterrupt(f"stopped; {told}") from None
+                raise KeyboardInterrupt(f"stopped; {message}") from None
 
     def score(
         self,

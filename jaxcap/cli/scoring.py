@@ -26,9 +26,9 @@ def score_motion(
     """Score a motion on meshes with a progress bar; warn of meshes that were not fitted."""
     if not fitted.all():
         missed = [names[frame] for frame in np.flatnonzero(~fitted)]
-        told = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
+        listed = ", ".join(missed[:5]) + (f" and {len(missed) - 5} more" if len(missed) > 5 else "")
         warn(
-            f"{len(missed)} of {len(names)} meshes could not be fitted, and are excluded from the means: {told}"
+            f"{len(missed)} of {len(names)} meshes could not be fitted, and are excluded from the means: {listed}"
         )
 
     def each(scores):
@@ -43,12 +43,12 @@ def print_scores(groups: dict[str, Scores], per_mesh: bool = False) -> None:
     rows = []
     for label, scores in groups.items():
         if per_mesh:
-            told = list(scores.meshes)
-            if len(told) > MAX_ROWS:
+            rated = list(scores.meshes)
+            if len(rated) > MAX_ROWS:
                 # NaN marks meshes that were not fitted; they are last
-                told = sorted(told, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:MAX_ROWS]
-            rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in told]
-            if len(told) < len(scores.meshes):
+                rated = sorted(rated, key=lambda score: -np.nan_to_num(score.mean, nan=np.inf))[:MAX_ROWS]
+            rows += [_row(f"{score.name}{'' if score.fitted else ' (not fitted)'}", score) for score in rated]
+            if len(rated) < len(scores.meshes):
                 rows.append([f"... {len(scores.meshes) - MAX_ROWS} meshes with smaller errors", "", "", ""])
         rows.append(_row(f"{label}, {len(scores.meshes)} meshes", scores))
     print_table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)

@@ -74,8 +74,8 @@ class View:
                 " ".join(contents.notes)
                 or "There is nothing to show; give a body, a motion, clouds, markers, meshes or cameras."
             )
-        for told in contents.notes:
-            warn(told)
+        for note in contents.notes:
+            warn(note)
         run_window(
             "view",
             ", ".join(Path(name).name for name in self.files),

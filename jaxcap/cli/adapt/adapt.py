@@ -174,8 +174,8 @@ class Adapt:
         files = self.read_files(body, limits, known)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
         if len(scans) < 3:
-            told = clouds_words(self.clouds)
-            raise InputError(f"{told}: {len(scans)} scans are too few to adapt to; give at least 3.")
+            source = clouds_words(self.clouds)
+            raise InputError(f"{source}: {len(scans)} scans are too few to adapt to; give at least 3.")
         print_rate(find_rate(self.rate, self.clouds))
         seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)
@@ -186,13 +186,13 @@ class Adapt:
             else load_resumed_state(self.checkpoint_path, header, self.resume, self.overwrite)
         )
         task = self.task(body, scans, files, tuple(seen.unusable))
-        beside = carried_arrays(self.body, files.priors)
+        carried = carried_arrays(self.body, files.priors)
         warn_of_unusable(seen.unusable)
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
         if state is None or not finished:
             state = self.adapt(task, state, header, scans.names[0])
-            self.write(state, header, scans, beside)
+            self.write(state, header, scans, carried)
         if self.report is not None:
             self.write_report(self.report, task, state, known)
         self.checkpoint_path.unlink(missing_ok=True)

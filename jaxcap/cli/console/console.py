@@ -85,13 +85,13 @@ def _iterate_with_bar(frames: Iterable, total: int, done: int, label: str, noun:
 
 
 def _iterate_with_lines(frames: Iterable, total: int, done: int, label: str, noun: str) -> Iterator:
-    clock, told = _RateMeter(noun), time.monotonic()
+    clock, printed = _RateMeter(noun), time.monotonic()
     set_activity(label)
     for number, frame in enumerate(frames, done + 1):
         rate, now = clock.tick(), time.monotonic()
-        if now - told > PROGRESS_SECONDS:
+        if now - printed > PROGRESS_SECONDS:
             warn(f"{label}: {number} of {total} {noun}, {rate}, {clock.left(total - number)} left")
-            told = now
+            printed = now
         set_activity(f"{label}, {number} of {total} {noun} done")
         yield frame
 

@@ -56,8 +56,8 @@ def error_box_sentence(box: str, prog: str) -> str:
         if _RULE.fullmatch(text):
             parts.append("")
         elif depth < _DESCRIPTION_INDENT:
-            apart = ", " if depth == _OPTION_INDENT and not parts[-1].endswith(":") else " "
-            parts[-1] += f"{apart}{text}" if parts[-1] else text
+            separator = ", " if depth == _OPTION_INDENT and not parts[-1].endswith(":") else " "
+            parts[-1] += f"{separator}{text}" if parts[-1] else text
     texts = [part.rstrip(".") for part in parts if part and not part.startswith("For full helptext")]
     return "; ".join([text[0].lower() + text[1:] for text in texts] + [f"'{prog} --help' lists the options."])
 

@@ -97,8 +97,10 @@ def _kinds(folder: Path) -> dict[Path, str]:
     """Identify the first files of a folder; skeleton files of a mesh count as part of its body."""
     files = [path for path in sorted(folder.iterdir())[:MAX_IDENTIFIED] if path.is_file()]
     kinds = {path: kind for path in files if (kind := _kind(path)) is not None}
-    beside = {path for mesh, kind in kinds.items() if kind == "rigged" for path in find_rig_files(mesh) or ()}
-    return {path: kind for path, kind in kinds.items() if path not in beside}
+    rig_files = {
+        path for mesh, kind in kinds.items() if kind == "rigged" for path in find_rig_files(mesh) or ()
+    }
+    return {path: kind for path, kind in kinds.items() if path not in rig_files}
 
 
 def _kind(path: Path) -> str | None:

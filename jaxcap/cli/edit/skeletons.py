@@ -55,9 +55,9 @@ def check_same_skeleton(a: tuple[Path, Skeleton], b: tuple[Path, Skeleton]) -> N
         )
     # bones are compared, and not the rest position of the root
     offsets = [np.asarray(s.centres, float) - np.asarray(s.centres, float)[0] for s in (one, other)]
-    apart = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
-    if apart > MAX_JOINT_OFFSET:
+    difference = float(np.linalg.norm(offsets[0] - offsets[1], axis=1).max())
+    if difference > MAX_JOINT_OFFSET:
         raise InputError(
-            f"{path}: the bones of this motion differ from those of {a[0]} by up to {1000 * apart:.0f} mm; "
+            f"{path}: the bones of this motion differ from those of {a[0]} by up to {1000 * difference:.0f} mm; "
             "retarget the motion with `jaxcap edit retarget`."
         )

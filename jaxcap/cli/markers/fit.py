@@ -156,12 +156,12 @@ class Fit:
             f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, "
             f"95 % within {1e3 * totals['p95']:.2f} mm"
         )
-        told = tuple(
+        sentences = tuple(
             dict.fromkeys((*found.messages, *fitted.messages, *describe_strays(subject.labels, kept)))
         )
-        if told:
+        if sentences:
             say("notes:")
-        for sentence in told:
+        for sentence in sentences:
             say(f"- {sentence}")
         save_subject(self.out, subject)
         say(
@@ -170,7 +170,7 @@ class Fit:
         write_joints(self.joints, subject.skeleton, fitted.motion, lost)
         if self.report is not None:
             set_activity("drawing the report")
-            self.write_report(self.report, found, subject, fitted, told, lost)
+            self.write_report(self.report, found, subject, fitted, sentences, lost)
 
     def write_report(
         self, folder: Path, local_fit: LocalFit, subject, fitted, notes: Sequence[str], lost

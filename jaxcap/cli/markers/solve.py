@@ -127,8 +127,8 @@ class Solve:
                     if not solved:
                         self.checkpoint_path.unlink(missing_ok=True)
                     elif isinstance(stop, KeyboardInterrupt):
-                        told = f"{len(solved)} of {len(self.trials)} trials are solved; --resume continues"
-                        raise KeyboardInterrupt(f"stopped; {told}") from None
+                        message = f"{len(solved)} of {len(self.trials)} trials are solved; --resume continues"
+                        raise KeyboardInterrupt(f"stopped; {message}") from None
                     raise
                 solved[path] = digests[path]
                 write_solved(self.checkpoint_path, header, solved)

@@ -68,12 +68,12 @@ def solve_streamed(
     motion = stack_poses(poses, frames.rate)
     lengths = np.asarray(_lengths(subject, motion.poses, matched.positions))
     residuals = np.where(seen, lengths, np.nan)
-    told = (
+    messages = (
         ()
         if not lost.any()
         else (f"{int(lost.sum())} of {len(lost)} frames are lost and keep the previous pose.",)
     )
-    return MarkerSolution(motion, residuals, 1.0 * (seen & ~lost[:, None]), lost, told), Latency(seconds)
+    return MarkerSolution(motion, residuals, 1.0 * (seen & ~lost[:, None]), lost, messages), Latency(seconds)
 
 
 @eqx.filter_jit

@@ -161,9 +161,9 @@ def same_bones(one: Skeleton, other: Skeleton) -> bool:
     above = [one.parents[joint] for joint in below]
     ways = [np.asarray(s.centres, float)[below] - np.asarray(s.centres, float)[above] for s in (one, other)]
     lengths = [np.linalg.norm(way, axis=1) for way in ways]
-    apart = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1) > MAX_SINE * lengths[0] * lengths[1]
+    not_parallel = np.linalg.norm(np.cross(ways[0], ways[1]), axis=1) > MAX_SINE * lengths[0] * lengths[1]
     turned = np.sum(ways[0] * ways[1], axis=1) < 0
-    return not np.any(apart | turned)
+    return not np.any(not_parallel | turned)
 
 
 def print_summary(learned: tuple[LearnedPair, ...]) -> None:

@@ -44,9 +44,12 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     kept = there[select_diverse_poses(body.skeleton, found, MOST_MESHES)]
     poses = jax.tree.map(lambda a: a[kept], fit.motion.poses)
     prior = make_shape_prior(body, poses, np.asarray(sequence.vertices, float)[kept])
-    off, apart = float(np.sqrt(np.mean(np.asarray(fit.rmse)[kept] ** 2))), shape_energy(prior, body) ** 0.5
+    off, shape_distance = (
+        float(np.sqrt(np.mean(np.asarray(fit.rmse)[kept] ** 2))),
+        shape_energy(prior, body) ** 0.5,
+    )
     say(
         f"shape: {len(kept)} of {len(names)} meshes; RMS error of the body {1e3 * off:.2f} mm, "
-        f"of its Laplacian vectors {1e3 * apart:.2f} mm"
+        f"of its Laplacian vectors {1e3 * shape_distance:.2f} mm"
     )
     return prior

@@ -219,8 +219,8 @@ class Scan:
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the scans, by the names of the options."""
-        apart = ("body", "motion", "out", "cameras", "resume", "overwrite", "npz", "kind")
-        names = [name for name in self.__dataclass_fields__ if name not in apart]
+        excluded = ("body", "motion", "out", "cameras", "resume", "overwrite", "npz", "kind")
+        names = [name for name in self.__dataclass_fields__ if name not in excluded]
         return {"as": self.kind, **{name: getattr(self, name) for name in names}}
 
     def make_cameras(self, places: Float[np.ndarray, "F V 3"]) -> list[Camera]:
