@@ -267,6 +267,9 @@ def test_depth_images_of_a_room_are_written_and_read(inputs, tmp_path, capsys):
         distances = nearest_on_surface(points, vertices, np.asarray(body.faces)).distances
         assert len(points) > 500 and np.median(distances) < 0.003
         assert np.mean(depth > 0) > 0.5 and np.mean(mask) < 0.1
+    described = runs(capsys, "info", out)
+    assert "2 depth images of 320 x 288 pixels" in described
+    assert f"track human --depth {out}/depth0 --cameras {out}/cameras.json" in described
     said = fails(capsys, *source, "--as", "depth", "--room", "--sensor", "azure-kinect")
     assert "this folder contains scans" in said
     runs(capsys, *source, "--as", "depth", "--room", "--sensor", "azure-kinect", "--resume")

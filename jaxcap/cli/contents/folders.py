@@ -32,6 +32,11 @@ def describe_folder(folder: Path, unit: str) -> str:
     if kind == "scans":
         cameras = read_cameras(folder / "cameras.json")
         say(f"scans of {pluralise(len(cameras), 'camera')}")
+        images = [folder / f"depth{number}" for number in range(len(cameras))]
+        if any(one.is_dir() for one in images):
+            for one in images:
+                describe_depth(one)
+            return "depth scans"
         return describe_clouds(str(folder), unit, "scans")
     if there["mesh"]:
         return describe_clouds(str(folder), unit)

@@ -86,6 +86,12 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "run": (("view {file}", "shows it"), ("evaluate BODY {file}/motion.npz CLOUDS", "measures its errors")),
     "scans": (("track human {file} -o tracked", "fits a body"), ("view {file}", "shows them")),
+    "depth scans": (
+        (
+            "track human --depth {file}/depth0 --cameras {file}/cameras.json -o tracked",
+            "fits a body to one camera's images",
+        ),
+    ),
     "folder of markers": (("markers fit {file}/* -o subject.npz", "calibrates a subject"),),
     "folder of bvh": (("prior learn {file}/*.bvh -o prior.npz", "learns a pose prior"),),
     "folder of amc": (("prior learn {file}/*.amc -o prior.npz", "learns a pose prior"),),
