@@ -56,8 +56,6 @@ LIMBS = (
 )
 #: a frame with a larger mean error of visible joints is rightly called lost, metres
 LOST_ERROR = 0.08
-#: every so many-th frame of a picture, and its size, inches
-PICTURE_STEP, PICTURE_SIZE = 10, 2.2
 
 _pose_body = eqx.filter_jit(jc.pose_body)
 
@@ -193,8 +191,8 @@ def track_scene(body: jc.Body, scene: Scene, with_images: bool) -> Result:
         )
         verdicts.append(frame.verdict)
         sides.append(sides_are_right(joints, scene.joints[number], scene.visible[number], skeleton))
-        apart = heading(joints, skeleton) - heading(scene.joints[number], skeleton)
-        headings.append((apart + 180) % 360 - 180)
+        difference = heading(joints, skeleton) - heading(scene.joints[number], skeleton)
+        headings.append((difference + 180) % 360 - 180)
         image = render_depth(scene.camera, make_ray_mesh(np.asarray(posed.vertices, float), faces))
         shown = image.depth > 0
         overlaps.append(np.sum(shown & scene.masks[number]) / np.sum(shown | scene.masks[number]))
@@ -212,16 +210,13 @@ def summary(prefix: str, results: list[Result]) -> dict[str, float]:
     """Summarise the errors of several scenes."""
     errors = np.concatenate([result.errors.ravel() for result in results])
     errors = 1000 * errors[np.isfinite(errors)]
-    wrongly_lost = sum(
-        verdict == "lost" and np.nanmean(row) < LOST_ERROR
+    frames = [
+        (verdict, float(np.nanmean(row)))
         for result in results
         for verdict, row in zip(result.verdicts, result.errors, strict=True)
-    )
-    unseen_faults = sum(
-        verdict == "good" and np.nanmean(row) > LOST_ERROR
-        for result in results
-        for verdict, row in zip(result.verdicts, result.errors, strict=True)
-    )
+    ]
+    wrongly_lost = sum(verdict == "lost" and error < LOST_ERROR for verdict, error in frames)
+    wrong_and_good = sum(verdict == "good" and error > LOST_ERROR for verdict, error in frames)
     return {
         f"{prefix}_joints_mean_mm": float(errors.mean()),
         f"{prefix}_joints_p95_mm": float(np.quantile(errors, 0.95)),
@@ -229,25 +224,8 @@ def summary(prefix: str, results: list[Result]) -> dict[str, float]:
         f"{prefix}_heading_end_degrees": float(max(abs(result.heading[-1]) for result in results)),
         f"{prefix}_overlap_mean": float(np.mean([result.overlaps.mean() for result in results])),
         f"{prefix}_wrongly_lost": float(wrongly_lost),
-        f"{prefix}_wrong_and_good": float(unseen_faults),
+        f"{prefix}_wrong_and_good": float(wrong_and_good),
     }
-
-
-def draw(path: Path, body: jc.Body, scene: Scene, poses: list[jc.Pose]) -> None:
-    """Draw masks (red) and bodies (green) of some frames."""
-    from matplotlib.figure import Figure
-
-    shown = range(0, len(poses), PICTURE_STEP)
-    figure = Figure(figsize=(PICTURE_SIZE * len(shown), PICTURE_SIZE))
-    axes = figure.subplots(1, len(shown), squeeze=False)[0]
-    for axis, number in zip(axes, shown, strict=True):
-        vertices = np.asarray(_pose_body(body, poses[number]).vertices, float)
-        image = render_depth(scene.camera, make_ray_mesh(vertices, np.asarray(body.faces)))
-        mask = scene.masks[number].astype(float)
-        axis.imshow(np.stack([mask, image.incidence_cosines, np.zeros_like(mask)], -1))
-        axis.axis("off")
-    figure.tight_layout()
-    figure.savefig(path, dpi=70)
 
 
 def main() -> None:

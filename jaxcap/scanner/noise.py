@@ -48,7 +48,7 @@ def continuous_jump(
 ) -> Float[np.ndarray, "H W"]:
     """Compute the difference in depth of neighbouring pixels on a surface at the largest measurable angle, metres.
 
-    **Arguments:** `max_angle`, degrees, of which at most 85 are used; `focal`, pixels.
+    **Arguments:** `max_angle`, degrees, limited to 85; `focal`, pixels.
     """
     return depth * np.tan(np.radians(min(max_angle, 85.0))) / focal
 

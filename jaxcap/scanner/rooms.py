@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from ..arguments import checked
 from ..errors import InputError
 
-#: distances of the walls behind and beside the person, and height of walls, metres
-BEHIND, BESIDE, WALL_HEIGHT = 0.9, 1.6, 2.6
+#: distances of the back wall and of the side walls from the person, and height of walls, metres
+BACK_DISTANCE, SIDE_DISTANCE, WALL_HEIGHT = 0.9, 1.6, 2.6
 #: thickness of walls, of the floor, of boards and of legs, metres
 WALL_THICKNESS, BOARD_THICKNESS, LEG_THICKNESS = 0.1, 0.04, 0.05
 #: distance of furniture from the person, metres
@@ -36,8 +36,8 @@ def make_room(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], furnish
     """
     if not (high >= low).all():
         raise InputError(f"make_room: the box reaches from {low} to {high}; expected larger values last.")
-    floor, back = low[1], low[2] - BEHIND
-    left, right, front = low[0] - BESIDE, high[0] + BESIDE, high[2] + 6.0
+    floor, back = low[1], low[2] - BACK_DISTANCE
+    left, right, front = low[0] - SIDE_DISTANCE, high[0] + SIDE_DISTANCE, high[2] + 6.0
     top = floor + WALL_HEIGHT
     boxes = [
         _box([left, floor - WALL_THICKNESS, back], [right, floor, front]),

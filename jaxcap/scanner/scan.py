@@ -42,7 +42,7 @@ def scan_frame(
     """
     check_metres("scan_frame", "vertices", vertices)
     check_faces("scan_frame", faces, len(vertices))
-    surfaces = [(vertices, faces), *([] if room is None else [(room.vertices, room.faces)])]
+    surfaces = [(vertices, faces), *([] if room is None else [room])]
     depths = [image.depth for image in scan_scene(scanner, cameras, surfaces, seed, frame)]
     if scanner.mesh:
         return fuse_mesh(cameras, depths, scanner.gap, scanner.normal_window)
@@ -72,22 +72,6 @@ def add_outliers(
     directions = rng.normal(size=(count, 3))
     normals[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return FusedScan(points, normals, scan.views, scan.faces)
-
-
-def scan_depths(
-    scanner: Scanner,
-    cameras: Sequence[Camera],
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    seed: int = 0,
-    frame: int = 0,
-) -> list[Float[np.ndarray, "H W"]]:
-    """Simulate each camera's depth image of one frame, metres, zero for pixels without measurement.
-
-    Arguments and errors are those of `scan_frame`.
-    """
-    images = scan_scene(scanner, cameras, [(vertices, faces)], seed, frame)
-    return [image.depth for image in images]
 
 
 class LabelledDepth(NamedTuple):

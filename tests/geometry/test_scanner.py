@@ -26,7 +26,7 @@ from jaxcap.scanner.noise import (
     remove_grazing,
 )  # fmt: skip
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
-from jaxcap.scanner.scan import sample_dropped_views, scan_depths, scan_frame
+from jaxcap.scanner.scan import sample_dropped_views, scan_frame, scan_scene
 from jaxcap.scanner.settings import Scanner
 
 CLEAN = Scanner(noise=0.0, max_grazing_angle=90.0)
@@ -171,8 +171,8 @@ def test_scans_are_the_same_in_any_order(person):
     # a view's picture does not depend on the others
     still = bad._replace(drop=0.0)
     np.testing.assert_array_equal(
-        scan_depths(still, ring, vertices, faces, 3, 5)[0],
-        scan_depths(still, ring[:1], vertices, faces, 3, 5)[0],
+        scan_scene(still, ring, [(vertices, faces)], 3, 5)[0].depth,
+        scan_scene(still, ring[:1], [(vertices, faces)], 3, 5)[0].depth,
     )
 
 
@@ -209,7 +209,7 @@ def test_four_views_on_145_degrees_cover_one_side(person):
 def test_normals_are_those_of_the_surface_and_look_to_the_camera(person):
     vertices, faces = wall(0.0)
     camera = look_at([1, 0.5, 3], [0, 0, 0], 80, 60, 50)
-    scan = fuse_cloud([camera], scan_depths(CLEAN, [camera], vertices, faces))
+    scan = fuse_cloud([camera], [scan_scene(CLEAN, [camera], [(vertices, faces)])[0].depth])
     np.testing.assert_allclose(scan.normals, np.tile([0.0, 0, 1], (len(scan.points), 1)), atol=1e-9)
     ball = trimesh.creation.icosphere(5, 0.5)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)

@@ -9,7 +9,7 @@ from jaxcap.errors import InputError
 from jaxcap.geometry.camera import Camera, look_at
 from jaxcap.scanner.noise import continuous_jump, lose_edges, noise_deviation, remove_shadow
 from jaxcap.scanner.ray_casting import DepthImage
-from jaxcap.scanner.rooms import BEHIND, make_room
+from jaxcap.scanner.rooms import BACK_DISTANCE, make_room
 from jaxcap.scanner.scan import scan_scene
 from jaxcap.scanner.sensors import SENSORS
 from jaxcap.scanner.settings import Scanner
@@ -96,7 +96,7 @@ def test_a_sensor_sees_a_ball_in_a_room(name):
     centre = int(camera.height / 2), int(camera.width / 2)
     assert abs(rows.mean() - centre[0]) < 3 and abs(columns.mean() - centre[1]) < 8
     errors = sensor.errors
-    for of, depth in ((1, 1.7), (0, 2.0 + BEHIND + 0.4)):
+    for of, depth in ((1, 1.7), (0, 2.0 + BACK_DISTANCE + 0.4)):
         found = image.depth[image.labels == of]
         found = found[np.abs(found - depth) < 0.1]
         size = (

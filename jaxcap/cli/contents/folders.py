@@ -13,6 +13,7 @@ from ...io.meshes.clouds import Scans, read_clouds
 from ...io.meshes.mesh import SUFFIXES
 from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
+from ..scan.depth_images import image_path
 from .bodies import describe_motion, format_size
 from .depth import describe_depth
 from .texts import describe_journal, describe_statistics
@@ -32,7 +33,7 @@ def describe_folder(folder: Path, unit: str) -> str:
     if kind == "scans":
         cameras = read_cameras(folder / "cameras.json")
         say(f"scans of {pluralise(len(cameras), 'camera')}")
-        images = [folder / f"depth{number}" for number in range(len(cameras))]
+        images = [image_path(folder, number, 0).parent for number in range(len(cameras))]
         if any(one.is_dir() for one in images):
             for one in images:
                 describe_depth(one)

@@ -2,31 +2,13 @@
 
 from pathlib import Path
 
-import numpy as np
-
-from ...geometry.camera import Camera
 from ...io.depth.images import write_depth_image, write_mask
-from ...scanner.rooms import Room
-from ...scanner.scan import LabelledDepth, scan_scene
-from ...scanner.settings import Scanner
+from ...scanner.scan import LabelledDepth
 
 
 def image_path(folder: Path, camera: int, frame: int, kind: str = "depth") -> Path:
     """Return the path of the depth image of a camera in a frame, or of its mask with the kind `mask`."""
     return folder / f"{kind}{camera}" / f"{frame:04d}.png"
-
-
-def scan_images(
-    scanner: Scanner,
-    cameras: list[Camera],
-    surface: tuple[np.ndarray, np.ndarray],
-    room: Room | None,
-    seed: int,
-    frame: int,
-) -> list[LabelledDepth]:
-    """Simulate the depth images of one frame; the person has the label 0."""
-    surfaces = [surface, *([] if room is None else [(room.vertices, room.faces)])]
-    return scan_scene(scanner, cameras, surfaces, seed, frame)
 
 
 def write_images(folder: Path, images: list[LabelledDepth], frame: int) -> None:

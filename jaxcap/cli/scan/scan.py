@@ -19,7 +19,7 @@ from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
 from ...io.system.lock import run_lock
 from ...scanner.rooms import Room, make_room
-from ...scanner.scan import sample_dropped_views, scan_frame
+from ...scanner.scan import sample_dropped_views, scan_frame, scan_scene
 from ...scanner.sensors import SENSORS
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn
@@ -27,7 +27,7 @@ from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, Optiona
 from ..motions import load_body_motion
 from ..sources import load_body
 from ..track.results import make_writable
-from .depth_images import image_path, scan_images, write_images
+from .depth_images import image_path, write_images
 from .folder import frame_path, gather_clouds, prepare_folder
 
 #: number of frames in which a camera has to see part of the body at least once
@@ -253,7 +253,8 @@ class Scan:
         vertices = np.asarray(pose_body(body, motion[frame]).vertices, float)
         faces = np.asarray(body.faces)
         if self.kind == "depth":
-            images = scan_images(scanner, cameras, (vertices, faces), room, self.seed, frame)
+            surfaces = [(vertices, faces), *([] if room is None else [room])]
+            images = scan_scene(scanner, cameras, surfaces, self.seed, frame)
             counts = np.array([np.sum(image.labels == 0) for image in images])
             check_seen(frame, cameras, bool(counts.any()))
             write_images(self.out, images, frame)

@@ -200,11 +200,11 @@ def initialise(
 
     Stacked `starts` replace those at rest.
 
-    Starts in all directions, at rest and at the mean of the prior of people's poses where the tracker has it, are annealed
-    with a coarse body and few points. The best `keep` and `neighbours`
-    random neighbours of each are annealed again, then in `rounds` the best with single limbs moved. In the
-    end the same is done with the whole body and more points, which resolve hands and feet, also with limbs at that mean.
-    Returns the best of all and its mean log-likelihood.
+    Starts in all directions, at rest and at the mean of the tracker's pose prior if it has one, are annealed with a
+    coarse body and few points. The best `keep` and `neighbours` random neighbours of each are annealed again, then in
+    `rounds` the best with single limbs moved. In the end the same is done with the whole body and more points, which
+    resolve hands and feet, also with limbs at the mean of the prior. Returns the best of all and its mean
+    log-likelihood.
 
     **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
     """
