@@ -10,6 +10,7 @@ differences. Then the cost of linearising and of solving, with frames doubled th
 """
 
 import argparse
+import itertools
 import resource
 import time
 
@@ -254,16 +255,20 @@ def learning_recipe() -> dict[str, float]:
     return {"derivative_difference": worst, "trustworthy": bool(found.trustworthy)}
 
 
-def min_seconds(function, *arguments, repeats: int = 5) -> tuple[float, float]:
-    """Measure the seconds of the first call, and the minimum of some others."""
-    begun = time.perf_counter()
-    jax.block_until_ready(function(*arguments))
-    first, others = time.perf_counter() - begun, []
-    for _ in range(repeats):
+def min_seconds(function, cases, repeats: int = 5) -> tuple[list[float], list[float]]:
+    """Measure the seconds of the first call with each case's arguments, and the minimum of some others.
+
+    The cases take turns, so that other load on the machine affects all of them.
+    """
+
+    def seconds(arguments):
         begun = time.perf_counter()
         jax.block_until_ready(function(*arguments))
-        others.append(time.perf_counter() - begun)
-    return first, min(others)
+        return time.perf_counter() - begun
+
+    first = [seconds(arguments) for arguments in cases]
+    others = [[seconds(arguments) for arguments in cases] for _ in range(repeats)]
+    return first, np.min(others, 0).tolist()
 
 
 @eqx.filter_jit
@@ -286,7 +291,7 @@ def solving_seconds(frames: int, dofs: int, shared: int, width: int) -> float:
         jnp.asarray(gram[:, dofs:, dofs:].sum(0)),
     )
     side = jnp.ones((frames, dofs), jnp.float32), jnp.ones(shared, jnp.float32)
-    return min_seconds(jax.jit(lambda arrow, side: arrow.factorise().solve(side)), arrow, side)[1]
+    return min_seconds(jax.jit(lambda arrow, side: arrow.factorise().solve(side)), [(arrow, side)])[1][0]
 
 
 def main():
@@ -317,19 +322,18 @@ def main():
     progress(f"learning: {found}")
     figures |= {f"learning_{key}": value for key, value in found.items()}
     limits |= {"learning_derivative_difference": ("<=", 1e-5)}
-    for count in (frames // 4, frames // 2, frames, 2 * frames):
-        problem, poses = scene(body, shared_unknowns(body, modes)["adaptation"], count)
-        with jax.enable_x64(False):
-            single = cast((problem, problem.start(poses)), jnp.float32)
-            first, least = min_seconds(gauss_newton_step, *single)
-        figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = least, first
+    counts = (frames // 4, frames // 2, frames, 2 * frames)
+    scenes = [scene(body, shared_unknowns(body, modes)["adaptation"], count) for count in counts]
+    with jax.enable_x64(False):
+        single = [cast((problem, problem.start(poses)), jnp.float32) for problem, poses in scenes]
+        first, least = min_seconds(gauss_newton_step, single)
+    shared = scenes[0][0].num_shared
+    for count, before, after in zip(counts, first, least, strict=True):
+        figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = after, before
         progress(
-            f"{count} frames, {problem.num_shared} shared unknowns: {least:.3f} s per step, first step {first:.1f} s"
+            f"{count} frames, {shared} shared unknowns: {after:.3f} s per step, first step {before:.1f} s"
         )
-    doubled = [
-        figures[f"step_of_{2 * count}_s"] / figures[f"step_of_{count}_s"]
-        for count in (frames // 4, frames // 2, frames)
-    ]
+    doubled = [later / earlier for earlier, later in itertools.pairwise(least)]
     figures["largest_growth_of_a_doubling"] = max(doubled)
     dofs = body.skeleton.num_dofs
     figures["arrow_120_s"] = solving_seconds(120, dofs, 168, 1)
