@@ -116,7 +116,7 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
     number = jnp.zeros((), pose.rotations.dtype)
-    statistics = FrameStatistics(number, number, number, number)
+    statistics = FrameStatistics(number, number, number, number, number)
     surface = sample_regions(tracker.body)
     baseline = initial_baseline(surface, num_cameras)
     support = jnp.zeros(len(surface.joints), number.dtype)

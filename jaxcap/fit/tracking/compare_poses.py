@@ -31,7 +31,7 @@ def log_posterior(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""
     estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
     volume = box_volume(cloud)
     found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
-    density = found.log_likelihood - penalty(tracker, cloud, pose)
+    density = found.surface_log_likelihood - penalty(tracker, cloud, pose)
     # a NaN pose explains nothing
     return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 

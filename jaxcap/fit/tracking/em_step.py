@@ -14,6 +14,7 @@ from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from ..correspondence.part_blocks import PartBlocks
 from ..correspondence.posterior import Posterior, posterior, update_priors, update_sigma
+from ..correspondence.surface_density import surface_log_density
 from ..pose_problem import PoseProblem
 from ..solvers.descent import NormalDescent
 from ..solvers.minimise import take_step
@@ -88,8 +89,10 @@ class Estimate(eqx.Module):
 class FrameStatistics(eqx.Module):
     """Statistics of an estimate's fit to a cloud."""
 
-    #: mean log-likelihood of a point, per metre^3
+    #: mean log-likelihood of a point in the mixture of parts, per metre^3
     log_likelihood: Float[Array, ""]
+    #: mean `surface_log_density` of a point, by which poses are compared
+    surface_log_likelihood: Float[Array, ""]
     #: share of points that no part explains
     outlier_share: Float[Array, ""]
     #: mean distance of the explained points from their vertices, metres
@@ -168,7 +171,7 @@ def em_step(
     priors = estimate.priors
     if mixture.estimate_priors:
         priors = jnp.where(seen, update_priors(found, cloud.weights, parts.num_parts), priors)
-    return Estimate(pose, sigma, priors), _statistics(found, cloud, estimate.sigma)
+    return Estimate(pose, sigma, priors), _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma)
 
 
 def frame_statistics(
@@ -180,16 +183,28 @@ def frame_statistics(
     estimate: Estimate,
 ) -> FrameStatistics:
     """Compute the statistics of an estimate's fit to its cloud."""
-    _, found = e_step(body, parts, mixture, cloud, volume, estimate)
-    return _statistics(found, cloud, estimate.sigma)
+    posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
+    return _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma)
 
 
-def _statistics(found: Posterior, cloud: Cloud, sigma: Float[Array, ""]) -> FrameStatistics:
+def _statistics(
+    parts: PartBlocks,
+    mixture: MixtureSettings,
+    posed: Posed,
+    found: Posterior,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    sigma: Float[Array, ""],
+) -> FrameStatistics:
+    on_surface = surface_log_density(
+        found, parts, posed, cloud, sigma, mixture.outlier, volume, mixture.tangential_weight
+    )
     total = jnp.maximum(jnp.sum(cloud.weights), jnp.finfo(cloud.weights.dtype).tiny)
     share = cloud.weights[:, None] * found.weights
     distances = jnp.sqrt(jnp.where(share > 0, found.squared_distances, 0.0))
     return FrameStatistics(
         log_likelihood=jnp.sum(cloud.weights * found.log_density) / total,
+        surface_log_likelihood=jnp.sum(cloud.weights * on_surface) / total,
         outlier_share=jnp.sum(cloud.weights * found.outlier) / total,
         mean_distance=jnp.sum(share * distances) / jnp.maximum(jnp.sum(share), jnp.finfo(share.dtype).tiny),
         sigma=sigma,

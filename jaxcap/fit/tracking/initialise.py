@@ -60,7 +60,7 @@ def anneal_pose(
     last, statistics = jax.lax.scan(
         step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
     )
-    likelihood = statistics.log_likelihood[-1] - penalty(tracker, cloud, last.pose)
+    likelihood = statistics.surface_log_likelihood[-1] - penalty(tracker, cloud, last.pose)
     return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
 
