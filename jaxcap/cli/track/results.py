@@ -19,6 +19,8 @@ from ...io.table import write_csv, write_json
 from ...observe.clouds import Cloud
 from .frame_records import CLOUD_AT, Results, hash_cloud_name
 
+#: the shape of the person, if it was estimated
+PERSON = "person.npz"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
@@ -29,13 +31,13 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     replace them.
     """
     make_writable(folder)
-    there = [name for name in (*FILES, journal) if (folder / name).exists()]
+    there = [name for name in (*FILES, PERSON, journal) if (folder / name).exists()]
     if there and not (resume or overwrite):
-        what = "an unfinished run" if there == [journal] else "the results of a run"
+        what = "an unfinished run" if set(there) <= {PERSON, journal} else "the results of a run"
         raise InputError(
             f"{folder}: this folder contains {what}; give --resume to continue it or --overwrite to replace it."
         )
-    if resume and there and journal not in there:
+    if resume and journal not in there and there not in ([], [PERSON]):
         raise InputError(
             f"{folder}: this folder has no journal to resume from; give --overwrite to begin anew."
         )

@@ -7,14 +7,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from ...adapt.shape.tracked_shape import fit_shape
 from ...body.body import Body
-from ...energy.energy import AbstractEnergy
+from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.tracking.em_step import make_mixture_settings
 from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
+from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...io.system.lock import run_lock
@@ -40,9 +42,11 @@ from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .depth import load_depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
-from .results import check_folder, check_same_clouds, fingerprint, make_writable, write_results
+from .results import PERSON, check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
 JOURNAL = "journal"
+#: number of frames from which the shape of a person is estimated
+SHAPE_FRAMES = 40
 #: values of --initialise
 SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
 
@@ -74,6 +78,9 @@ class Track:
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
+    fit_shape: Flag = False
+    """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it.
+    BODY must have the joints of the embedded human, as `human` does."""
     skl: Skl = None
     vj: Vj = None
     limits: LimitsFile = None
@@ -116,20 +123,30 @@ class Track:
         body, limits = load_body(
             self.body, self.skl, self.vj, self.limits, vertices=self.vertices, unit=self.unit, up=self.up
         )
-        terms = read_terms(
-            body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
-        )
+        tracker = self.tracker(body, limits)
         rate = find_rate(self.rate, self.clouds, self.depth)
         clouds = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
-        tracker = self.tracker(body, terms)
-        header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
         make_writable(self.out)
         print_rate(rate)
         with run_lock(self.out):
-            self.track(tracker, clouds, rate, header)
+            journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
+            if self.fit_shape:
+                tracker = self.tracker(self.find_person(tracker, clouds), limits)
+            header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
+            self.track(journal, tracker, clouds, rate, header)
+
+    def find_person(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
+        """Estimate the shape of the person from the first frames and write it, or read it if an earlier run did."""
+        path = self.out / PERSON
+        if not path.is_file():
+            set_activity("estimating the shape of the person")
+            save_body(path, fit_shape(tracker, first_readable(clouds, SHAPE_FRAMES)))
+            say(f"the shape of the person is in {path}; the frames are now tracked with it")
+        # the written body, so that a resumed run has the same one
+        return load_body(str(path))[0]
 
     def open_clouds(self, body: Body) -> LazyFrames[Cloud]:
         """Open the clouds, or the depth images. Raises `InputError`."""
@@ -141,11 +158,16 @@ class Track:
         )
 
     def track(
-        self, tracker: Tracker, clouds: LazyFrames[Cloud], rate: Rate, header: dict[str, object]
+        self,
+        path: Path,
+        tracker: Tracker,
+        clouds: LazyFrames[Cloud],
+        rate: Rate,
+        header: dict[str, object],
     ) -> None:
-        """Track all remaining frames, and write the results, while the lock excludes other runs in the
-        folder."""
-        path, body = check_folder(self.out, JOURNAL, self.resume, self.overwrite), tracker.body
+        """Track all frames that the journal at `path` lacks, and write the results, while the lock excludes other
+        runs in the folder."""
+        body = tracker.body
         template = row_template(tracker, num_cameras=len(self.depth))
         going_on = self.resume and path.is_file()
         journal = (
@@ -216,10 +238,13 @@ class Track:
             "limit_weight",
             "depth_scale",
         )
-        choices = ("vertices", "unit", "up", "estimate_priors", "initialise", "partial")
+        choices = ("vertices", "unit", "up", "estimate_priors", "initialise", "partial", "fit_shape")
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
-    def tracker(self, body: Body, terms: tuple[AbstractEnergy, ...]) -> Tracker:
+    def tracker(self, body: Body, limits: AbstractLimits | None) -> Tracker:
+        terms = read_terms(
+            body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
+        )
         mixture = make_mixture_settings(
             normal_threshold=float(np.cos(np.radians(self.normal_angle))),
             outlier=self.outlier,
@@ -261,6 +286,17 @@ class Track:
                 on_search=make_announcer(),
             )
         )
+
+
+def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
+    """Read the first `count` clouds, or those before the first that cannot be read, which tracking reports."""
+    found = []
+    for number in range(min(len(clouds), count)):
+        try:
+            found.append(clouds[number])
+        except InputError:
+            break
+    return found
 
 
 def make_announcer() -> Callable[[Search], None]:

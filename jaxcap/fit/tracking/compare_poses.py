@@ -13,7 +13,7 @@ from .recover import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, penalty, start_state
 
 #: standard deviation at which poses are compared, metres
-COMPARISON_SIGMA = 0.02
+COMPARISON_SIGMA = 0.012
 #: a pose with a `log_posterior` below the best by more than this is not improved
 MAX_DEFICIT = 0.3
 

@@ -171,7 +171,9 @@ def em_step(
     priors = estimate.priors
     if mixture.estimate_priors:
         priors = jnp.where(seen, update_priors(found, cloud.weights, parts.num_parts), priors)
-    return Estimate(pose, sigma, priors), _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma)
+    return Estimate(pose, sigma, priors), _statistics(
+        parts, mixture, posed, found, cloud, volume, estimate.sigma
+    )
 
 
 def frame_statistics(

@@ -32,7 +32,7 @@ _LOG = logging.getLogger(__name__)
 COARSE_SIGMAS = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
 FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 #: standard deviation at which starts are compared, metres
-COMPARISON_SIGMA = 0.02
+COMPARISON_SIGMA = 0.012
 #: numbers of vertices and points in the coarse search, and number of points in the refinement
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 #: number of starts that one call of the compiled function anneals

@@ -198,7 +198,9 @@ def needs_search(frame: TrackedFrame) -> bool:
 
 def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
     """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
-    likelier = not float(frame.statistics.surface_log_likelihood) > float(found.statistics.surface_log_likelihood)
+    likelier = not float(frame.statistics.surface_log_likelihood) > float(
+        found.statistics.surface_log_likelihood
+    )
     return found if likelier and found.judgement.worst < frame.judgement.worst else frame
 
 

@@ -1,0 +1,165 @@
+"""Shape of a person from a sequence of clouds, tracked with a body of another shape."""
+
+import logging
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Pose
+from ...energy.data.points import PointToPlane, PointToPoint
+from ...energy.energy import Sum
+from ...energy.priors.reference_pose import RestPrior
+from ...energy.stacked import NormalPrior, Stacked
+from ...errors import InputError
+from ...fit.alternate import anneal_problem
+from ...fit.correspondence.posterior import update_sigma
+from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from ...fit.sequences.unknowns import ShapeCoefficients
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.tracking.em_step import Estimate, box_volume, e_step, uniform_priors
+from ...fit.tracking.track import track_frames
+from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms
+from ...geometry.sampling import even_indices
+from ...geometry.stacking import stack_trees
+from ...observe.clouds import Cloud, stack_clouds
+from ...value_checks import check_at_least
+from .shape_space import ShapeSpace, shape_space_like
+
+_LOG = logging.getLogger(__name__)
+
+#: number of frames whose points determine the shape
+NUM_FRAMES = 8
+#: rounds of new correspondences, with one step each
+ROUNDS = 20
+#: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
+FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.015)
+
+
+@checked
+def fit_shape(
+    tracker: Tracker,
+    clouds: Sequence[Cloud],
+    space: ShapeSpace | None = None,
+    *,
+    num_frames: int = NUM_FRAMES,
+) -> Body:
+    """Estimate the shape of a person from a short sequence of clouds, without a first pose.
+
+    The sequence is tracked by `tracker` as it is. `num_frames` of the frames with the verdict `good` then determine the
+    shape (`fit_tracked_shape`). Track the sequence anew with a tracker of the returned body.
+
+    **Arguments:** `clouds`, consecutive frames; the more the person turns and moves in them, the more of the shape they
+    show; `space`, the shape space of the tracker's body, that of `shape_space_like` where not given.
+
+    **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
+    """
+    check_at_least("fit_shape", 1, num_frames=num_frames)
+    space = _find_space(tracker, space)
+    good, poses = [], []
+    for number, frame in enumerate(track_frames(tracker, clouds, search=True)):
+        _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
+        if frame.verdict == "good":
+            good.append(number)
+            poses.append(frame.pose)
+    if not good:
+        raise InputError(
+            f"fit_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give "
+            "other frames, or a body of about the person's height."
+        )
+    kept = even_indices(len(good), min(num_frames, len(good)))
+    return fit_tracked_shape(tracker, [clouds[good[k]] for k in kept], [poses[k] for k in kept], space)
+
+
+@checked
+def fit_tracked_shape(
+    tracker: Tracker,
+    clouds: Sequence[Cloud],
+    poses: Sequence[Pose],
+    space: ShapeSpace | None = None,
+    rounds: int = ROUNDS,
+) -> Body:
+    """Fit the shape of a person to several tracked frames, together with the poses of these.
+
+    Each round assigns the points to the surface anew, with their standard deviation in each frame, and takes one step on
+    all poses and the shape coefficients. The terms of each frame are those of the tracker: prior of people's poses,
+    self-collision and free space where the tracker has them. The prior of the coefficients is normal; neighbouring points
+    count as one measurement against it.
+
+    **Arguments:** `clouds` and `poses`, of the same frames, tracked by `tracker`; `space`, the shape space of its body,
+    that of `shape_space_like` where not given.
+
+    **Raises:** `InputError` if the body is not like a human, or there are no frames.
+    """
+    if not clouds or len(clouds) != len(poses):
+        raise InputError(
+            f"fit_tracked_shape: there are {len(clouds)} clouds and {len(poses)} poses; expected one pose for each cloud, "
+            "and at least one."
+        )
+    space = _find_space(tracker, space)
+    frames, start = stack_clouds(clouds), stack_trees(list(poses))
+    unknowns = {"shape": ShapeCoefficients(space.modes)}
+    total = float(jnp.mean(jnp.sum(frames.weights, 1)))
+    count = len(space.template_coefficients)
+    spread = jnp.full(count, (POINTS_PER_MEASUREMENT / total) ** 0.5, start.rotations.dtype)
+    prior = NormalPrior("shape", -space.template_coefficients, spread)
+
+    def problem(terms: Sequence[Stacked]) -> SequenceProblem:
+        energy = Sum((*terms, RestPrior(tracker.rest_deviations)))
+        return SequenceProblem(
+            tracker.body, energy, jnp.arange(len(clouds), dtype=spread.dtype), unknowns, shared=(prior,)
+        )
+
+    def renew(y: SequenceEstimate, number: int) -> SequenceProblem:
+        nonlocal sigmas
+        _LOG.info("fitting the shape of the person, round %d of %d", number + 1, rounds)
+        body = empty.body_at(y.values)
+        if number < len(FIRST_SIGMAS):
+            sigmas = jnp.maximum(sigmas, FIRST_SIGMAS[number])
+        terms, sigmas = _frame_terms(tracker, body, frames, y.poses, sigmas)
+        return problem([Stacked(term) for term in terms])
+
+    empty = problem(())
+    sigmas = jnp.full(len(clouds), tracker.sigma_start, spread.dtype)
+    solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3)
+    found = anneal_problem(renew, empty.start(start), solver, range(rounds))
+    return empty.body_at(found.values)
+
+
+def _find_space(tracker: Tracker, space: ShapeSpace | None) -> ShapeSpace:
+    space = shape_space_like(tracker.body) if space is None else space
+    if space is None:
+        raise InputError(
+            "The body is not like a human, so its shape space is unknown; learn one from bodies with `learn_shape_space`, or "
+            "fit no shape."
+        )
+    return space
+
+
+@eqx.filter_jit
+def _frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigmas: Float[Array, "F"]):
+    """Assign the points of each frame to the surface, and make the frame's terms and its new standard deviation."""
+    tracker = eqx.tree_at(lambda t: t.body, tracker, body)
+
+    def of_frame(frame):
+        cloud, pose, sigma = frame
+        estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, sigma.dtype))
+        posed, found = e_step(body, tracker.parts, tracker.mixture, cloud, box_volume(cloud), estimate)
+        shares = cloud.weights[:, None] * found.weights
+        renewed = update_sigma(found, found.squared_distances, cloud.weights)
+        vertices, weights = found.vertices.reshape(-1), (shares / sigma**2).reshape(-1)
+        points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
+        along = tracker.mixture.tangential_weight
+        terms = (
+            PointToPlane(vertices, points, posed.normals[vertices], (1.0 - along) * weights),
+            PointToPoint(vertices, points, along * weights),
+            *partial_terms(tracker, cloud),
+        )
+        # constants of a term, such as those of a prior, are repeated for each frame
+        return jax.tree.map(jnp.asarray, terms), jnp.maximum(renewed, tracker.mixture.smallest_sigma)
+
+    return jax.lax.map(of_frame, (clouds, poses, sigmas))
