@@ -1,6 +1,7 @@
 """Track a real person who turns on the spot, seen from the hips up by one depth camera: `python -m benchmarks.depth_real`.
 
-The body is the embedded human, of no known build, and no start is given. The person is given by masks, or is found in
+The body is the embedded human, of no known build, and no start is given. It is fitted to the person's shape in the same
+frames, then tracked (`--as-it-is` tracks it without). The person is given by masks, or is found in
 each image (`--find-person`). Measured are the heading of the shoulders against the true turn, the overlap of the
 rendered body with the mask within the part of the image that the sensor measures, and the distance from the person's
 points to the surface. `--picture FILE` writes every fifth frame: red is the mask, green the body, and below each frame
@@ -14,16 +15,17 @@ from pathlib import Path
 import numpy as np
 
 import jaxcap as jc
+from benchmarks._overlays import draw_overlays, make_overlay
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.depth import cloud_of_depths
 from jaxcap.fit.tracking.track import track_frames
-from jaxcap.geometry.camera import Camera, look_at
+from jaxcap.geometry.camera import Camera
 from jaxcap.geometry.closest import nearest_on_surface
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
-#: every so many-th frame is drawn, and size of a drawn image, inches
-PICTURE_STEP, PICTURE_SIZE = 5, 2.4
+#: every so many-th frame is drawn
+PICTURE_STEP = 5
 
 
 def read_frames(shared: Path) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
@@ -55,6 +57,7 @@ def main() -> None:
     )
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--find-person", action="store_true", help="find the person in the images")
+    parser.add_argument("--as-it-is", action="store_true", help="do not fit the human to the person's shape")
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
     camera, depths, masks, turn = read_frames(shared_folder())
@@ -68,6 +71,9 @@ def main() -> None:
         cloud_of_depths([camera], [depth], None if options.find_person else [mask], name=f"frame {number}")
         for number, (depth, mask) in enumerate(zip(depths, masks, strict=True))
     ][: options.frames]
+    if not options.as_it_is:
+        body = jc.adapt.fit_shape(tracker, clouds)
+        tracker = jc.make_tracker(body, partial=True)
     headings, overlaps, distances, verdicts, pictures, seconds = [], [], [], [], [], []
     begin, faces = time.perf_counter(), np.asarray(body.faces)
     for number, frame in enumerate(track_frames(tracker, clouds, search=True)):
@@ -84,13 +90,10 @@ def main() -> None:
             f"{1000 * distances[-1]:.1f} mm; {', '.join(frame.reasons)}"
         )
         if number % PICTURE_STEP == 0:
-            side = render_depth(
-                look_at([2.5, 0, -1], [0, -0.3, -1], 320, 420, 60), make_ray_mesh(vertices, faces)
-            )
-            pictures.append((masks[number], image.incidence_cosines, side.incidence_cosines))
+            pictures.append(make_overlay(camera, masks[number], vertices, faces))
         begin = time.perf_counter()
     if options.picture is not None:
-        draw(options.picture, pictures)
+        draw_overlays(options.picture, pictures)
     turned = np.unwrap(headings, period=360) - headings[0]
     figures = {
         "heading_error_degrees": float(np.abs(turned - turn[: len(turned)]).max()),
@@ -109,21 +112,6 @@ def main() -> None:
     sizes = {"frames": len(headings), "points": len(clouds[0].points), "vertices": len(body.vertices)}
     taken = {"first_frame": seconds[0], "median_frame": float(np.median(seconds[1:]))}
     finish("depth_real", figures, limits, sizes, taken)
-
-
-def draw(path: Path, pictures: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
-    """Draw masks and bodies, and the bodies from the left."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(PICTURE_SIZE * len(pictures), 2.3 * PICTURE_SIZE))
-    axes = figure.subplots(2, len(pictures), squeeze=False)
-    for column, (mask, front, side) in enumerate(pictures):
-        axes[0][column].imshow(np.stack([mask.astype(float), front, np.zeros_like(front)], -1))
-        axes[1][column].imshow(side, cmap="gray")
-    for axis in axes.reshape(-1):
-        axis.axis("off")
-    figure.tight_layout()
-    figure.savefig(path, dpi=70)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
 Five people, none of whom is the tracked template, perform takes of CMU from which the prior of poses was not learned. One
 Azure Kinect sees each of them whole, from the hips up, and whole while they also turn by 360 degrees about the vertical.
-The room has a floor, three walls, a table and a chair. The person is found in each image and no start is given. `--without`
-tracks the same points without the images too.
+The room has a floor, three walls, a table and a chair. The person is found in each image and no start is given. The
+embedded human is fitted to the person's shape in the same frames, then tracked (`--as-it-is` tracks it without).
+`--without` tracks the same points without the images too.
 
 A joint is visible if its pixel shows the person, at most 20 cm in front of the joint. Sides are right in a frame if
 shoulders, hips and visible limbs are nearer to their own than to the opposite ones.
@@ -19,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
+from benchmarks._overlays import Overlay, draw_overlays, make_overlay
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.fit.tracking.track import track_frames
@@ -81,6 +83,8 @@ class Result(NamedTuple):
     heading: np.ndarray
     overlaps: np.ndarray
     seconds: list[float]
+    #: the first, the middle and the last frame
+    pictures: list[Overlay]
 
 
 def make_motion(shared: Path, body: jc.Body, number: int, scenario: Scenario, frames: int) -> jc.Motion:
@@ -173,14 +177,18 @@ def sides_are_right(found: np.ndarray, truth: np.ndarray, visible: np.ndarray, s
     return True
 
 
-def track_scene(body: jc.Body, scene: Scene, with_images: bool) -> Result:
+def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool) -> Result:
     """Track the frames of a scene, and compare joints with the truth."""
     tracker = jc.make_tracker(body, partial=True)
     clouds = scene.clouds
     if not with_images:
         clouds = [eqx.tree_at(lambda c: c.views, cloud, ()) for cloud in clouds]
+    if fit_shape:
+        body = jc.adapt.fit_shape(tracker, clouds)
+        tracker = jc.make_tracker(body, partial=True)
     skeleton, faces = body.skeleton, np.asarray(body.faces)
     errors, verdicts, sides, headings, overlaps, seconds = [], [], [], [], [], []
+    pictures, drawn = [], (0, len(clouds) // 2, len(clouds) - 1)
     begin = time.perf_counter()
     for number, frame in enumerate(track_frames(tracker, clouds, search=True)):
         seconds.append(time.perf_counter() - begin)
@@ -193,8 +201,10 @@ def track_scene(body: jc.Body, scene: Scene, with_images: bool) -> Result:
         sides.append(sides_are_right(joints, scene.joints[number], scene.visible[number], skeleton))
         difference = heading(joints, skeleton) - heading(scene.joints[number], skeleton)
         headings.append((difference + 180) % 360 - 180)
-        image = render_depth(scene.camera, make_ray_mesh(np.asarray(posed.vertices, float), faces))
-        shown = image.depth > 0
+        vertices = np.asarray(posed.vertices, float)
+        shown = render_depth(scene.camera, make_ray_mesh(vertices, faces)).depth > 0
+        if number in drawn:
+            pictures.append(make_overlay(scene.camera, scene.masks[number], vertices, faces))
         overlaps.append(np.sum(shown & scene.masks[number]) / np.sum(shown | scene.masks[number]))
         progress(
             f"frame {number}: {frame.verdict}, visible joints {1000 * np.nanmean(errors[-1]):.0f} mm, heading "
@@ -202,7 +212,7 @@ def track_scene(body: jc.Body, scene: Scene, with_images: bool) -> Result:
         )
         begin = time.perf_counter()
     return Result(
-        np.array(errors), verdicts, np.array(sides), np.array(headings), np.array(overlaps), seconds
+        np.array(errors), verdicts, np.array(sides), np.array(headings), np.array(overlaps), seconds, pictures
     )
 
 
@@ -236,9 +246,11 @@ def main() -> None:
     parser.add_argument("--scenarios", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--without", action="store_true", help="also track the points without the images")
+    parser.add_argument("--as-it-is", action="store_true", help="do not fit the human to the person's shape")
+    parser.add_argument("--picture", type=Path, help="write a PNG with three frames of each scene")
     options = parser.parse_args()
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
-    figures, found, seconds = {}, [], []
+    figures, found, seconds, pictures = {}, [], [], []
     for scenario in options.scenarios:
         results: dict[bool, list[Result]] = {True: [], False: []}
         for number in options.builds:
@@ -246,8 +258,9 @@ def main() -> None:
             found += scene.found
             for with_images in (True, False) if options.without else (True,):
                 progress(f"{scenario}, person {number}, {'with' if with_images else 'without'} images")
-                results[with_images].append(track_scene(body, scene, with_images))
+                results[with_images].append(track_scene(body, scene, with_images, not options.as_it_is))
                 seconds.append(results[with_images][-1].seconds)
+            pictures += results[True][-1].pictures
         figures |= summary(scenario, results[True])
         if options.without:
             figures |= summary(f"{scenario}_without_images", results[False])
@@ -255,6 +268,8 @@ def main() -> None:
         "found_person_overlap_mean": float(np.mean(found)),
         "found_person_overlap_worst": float(np.min(found)),
     }
+    if options.picture is not None:
+        draw_overlays(options.picture, pictures)
     limits = {
         "whole_joints_mean_mm": ("<=", 30.0),
         "whole_joints_p95_mm": ("<=", 60.0),
