@@ -26,7 +26,7 @@ from jaxcap.body.pose import retract, stack_poses
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.fit.tracking import track as sequence
-from jaxcap.fit.tracking.compare_poses import log_posterior
+from jaxcap.fit.tracking.log_posterior import log_posterior
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation

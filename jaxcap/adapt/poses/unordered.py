@@ -14,7 +14,7 @@ from ...body.body import Body, body_height
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, concatenate_poses
 from ...fit.correspondence.part_blocks import make_part_blocks
-from ...fit.tracking.compare_poses import log_posterior, track_from
+from ...fit.tracking.compare_poses import track_from
 from ...fit.tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
@@ -23,6 +23,7 @@ from ...fit.tracking.initialise import (
     initialise,
     rotated_starts,
 )
+from ...fit.tracking.log_posterior import log_posterior
 from ...fit.tracking.track_frame import Tracker
 from ...geometry.attachment import attach_points, attached_positions
 from ...observe import thin_cloud

@@ -3,37 +3,18 @@
 from collections.abc import Iterable
 
 import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from ...body.pose import Pose, difference
 from ...observe.clouds import Cloud
-from .em_step import Estimate, FrameStatistics, box_volume, frame_statistics, uniform_priors
+from .em_step import FrameStatistics
+from .log_posterior import log_posterior
 from .recover import reset_velocity, track_frame_jit
-from .track_frame import Tracker, TrackState, penalty, start_state
+from .track_frame import Tracker, TrackState, start_state
 
-#: standard deviation at which poses are compared, metres
-COMPARISON_SIGMA = 0.012
 #: a pose with a `log_posterior` below the best by more than this is not improved
 MAX_DEFICIT = 0.3
 
 _change = eqx.filter_jit(difference)
-
-
-@eqx.filter_jit
-def log_posterior(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
-    """Compute the log-density of a pose for each point of a cloud, up to a constant: the mean log-likelihood of the
-    points minus the `penalty` of the priors.
-
-    The standard deviation is the same for all poses.
-    """
-    sigma = jnp.asarray(COMPARISON_SIGMA, pose.rotations.dtype)
-    estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
-    volume = box_volume(cloud)
-    found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
-    density = found.surface_log_likelihood - penalty(tracker, cloud, pose)
-    # a NaN pose explains nothing
-    return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
 
 def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:

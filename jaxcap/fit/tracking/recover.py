@@ -31,6 +31,7 @@ from .initialise import (
     rotated_starts,
     subtree_starts,
 )
+from .log_posterior import log_posterior
 from .prior_starts import limb_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
@@ -196,12 +197,10 @@ def needs_search(frame: TrackedFrame) -> bool:
     return frame.verdict != "good" and frame.searches.wait <= 0
 
 
-def choose_better(found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
+def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
     """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
-    likelier = not float(frame.statistics.surface_log_likelihood) > float(
-        found.statistics.surface_log_likelihood
-    )
-    return found if likelier and found.judgement.worst < frame.judgement.worst else frame
+    before, after = (float(log_posterior(tracker, one.pose, cloud)) for one in (frame, found))
+    return found if after >= before and found.judgement.worst < frame.judgement.worst else frame
 
 
 def search_frame(
@@ -246,7 +245,7 @@ def search_frame(
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
     searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
     found = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline, searches)
-    if choose_better(found, frame) is frame:
+    if choose_better(tracker, cloud, found, frame) is frame:
         return failed
     # a better pose that is not good either keeps the pause
     return found if found.verdict == "good" else eqx.tree_at(lambda f: f.searches, found, failed.searches)

@@ -124,7 +124,7 @@ def _track_frames(
                 coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
                 pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
                 found = track_first_frame(tracker, surface, cloud, pose, 0.03)
-                frame = found if frame is None else choose_better(found, frame)
+                frame = found if frame is None else choose_better(tracker, cloud, found, frame)
                 frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
             if candidates is not None:
                 reached = frame.state, frame.statistics
