@@ -19,10 +19,10 @@ from ...errors import InputError
 from ...fit.alternate import anneal_problem
 from ...fit.correspondence.posterior import update_sigma
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from ...fit.sequences.unknowns import ShapeCoefficients
+from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.tracking.em_step import Estimate, box_volume, e_step, uniform_priors
-from ...fit.tracking.track import track_frames
+from ...fit.tracking.track import FirstSearch, track_frames
 from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms
 from ...geometry.sampling import even_indices
 from ...geometry.stacking import stack_trees
@@ -47,6 +47,7 @@ def fit_shape(
     space: ShapeSpace | None = None,
     *,
     num_frames: int = NUM_FRAMES,
+    search: FirstSearch = True,
 ) -> Body:
     """Estimate the shape of a person from a short sequence of clouds, without a first pose.
 
@@ -54,14 +55,15 @@ def fit_shape(
     shape (`fit_tracked_shape`). Track the sequence anew with a tracker of the returned body.
 
     **Arguments:** `clouds`, consecutive frames; the more the person turns and moves in them, the more of the shape they
-    show; `space`, the shape space of the tracker's body, that of `shape_space_like` where not given.
+    show; `space`, the shape space of the tracker's body, that of `shape_space_like` where not given; `search` for the first
+    pose, as in `track_frames`.
 
     **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
     """
     check_at_least("fit_shape", 1, num_frames=num_frames)
     space = _find_space(tracker, space)
     good, poses = [], []
-    for number, frame in enumerate(track_frames(tracker, clouds, search=True)):
+    for number, frame in enumerate(track_frames(tracker, clouds, search=search)):
         _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
         if frame.verdict == "good":
             good.append(number)
@@ -102,7 +104,7 @@ def fit_tracked_shape(
         )
     space = _find_space(tracker, space)
     frames, start = stack_clouds(clouds), stack_trees(list(poses))
-    unknowns = {"shape": ShapeCoefficients(space.modes)}
+    unknowns: dict[str, AbstractUnknown] = {"shape": ShapeCoefficients(space.modes)}
     total = float(jnp.mean(jnp.sum(frames.weights, 1)))
     count = len(space.template_coefficients)
     spread = jnp.full(count, (POINTS_PER_MEASUREMENT / total) ** 0.5, start.rotations.dtype)

@@ -23,7 +23,6 @@ from ...parallel import parallel_map
 from ...value_checks import check_at_least, check_direction
 from ..correspondence.part_blocks import make_part_blocks
 from .em_step import Estimate, box_volume, em_step, uniform_priors
-from .log_posterior import COMPARISON_SIGMA
 from .prior_starts import limb_starts, mean_pose
 from .track_frame import Tracker, frame_terms, penalty
 
@@ -32,6 +31,8 @@ _LOG = logging.getLogger(__name__)
 #: sigma falls from the size of a trunk to that of a wrist, metres
 COARSE_SIGMAS = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05, 0.04, 0.03)
 FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
+#: standard deviation at which starts are compared, metres: small enough to tell the front of a trunk from its back
+SEARCH_SIGMA = 0.012
 #: numbers of vertices and points in the coarse search, and number of points in the refinement
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
 #: number of starts that one call of the compiled function anneals
@@ -55,7 +56,7 @@ def anneal_pose(
         wide = Estimate(estimate.pose, sigma, estimate.priors)
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
-    judged = jnp.append(sigmas, jnp.asarray(COMPARISON_SIGMA, sigmas.dtype))
+    judged = jnp.append(sigmas, jnp.asarray(SEARCH_SIGMA, sigmas.dtype))
     last, statistics = jax.lax.scan(
         step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
     )

@@ -10,7 +10,7 @@ from .em_step import Estimate, box_volume, frame_statistics, uniform_priors
 from .track_frame import Tracker, penalty
 
 #: standard deviation at which poses are compared, metres
-COMPARISON_SIGMA = 0.012
+COMPARISON_SIGMA = 0.02
 
 
 @eqx.filter_jit
