@@ -40,14 +40,18 @@ GROUP = 4
 
 
 def anneal_pose(
-    tracker: Tracker, cloud: Cloud, start: Pose, sigmas: Float[Array, "S"]
+    tracker: Tracker,
+    cloud: Cloud,
+    start: Pose,
+    sigmas: Float[Array, "S"],
+    comparison_sigma: float | Float[Array, ""] = SEARCH_SIGMA,
 ) -> tuple[Estimate, Float[Array, ""]]:
     """Fit a pose by expectation maximisation with a given, falling standard deviation at every step.
 
     Large deviations attract a distant body, small ones fit it (deterministic annealing, Ueda and Nakano
     1998).
 
-    Returns the estimate and its mean log-density, posterior, at a standard deviation common to all starts.
+    Returns the estimate and its mean log-density, posterior, at `comparison_sigma`, which is common to all starts.
     """
     prior = Sum(frame_terms(tracker, cloud))
     volume = box_volume(cloud)
@@ -56,7 +60,7 @@ def anneal_pose(
         wide = Estimate(estimate.pose, sigma, estimate.priors)
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
-    judged = jnp.append(sigmas, jnp.asarray(SEARCH_SIGMA, sigmas.dtype))
+    judged = jnp.append(sigmas, jnp.asarray(comparison_sigma, sigmas.dtype))
     last, statistics = jax.lax.scan(
         step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
     )
@@ -65,7 +69,11 @@ def anneal_pose(
 
 
 def anneal_each(
-    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+    tracker: Tracker,
+    cloud: Cloud,
+    starts: Pose,
+    sigmas: Float[Array, "S"],
+    comparison_sigma: float = SEARCH_SIGMA,
 ) -> tuple[Pose, Float[Array, "P"]]:
     """Run `anneal_pose` from each of P stacked starts; poses and scores in their order.
 
@@ -74,18 +82,23 @@ def anneal_each(
     count = starts.rotations.shape[0]
     rows = np.minimum(np.arange(-(-count // GROUP) * GROUP), count - 1).reshape(-1, GROUP)
     groups = [jax.tree.map(lambda leaf, row=row: leaf[row], starts) for row in rows]
+    compared = jnp.asarray(comparison_sigma, sigmas.dtype)
     found = parallel_map(
-        lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas)), groups
+        lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas, compared)), groups
     )
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *found)
 
 
 @eqx.filter_jit
 def _anneal_group(
-    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
+    tracker: Tracker,
+    cloud: Cloud,
+    starts: Pose,
+    sigmas: Float[Array, "S"],
+    comparison_sigma: Float[Array, ""],
 ) -> tuple[Pose, Float[Array, "P"]]:
     def one(start):
-        estimate, score = anneal_pose(tracker, cloud, start, sigmas)
+        estimate, score = anneal_pose(tracker, cloud, start, sigmas, comparison_sigma)
         return estimate.pose, score
 
     return jax.lax.map(one, starts)

@@ -17,6 +17,7 @@ from ...geometry import rotation
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from .initialise import FINE_POINTS, anneal_each
+from .log_posterior import COMPARISON_SIGMA
 from .track_frame import Tracker
 
 #: standard deviations that fall from half the width of a hand, metres: larger ones flip a hand back
@@ -48,7 +49,7 @@ def flip_limb_ends(tracker: Tracker, clouds: Sequence[Cloud], poses: Sequence[Po
     alone = np.concatenate([np.zeros((1, len(turns)), bool), np.eye(len(turns), dtype=bool)])
     likelihoods = np.zeros(len(alone))
     for cloud, pose in zip(few, poses, strict=True):
-        means = anneal_each(tracker, cloud, _apply_flips(pose, turns, alone), sigmas)[1]
+        means = anneal_each(tracker, cloud, _apply_flips(pose, turns, alone), sigmas, COMPARISON_SIGMA)[1]
         likelihoods += float(cloud.weights.sum()) * np.asarray(means, float)
     gains = likelihoods[1:] - likelihoods[0]
     # the best of the flips of each end
