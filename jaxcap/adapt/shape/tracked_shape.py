@@ -23,7 +23,7 @@ from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.tracking.em_step import Estimate, box_volume, e_step, uniform_priors
 from ...fit.tracking.track import FirstSearch, track_frames
-from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms
+from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...geometry.sampling import even_indices
 from ...geometry.stacking import stack_trees
 from ...observe.clouds import Cloud, stack_clouds
@@ -34,6 +34,8 @@ _LOG = logging.getLogger(__name__)
 
 #: number of frames whose points determine the shape
 NUM_FRAMES = 8
+#: number of times that the sequence is tracked until a frame is good
+MAX_TRACKINGS = 2
 #: rounds of new correspondences, with one step each
 ROUNDS = 20
 #: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
@@ -52,7 +54,8 @@ def fit_shape(
     """Estimate the shape of a person from a short sequence of clouds, without a first pose.
 
     The sequence is tracked by `tracker` as it is. `num_frames` of the frames with the verdict `good` then determine the
-    shape (`fit_tracked_shape`). Track the sequence anew with a tracker of the returned body.
+    shape (`fit_tracked_shape`). If no frame is good, as the body is of a very different build, others determine a first
+    shape, and the sequence is tracked again with it. Track the sequence anew with a tracker of the returned body.
 
     **Arguments:** `clouds`, consecutive frames; the more the person turns and moves in them, the more of the shape they
     show; `space`, the shape space of the tracker's body, that of `shape_space_like` where not given; `search` for the first
@@ -61,20 +64,26 @@ def fit_shape(
     **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
     """
     check_at_least("fit_shape", 1, num_frames=num_frames)
+    if not clouds:
+        raise InputError("fit_shape: there are no clouds; expected at least one.")
     space = _find_space(tracker, space)
-    good, poses = [], []
-    for number, frame in enumerate(track_frames(tracker, clouds, search=search)):
-        _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
-        if frame.verdict == "good":
-            good.append(number)
-            poses.append(frame.pose)
-    if not good:
-        raise InputError(
-            f"fit_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give "
-            "other frames, or a body of about the person's height."
-        )
-    kept = even_indices(len(good), min(num_frames, len(good)))
-    return fit_tracked_shape(tracker, [clouds[good[k]] for k in kept], [poses[k] for k in kept], space)
+    tracking = tracker
+    for _ in range(MAX_TRACKINGS):
+        good, others = {}, {}
+        for number, frame in enumerate(track_frames(tracking, clouds, search=search)):
+            _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
+            (good if frame.verdict == "good" else others)[number] = frame.pose
+        poses = good or others
+        numbers = list(poses)
+        kept = [numbers[k] for k in even_indices(len(numbers), num_frames)]
+        found = fit_tracked_shape(tracker, [clouds[n] for n in kept], [poses[n] for n in kept], space)
+        if good:
+            return found
+        tracking = replace_body(tracker, found)
+    raise InputError(
+        f"fit_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give other "
+        "frames, or a body of about the person's height."
+    )
 
 
 @checked

@@ -130,6 +130,18 @@ def make_tracker(
     )
 
 
+def replace_body(tracker: Tracker, body: Body) -> Tracker:
+    """Replace the body of a tracker by one of another shape, with the same skeleton and triangles."""
+    parts = make_part_blocks(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
+    collision = None if tracker.collision is None else make_self_collision(body)
+    return eqx.tree_at(
+        lambda t: (t.body, t.parts, t.collision),
+        tracker,
+        (body, parts, collision),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
 def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
     """Check that an initial standard deviation is in metres: above 0 and at most `MAX_SIGMA`.
 
