@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks._scenes import shared_folder
 from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
-from jaxcap.markers.rotation_centres.find_joint import CentreMethod, find_joint
+from jaxcap.markers.rotation_centres.estimate_joint import CentreMethod, find_joint
 from jaxcap.markers.rotation_centres.joint import Joint
 from jaxcap.markers.segments.partition import find_partition
 from jaxcap.markers.segments.relative_motion import relative_motion

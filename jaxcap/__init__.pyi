@@ -22,7 +22,7 @@ from .adapt.poses.pose import fit_pose as fit_pose
 from .adapt.prepare import make_adapt_task as make_adapt_task
 from .body.body import Body as Body
 from .body.body import pose_body as pose_body
-from .body.joint_angles import joint_angles as joint_angles
+from .body.euler_angles import joint_angles as joint_angles
 from .body.kinematics import forward_kinematics as forward_kinematics
 from .body.people.human import human as human
 from .body.pose import Motion as Motion

@@ -25,13 +25,13 @@ from .initialise import (
     initialise_from_motion,
     initialise_from_skeleton,
 )
+from .joint_exchange.exchange_joints import exchange_joints
+from .joint_exchange.skeleton_edit import EditedBody
 from .objective import objective
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
-from .structure.skeleton_edit import EditedBody
-from .structure.structure_search import exchange_joints
 from .variable_projection.improve import optimise_all_vertices
 from .variable_projection.rounds import VERTICES, improve_linear_skin
 from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices

@@ -11,7 +11,7 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..observe.markers import MarkerFrames
-from .rotation_centres.find_joint import CentreMethod
+from .rotation_centres.estimate_joint import CentreMethod
 from .rotation_centres.joint import Joint
 from .segments.gaps import is_static
 from .segments.partition import apply_corrections, find_partition

@@ -11,13 +11,13 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.joint_exchange.exchange_joints import exchange_joints, has_exchangeable_joints
+from jaxcap.learn.joint_exchange.joint_insertion import find_splits
+from jaxcap.learn.joint_exchange.joint_removal import find_removals
+from jaxcap.learn.joint_exchange.skeleton_edit import Split, insert_joint, remove_joint
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.state import LearnState
-from jaxcap.learn.structure.joint_insertion import find_splits
-from jaxcap.learn.structure.joint_removal import find_removals
-from jaxcap.learn.structure.skeleton_edit import Split, insert_joint, remove_joint
-from jaxcap.learn.structure.structure_search import exchange_joints, has_exchangeable_joints
 from tests.helpers import chain_body
 from tests.learn.test_learn_parts import same_partition, tube
 

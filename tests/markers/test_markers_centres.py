@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.markers.rotation_centres.axis_sara import find_hinge
-from jaxcap.markers.rotation_centres.find_joint import CENTRE_METHODS, find_joint
+from jaxcap.markers.rotation_centres.estimate_joint import CENTRE_METHODS, find_joint
 from jaxcap.markers.rotation_centres.gamage import concentric_centre
 from jaxcap.markers.rotation_centres.precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.sphere import density_weights, fit_circle, fit_sphere

@@ -15,7 +15,7 @@ from ...io.system.lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.local_technique import LocalFit, fit_local
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
-from ...markers.rotation_centres.find_joint import CentreMethod
+from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import marker_body
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals

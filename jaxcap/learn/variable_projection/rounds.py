@@ -5,9 +5,9 @@ from collections.abc import Callable
 from jaxtyping import Array, Float
 
 from ...body.pose import Motion
+from ..joint_exchange.exchange_joints import exchange_joints
+from ..joint_exchange.skeleton_edit import EditedBody
 from ..state import LearnState
-from ..structure.skeleton_edit import EditedBody
-from ..structure.structure_search import exchange_joints
 from .improve import improve_body
 
 #: the number of vertices from which bones are learned

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .centre_estimate import MAX_REWEIGHTINGS, geman_mcclure_weights
+from .estimator_parts import MAX_REWEIGHTINGS, geman_mcclure_weights
 
 #: a joint is a hinge if the rotation off the axis is below this share of that about it, both root mean
 #: square

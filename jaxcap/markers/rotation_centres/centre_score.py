@@ -6,7 +6,7 @@ import numpy as np
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
-from .centre_estimate import (
+from .estimator_parts import (
     MAX_REWEIGHTINGS,
     CentreEstimate,
     geman_mcclure_weights,

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
-from .centre_estimate import (
+from .estimator_parts import (
     MAX_REWEIGHTINGS,
     MIN_PRIOR_WEIGHT,
     CentreEstimate,

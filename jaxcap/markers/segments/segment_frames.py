@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
-from ..rotation_centres.centre_estimate import geman_mcclure_weights
+from ..rotation_centres.estimator_parts import geman_mcclure_weights
 from .segment import Segments
 
 #: maximal number of iterations for the shape of a segment

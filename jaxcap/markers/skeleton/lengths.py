@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..rotation_centres.centre_estimate import iterate_until_converged
+from ..rotation_centres.estimator_parts import iterate_until_converged
 from .segment_tree import SegmentTree
 
 LengthMethod = Literal["mean", "least_squares", "global"]

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 
 from ...body.skeleton import Skeleton
 from ...geometry.spanning_tree import spanning_tree
-from ..rotation_centres.find_joint import CentreMethod, find_joint
+from ..rotation_centres.estimate_joint import CentreMethod, find_joint
 from ..rotation_centres.hinge_centres import align_hinge_centres
 from ..rotation_centres.joint import Joint
 from ..segments.relative_motion import RelativeMotion, relative_motion

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.body.joint_angles import euler_angles
+from jaxcap.body.euler_angles import euler_angles
 from jaxcap.geometry import rotation
 
 ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")

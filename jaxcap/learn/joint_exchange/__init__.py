@@ -1,0 +1,1 @@
+"""Exchange of joints: insertion and removal while a body is learned."""

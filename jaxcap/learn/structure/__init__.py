@@ -1,1 +1,0 @@
-"""Insertion and removal of joints."""
