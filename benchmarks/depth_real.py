@@ -72,7 +72,7 @@ def main() -> None:
         for number, (depth, mask) in enumerate(zip(depths, masks, strict=True))
     ][: options.frames]
     if not options.as_it_is:
-        body = jc.adapt.fit_shape(tracker, clouds)
+        body = jc.adapt.estimate_shape(tracker, clouds)
         tracker = jc.make_tracker(body, partial=True)
     headings, overlaps, distances, verdicts, pictures, seconds = [], [], [], [], [], []
     begin, faces = time.perf_counter(), np.asarray(body.faces)

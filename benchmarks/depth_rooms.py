@@ -184,7 +184,7 @@ def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool)
     if not with_images:
         clouds = [eqx.tree_at(lambda c: c.views, cloud, ()) for cloud in clouds]
     if fit_shape:
-        body = jc.adapt.fit_shape(tracker, clouds)
+        body = jc.adapt.estimate_shape(tracker, clouds)
         tracker = jc.make_tracker(body, partial=True)
     skeleton, faces = body.skeleton, np.asarray(body.faces)
     errors, verdicts, sides, headings, overlaps, seconds = [], [], [], [], [], []

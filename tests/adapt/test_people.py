@@ -6,10 +6,12 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
+from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.performance import walk_and_wave
@@ -144,3 +146,42 @@ def test_bodies_of_other_triangles_are_refused(people):
         learn_shape_space(people.template, [people.template, jc.human(resolution=900, joints="tracking")])
     with pytest.raises(ValueError, match="at least two"):
         learn_shape_space(people.template, [people.template])
+
+
+BUILD = dict(sex="female", weight=0.3, height=1.6)
+
+
+@pytest.fixture(scope="module")
+def tracked(people):
+    """A small woman in three poses as clouds, and a tracker of the generic human with her rotations."""
+    template = jc.human(resolution="low", joints="tracking")
+    person = jc.human(resolution="low", joints="tracking", **BUILD)
+    rng, clouds, poses = np.random.default_rng(3), [], []
+    performed, started = (walk_and_wave(body.skeleton, 1.5) for body in (person, template))
+    for number in range(3):
+        posed = jc.pose_body(person, performed[20 * number])
+        points, normals = sample_surface(
+            np.asarray(posed.vertices, float), np.asarray(person.faces), 1000, rng
+        )
+        clouds.append(jc.make_cloud(points + 0.003 * rng.normal(size=points.shape), normals))
+        poses.append(started[20 * number])
+    return person, jc.make_tracker(template), clouds, poses, people
+
+
+def test_a_small_woman_is_found_from_the_generic_human(tracked):
+    person, tracker, clouds, poses, space = tracked
+    assert joints_off(tracker.body, person) > 0.04
+    found = fit_tracked_shape(tracker, clouds, poses, space)
+    assert joints_off(found, person) < 0.01
+    heights = [float(jnp.ptp(body.vertices[:, 1])) for body in (found, person)]
+    assert heights[0] == pytest.approx(heights[1], abs=0.01)
+
+
+def test_what_has_no_shape_space_is_told(tracked):
+    _, _, clouds, poses, _ = tracked
+    with pytest.raises(jc.InputError, match="not like a human, so its shape space is unknown"):
+        estimate_shape(jc.make_tracker(chain_body()), clouds)
+    with pytest.raises(jc.InputError, match="3 clouds and 2 poses; expected one pose for each cloud"):
+        fit_tracked_shape(tracked[1], clouds, poses[:2], tracked[4])
+    with pytest.raises(jc.InputError, match="num_frames"):
+        estimate_shape(tracked[1], clouds, tracked[4], num_frames=0)

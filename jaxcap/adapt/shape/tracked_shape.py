@@ -43,7 +43,7 @@ FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.0
 
 
 @checked
-def fit_shape(
+def estimate_shape(
     tracker: Tracker,
     clouds: Sequence[Cloud],
     space: ShapeSpace | None = None,
@@ -63,9 +63,9 @@ def fit_shape(
 
     **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
     """
-    check_at_least("fit_shape", 1, num_frames=num_frames)
+    check_at_least("estimate_shape", 1, num_frames=num_frames)
     if not clouds:
-        raise InputError("fit_shape: there are no clouds; expected at least one.")
+        raise InputError("estimate_shape: there are no clouds; expected at least one.")
     space = _find_space(tracker, space)
     tracking = tracker
     for _ in range(MAX_TRACKINGS):
@@ -81,7 +81,7 @@ def fit_shape(
             return found
         tracking = replace_body(tracker, found)
     raise InputError(
-        f"fit_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give other "
+        f"estimate_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give other "
         "frames, or a body of about the person's height."
     )
 

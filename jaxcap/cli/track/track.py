@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.shape.tracked_shape import fit_shape
+from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
@@ -143,7 +143,7 @@ class Track:
         path = self.out / PERSON
         if not path.is_file():
             set_activity("estimating the shape of the person")
-            save_body(path, fit_shape(tracker, first_readable(clouds, SHAPE_FRAMES)))
+            save_body(path, estimate_shape(tracker, first_readable(clouds, SHAPE_FRAMES)))
             say(f"the shape of the person is in {path}; the frames are now tracked with it")
         # the written body, so that a resumed run has the same one
         return load_body(str(path))[0]
