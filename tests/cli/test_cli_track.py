@@ -8,12 +8,14 @@ import signal
 import subprocess
 import time
 
+import equinox as eqx
 import numpy as np
 import pytest
 from command_line import FRAMES, PYTHON, fails, runs, write_inputs
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
+from jaxcap.cli.sources import load_body
 from jaxcap.cli.track import track as track_module
 from jaxcap.fit.tracking.track import Search, track_frames
 from jaxcap.io.archives.journal import Journal
@@ -160,6 +162,28 @@ def test_stopped_run_tells_writes_and_goes_on(inputs, finished, tmp_path, capsys
     assert load_motion(out / "motion.npz").num_frames == 3
     runs(capsys, *command(inputs, out, "--resume"))
     assert same_motion(out, finished)
+
+
+def test_the_shape_of_a_person_is_written_and_used_again(inputs, finished, tmp_path, capsys, monkeypatch):
+    """The body of a stopped run is that of its continuation, and is not estimated twice."""
+    out, given = tmp_path / "out", []
+
+    def estimate(tracker, clouds):
+        given.append(len(clouds))
+        return eqx.tree_at(lambda b: b.vertices, tracker.body, 1.001 * tracker.body.vertices)
+
+    monkeypatch.setattr(track_module, "estimate_shape", estimate)
+    with monkeypatch.context() as patch:
+        stop_after(patch, 2)
+        fails(capsys, *command(inputs, out, "--fit-shape"), code=130)
+    runs(capsys, *command(inputs, out, "--fit-shape", "--resume"))
+    assert given == [FRAMES]
+    before, after = (load_body(str(path))[0] for path in (inputs / "body.npz", out / "person.npz"))
+    np.testing.assert_allclose(after.vertices, 1.001 * before.vertices, atol=1e-6)
+    assert load_motion(out / "motion.npz").num_frames == FRAMES
+    assert not same_motion(out, finished)
+    # without the option it is another run
+    assert "fit_shape" in fails(capsys, *command(inputs, out, "--resume"))
 
 
 def test_torn_record_is_done_again(inputs, finished, tmp_path, capsys, monkeypatch):
