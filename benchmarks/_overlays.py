@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxcap.geometry.camera import Camera, look_at
+from jaxcap.geometry.camera import look_at
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 #: size of a drawn image, inches
@@ -15,22 +15,22 @@ DISTANCE = 3.0
 
 
 class Overlay(NamedTuple):
-    """One frame: the mask of the person, and a body seen by the camera and from the side."""
+    """The mask of the person in a frame, and renderings of a body from the camera and from the side."""
 
     mask: np.ndarray
     front: np.ndarray
     side: np.ndarray
 
 
-def make_overlay(camera: Camera, mask: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Overlay:
-    """Render a body for a frame."""
-    mesh, middle = make_ray_mesh(vertices, faces), (vertices.min(0) + vertices.max(0)) / 2
-    beside = look_at(middle + [DISTANCE, 0.0, 0.0], middle, 320, 420, 50)
-    return Overlay(mask, *(render_depth(view, mesh).incidence_cosines for view in (camera, beside)))
+def make_overlay(mask: np.ndarray, front: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> Overlay:
+    """Add the view from the side to the mask and to the rendering from the camera, `front`."""
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    side_camera = look_at(middle + [DISTANCE, 0.0, 0.0], middle, 320, 420, 50)
+    return Overlay(mask, front, render_depth(side_camera, make_ray_mesh(vertices, faces)).incidence_cosines)
 
 
 def draw_overlays(path: Path, overlays: list[Overlay]) -> None:
-    """Draw masks (red) with bodies (green), and below each the body from its left."""
+    """Draw masks (red) with bodies (green), and below each the body from the side."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(SIZE * len(overlays), 2.3 * SIZE))

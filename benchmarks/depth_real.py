@@ -90,7 +90,7 @@ def main() -> None:
             f"{1000 * distances[-1]:.1f} mm; {', '.join(frame.reasons)}"
         )
         if number % PICTURE_STEP == 0:
-            pictures.append(make_overlay(camera, masks[number], vertices, faces))
+            pictures.append(make_overlay(masks[number], image.incidence_cosines, vertices, faces))
         begin = time.perf_counter()
     if options.picture is not None:
         draw_overlays(options.picture, pictures)

@@ -202,9 +202,10 @@ def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool)
         difference = heading(joints, skeleton) - heading(scene.joints[number], skeleton)
         headings.append((difference + 180) % 360 - 180)
         vertices = np.asarray(posed.vertices, float)
-        shown = render_depth(scene.camera, make_ray_mesh(vertices, faces)).depth > 0
+        image = render_depth(scene.camera, make_ray_mesh(vertices, faces))
+        shown = image.depth > 0
         if number in drawn:
-            pictures.append(make_overlay(scene.camera, scene.masks[number], vertices, faces))
+            pictures.append(make_overlay(scene.masks[number], image.incidence_cosines, vertices, faces))
         overlaps.append(np.sum(shown & scene.masks[number]) / np.sum(shown | scene.masks[number]))
         progress(
             f"frame {number}: {frame.verdict}, visible joints {1000 * np.nanmean(errors[-1]):.0f} mm, heading "

@@ -1,6 +1,7 @@
 """Shape coefficients of people, from bodies and from scans."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
+from jaxcap.adapt.shape import tracked_shape
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
@@ -175,6 +177,23 @@ def test_a_small_woman_is_found_from_the_generic_human(tracked):
     assert joints_off(found, person) < 0.01
     heights = [float(jnp.ptp(body.vertices[:, 1])) for body in (found, person)]
     assert heights[0] == pytest.approx(heights[1], abs=0.01)
+
+
+def test_frames_of_which_none_is_good_are_refused(tracked, monkeypatch):
+    """They are tracked once more, with a first shape."""
+    _, tracker, clouds, poses, space = tracked
+    bodies = []
+
+    def losing(tracker, clouds, search):
+        bodies.append(tracker.body)
+        return [SimpleNamespace(verdict="lost", pose=pose) for pose in poses]
+
+    monkeypatch.setattr(tracked_shape, "track_frames", losing)
+    with pytest.raises(jc.InputError, match="none of 3 frames has the verdict 'good'"):
+        estimate_shape(tracker, clouds, space)
+    assert bodies[0] is tracker.body
+    assert len(bodies) == 2
+    assert float(jnp.abs(bodies[1].vertices - tracker.body.vertices).max()) > 0.01
 
 
 def test_what_has_no_shape_space_is_told(tracked):

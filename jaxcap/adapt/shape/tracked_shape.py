@@ -17,11 +17,10 @@ from ...energy.priors.reference_pose import RestPrior
 from ...energy.stacked import NormalPrior, Stacked
 from ...errors import InputError
 from ...fit.alternate import anneal_problem
-from ...fit.correspondence.posterior import update_sigma
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...fit.tracking.em_step import Estimate, box_volume, e_step, uniform_priors
+from ...fit.tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
 from ...fit.tracking.track import FirstSearch, track_frames
 from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...geometry.sampling import even_indices
@@ -34,8 +33,6 @@ _LOG = logging.getLogger(__name__)
 
 #: number of frames whose points determine the shape
 NUM_FRAMES = 8
-#: number of times that the sequence is tracked until a frame is good
-MAX_TRACKINGS = 2
 #: rounds of new correspondences, with one step each
 ROUNDS = 20
 #: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
@@ -67,23 +64,36 @@ def estimate_shape(
     if not clouds:
         raise InputError("estimate_shape: there are no clouds; expected at least one.")
     space = _find_space(tracker, space)
-    tracking = tracker
-    for _ in range(MAX_TRACKINGS):
-        good, others = {}, {}
-        for number, frame in enumerate(track_frames(tracking, clouds, search=search)):
-            _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
-            (good if frame.verdict == "good" else others)[number] = frame.pose
-        poses = good or others
-        numbers = list(poses)
-        kept = [numbers[k] for k in even_indices(len(numbers), num_frames)]
-        found = fit_tracked_shape(tracker, [clouds[n] for n in kept], [poses[n] for n in kept], space)
-        if good:
-            return found
-        tracking = replace_body(tracker, found)
+    good, others = _track(tracker, clouds, search)
+    if not good:
+        first = _fit_to_some(tracker, clouds, others, space, num_frames)
+        good, _ = _track(replace_body(tracker, first), clouds, search)
+    if good:
+        return _fit_to_some(tracker, clouds, good, space, num_frames)
     raise InputError(
-        f"estimate_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give other "
-        "frames, or a body of about the person's height."
+        f"estimate_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give "
+        "other frames, or a body of about the person's height."
     )
+
+
+def _track(
+    tracker: Tracker, clouds: Sequence[Cloud], search: FirstSearch
+) -> tuple[dict[int, Pose], dict[int, Pose]]:
+    """Track all frames; return the poses of those with the verdict `good`, and of the others, by number."""
+    good, others = {}, {}
+    for number, frame in enumerate(track_frames(tracker, clouds, search=search)):
+        _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
+        (good if frame.verdict == "good" else others)[number] = frame.pose
+    return good, others
+
+
+def _fit_to_some(
+    tracker: Tracker, clouds: Sequence[Cloud], poses: dict[int, Pose], space: ShapeSpace, num_frames: int
+) -> Body:
+    """Fit the shape to some of the tracked frames, evenly spread."""
+    numbers = list(poses)
+    kept = [numbers[k] for k in even_indices(len(numbers), num_frames)]
+    return fit_tracked_shape(tracker, [clouds[n] for n in kept], [poses[n] for n in kept], space)
 
 
 @checked
@@ -161,7 +171,7 @@ def _frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigma
         estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, sigma.dtype))
         posed, found = e_step(body, tracker.parts, tracker.mixture, cloud, box_volume(cloud), estimate)
         shares = cloud.weights[:, None] * found.weights
-        renewed = update_sigma(found, found.squared_distances, cloud.weights)
+        renewed = renew_sigma(tracker.mixture, found, found.squared_distances, cloud, sigma)
         vertices, weights = found.vertices.reshape(-1), (shares / sigma**2).reshape(-1)
         points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
         along = tracker.mixture.tangential_weight
@@ -171,6 +181,6 @@ def _frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigma
             *partial_terms(tracker, cloud),
         )
         # constants of a term, such as those of a prior, are repeated for each frame
-        return jax.tree.map(jnp.asarray, terms), jnp.maximum(renewed, tracker.mixture.smallest_sigma)
+        return jax.tree.map(jnp.asarray, terms), renewed
 
     return jax.lax.map(of_frame, (clouds, poses, sigmas))

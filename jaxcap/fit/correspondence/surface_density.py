@@ -35,7 +35,7 @@ def surface_log_density(
     away = cloud.points - posed.vertices[rows]
     across = jnp.sum(away * posed.normals[rows], -1) ** 2
     squared = across + tangential_weight * (jnp.sum(away**2, -1) - across)
-    present = jnp.sum(jnp.array([count > 0 for count in parts.blocks_of_part]))
+    present = sum(count > 0 for count in parts.blocks_of_part)
     share = jnp.maximum(outlier, MIN_OUTLIER)
     log_part = (
         jnp.log1p(-share) - jnp.log(present) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - squared / (2 * sigma**2)

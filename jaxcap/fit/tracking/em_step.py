@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed, pose_body
@@ -164,16 +164,31 @@ def em_step(
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
     differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
     squared = jnp.sum(differences**2, -1)
-    # without a single inlier there is nothing to estimate from, and nothing moves
-    seen = jnp.sum(cloud.weights[:, None] * found.weights) > 0
-    sigma = jnp.maximum(update_sigma(found, squared, cloud.weights), mixture.smallest_sigma)
-    sigma = jnp.where(seen, sigma, estimate.sigma)
+    sigma = renew_sigma(mixture, found, squared, cloud, estimate.sigma)
     priors = estimate.priors
     if mixture.estimate_priors:
-        priors = jnp.where(seen, update_priors(found, cloud.weights, parts.num_parts), priors)
+        priors = jnp.where(
+            _has_inlier(found, cloud), update_priors(found, cloud.weights, parts.num_parts), priors
+        )
     return Estimate(pose, sigma, priors), _statistics(
         parts, mixture, posed, found, cloud, volume, estimate.sigma
     )
+
+
+def renew_sigma(
+    mixture: MixtureSettings,
+    found: Posterior,
+    squared_distances: Float[Array, "N C"],
+    cloud: Cloud,
+    sigma: Float[Array, ""],
+) -> Float[Array, ""]:
+    """Update the standard deviation within the bound of `mixture`; without a single inlier it keeps its value `sigma`."""
+    renewed = jnp.maximum(update_sigma(found, squared_distances, cloud.weights), mixture.smallest_sigma)
+    return jnp.where(_has_inlier(found, cloud), renewed, sigma)
+
+
+def _has_inlier(found: Posterior, cloud: Cloud) -> Bool[Array, ""]:
+    return jnp.sum(cloud.weights[:, None] * found.weights) > 0
 
 
 def frame_statistics(
