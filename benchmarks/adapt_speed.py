@@ -27,7 +27,7 @@ from jaxcap.adapt.poses.pose import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import plan_stages
 from jaxcap.body.people.anatomy import rest_deviations
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
 

@@ -11,9 +11,9 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks.report import finish, progress
-from jaxcap.body.limits.primitives import STIFFNESS, signed_distance
+from jaxcap.body.joint_limits.primitives import STIFFNESS, signed_distance
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.linearise import linearise
 

@@ -25,7 +25,8 @@ from benchmarks.report import finish, progress
 from jaxcap.body.body import Body, pose_body, posed_vertices, take_vertices
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.body.people.human import human
-from jaxcap.body.pose import Motion, Pose, rest_pose, retract
+from jaxcap.body.pose import Motion, Pose, rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import ShapeModes, joint_modes
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.priors.reference_pose import RestPrior

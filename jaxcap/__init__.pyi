@@ -28,8 +28,8 @@ from .body.people.human import human as human
 from .body.pose import Motion as Motion
 from .body.pose import Pose as Pose
 from .body.pose import rest_pose as rest_pose
-from .body.pose import retract as retract
 from .body.pose import stack_poses as stack_poses
+from .body.retraction import retract as retract
 from .body.skeleton import Skeleton as Skeleton
 from .body.skeleton import make_skeleton as make_skeleton
 from .body.skin import DualQuaternionSkin as DualQuaternionSkin
@@ -43,7 +43,7 @@ from .energy.data.points import PointToPlane as PointToPlane
 from .energy.data.points import PointToPoint as PointToPoint
 from .energy.energy import AbstractEnergy as AbstractEnergy
 from .energy.energy import energies as energies
-from .energy.priors.limits import JointLimits as JointLimits
+from .energy.priors.joint_limits import JointLimits as JointLimits
 from .energy.priors.reference_pose import RestPrior as RestPrior
 from .errors import InputError as InputError
 from .fit.fit_meshes import fit_meshes as fit_meshes

@@ -8,7 +8,8 @@ from helpers import chain_body
 import jaxcap as jc
 from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.geometry.mesh import sample_surface

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
 from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from jaxcap.energy.data.pairs import PointPairs

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from ..arguments import checked
 from ..body.body import Body
-from ..body.pose import Motion, Pose, difference, retract, stack_poses
+from ..body.pose import Motion, Pose, stack_poses
+from ..body.retraction import difference, retract
 from ..body.skeleton import Skeleton
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..fit.tracking.compare_poses import likelier_pose

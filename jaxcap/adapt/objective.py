@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from ..body.body import Body, pose_body
-from ..body.limits.rotation_vector_boxes import PoseBoxes
+from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..body.shape_modes import ShapeModes
 from ..body.skeleton import Skeleton

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from ..arguments import checked
 from ..body.body import Body, body_height
-from ..body.limits.rotation_vector_boxes import PoseBoxes
+from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import find_left_right_pairs

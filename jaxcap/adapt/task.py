@@ -6,7 +6,7 @@ from typing import NamedTuple
 from jaxtyping import Array, Float
 
 from ..body.body import Body
-from ..body.limits.rotation_vector_boxes import PoseBoxes
+from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message

@@ -4,8 +4,8 @@ from .body import Posed as Posed
 from .decimate import reduce_body as reduce_body
 from .kinematics import Transforms as Transforms
 from .people.sample import sample_poses as sample_poses
-from .pose import difference as difference
-from .pose import project as project
+from .retraction import difference as difference
+from .retraction import project as project
 from .skin import AbstractSkin as AbstractSkin
 from .skin import RigidSkin as RigidSkin
 from .skin import swing_twist_from as swing_twist_from

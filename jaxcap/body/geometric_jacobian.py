@@ -14,7 +14,8 @@ from jaxtyping import Array, Float, Int
 from ..geometry import rotation
 from .joint_swing_twist import SwingTwist, decompose_joints, decompose_motions
 from .kinematics import Transforms, joint_positions, world_axes
-from .pose import Pose, retract
+from .pose import Pose
+from .retraction import retract
 from .skeleton import Skeleton, dof_layout
 
 

@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from ..arguments import check_fields, checked
 from ..geometry import rotation
-from .limits.rotation_vector_boxes import rotating_joints
+from .joint_limits.rotation_vector_boxes import rotating_joints
 from .pose import Pose, local_rotation_vectors
 from .skeleton import Skeleton
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..body.body import Body
 from ..body.decimate import reduce_body
-from ..body.limits.limits import AbstractLimits, JointRanges
+from ..body.joint_limits.abstract_limits import AbstractLimits
+from ..body.joint_limits.ranges_and_cones import JointRanges
 from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message

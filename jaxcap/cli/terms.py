@@ -6,10 +6,10 @@ from typing import Annotated
 import numpy as np
 
 from ..body.body import Body
-from ..body.limits.limits import AbstractLimits
+from ..body.joint_limits.abstract_limits import AbstractLimits
 from ..energy.data.floor import make_floor
 from ..energy.energy import AbstractEnergy
-from ..energy.priors.limits import JointLimits
+from ..energy.priors.joint_limits import JointLimits
 from ..energy.priors.pair_prior import MahalanobisPrior
 from ..errors import InputError
 from ..io.archives.limits import read_limits

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
+from ..body.joint_limits.abstract_limits import AbstractLimits
 from ..body.kinematics import forward_kinematics
-from ..body.limits.limits import AbstractLimits
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation

@@ -32,9 +32,9 @@ from .solvers.flat import flat_problem as flat_problem
 from .solvers.gauss_newton import GaussNewton as GaussNewton
 from .solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver
-from .task_priority import OrderedSolution as OrderedSolution
-from .task_priority import priority_step as priority_step
-from .task_priority import solve_in_order as solve_in_order
+from .strict_priorities import OrderedSolution as OrderedSolution
+from .strict_priorities import priority_step as priority_step
+from .strict_priorities import solve_in_order as solve_in_order
 from .tracking.batch import fit_batch as fit_batch
 from .tracking.batch import scan_track as scan_track
 from .tracking.em_step import MixtureSettings as MixtureSettings

@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
 from ..body.body import Body, pose_body
-from ..body.pose import Motion, Pose, project
+from ..body.pose import Motion, Pose
+from ..body.retraction import project
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, Int
 from ..body.body import Body, Posed, pose_body
 from ..body.geometric_jacobian import concatenate_jacobians, joint_jacobian, pose_jacobian, select_parameters
 from ..body.kinematics import forward_kinematics
-from ..body.pose import Pose, retract
+from ..body.pose import Pose
+from ..body.retraction import retract
 from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.energy import AbstractEnergy, Weighted, safe_sqrt, terms_of, unweighted
 from ..geometry import rotation

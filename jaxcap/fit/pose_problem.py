@@ -4,14 +4,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.limits.rotation_vector_boxes import (
+from ..body.joint_limits.rotation_vector_boxes import (
     BoxChart,
     PoseBoxes,
     make_box_chart,
     retract_within,
     transform_normal_equations,
 )
-from ..body.pose import Pose, retract
+from ..body.pose import Pose
+from ..body.retraction import retract
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations

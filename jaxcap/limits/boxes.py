@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arguments import checked
-from ..body.limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes, nearest_euler_angles
-from ..body.limits.limits import JointRanges, make_joint_ranges
+from ..body.joint_limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes, nearest_euler_angles
+from ..body.joint_limits.ranges_and_cones import JointRanges, make_joint_ranges
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
 from .samples import JointSamples

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ..body.limits.chart import Chart
+from ..body.joint_limits.chart import Chart
 from .samples import JointSamples
 
 #: a joint has fewer angles than three if its rotations deviate by less than this, radians

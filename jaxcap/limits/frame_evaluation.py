@@ -8,8 +8,8 @@ import jax
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
-from ..body.limits.limit_surface import SurfaceLimits, comfort
-from ..body.limits.limits import AbstractLimits, allowed
+from ..body.joint_limits.abstract_limits import AbstractLimits, allowed
+from ..body.joint_limits.limit_surface import SurfaceLimits, comfort
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 

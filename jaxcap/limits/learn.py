@@ -10,9 +10,9 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from ..arguments import checked
-from ..body.limits.chart import Chart
-from ..body.limits.limit_surface import LimitSurface, SurfaceLimits, density
-from ..body.limits.primitives import LEVEL, STIFFNESS
+from ..body.joint_limits.chart import Chart
+from ..body.joint_limits.limit_surface import LimitSurface, SurfaceLimits, density
+from ..body.joint_limits.primitives import LEVEL, STIFFNESS
 from ..errors import InputError
 from ..geometry.sampling import even_indices
 from .charts import chart_coordinates, find_chart

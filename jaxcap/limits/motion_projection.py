@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
-from ..body.limits.limits import AbstractLimits, allowed
+from ..body.joint_limits.abstract_limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
+from ..body.joint_limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
 from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
 from ..body.pose import Motion, Pose, concatenate_poses, local_rotation_vectors
 from ..body.skeleton import Skeleton

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.limits.limit_surface import LimitSurface
-from ..body.limits.primitives import Primitives, radii, signed_distance
+from ..body.joint_limits.limit_surface import LimitSurface
+from ..body.joint_limits.primitives import Primitives, radii, signed_distance
 from ..io.system.atomic import atomic_path
 from .pictures import new_figure
 from .render import INK, draw_surface, rotate_view, set_frame, view_axes

@@ -12,7 +12,8 @@ from ..body.body import Body, Posed, pose_body
 from ..body.kinematics import Transforms
 from ..body.people.anatomy import BODY_REGIONS
 from ..body.people.human import human
-from ..body.pose import Pose, difference, rest_pose, retract
+from ..body.pose import Pose, rest_pose
+from ..body.retraction import difference, retract
 from ..body.skeleton import dof_layout
 
 #: pairs of people that span the builds, as options of `human`

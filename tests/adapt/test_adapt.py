@@ -26,7 +26,7 @@ from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, pair_directions, pair_positions

@@ -11,7 +11,7 @@ from command_line import runs
 
 import jaxcap as jc
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.limits.rotation_vector_boxes import make_pose_boxes
+from jaxcap.body.joint_limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt

@@ -13,7 +13,8 @@ from jaxcap.adapt import adapt_body as loop
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.pose import retract, stack_poses
+from jaxcap.body.pose import stack_poses
+from jaxcap.body.retraction import retract
 from jaxcap.cli.adapt.state import keep_state, load_resumed_state
 
 HEADER = {"who": "a test"}

@@ -7,7 +7,7 @@ from adapt_scene import make_scene, task_of
 
 from jaxcap.adapt.objective import PoseTerms
 from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
 
 

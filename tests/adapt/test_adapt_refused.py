@@ -25,7 +25,8 @@ from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.poses.pose import pairs_of
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pair_prior import successive_pairs
-from jaxcap.body.pose import difference, rest_pose, stack_poses
+from jaxcap.body.pose import rest_pose, stack_poses
+from jaxcap.body.retraction import difference
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state

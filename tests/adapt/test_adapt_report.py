@@ -28,7 +28,8 @@ from jaxcap.adapt.evaluate import (
 from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.shape.scale import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
-from jaxcap.body.pose import rest_pose, retract, stack_poses
+from jaxcap.body.pose import rest_pose, stack_poses
+from jaxcap.body.retraction import retract
 from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import check_input

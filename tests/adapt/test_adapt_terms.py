@@ -9,7 +9,8 @@ from helpers import chain_body, random_pairs, random_pose
 import jaxcap as jc
 from jaxcap.adapt.objective import balancing_weight, motion_energy, pose_energy, symmetry_energy
 from jaxcap.adapt.shape.shape_prior import body_shape_prior, shape_energy
-from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
+from jaxcap.body.pose import Motion, rest_pose, stack_poses
+from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, PointPairs

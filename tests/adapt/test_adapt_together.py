@@ -17,7 +17,7 @@ from jaxcap.adapt.shape.adapt_round import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import apply_modes, joint_modes
 from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs

@@ -22,7 +22,8 @@ from jaxcap.adapt.poses.similarity import (
 from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.pose import retract, stack_poses
+from jaxcap.body.pose import stack_poses
+from jaxcap.body.retraction import retract
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.fit.tracking import track as sequence

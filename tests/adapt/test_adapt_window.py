@@ -12,8 +12,9 @@ from helpers import chain_body, random_pairs, random_pose
 
 from jaxcap.adapt.objective import PoseTerms, temporal_energy, window_problem
 from jaxcap.adapt.poses.sliding_window import smooth_poses
-from jaxcap.body.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.joint_limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.energy.data.pairs import PairDistances
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise

@@ -12,12 +12,13 @@ import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms, mean_squared_distance, temporal_energy
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
-from jaxcap.body.limits.rotation_vector_boxes import (
+from jaxcap.body.joint_limits.rotation_vector_boxes import (
     make_box_chart,
     retract_within,
     rotating_joints,
 )
-from jaxcap.body.pose import local_rotation_vectors, project, retract
+from jaxcap.body.pose import local_rotation_vectors
+from jaxcap.body.retraction import project, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.find_pairs import Matching

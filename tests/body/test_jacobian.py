@@ -16,7 +16,7 @@ from jaxcap.body.geometric_jacobian import (
     select_parameters,
 )
 from jaxcap.body.kinematics import forward_kinematics
-from jaxcap.body.pose import retract
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.linearise import point_jacobian, vertex_jacobian

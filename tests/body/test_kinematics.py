@@ -11,7 +11,8 @@ from helpers import awkward_poses, chain_skeleton, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions, world_axes
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout, make_skeleton
 from jaxcap.geometry import rotation
 

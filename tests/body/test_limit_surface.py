@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.limits.chart import Chart
-from jaxcap.body.limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
-from jaxcap.body.limits.surface_projection import project_inside
+from jaxcap.body.joint_limits.chart import Chart
+from jaxcap.body.joint_limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
+from jaxcap.body.joint_limits.surface_projection import project_inside
 
 BALL = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "ball")
 

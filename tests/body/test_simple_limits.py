@@ -8,10 +8,11 @@ import pytest
 from helpers import chain_body, chain_skeleton, check_energy, random_pose
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.limits.euler_boxes import EulerBox, make_euler_boxes
-from jaxcap.body.limits.limits import AllLimits, Cone, allowed, make_joint_ranges
+from jaxcap.body.joint_limits.abstract_limits import AllLimits, allowed
+from jaxcap.body.joint_limits.euler_boxes import EulerBox, make_euler_boxes
+from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, rest_pose
-from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.joint_limits import JointLimits
 
 SKELETON = chain_skeleton()
 RANGES = make_joint_ranges(

@@ -9,7 +9,8 @@ from helpers import SKINS, awkward_poses, chain_body, random_pose
 
 from jaxcap.body import body as bodies
 from jaxcap.body.kinematics import Transforms
-from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, SwingTwistSkin
 

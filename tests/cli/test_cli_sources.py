@@ -10,7 +10,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.skin import RigidSkin
 from jaxcap.cli.sources import load_body, load_cloud, up_rotation, upright_skeleton
-from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.skeletons.skl import write_skl

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxcap.body.joint_limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 from jaxcap.body.kinematics import forward_kinematics
-from jaxcap.body.limits.limits import Cone, JointRanges, make_joint_ranges
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton

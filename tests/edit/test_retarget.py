@@ -10,7 +10,8 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.people.human import human
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.body.pose import Motion, rest_pose, retract, stack_poses
+from jaxcap.body.pose import Motion, rest_pose, stack_poses
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.retargeting.retarget import floor_height, retarget, size_ratio
 from jaxcap.edit.retargeting.soles import ground, lowest_heights, sole_heights

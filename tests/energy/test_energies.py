@@ -9,14 +9,15 @@ from helpers import chain_body, check_energy, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.limits.limits import Cone, make_joint_ranges
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks, joint_landmarks
 from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import energies
-from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior, ReferencePrior, RestPrior
 from jaxcap.geometry import rotation
 from tests.kineben import cone_gradient

@@ -11,13 +11,14 @@ from helpers import SKINS, chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.limits.limits import Cone, make_joint_ranges
-from jaxcap.body.pose import Pose, difference, project, rest_pose, retract
+from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import difference, project, retract
 from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks
 from jaxcap.energy.data.points import PointToPlane, PointToPoint
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import Sum
-from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior, RestPrior
 from jaxcap.fit.linear.dense import DenseMatrix
 from jaxcap.fit.linearise import linearise

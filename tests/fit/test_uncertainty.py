@@ -8,7 +8,8 @@ import pytest
 from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.pose import difference, rest_pose, retract
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.data.points import PointToPlane

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.markers.calibration.residuals import linearise_residuals, marker_residuals
 from jaxcap.markers.subject import make_subject, marker_positions
 from tests.helpers import chain_skeleton

@@ -10,8 +10,8 @@ from scipy.stats import multivariate_normal
 
 import jaxcap as jc
 from jaxcap.body.body import pose_body
-from jaxcap.body.limits.limits import allowed
-from jaxcap.body.limits.rotation_vector_boxes import local_rotation_vectors
+from jaxcap.body.joint_limits.abstract_limits import allowed
+from jaxcap.body.joint_limits.rotation_vector_boxes import local_rotation_vectors
 from jaxcap.body.pair_prior import (
     describe_mismatch,
     log_density,

@@ -17,7 +17,7 @@ ENDS = {"lowest": "lowest-direct", "newest": "highest"}
 PYTHONS = ("3.11", "3.12", "3.13")
 #: quick tests of what calls libraries most: arrays, solvers, readers and writers, meshes, the command line
 TESTS = (
-    "test_rotation", "test_pose", "test_solve", "test_arguments", "test_io_lock", "test_io_inside", "test_io_c3d",
+    "test_rotation", "test_retraction", "test_solve", "test_arguments", "test_io_lock", "test_io_inside", "test_io_c3d",
     "test_io_npz", "test_mesh", "test_gltf", "test_io_usd", "test_bad_input",
 )  # fmt: skip
 

@@ -8,7 +8,8 @@ import pytest
 from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.pose import rest_pose, retract
+from jaxcap.body.pose import rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
 from jaxcap.fit.tracking.em_step import (

@@ -8,7 +8,8 @@ import pytest
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.pose import Pose, difference, rest_pose, retract
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.reference_pose import tangent_deviations
 from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.pose import Pose, rest_pose, retract
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.fit.judgement.baseline import (

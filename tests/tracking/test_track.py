@@ -8,7 +8,8 @@ import pytest
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
+from jaxcap.body.pose import Pose, rest_pose, stack_poses
+from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...arguments import checked
 from ...body.body import Body, pose_body
-from ...body.limits.rotation_vector_boxes import PoseBoxes
+from ...body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs

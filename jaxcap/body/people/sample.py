@@ -10,7 +10,8 @@ from ...arguments import checked
 from ...geometry import rotation
 from ...geometry.sampling import farthest_points
 from ..kinematics import joint_paths
-from ..pose import Pose, project, rest_pose
+from ..pose import Pose, rest_pose
+from ..retraction import project
 from ..skeleton import Skeleton
 from .anatomy import rest_deviations
 

@@ -11,7 +11,7 @@ from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_name
 from ...adapt.prepare import make_adapt_task
 from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from ...body.body import Body
-from ...body.limits.limits import AbstractLimits
+from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.correspondence.find_pairs import Matching
 from ...io.archives.journal import hash_files

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...body.limits.limits import AbstractLimits
+from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...body.limits.rotation_vector_boxes import PoseBoxes
+from ...body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ...body.pair_prior import PairPrior
 from ...io.archives.prior import load_boxes, load_prior, shape_prior_size
 from ...prior.covariance_selection import count_zero_couplings

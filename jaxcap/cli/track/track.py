@@ -9,7 +9,7 @@ import numpy as np
 
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
-from ...body.limits.limits import AbstractLimits
+from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.tracking.em_step import make_mixture_settings
 from ...fit.tracking.recover import TrackedFrame

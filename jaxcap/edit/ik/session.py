@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...body.body import Body
-from ...body.limits.limits import AbstractLimits
+from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
-from ...body.pose import Pose, project, rest_pose
+from ...body.pose import Pose, rest_pose
+from ...body.retraction import project
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.reference_pose import RestPrior
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints

@@ -11,18 +11,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
-from ...body.limits.limits import AbstractLimits
+from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
-from ...body.pose import Pose, project
+from ...body.pose import Pose
+from ...body.retraction import project
 from ...body.skeleton import Skeleton
 from ...energy.data.landmarks import VertexLandmarks
 from ...energy.energy import AbstractEnergy
-from ...energy.priors.limits import JointLimits
+from ...energy.priors.joint_limits import JointLimits
 from ...energy.priors.reference_pose import ReferencePrior
 from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...fit.task_priority import solve_in_order
+from ...fit.strict_priorities import solve_in_order
 from ...value_checks import check_at_least
 from .constraints import ORIENTATION_OFFSET, Constraints, constrained_body
 

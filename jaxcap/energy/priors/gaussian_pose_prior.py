@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
 from ...assets import asset_path
-from ...body.limits.rotation_vector_boxes import rotating_joints
+from ...body.joint_limits.rotation_vector_boxes import rotating_joints
 from ...body.pair_prior import MAX_FRAME_ANGLE
 from ...body.pose import local_rotation_vectors
 from ...body.skeleton import Skeleton

@@ -5,7 +5,8 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
 from ...body.body import Posed
-from ...body.pose import Pose, difference, local_rotation_vectors
+from ...body.pose import Pose, local_rotation_vectors
+from ...body.retraction import difference
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...value_checks import check_deviations

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...body.body import Body, pose_body
-from ...body.pose import Pose, retract
+from ...body.pose import Pose
+from ...body.retraction import retract
 from ...energy.stacked import AbstractNeighbourEnergy
 
 

@@ -10,8 +10,9 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import check_fields
 from ...body.body import Body, pose_body
-from ...body.limits.rotation_vector_boxes import BoxChart, PoseBoxes, make_box_chart, retract_within
-from ...body.pose import Pose, project, rest_pose, retract
+from ...body.joint_limits.rotation_vector_boxes import BoxChart, PoseBoxes, make_box_chart, retract_within
+from ...body.pose import Pose, rest_pose
+from ...body.retraction import project, retract
 from ...body.symmetry import length_differences
 from ...energy.energy import AbstractEnergy
 from ...energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join_frame, split_frames

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 import equinox as eqx
 
-from ...body.pose import Pose, difference
+from ...body.pose import Pose
+from ...body.retraction import difference
 from ...observe.clouds import Cloud
 from .em_step import FrameStatistics
 from .log_posterior import log_posterior

@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from ...arguments import checked
 from ...body.body import pose_body
 from ...body.decimate import reduce_body
-from ...body.pose import Pose, concatenate_poses, rest_pose, retract
+from ...body.pose import Pose, concatenate_poses, rest_pose
+from ...body.retraction import retract
 from ...body.skeleton import Skeleton, dof_layout
 from ...energy.energy import Sum, unweighted
-from ...energy.priors.limits import JointLimits
+from ...energy.priors.joint_limits import JointLimits
 from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...geometry import rotation
 from ...observe import Scan, thin_cloud

@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
 from ...body.people.anatomy import rest_deviations
-from ...body.pose import Pose, difference, retract
+from ...body.pose import Pose
+from ...body.retraction import difference, retract
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.data.free_space import FreeSpace
 from ...energy.energy import AbstractEnergy, Sum, terms_of, weighted

@@ -11,7 +11,7 @@ from jaxtyping import Int
 from ...adapt.shape.shape_prior import ShapePrior, prior_edges, uniform_laplacian
 from ...arguments import checked
 from ...body.body import Body
-from ...body.limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes
+from ...body.joint_limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes
 from ...body.pair_prior import PairPrior, describe_mismatch, make_pair_prior
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton

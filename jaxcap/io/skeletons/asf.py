@@ -15,8 +15,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
-from ...body.limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
-from ...body.limits.limits import JointRanges, make_joint_ranges
+from ...body.joint_limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
+from ...body.joint_limits.ranges_and_cones import JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ..system.reader_errors import reader_of

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...body.body import Body
 from ...body.kinematics import joint_paths
-from ...body.pose import Motion, Pose, project
+from ...body.pose import Motion, Pose
+from ...body.retraction import project
 from ...body.skeleton import rest_distance
 from ...errors import InputError
 from ...metrics import joint_errors

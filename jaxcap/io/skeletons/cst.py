@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...arguments import checked
-from ...body.limits.limits import Cone, JointRanges, make_joint_ranges
+from ...body.joint_limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ..kinds import check_kind

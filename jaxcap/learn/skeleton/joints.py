@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body, pose_body
 from ...body.geometric_jacobian import concatenate_jacobians, joint_jacobian, pose_jacobian, select_parameters
 from ...body.kinematics import forward_kinematics
-from ...body.pose import Pose, retract
+from ...body.pose import Pose
+from ...body.retraction import retract
 from ...body.skeleton import Skeleton
 from ...body.skin.swing_twist import SwingTwistSkin
 from ...body.symmetry import length_differences

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...body.pose import Pose, retract
+from ...body.pose import Pose
+from ...body.retraction import retract
 from ...fit.alternate import minimise_reweighted
 from ...fit.linear.block_banded import BlockBanded
 from ...fit.linear.precision import in_float64

@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.body import pose_body
-from ...body.pose import Pose, retract
+from ...body.pose import Pose
+from ...body.retraction import retract
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations

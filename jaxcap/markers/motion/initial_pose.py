@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...body.pose import Pose, project
+from ...body.pose import Pose
+from ...body.retraction import project
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation

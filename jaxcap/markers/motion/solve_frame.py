@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import pose_body
-from ...body.pose import Pose, retract
+from ...body.pose import Pose
+from ...body.retraction import retract
 from ...energy.energy import AbstractEnergy
 from ...fit.alternate import reweighted_least_squares
 from ...fit.frame_equations import frame_equations

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...body.pose import Pose, project
+from ...body.pose import Pose
+from ...body.retraction import project
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation

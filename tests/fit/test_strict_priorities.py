@@ -12,13 +12,14 @@ from helpers import chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.limits.limits import Cone, make_joint_ranges
-from jaxcap.body.pose import Pose, difference, rest_pose, retract, stack_poses
+from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
+from jaxcap.body.pose import Pose, rest_pose, stack_poses
+from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.data.landmarks import BoneLandmarks, JointLandmarks
 from jaxcap.energy.energy import AbstractEnergy
-from jaxcap.energy.priors.limits import JointLimits
+from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
@@ -29,7 +30,7 @@ from jaxcap.fit.solvers.hierarchical_least_squares import (
     hierarchical_step,
 )
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from jaxcap.fit.task_priority import priority_step, solve_in_order
+from jaxcap.fit.strict_priorities import priority_step, solve_in_order
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from ...arguments import check_fields, checked
 from ..pose import Pose
 from ..skeleton import Skeleton
+from .abstract_limits import AbstractLimits
 from .chart import Chart
-from .limits import AbstractLimits
 from .primitives import Primitives, signed_distance
 from .surface_projection import project_inside
 

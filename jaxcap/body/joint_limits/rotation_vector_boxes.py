@@ -12,9 +12,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...geometry import rotation
-from ..pose import Pose, local_rotation_vectors, retract
+from ..pose import Pose, local_rotation_vectors
+from ..retraction import retract
 from ..skeleton import KINDS, Skeleton, dof_layout
-from .limits import AbstractLimits
+from .abstract_limits import AbstractLimits
 
 #: alternating projections onto a universal joint's axes and its box
 ALTERNATIONS = 20

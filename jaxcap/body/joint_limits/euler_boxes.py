@@ -11,7 +11,7 @@ from ...arguments import checked
 from ...geometry import rotation
 from ..pose import Pose
 from ..skeleton import Skeleton
-from .limits import AbstractLimits
+from .abstract_limits import AbstractLimits
 
 
 class EulerBox(NamedTuple):

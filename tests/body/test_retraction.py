@@ -8,12 +8,13 @@ import pytest
 from helpers import awkward_poses, chain_skeleton, half_turned_pose, random_pose
 
 from jaxcap.body import pose as poses
+from jaxcap.body import retraction
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.geometry import rotation
 
 SKELETON = chain_skeleton()
-retract, difference = eqx.filter_jit(poses.retract), eqx.filter_jit(poses.difference)
+retract, difference = eqx.filter_jit(retraction.retract), eqx.filter_jit(retraction.difference)
 
 
 @eqx.filter_jit
@@ -100,14 +101,14 @@ def test_angles_add_up_and_come_back(rng):
 
 def test_project_keeps_what_is_allowed_and_takes_the_rest_away(rng):
     allowed = random_pose(SKELETON, rng, 0.8)
-    same_pose(poses.project(SKELETON, allowed), allowed)
+    same_pose(retraction.project(SKELETON, allowed), allowed)
     anyhow = poses.Pose(
         jnp.asarray(rng.normal(size=(SKELETON.num_joints, 3))),
         rotation.exp(jnp.asarray(rng.normal(size=(SKELETON.num_joints, 3)))),
         jnp.asarray(1.2),
     )
-    once = poses.project(SKELETON, anyhow)
-    same_pose(poses.project(SKELETON, once), once)
+    once = retraction.project(SKELETON, anyhow)
+    same_pose(retraction.project(SKELETON, once), once)
     # what is left is within reach of a tangent from rest
     rest = eqx.tree_at(lambda p: p.scale, poses.rest_pose(SKELETON), jnp.asarray(1.2))
     same_pose(retract(SKELETON, rest, difference(SKELETON, rest, once)), once, 1e-10)

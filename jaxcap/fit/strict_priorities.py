@@ -16,7 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from ..arguments import checked
 from ..body.body import Body, pose_body
-from ..body.pose import Pose, project
+from ..body.pose import Pose
+from ..body.retraction import project
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
 from .pose_problem import PoseProblem
