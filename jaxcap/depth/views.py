@@ -15,6 +15,9 @@ MAX_VIEW_SIDE = 320
 #: number of rows and columns around a pixel whose nearest depth it takes: at edges, pixels mix depths, and a finger is as
 #: narrow as a pixel
 EDGE_WINDOW = 3
+#: number of levels of depth; share of the person's pixels nearer than the first level; and number of pixels around the
+#: person with distances of their own for each level
+NUM_LEVELS, NEAREST_LEVEL, LEVEL_MARGIN = 6, 0.01, 24
 
 
 @checked
@@ -48,8 +51,27 @@ def make_depth_view(
     shown = np.isfinite(person_depth)
     empty = ~shown & np.isfinite(background_depth)
     depth = np.where(shown, _reduce(nearest, step), np.where(empty, background_depth, 0.0))
-    outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
-    return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
+    levels, distances = _level_distances(np.where(shown, depth, np.inf))
+    images = (depth, levels, distances)
+    return DepthView(reduce_camera(camera, step), *(image.astype(np.float32) for image in images))  # pyright: ignore[reportArgumentType]
+
+
+def _level_distances(
+    person: Float[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "L"], Float[np.ndarray, "L h w"]]:
+    """Compute levels of depth, and the distance of each pixel to the person's nearest pixel not farther than each level.
+
+    More than `LEVEL_MARGIN` pixels outside of the box around the person, the distances of the last level stand for all.
+    """
+    shown = np.isfinite(person)
+    near, far = np.quantile(person[shown], NEAREST_LEVEL), person[shown].max()
+    levels = np.linspace(near, far, NUM_LEVELS)
+    distances = np.repeat(np.asarray(distance_transform_edt(~shown))[None], NUM_LEVELS, axis=0)
+    sides = (np.flatnonzero(shown.any(axis)) for axis in (1, 0))
+    box = tuple(slice(max(side[0] - LEVEL_MARGIN, 0), side[-1] + LEVEL_MARGIN + 1) for side in sides)
+    for level, image in zip(levels[:-1], distances[:-1], strict=True):
+        image[box] = distance_transform_edt(person[box] > level)
+    return levels, distances
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:

@@ -16,8 +16,10 @@ class DepthView(eqx.Module):
     camera: Camera
     #: depth of the measured surface along the optical axis, metres; zero where nothing was measured
     depth: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
-    #: distance to the person's nearest pixel where background was measured, pixels; zero elsewhere
-    outside: Float[Array, "*frames H W"] = eqx.field(converter=as_jax_array)
+    #: rising depths, of which the last is that of the person's farthest pixel, metres
+    levels: Float[Array, "*frames L"] = eqx.field(converter=as_jax_array)
+    #: distance to the nearest pixel of the person that is not farther than each level, pixels
+    distances: Float[Array, "*frames L H W"] = eqx.field(converter=as_jax_array)
 
     def __check_init__(self):
         check_fields(self)

@@ -82,8 +82,8 @@ def test_large_images_are_reduced_to_the_nearest_surface():
     assert np.asarray(view.depth).shape == (240, 320)
     assert (view.camera.height, view.camera.width) == (240, 320)
     # a block with one pixel of the person is the person's
-    assert np.asarray(view.depth)[150, 200] == 2.0 and np.asarray(view.outside)[150, 200] == 0.0
-    assert np.asarray(view.outside)[150, 210] == 10.0
+    assert np.asarray(view.depth)[150, 200] == 2.0 and np.asarray(view.distances)[-1, 150, 200] == 0.0
+    assert np.asarray(view.distances)[-1, 150, 210] == 10.0
     # a point projects to the same place
     point = jnp.array([[0.2, 0.1, 0.3]])
 

@@ -55,5 +55,5 @@ def test_a_view_tests_free_space_in_the_shadow():
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     camera = Camera(np.diag([1.0, -1.0, -1.0]), np.zeros(3), np.full(2, FOCAL), middle, width, height)
     view = make_depth_view(camera, depth, person)
-    assert np.array_equal(np.asarray(view.outside)[:, 50:53], np.tile([1.0, 2.0, 3.0], (height, 1)))
+    assert np.array_equal(np.asarray(view.distances)[-1, :, 50:53], np.tile([1.0, 2.0, 3.0], (height, 1)))
     assert np.all(np.asarray(view.depth)[:, 50 : 50 + WIDEST] == FAR)

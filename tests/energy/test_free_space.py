@@ -88,8 +88,36 @@ def test_violations_are_distances_in_metres():
         assert float(residual[0]) == pytest.approx(expected, abs=0.015)
 
 
-def test_its_jacobian_is_that_of_differences(rng):
-    energy = free_space(BODY, view_of(np.asarray(BODY.vertices) + [0.1, 0.1, -0.1], BODY.faces))
+@pytest.mark.parametrize(
+    "place, expected",
+    [
+        # in front of the trunk, 6 cm beside the hand, which the view enlarges by a pixel: as far as the hand
+        ([0.15, 0.2, 0.4], 0.05 - SIDE_TOLERANCE),
+        # 5 cm in front of the trunk: as far as the trunk
+        ([0.3, 0.2, 0.05], 0.05 - FRONT_TOLERANCE),
+        # behind the front of the hand, before the hand's pixels
+        ([0.05, 0.2, 0.3], 0.0),
+        # in front of the hand by 10 cm
+        ([0.05, 0.2, 0.5], 0.1 - FRONT_TOLERANCE),
+    ],
+)
+def test_a_vertex_beside_a_hand_is_moved_to_the_hand_not_into_the_trunk(place, expected):
+    """A hand at the depth 2.1 m in the left of the image, before a trunk at 2.5 m, which fills it."""
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    x = (columns - CAMERA.width / 2) / float(CAMERA.focal[0]) * 2.1 + 0.3
+    y = -(rows - CAMERA.height / 2) / float(CAMERA.focal[1]) * 2.1 + 0.2
+    hand = (np.abs(x) < 0.09) & (np.abs(y - 0.2) < 0.2)
+    view = make_depth_view(CAMERA, np.where(hand, 2.1, 2.5), np.ones_like(hand))
+    energy = FreeSpace(jnp.zeros(1, int), jnp.ones(1), view, jnp.asarray(1.0))
+    start = np.asarray(BODY.vertices[0], float)
+    residual = energy.residual(jc.pose_body(BODY, moved(BODY, np.array(place) - start)))
+    # a pixel is 1 cm wide
+    assert float(residual[0]) == pytest.approx(expected, abs=0.012)
+
+
+@pytest.mark.parametrize("shift", [[0.1, 0.1, -0.1], [0.02, 0.0, -0.3]])
+def test_its_jacobian_is_that_of_differences(rng, shift):
+    energy = free_space(BODY, view_of(np.asarray(BODY.vertices) + shift, BODY.faces))
     posed = jc.pose_body(BODY, random_pose(BODY.skeleton, rng, 0.3))
 
     def of(vertices):
