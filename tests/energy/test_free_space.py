@@ -89,7 +89,7 @@ def test_violations_are_distances_in_metres():
 
 
 @pytest.mark.parametrize(
-    "place, expected",
+    ("place", "expected"),
     [
         # in front of the trunk, 6 cm beside the hand, which the view enlarges by a pixel: as far as the hand
         ([0.15, 0.2, 0.4], 0.05 - SIDE_TOLERANCE),
