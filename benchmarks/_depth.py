@@ -14,7 +14,7 @@ from scipy import ndimage
 import jaxcap as jc
 from benchmarks.report import progress
 from jaxcap.body.joint_limits.abstract_limits import allowed
-from jaxcap.body.joint_limits.limit_surface import SurfaceLimits
+from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import Sum, terms_of
 from jaxcap.fit.strict_priorities import priority_step

@@ -12,7 +12,7 @@ from jaxcap.adapt.shape.shape_prior import ShapePrior, uniform_laplacian
 from jaxcap.adapt.task import AdaptState
 from jaxcap.body.body import Body
 from jaxcap.body.joint_limits.chart import Chart
-from jaxcap.body.joint_limits.limit_surface import LimitSurface, SurfaceLimits
+from jaxcap.body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.joint_limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.body.pair_prior import make_pair_prior, successive_pairs

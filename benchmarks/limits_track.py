@@ -34,7 +34,7 @@ from benchmarks._depth import depth_frames, fit_frames
 from benchmarks._scenes import human_motion, shared_folder, takes_of
 from benchmarks._stereo import ARM, STEREO, ArmFrames, simulate_arm, twists
 from benchmarks.report import finish, progress
-from jaxcap.body.joint_limits.limit_surface import SurfaceLimits
+from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.energy.data.soft_object import SoftObject, SoftPoints, make_soft_object
 from jaxcap.fit.linearise import linearise

@@ -14,9 +14,9 @@ from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.rotation_centres.estimate_joint import CentreMethod, find_joint
 from jaxcap.markers.rotation_centres.joint import Joint
-from jaxcap.markers.segments.partition import find_partition
+from jaxcap.markers.segments.marker_partition import find_partition
 from jaxcap.markers.segments.relative_motion import relative_motion
-from jaxcap.markers.segments.segment import Segments, make_segments
+from jaxcap.markers.segments.rigid_segments import Segments, make_segments
 from jaxcap.markers.segments.segment_frames import SegmentFrames, fit_segment_frames
 
 TRIALS = ("static", "right_hip", "right_knee")

@@ -6,7 +6,7 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.shape.actor_size import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract

@@ -12,7 +12,7 @@ from helpers import chain_body
 
 from jaxcap.body.body import Body
 from jaxcap.body.joint_limits.chart import Chart
-from jaxcap.body.joint_limits.limit_surface import LimitSurface, SurfaceLimits
+from jaxcap.body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint

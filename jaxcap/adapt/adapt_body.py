@@ -24,8 +24,8 @@ from .poses.pose import fit_task_poses
 from .poses.select_frames import select_evenly
 from .poses.sliding_window import smooth_windows
 from .poses.unordered import find_poses
+from .shape.actor_size import fit_size
 from .shape.adapt_round import adapt_round
-from .shape.scale import fit_size
 from .task import AdaptState, AdaptTask, Stage, make_task_tracker, plan_stages
 
 _LOG = logging.getLogger(__name__)

@@ -19,7 +19,7 @@ from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
 from .adapt_body import adapt_body
-from .shape.scale import scale_body
+from .shape.actor_size import scale_body
 from .task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres

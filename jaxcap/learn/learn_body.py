@@ -34,8 +34,8 @@ from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
 from .variable_projection.improve import optimise_all_vertices
 from .variable_projection.rounds import VERTICES, improve_linear_skin
+from .weights.improve_weights import improve_weights
 from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices
-from .weights.weights import improve_weights
 
 _LOG = logging.getLogger(__name__)
 

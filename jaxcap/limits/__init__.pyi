@@ -6,9 +6,9 @@ from ..body.joint_limits.abstract_limits import allowed as allowed
 from ..body.joint_limits.euler_boxes import EulerBox as EulerBox
 from ..body.joint_limits.euler_boxes import EulerBoxes as EulerBoxes
 from ..body.joint_limits.euler_boxes import make_euler_boxes as make_euler_boxes
-from ..body.joint_limits.limit_surface import LimitSurface as LimitSurface
-from ..body.joint_limits.limit_surface import SurfaceLimits as SurfaceLimits
-from ..body.joint_limits.limit_surface import comfort as comfort
+from ..body.joint_limits.implicit_surface import LimitSurface as LimitSurface
+from ..body.joint_limits.implicit_surface import SurfaceLimits as SurfaceLimits
+from ..body.joint_limits.implicit_surface import comfort as comfort
 from ..body.joint_limits.ranges_and_cones import Cone as Cone
 from ..body.joint_limits.ranges_and_cones import JointRanges as JointRanges
 from ..body.joint_limits.ranges_and_cones import make_joint_ranges as make_joint_ranges

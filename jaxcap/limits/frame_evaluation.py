@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
 from ..body.joint_limits.abstract_limits import AbstractLimits, allowed
-from ..body.joint_limits.limit_surface import SurfaceLimits, comfort
+from ..body.joint_limits.implicit_surface import SurfaceLimits, comfort
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 

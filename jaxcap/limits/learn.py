@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from ..arguments import checked
 from ..body.joint_limits.chart import Chart
-from ..body.joint_limits.limit_surface import LimitSurface, SurfaceLimits, density
+from ..body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits, density
 from ..body.joint_limits.primitives import LEVEL, STIFFNESS
 from ..errors import InputError
 from ..geometry.sampling import even_indices

@@ -20,10 +20,10 @@ from .motion.inverse_kinematics import solve_markers as solve_markers
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
 from .segments.gaps import join_pieces as join_pieces
+from .segments.marker_partition import find_partition as find_partition
 from .segments.merge_takes import merge_takes as merge_takes
-from .segments.partition import find_partition as find_partition
-from .segments.segment import Segments as Segments
-from .segments.segment import make_segments as make_segments
+from .segments.rigid_segments import Segments as Segments
+from .segments.rigid_segments import make_segments as make_segments
 from .subject import Subject as Subject
 from .subject import make_subject as make_subject
 from .subject import marker_body as marker_body

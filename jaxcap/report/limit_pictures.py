@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.joint_limits.limit_surface import LimitSurface
+from ..body.joint_limits.implicit_surface import LimitSurface
 from ..body.joint_limits.primitives import Primitives, radii, signed_distance
 from ..io.system.atomic import atomic_path
 from .pictures import new_figure

@@ -19,9 +19,9 @@ from jaxcap.adapt.objective import (
 )
 from jaxcap.adapt.poses.pose import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
+from jaxcap.adapt.shape.actor_size import fit_size, scale_body
 from jaxcap.adapt.shape.adapt_round import gauss_newton_step
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
-from jaxcap.adapt.shape.scale import fit_size, scale_body
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages

@@ -7,7 +7,7 @@ import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.shape.scale import scale_body
+from jaxcap.adapt.shape.actor_size import scale_body
 from jaxcap.adapt.shape.shape_prior import (
     body_shape_prior,
     prior_edges,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.joint_limits.chart import Chart
 from jaxcap.body.joint_limits.primitives import LEVEL, STIFFNESS, Primitives, field, radii, signed_distance
-from jaxcap.body.joint_limits.surface_projection import project_inside
+from jaxcap.body.joint_limits.project_onto_surface import project_inside
 
 BALL = Chart(jnp.array([1.0, 0, 0, 0]), jnp.eye(3)[:2], "ball")
 

@@ -9,7 +9,7 @@ from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry.procrustes import group_moments, nearest_rotation, rigid_errors, rigid_fit, rigid_motions
 from jaxcap.learn.parts.agglomerate import agglomerate, merged_labels
-from jaxcap.learn.parts.parts import find_parts
+from jaxcap.learn.parts.find_parts import find_parts
 from jaxcap.learn.skeleton.joint_tree import find_joint_tree, pose_parts
 from jaxcap.learn.skeleton.left_right_pairs import detect_left_right_pairs
 from jaxcap.learn.skeleton.reference_mesh import choose_reference_mesh

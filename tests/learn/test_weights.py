@@ -14,7 +14,7 @@ from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwi
 from jaxcap.geometry.laplacian import make_conformance, matrix
 from jaxcap.learn.weights import coordinate_descent as sweeping
 from jaxcap.learn.weights.graph_colouring import colour_vertices
-from jaxcap.learn.weights.weights import improve_weights
+from jaxcap.learn.weights.improve_weights import improve_weights
 
 SIDES, RINGS, FRAMES = 8, 25, 12
 

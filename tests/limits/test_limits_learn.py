@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body
 from jaxcap.body.joint_limits.abstract_limits import allowed
-from jaxcap.body.joint_limits.limit_surface import SurfaceLimits, comfort, missing_joints
+from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits, comfort, missing_joints
 from jaxcap.body.joint_limits.primitives import signed_distance
 from jaxcap.body.pose import Motion, Pose, rest_pose
 from jaxcap.body.skeleton import make_skeleton

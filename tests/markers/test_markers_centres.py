@@ -10,7 +10,7 @@ from jaxcap.markers.rotation_centres.gamage import concentric_centre
 from jaxcap.markers.rotation_centres.precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.sphere import density_weights, fit_circle, fit_sphere
 from jaxcap.markers.segments.relative_motion import relative_motion
-from jaxcap.markers.segments.segment import make_segments
+from jaxcap.markers.segments.rigid_segments import make_segments
 from jaxcap.markers.segments.segment_frames import fit_segment_frames
 from tests.markers_scene import puppet
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from ...body.body import Body
 from ..task import AdaptState, AdaptTask
-from .scale import scale_body
+from .actor_size import scale_body
 from .shape_prior import ShapePrior, body_shape_prior, scale_shape_prior
 from .shape_space import make_person
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...body.joint_limits.limit_surface import LimitSurface
+from ...body.joint_limits.implicit_surface import LimitSurface
 from ...errors import InputError
 from ...io.archives.archive import array_names, load_arrays, read_format_name
 from ...io.archives.checkpoint import FORMAT as CHECKPOINT

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.joint_limits.limit_surface import SurfaceLimits
+from ...body.joint_limits.implicit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.frame_evaluation import comfort_frames
 from ..console.console import print_table, say

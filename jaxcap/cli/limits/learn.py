@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.joint_limits.limit_surface import LimitSurface, SurfaceLimits
+from ...body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
 from ...errors import InputError, user_message
 from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers

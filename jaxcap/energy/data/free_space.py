@@ -20,7 +20,7 @@ class FreeSpace(AbstractVertexEnergy):
 
     A vertex in front of what was measured at its pixel is in free space. It violates by the distance that it is in front,
     or by the distance sideways to the person's nearest pixel that is not farther than the vertex, whichever is less:
-    a vertex beside a hand in front of the trunk is moved to the hand, not into the trunk. A vertex behind what was
+    a vertex next to a hand in front of the trunk is moved to the hand, not into the trunk. A vertex behind what was
     measured, outside of the image, or at a pixel without measurement violates nothing.
     """
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...arguments import checked
 from ...body.joint_limits.abstract_limits import AbstractLimits, AllLimits
 from ...body.joint_limits.chart import DIMENSIONS, Chart
-from ...body.joint_limits.limit_surface import LimitSurface, SurfaceLimits, missing_joints
+from ...body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..kinds import wrong_kind_error

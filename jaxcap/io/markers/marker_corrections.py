@@ -20,7 +20,7 @@ from ..text import numbered_lines, parse_floats, read_text, shortened
 def read_corrections(path: str | Path) -> dict[str, tuple[str, float]]:
     """Read corrections as marker -> (segment, weight).
 
-    They are for `markers.segments.partition.apply_corrections` and `fit_local`.
+    They are for `markers.segments.marker_partition.apply_corrections` and `fit_local`.
 
     **Raises:** `InputError` with file and line, for a line of fewer than two or more than three words, a
     weight that is not a number from 0 to 1, or a duplicate marker.

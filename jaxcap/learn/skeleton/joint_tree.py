@@ -12,7 +12,7 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
 from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
-from ..parts.parts import RigidParts
+from ..parts.find_parts import RigidParts
 from ..parts.surface_graph import make_surface_graph
 from .centres import Centres, PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import fit_poses, motion_moments

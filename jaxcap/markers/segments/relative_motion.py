@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.sampling import even_indices
-from .segment import Segments
+from .rigid_segments import Segments
 from .segment_frames import SegmentFrames
 
 #: number of frames that a joint is estimated from, evenly over the known ones

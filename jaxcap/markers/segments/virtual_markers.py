@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..rotation_centres.joint import Joint
-from .segment import Segments
+from .rigid_segments import Segments
 from .segment_frames import SegmentFrames, fit_segment_frames, two_marker_frames
 
 #: weight of a joint against a marker when a frame is fitted

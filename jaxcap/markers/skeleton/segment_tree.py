@@ -12,7 +12,7 @@ from ..rotation_centres.estimate_joint import CentreMethod, find_joint
 from ..rotation_centres.hinge_centres import align_hinge_centres
 from ..rotation_centres.joint import Joint
 from ..segments.relative_motion import RelativeMotion, relative_motion
-from ..segments.segment import Segments
+from ..segments.rigid_segments import Segments
 from ..segments.segment_frames import fit_segment_frames
 from ..segments.virtual_markers import AugmentedMarkers, add_virtual_markers, assume_hinge
 

@@ -11,7 +11,7 @@ from ..skeleton import Skeleton
 from .abstract_limits import AbstractLimits
 from .chart import Chart
 from .primitives import Primitives, signed_distance
-from .surface_projection import project_inside
+from .project_onto_surface import project_inside
 
 
 class LimitSurface(eqx.Module):
