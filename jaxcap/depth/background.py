@@ -75,9 +75,9 @@ def estimate_background(
     for number in spread_frames(len(depths), most):
         name = f"{where}, image {number}"
         check_image_size_of(camera, depths[number], "image", name)
-        check_depth_scale(depths[number], name)
         frames.append(np.asarray(depths[number], np.float32))
     images = np.stack(frames)
+    check_depth_scale(images, where)
     if not empty and len(images) < MIN_FRAMES:
         return unknown_background(
             camera,

@@ -19,8 +19,8 @@ def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str
         )
 
 
-def check_depth_scale(depth: Float[np.ndarray, "H W"], where: str) -> None:
-    """Check that the median depth of an image is one that depth cameras measure.
+def check_depth_scale(depth: Float[np.ndarray, "*frames H W"], where: str) -> None:
+    """Check that the median depth of one or more images is one that depth cameras measure.
 
     **Raises:** `InputError` with the factor by which the scale of depths is wrong.
     """

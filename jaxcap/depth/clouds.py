@@ -23,6 +23,8 @@ VOXEL = 0.012
 GAP = 0.03
 #: largest distance of the people that two cameras see in one frame, metres
 MAX_APART = 1.5
+#: fewest points of a person
+MIN_POINTS = 50
 
 
 @checked
@@ -74,13 +76,17 @@ def cloud_of_depths(
         if len(reasons) == len(cameras):
             raise NoPersonError(reasons[0])
         _check_one_person(cameras, people, name)
+        scan = fuse_cloud(cameras, people, GAP, 2, voxel)
+        # without a normal a point is at an edge, and may be between front and back
+        sure = np.any(scan.normals != 0, 1)
+        if np.count_nonzero(sure) < MIN_POINTS:
+            raise NoPersonError(
+                f"{name}: the person has {np.count_nonzero(sure)} points; expected at least {MIN_POINTS}."
+            )
     except NoPersonError as error:
         if keep_missing:
             return missing_cloud(user_message(error), tuple(blank_view(camera) for camera in cameras))
         raise
-    scan = fuse_cloud(cameras, people, GAP, 2, voxel)
-    # without a normal a point is at an edge, and may be between front and back
-    sure = np.any(scan.normals != 0, 1)
     cloud = make_cloud(scan.points[sure], scan.normals[sure], name=name)
     return Cloud(cloud.points, cloud.normals, cloud.weights, tuple(views))
 

@@ -89,7 +89,7 @@ def find_person(
     person = search_person(camera, depth, background, where).person
     if not person.any():
         raise NoPersonError(
-            f"{where}: no surface has the size of a person; check the intrinsics and the unit of depth, or give masks."
+            f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
         )
     return person
 

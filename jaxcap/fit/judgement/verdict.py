@@ -133,7 +133,13 @@ def nothing_to_judge(surface: RegionSamples, baseline: Baseline) -> Judgement:
     none = jnp.zeros((), baseline.level.dtype)
     support = jnp.zeros(len(surface.joints), none.dtype)
     return Judgement(
-        jnp.zeros_like(baseline.level), none, none, support, surface.names, surface.joints, surface.part_parents
+        jnp.zeros_like(baseline.level),
+        none,
+        none,
+        support,
+        surface.names,
+        surface.joints,
+        surface.part_parents,
     )
 
 
