@@ -79,6 +79,13 @@ def choose_person(candidates: list[Candidate]) -> list[Candidate]:
     return [one._replace(found=found.get(one.label, one.found)) for one in candidates]
 
 
+def join_candidates(parts: list[Candidate]) -> Candidate:
+    """Measure several surfaces together, such as a person and its pieces; the rest is that of the first."""
+    points = np.concatenate([one.points for one in parts])
+    area = sum(one.area for one in parts)
+    return parts[0]._replace(points=points, area=area, extent=_extent(points))
+
+
 def is_piece(
     points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "M 3"], max_gap: float = MAX_PIECE_GAP
 ) -> bool:
