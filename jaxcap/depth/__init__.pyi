@@ -10,4 +10,5 @@ from .person import search_person as search_person
 from .planes import Plane as Plane
 from .planes import find_floor as find_floor
 from .planes import find_planes as find_planes
+from .planes import refine_plane as refine_plane
 from .views import make_depth_view as make_depth_view

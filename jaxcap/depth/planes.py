@@ -79,6 +79,17 @@ def find_floor(
     return min(level, key=lambda plane: plane.offset / (plane.normal @ vertical), default=None)
 
 
+def refine_plane(plane: Plane, points: Float[np.ndarray, "N 3"]) -> Plane:
+    """Fit a plane to the points on it by least squares of their distances."""
+    near = points[on_planes([plane], points)]
+    if len(near) < 3:
+        return plane
+    middle = near.mean(0)
+    normal = np.linalg.svd(near - middle, full_matrices=False)[2][2]
+    normal = normal * np.sign(normal @ plane.normal)
+    return Plane(normal, float(normal @ middle))
+
+
 def _is_wide(points: Float[np.ndarray, "N 3"]) -> bool:
     """Test if points extend farther than a person's back."""
     low, high = np.quantile(points, [0.05, 0.95], axis=0)

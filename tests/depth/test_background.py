@@ -2,49 +2,23 @@
 
 import numpy as np
 import pytest
+from depth_room import CAMERA, LOW, VERTICES, see
 
-import jaxcap as jc
-from jaxcap.depth import estimate_background, find_floor, find_person, find_planes, search_person
+from jaxcap.depth import (
+    estimate_background,
+    find_floor,
+    find_person,
+    find_planes,
+    refine_plane,
+    search_person,
+)
 from jaxcap.depth.back_projection import world_points
 from jaxcap.depth.background import MIN_FRAMES, MIN_TOLERANCE, farthest_depths, is_background
 from jaxcap.depth.candidates import PERSON, TOO_LARGE
 from jaxcap.errors import InputError, NoPersonError
-from jaxcap.geometry.camera import look_at
-from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
-from jaxcap.scanner.rooms import make_room
 
-BODY = jc.human(resolution="low")
-VERTICES, FACES = np.asarray(BODY.vertices, float), np.asarray(BODY.faces)
-LOW = float(VERTICES[:, 1].min())
-CAMERA = look_at([0.0, 0.4, 3.2], [0.0, 0.0, 0.0], 160, 120, 60)
 #: where a person walks, metres
 STEPS = np.linspace(-0.5, 0.7, 12)
-FRONT = np.array([0.3, LOW, 0.6])
-
-
-def see(people, things=True) -> tuple[np.ndarray, np.ndarray]:
-    """Render people, given by their vertices, behind a box of a person's size: depths, and the people's pixels."""
-    box, room = (
-        make_box(FRONT, FRONT + [0.5, 0.9, 0.4]),
-        make_room(VERTICES.min(0) - 1.0, VERTICES.max(0), False),
-    )
-    floor = room._replace(vertices=room.vertices + [0.0, 1.0, 0.0])
-    surfaces = [*([box] if things else []), floor, *((vertices, FACES) for vertices in people)]
-    count = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
-    mesh = make_ray_mesh(
-        np.concatenate([vertices for vertices, _ in surfaces]),
-        np.concatenate([faces + first for (_, faces), first in zip(surfaces, count, strict=False)]),
-    )
-    image = render_depth(CAMERA, mesh)
-    first = sum(len(faces) for _, faces in surfaces[: len(surfaces) - len(people)])
-    return image.depth, (image.depth > 0) & (image.triangles >= first)
-
-
-def make_box(low, high):
-    import trimesh
-
-    box = trimesh.creation.box(bounds=[low, high])
-    return np.asarray(box.vertices, float), np.asarray(box.faces, int)
 
 
 def raised_arm(angle: float) -> np.ndarray:
@@ -138,6 +112,8 @@ def test_the_floor_is_the_lowest_level_plane(walk):
     planes = find_planes(points, np.asarray(CAMERA.eye, float))
     floor = find_floor(planes)
     assert floor is not None and floor.normal[1] > 0.999 and abs(floor.offset - LOW) < 0.01
+    refined = refine_plane(floor, points)
+    assert refined.normal[1] > 0.99999 and abs(refined.offset - LOW) < 2e-3
     # a shelf above it, and a wall, are none
     shelf = floor._replace(offset=LOW + 0.8)
     wall = floor._replace(normal=np.array([0.0, 0.0, 1.0]))

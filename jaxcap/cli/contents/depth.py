@@ -11,7 +11,7 @@ from ...depth.background import Background, estimate_background, farthest_depths
 from ...depth.candidates import PERSON, PIECE, join_candidates
 from ...depth.check_depths import check_depth_scale, check_image_size_of
 from ...depth.person import search_person
-from ...depth.planes import find_floor, find_planes
+from ...depth.planes import find_floor, find_planes, refine_plane
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
 from ...io.cameras import read_cameras
@@ -86,10 +86,12 @@ def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
     background = estimate_background(camera, depths)
     far, _ = farthest_depths(np.stack(depths), 1)
     eye = np.asarray(camera.eye, float)
-    floor = find_floor(find_planes(world_points(camera, far)[far > 0], eye))
+    points = world_points(camera, far)[far > 0]
+    floor = find_floor(find_planes(points, eye))
     if floor is None:
         say("floor: none was found")
     else:
+        floor = refine_plane(floor, points)
         tilt = np.degrees(np.arccos(np.clip(floor.normal[1], -1.0, 1.0)))
         say(
             f"floor: {eye @ floor.normal - floor.offset:.2f} m below the camera; its normal is {tilt:.0f} degrees from the "
