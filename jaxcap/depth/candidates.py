@@ -8,8 +8,8 @@ from scipy.spatial import KDTree
 
 #: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
 MAX_PIECE_GAP = 0.25
-#: and larger pieces, such as legs below a trunk that leans, nearer than this, metres
-MAX_LARGE_PIECE_GAP = 0.12
+#: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres
+MAX_SMALL_GAP = 0.12
 #: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
 MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
 #: farther surface is no person, metres; smaller surface is noise, square metres
@@ -71,11 +71,14 @@ def choose_person(candidates: list[Candidate]) -> list[Candidate]:
     if not right:
         return candidates
     first = min(right, key=lambda one: one.distance / one.area**0.25)
-    found = {first.label: PERSON}
+    found, person = {first.label: PERSON}, first.points
     for one in sorted(candidates, key=lambda one: -one.area):
-        gap = MAX_PIECE_GAP if one.area < first.area else MAX_LARGE_PIECE_GAP
-        if one.label != first.label and is_piece(first.points, one.points, gap):
+        if one.label == first.label:
+            continue
+        gap = MAX_PIECE_GAP if one.area < first.area else MAX_SMALL_GAP
+        if is_piece(first.points, one.points, gap) or is_piece(person, one.points, MAX_SMALL_GAP):
             found[one.label] = PIECE
+            person = np.concatenate([person, one.points])
     return [one._replace(found=found.get(one.label, one.found)) for one in candidates]
 
 

@@ -108,6 +108,6 @@ def _refine(
     for down in range(3):
         for across in range(3):
             near = blocks[down : down + height, across : across + width]
-            wide = np.kron(near, np.ones((step, step)))[: size[0], : size[1]]
+            wide = near.repeat(step, 0).repeat(step, 1)[: size[0], : size[1]]
             person |= np.abs(depth - wide) < CONTINUITY * depth
     return person & free
