@@ -19,6 +19,10 @@ class InputError(ValueError):
         self.message, self.function = message, function
 
 
+class NoPersonError(InputError):
+    """A frame that shows no person; other frames of its sequence may be valid."""
+
+
 def user_message(error: BaseException) -> str:
     """Return the message of an error without the name of a library function.
 

@@ -25,7 +25,7 @@ from .contents.bodies import (
     describe_motion_file,
     describe_skinned,
 )
-from .contents.depth import describe_depth
+from .contents.depth import DepthOptions, describe_camera_depth
 from .contents.folders import describe_clouds, describe_folder
 from .contents.next_verb import suggest_commands
 from .contents.texts import (
@@ -37,6 +37,7 @@ from .contents.texts import (
     describe_statistics,
     describe_text,
 )
+from .depth.sources import Cameras, DepthScale
 from .sources import is_human_spec, load_body
 
 #: suffixes of all files that some verb reads
@@ -55,6 +56,8 @@ class Info:
     """A file, a folder, a printf pattern or glob of clouds, or `human`."""
     unit: OptionalUnit = None
     """Unit of lengths, if the file states none: m, dm, cm, mm, in or ft."""
+    cameras: Cameras = None
+    depth_scale: DepthScale = 1000.0
 
     def run(self) -> None:
         path = Path(self.file)
@@ -67,14 +70,15 @@ class Info:
     def describe(self) -> str:
         """Print a description of the contents, and return their kind. Raises `InputError`."""
         path, unit = Path(self.file), self.unit or "m"
+        options = DepthOptions(self.cameras, self.depth_scale)
         if is_human_spec(self.file):
             describe_body(load_body(self.file)[0])
             return "body"
         if path.is_dir():
-            return describe_folder(path, unit)
+            return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():
             if path.suffix.lower() in IMAGE_SUFFIXES:
-                return describe_depth(path)
+                return describe_camera_depth(self.file, options)
             return describe_clouds(self.file, unit)
         kind = identify(path)
         match kind:
@@ -101,9 +105,9 @@ class Info:
             case "text":
                 return describe_text(path)
             case "depth" if path.suffix.lower() != ".npz":
-                return describe_depth(path)
+                return describe_camera_depth(self.file, options)
             case "picture":
                 return "picture"
             case None:
                 raise wrong_kind_error(path, "something that a verb reads", KNOWN)
-        return describe_json(path) if path.suffix.lower() == ".json" else describe_arrays(path, unit)
+        return describe_json(path) if path.suffix.lower() == ".json" else describe_arrays(path, unit, options)

@@ -1,5 +1,14 @@
 """Depth images of people: the person in an image, and clouds with their depth images."""
 
+from .background import Background as Background
+from .background import estimate_background as estimate_background
+from .candidates import Candidate as Candidate
 from .clouds import cloud_of_depths as cloud_of_depths
+from .person import PersonSearch as PersonSearch
 from .person import find_person as find_person
+from .person import search_person as search_person
+from .planes import Plane as Plane
+from .planes import find_floor as find_floor
+from .planes import find_planes as find_planes
+from .planes import refine_plane as refine_plane
 from .views import make_depth_view as make_depth_view

@@ -21,6 +21,15 @@ def measured_points(camera: Camera, depth: Float[np.ndarray, "H W"]) -> Float[np
     return (camera_rays(camera)[measured] * depth[measured][:, None] - translation) @ rotation
 
 
+def world_points(
+    camera: Camera, depth: Float[np.ndarray, "H W"], step: int = 1
+) -> Float[np.ndarray, "h w 3"]:
+    """Compute the points of every `step`-th row and column in the world, metres; zero where nothing was measured."""
+    rotation, translation = (np.asarray(a, float) for a in (camera.rotation, camera.translation))
+    z = depth[::step, ::step, None]
+    return np.where(z > 0, (camera_rays(camera)[::step, ::step] * z - translation) @ rotation, 0.0)
+
+
 @functools.lru_cache(maxsize=32)
 def _rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     across, down = np.meshgrid((np.arange(width) - cx) / fx, (np.arange(height) - cy) / fy)

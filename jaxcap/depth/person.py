@@ -1,120 +1,97 @@
-"""The person in a depth image of a room: without floor and walls, the most person-like connected surface."""
+"""The person in a depth image of a room: without background, the most person-like connected surface."""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from ..arguments import checked
-from ..errors import InputError
+from ..errors import NoPersonError
 from ..geometry.camera import Camera
-from .back_projection import measured_points
-from .planes import find_planes, on_planes
-from .views import check_image_size_of
-
-#: image size for the search, pixels on the longest side
-SEARCH_SIDE = 160
-#: neighbouring pixels are on one surface if their depths differ by less than this share of the depth
-CONTINUITY = 0.04
-#: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
-MAX_PIECE_GAP = 0.25
-#: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
-MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
+from .back_projection import world_points
+from .background import Background, is_background
+from .candidates import PERSON, PIECE, Candidate, choose_person, list_candidates
+from .check_depths import check_depth_scale, check_image_size_of
+from .planes import Plane, find_planes, on_planes
+from .surfaces import CONTINUITY, connect_pixels, search_step
 
 
-class _Piece(NamedTuple):
-    """A connected surface in an image."""
+class PersonSearch(NamedTuple):
+    """The steps of a search for the person in one image."""
 
-    label: int
-    points: Float[np.ndarray, "N 3"]
-    #: visible area, square metres
-    area: float
+    #: floors and walls, and the measured pixels on them
+    planes: list[Plane]
+    on_planes: Bool[np.ndarray, "H W"]
+    #: measured pixels that are not in front of the background, and on no plane
+    on_background: Bool[np.ndarray, "H W"]
+    #: connected surfaces of the other pixels, and what each was found to be
+    candidates: list[Candidate]
+    #: the candidate of every `step`-th pixel, by its `label`
+    labels: Int[np.ndarray, "h w"]
+    step: int
+    #: the pixels of the person; none if nobody was found
+    person: Bool[np.ndarray, "H W"]
+
+
+@checked
+def search_person(
+    camera: Camera,
+    depth: Float[np.ndarray, "H W"],
+    background: Background | None = None,
+    where: str = "the image",
+) -> PersonSearch:
+    """Search for the person that is nearest to the camera, and return every step of the search.
+
+    Floors and walls are planes with many points. They and the `background` are removed. The remaining pixels are grouped
+    into connected surfaces. The nearest surface of a person's size is the person. Smaller surfaces next to it are added,
+    such as an arm in front of the trunk.
+
+    **Arguments:** `depth`, metres, zero for pixels without measurement; `background` of `estimate_background`; `where`
+    names the image in messages.
+
+    **Raises:** `InputError` if an image has another size than the camera's, or depths that cannot be in metres.
+    """
+    check_image_size_of(camera, depth, "image", where)
+    check_depth_scale(depth, where)
+    step, measured, eye = search_step(depth.shape), depth > 0, np.asarray(camera.eye, float)
+    points = world_points(camera, depth)
+    z, few = depth[::step, ::step], points[::step, ::step]
+    planes = find_planes(few[z > 0], eye)
+    on_plane = measured & on_planes(planes, points)
+    behind = np.zeros(depth.shape, bool)
+    if background is not None:
+        check_image_size_of(camera, background.depth, "background", where)
+        behind = measured & ~on_plane & is_background(background, depth)
+    free = measured & ~on_plane & ~behind
+    labels = connect_pixels(z, free[::step, ::step])
+    focal = float(np.mean(np.asarray(camera.focal)))
+    candidates = choose_person(list_candidates(labels, few, (z * step / focal) ** 2, eye))
+    kept = [one.label for one in candidates if one.found in (PERSON, PIECE)]
+    person = _refine(np.isin(labels, kept), z, depth, free, step)
+    return PersonSearch(planes, on_plane, behind, candidates, labels, step, person)
 
 
 @checked
 def find_person(
-    camera: Camera, depth: Float[np.ndarray, "H W"], where: str = "the image"
+    camera: Camera,
+    depth: Float[np.ndarray, "H W"],
+    where: str = "the image",
+    background: Background | None = None,
 ) -> Bool[np.ndarray, "H W"]:
-    """Find the pixels of the person that is nearest to the camera.
+    """Find the pixels of the person that is nearest to the camera; see `search_person`, which has the arguments.
 
-    Floors and walls are planes with many points. The remaining pixels are grouped into connected
-    surfaces. The nearest surface of a person's size is the person. Smaller surfaces next to it are added, such as an
-    arm in front of the trunk.
-
-    **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages.
-
-    **Raises:** `InputError` if the image has another size than the camera's, or no surface has the size of a person.
+    **Raises:** `InputError` if an image has another size than the camera's, or depths that cannot be in metres;
+    `NoPersonError` if nothing was measured, or no surface has the size of a person.
     """
-    check_image_size_of(camera, depth, "image", where)
-    step = max(1, -(-max(depth.shape) // SEARCH_SIDE))
-    points = np.zeros((*depth.shape, 3))
-    points[depth > 0] = measured_points(camera, depth)
-    z = depth[::step, ::step]
-    if not (z > 0).any():
-        raise InputError(f"{where}: nothing was measured; leave out this frame.")
-    few = points[::step, ::step]
-    planes = find_planes(few[z > 0], np.asarray(camera.eye, float))
-    free = (depth > 0) & ~on_planes(planes, points)
-    labels = _connected(z, free[::step, ::step])
-    focal = float(np.mean(np.asarray(camera.focal)))
-    pieces = []
-    for number in range(1, labels.max() + 1):
-        chosen = labels == number
-        pieces.append(_Piece(number, few[chosen], float(np.sum((z[chosen] * step / focal) ** 2))))
-    large = [
-        piece
-        for piece in pieces
-        if piece.area >= MIN_AREA and MIN_EXTENT <= _extent(piece.points) <= MAX_EXTENT
-    ]
-    if not large:
-        raise InputError(
+    if not (depth > 0).any():
+        check_image_size_of(camera, depth, "image", where)
+        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
+    person = search_person(camera, depth, background, where).person
+    if not person.any():
+        raise NoPersonError(
             f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
         )
-    eye = np.asarray(camera.eye, float)
-    first = min(
-        large,
-        key=lambda piece: float(np.median(np.linalg.norm(piece.points - eye, axis=1))) / piece.area**0.25,
-    )
-    kept, person = {first.label}, first.points
-    for piece in sorted(pieces, key=lambda piece: -piece.area):
-        if piece.label in kept or piece.area < 1e-3:
-            continue
-        both = np.concatenate([person, piece.points])
-        if (
-            piece.area < first.area
-            and _gap(person, piece.points) < MAX_PIECE_GAP
-            and _extent(both) <= MAX_EXTENT
-        ):
-            kept.add(piece.label)
-    small = np.isin(labels, list(kept))
-    return _refine(small, z, depth, free, step)
-
-
-def _extent(points: Float[np.ndarray, "N 3"]) -> float:
-    low, high = np.quantile(points, [0.02, 0.98], axis=0)
-    return float((high - low).max())
-
-
-def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
-    return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())
-
-
-def _connected(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
-    """Label connected pixels with continuous depths, from 1; zero for others."""
-    index = np.arange(z.size).reshape(z.shape)
-    links = []
-    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        near = free[a] & free[b] & (np.abs(z[a] - z[b]) < CONTINUITY * np.minimum(z[a], z[b]))
-        links.append(np.stack([index[a][near], index[b][near]], 1))
-    i, j = np.concatenate(links).T
-    _, of = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(z.size, z.size)), directed=False)
-    labels = np.zeros(z.size, int)
-    _, labels[free.reshape(-1)] = np.unique(of[free.reshape(-1)], return_inverse=True)
-    labels[free.reshape(-1)] += 1
-    return labels.reshape(z.shape)
+    return person
 
 
 def _refine(
@@ -131,6 +108,6 @@ def _refine(
     for down in range(3):
         for across in range(3):
             near = blocks[down : down + height, across : across + width]
-            wide = np.kron(near, np.ones((step, step)))[: size[0], : size[1]]
+            wide = near.repeat(step, 0).repeat(step, 1)[: size[0], : size[1]]
             person |= np.abs(depth - wide) < CONTINUITY * depth
     return person & free

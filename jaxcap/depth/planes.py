@@ -13,6 +13,8 @@ PLANE_DISTANCE, MIN_PLANE_SHARE = 0.03, 0.12
 NUM_PLANES, NUM_TRIALS = 4, 200
 #: largest share of points behind a wall, or below a floor
 MAX_BEHIND = 0.05
+#: largest angle between the normal of a floor and the vertical, degrees
+MAX_FLOOR_TILT = 35.0
 
 
 class Plane(NamedTuple):
@@ -61,6 +63,31 @@ def on_planes(planes: list[Plane], points: Float[np.ndarray, "*points 3"]) -> Bo
     for plane in planes:
         on |= np.abs(points @ plane.normal - plane.offset) < PLANE_DISTANCE
     return on
+
+
+def find_floor(
+    planes: list[Plane], up: tuple[float, float, float] = (0.0, 1.0, 0.0), max_tilt: float = MAX_FLOOR_TILT
+) -> Plane | None:
+    """Find the floor: of the planes whose normals are nearly vertical the lowest one; None if there is none.
+
+    **Arguments:** `planes` of `find_planes`; `up`, the vertical; `max_tilt`, degrees: cameras without extrinsics may be
+    tilted.
+    """
+    vertical = np.asarray(up, float) / np.linalg.norm(up)
+    level = [plane for plane in planes if plane.normal @ vertical >= np.cos(np.radians(max_tilt))]
+    # the height at which a plane intersects the vertical through the origin
+    return min(level, key=lambda plane: plane.offset / (plane.normal @ vertical), default=None)
+
+
+def refine_plane(plane: Plane, points: Float[np.ndarray, "N 3"]) -> Plane:
+    """Fit a plane to the points on it by least squares of their distances."""
+    near = points[on_planes([plane], points)]
+    if len(near) < 3:
+        return plane
+    middle = near.mean(0)
+    normal = np.linalg.svd(near - middle, full_matrices=False)[2][2]
+    normal = normal * np.sign(normal @ plane.normal)
+    return Plane(normal, float(normal @ middle))
 
 
 def _is_wide(points: Float[np.ndarray, "N 3"]) -> bool:

@@ -5,9 +5,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from ..arguments import checked
-from ..errors import InputError
+from ..errors import NoPersonError
 from ..geometry.camera import Camera
 from ..observe import DepthView
+from .check_depths import check_image_size_of
 from .shadows import fill_shadows
 
 #: longest side of the images of a view, pixels: larger images are reduced
@@ -32,18 +33,19 @@ def make_depth_view(
 
     **Arguments:** `depth`, metres, zero where nothing was measured; `where` names the image in messages.
 
-    **Raises:** `InputError` if the images are not of the camera's size, or no pixel of the person was measured.
+    **Raises:** `InputError` if the images are not of the camera's size; `NoPersonError` if no pixel of the person was
+    measured.
     """
     check_image_size_of(camera, depth, "image", where)
     check_image_size_of(camera, person, "mask", where)
     measured = np.isfinite(depth) & (depth > 0)
     if not (person & measured).any():
-        raise InputError(
+        raise NoPersonError(
             f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
         )
     depth = fill_shadows(np.where(measured, depth, 0.0), person, float(camera.focal[0]))
     measured = depth > 0
-    step = -(-max(depth.shape) // MAX_VIEW_SIDE)
+    step = view_step(*depth.shape)
     person, background = person & measured, ~person & measured
     person_depth = _reduce(np.where(person, depth, np.inf), step)
     nearest = minimum_filter(np.where(person, depth, np.inf), EDGE_WINDOW, mode="constant", cval=np.inf)
@@ -74,13 +76,16 @@ def _level_distances(
     return levels, distances
 
 
-def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
-    """Check that an image has the size of its camera's images. Raises `InputError`."""
-    if image.shape != (camera.height, camera.width):
-        raise InputError(
-            f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "
-            f"{camera.height}, as the camera."
-        )
+def blank_view(camera: Camera) -> DepthView:
+    """Make the view of a camera that sees no person in a frame: it measures nothing."""
+    camera = reduce_camera(camera, view_step(camera.height, camera.width))
+    nothing = np.zeros((camera.height, camera.width), np.float32)
+    return DepthView(camera, nothing, nothing)  # pyright: ignore[reportArgumentType]
+
+
+def view_step(height: int, width: int) -> int:
+    """Return the number of rows and columns that one pixel of a view has."""
+    return -(-max(height, width) // MAX_VIEW_SIDE)
 
 
 def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h w"]:

@@ -36,6 +36,8 @@ class Cloud(eqx.Module):
     weights: Float[Array, "*frames N"]
     #: the depth images that the points come from, if they are known
     views: tuple[DepthView, ...] = ()
+    #: the reason why the frame shows no person, a sentence; such a cloud has no points, only padding
+    missing: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
         check_fields(self)
@@ -88,6 +90,16 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
             f"{name} has a weight below zero or not finite; expected finite weights of at least 0."
         )
     return ordered_cloud(points, unit_normals(normals), weights)
+
+
+def missing_cloud(reason: str, views: tuple[DepthView, ...] = ()) -> Cloud:
+    """Make the cloud of a frame that shows no person, with the `reason`, a sentence.
+
+    Tracking keeps the pose of the frame before. **Arguments:** `views`, blank ones of the cameras, if they are known.
+    """
+    size = padded_size(1)
+    nothing = jnp.zeros((size, 3))
+    return Cloud(nothing, nothing, jnp.zeros(size), views, reason)
 
 
 def check_coordinates(points: Float[np.ndarray, "N 3"], name: str) -> None:
@@ -209,6 +221,8 @@ def stack_clouds(clouds: "Sequence[Cloud | Scan]") -> Cloud:
     if not frames:
         raise InputError("stack_clouds: `clouds` is empty; expected at least one cloud.")
     for number, cloud in enumerate(frames):
+        if cloud.missing:
+            raise InputError(f"stack_clouds: cloud {number} has no points: {cloud.missing} Leave it out.")
         shapes = [[view.depth.shape for view in one.views] for one in (frames[0], cloud)]
         if shapes[0] != shapes[1]:
             raise InputError(

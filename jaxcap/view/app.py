@@ -98,7 +98,7 @@ class Window:
             if wanted != shown:
                 # computed before `atomic`, which holds messages to the browser back
                 looks = self.stage.appearances(frame, choice)
-                wrong = (*errors, *(look.error for look in looks))
+                wrong = (*errors, *(look.error for look in looks), *self.stage.notes(frame))
                 with self.client.atomic():
                     self.stage.draw(frame, looks, choice)
                     self.controls.draw(frame, next(filter(None, wrong), ""))

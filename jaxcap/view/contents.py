@@ -13,6 +13,7 @@ from ..geometry.camera import Camera
 from ..markers.subject import Subject
 from ..observe.markers import MarkerFrames
 from .figures.clouds import DisplayClouds
+from .figures.depth_layers import DepthLayers
 from .figures.posing import PosedMotion
 
 
@@ -64,12 +65,13 @@ class Contents:
     meshes: list[Meshes] = field(default_factory=list)
     markers: list[Markers] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
+    depths: list[DepthLayers] = field(default_factory=list)
     #: notes about inputs that cannot be drawn, a sentence each
     notes: list[str] = field(default_factory=list)
 
     @property
     def is_empty(self) -> bool:
-        return not (self.takes or self.clouds or self.meshes or self.markers or self.cameras)
+        return not (self.takes or self.clouds or self.meshes or self.markers or self.cameras or self.depths)
 
     @property
     def rate(self) -> float:
@@ -89,6 +91,7 @@ class Contents:
         if not any(take.run_folder for take in self.takes):
             # the newest frame of a run is the last one solved, however many scans wait
             lengths += [float(len(clouds)) for clouds in self.clouds]
+        lengths += [float(len(layers)) for layers in self.depths]
         return max(1, *(round(length) for length in lengths), 1)
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 import jaxcap as jc
 from jaxcap.depth import cloud_of_depths, find_person, make_depth_view
-from jaxcap.errors import InputError
+from jaxcap.errors import InputError, NoPersonError
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry.camera import look_at, project_points
 from jaxcap.io.cameras import read_cameras
@@ -47,9 +47,6 @@ def test_a_room_without_a_person_is_refused():
         find_person(CAMERA, np.where(depth > 0, depth, 3.0))
     with pytest.raises(InputError, match="nothing was measured"):
         find_person(CAMERA, np.zeros_like(depth))
-    depth, _ = room()
-    with pytest.raises(InputError, match="no surface has the size of a person"):
-        find_person(CAMERA, depth / 1000.0)
 
 
 def test_a_cloud_of_depths_is_on_the_surface_and_keeps_the_view():
@@ -72,6 +69,39 @@ def test_images_that_do_not_fit_their_camera_are_refused():
         cloud_of_depths([CAMERA], [depth, depth])
     with pytest.raises(InputError, match="no pixel of the person was measured"):
         make_depth_view(CAMERA, depth, np.zeros_like(person))
+
+
+@pytest.mark.parametrize(("scale", "word"), [(1e-3, "small"), (1e3, "large")])
+def test_people_of_3_mm_and_of_3_km_are_refused(scale, word):
+    """A wrong scale of depths, with the person found or given by a mask."""
+    depth, person = room()
+    for masks in (None, [person]):
+        with pytest.raises(InputError, match=f"1000 times too {word}; give a depth scale"):
+            cloud_of_depths([CAMERA], [scale * depth], masks, keep_missing=True)
+
+
+def test_a_frame_without_a_person_is_missing_and_a_camera_without_one_adds_nothing():
+    depth, person = room()
+    wall, _ = room((50.0, 0.0, 0.0))
+    with pytest.raises(NoPersonError, match="no surface has the size of a person"):
+        cloud_of_depths([CAMERA], [wall])
+    with pytest.raises(NoPersonError, match="the mask has no pixel with a depth"):
+        cloud_of_depths([CAMERA], [depth], [person & False])
+    away = cloud_of_depths([CAMERA, CAMERA], [wall, wall], keep_missing=True)
+    assert "camera 0: no surface" in away.missing and not np.asarray(away.weights).any()
+    one, both = cloud_of_depths([CAMERA], [depth]), cloud_of_depths([CAMERA, CAMERA], [depth, wall])
+    np.testing.assert_array_equal(both.points, one.points)
+    # the second camera looks at the wall alone: it measures nothing, so that nothing is excluded
+    assert len(both.views) == len(away.views) == 2 and not np.asarray(both.views[1].depth).any()
+
+
+def test_cameras_that_see_people_at_different_places_are_named():
+    depth, person = room()
+    other = look_at([0.0, 0.4, 2.6], [0.0, 0.1, 5.0], 160, 120, 60)
+    with pytest.raises(
+        NoPersonError, match=r"people that cameras 0 and 1 see are 5\.. m apart; check the positions"
+    ):
+        cloud_of_depths([CAMERA, other], [depth, depth], [person, person])
 
 
 def test_large_images_are_reduced_to_the_nearest_surface():

@@ -1,7 +1,9 @@
 """`jaxcap track --depth`: what it asks for, and what it writes."""
 
 import json
+import shutil
 
+import jax
 import numpy as np
 import pytest
 from command_line import fails, runs
@@ -18,7 +20,7 @@ from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 @pytest.fixture(scope="module")
 def captured(tmp_path_factory):
-    """Two frames of a person who stands in front of a camera, seen to the knees."""
+    """A person who stands in front of a camera, seen to the knees: two frames, and three of which the second is empty."""
     folder = tmp_path_factory.mktemp("depth")
     body = human(resolution="low", joints="tracking")
     camera = look_at([0.0, 0.35, 1.9], [0.0, 0.35, 0.0], 160, 120, 60)
@@ -30,6 +32,14 @@ def captured(tmp_path_factory):
         depth=(1000 * np.stack([room, room])).astype(np.uint16),
         mask=np.stack([depth > 0] * 2),
     )
+    wall, nobody = np.full_like(room, 3.0), np.zeros(depth.shape, bool)
+    np.savez(
+        folder / "leaves.npz",
+        depth=(1000 * np.stack([room, wall, room])).astype(np.uint16),
+        mask=np.stack([depth > 0, nobody, depth > 0]),
+    )
+    np.savez(folder / "wall.npz", depth=(1000 * np.stack([wall] * 3)).astype(np.uint16))
+    np.savez(folder / "other.npz", depth=(1000 * np.stack([wall[1:]] * 3)).astype(np.uint16))
     write_cameras(folder / "cameras.json", [camera])
     write_cameras(folder / "two.json", [camera, camera])
     save_body(folder / "body.npz", body)
@@ -39,9 +49,9 @@ def captured(tmp_path_factory):
 def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys, monkeypatch):
     loaded, cloud_of_depths = [], depth_clouds.cloud_of_depths
 
-    def counted(*images, name):
+    def counted(*images, name, **options):
         loaded.append(name)
-        return cloud_of_depths(*images, name=name)
+        return cloud_of_depths(*images, name=name, **options)
 
     monkeypatch.setattr(depth_clouds, "cloud_of_depths", counted)
     printed = runs(
@@ -57,6 +67,39 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
     assert [frame["verdict"] for frame in frames] == ["good", "good"]
     assert "LeftFoot" in frames[0]["unseen"]
     assert np.abs(np.asarray(motion[1].translations)[0]).max() < 0.03
+
+
+def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tmp_path, capsys):
+    """The second of three frames has an empty mask; a run that stops before it goes on to the same bits."""
+    words = ["--cameras", captured / "cameras.json", "--initialise", "never"]
+    folders = [tmp_path / name for name in ("whole", "stopped")]
+    runs(capsys, "track", captured / "body.npz", "--depth", captured / "leaves.npz", *words, "-o", folders[0])
+    # frames are added to a sequence of one frame, after a run
+    with np.load(captured / "leaves.npz") as images:
+        first = {name: images[name][:1] for name in images}
+    np.savez(tmp_path / "leaves.npz", **first)
+    runs(capsys, "track", captured / "body.npz", "--depth", tmp_path / "leaves.npz", *words, "-o", folders[1])
+    shutil.copy(captured / "leaves.npz", tmp_path / "leaves.npz")
+    runs(
+        capsys,
+        "track",
+        captured / "body.npz",
+        "--depth",
+        tmp_path / "leaves.npz",
+        *words,
+        "-o",
+        folders[1],
+        "--resume",
+    )
+    with pytest.warns(UserWarning, match="lost"):
+        whole, resumed = (load_motion(folder / "motion.npz") for folder in folders)
+    for one, other in zip(jax.tree.leaves(whole.poses), jax.tree.leaves(resumed.poses), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(whole.poses.rotations[1], whole.poses.rotations[0])
+    with open(folders[0] / "statistics.json") as file:
+        frames = json.load(file)["frames"]
+    assert [frame["verdict"] for frame in frames] == ["good", "lost", "good"]
+    assert frames[1]["reasons"] == "no person in the frame" and frames[1]["mean_distance"] is None
 
 
 @pytest.mark.parametrize(
@@ -76,8 +119,29 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
         (["depth.npz", "--cameras", "cameras.json"], "--cameras is for depth images"),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--depth-scale", "1"],
-            "it looks like millimetres",
+            "give a depth scale that is 1000 times larger",
         ),
+        (
+            ["--depth", "depth.npz", "--cameras", "cameras.json", "--depth-scale", "1e6"],
+            "Depths seem to be 1000 times too small; give a depth scale that is 1000 times smaller",
+        ),
+        (
+            ["--depth", "wall.npz", "--cameras", "cameras.json"],
+            "The same holds for all of the 3 frames that were tried.",
+        ),
+        (
+            ["--depth", "other.npz", "--cameras", "cameras.json"],
+            "the image has 160 x 119 pixels; expected 160 x 120, as the camera",
+        ),
+        (
+            ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "other.npz"],
+            "other.npz, image 0: the image has 160 x 119 pixels",
+        ),
+        (
+            ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "wall.npz", "wall.npz"],
+            "--empty names 2 sequences of images, but --depth 1",
+        ),
+        (["depth.npz", "--empty", "wall.npz"], "--empty is for depth images"),
     ],
 )
 def test_what_does_not_fit_is_told(captured, tmp_path, capsys, monkeypatch, words, sentence):

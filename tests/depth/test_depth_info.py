@@ -50,11 +50,3 @@ def test_a_mask_of_another_size_is_named(folder):
         InputError, match=r"masks/0.png: the mask has 4 x 3 pixels, but the depth image .*cam/0.png has 8 x 6"
     ):
         images[0]
-
-
-def test_a_mask_without_depths_is_named(folder):
-    mask = np.zeros((6, 8))
-    mask[:, 5:] = 255
-    images = read_depths(folder / "cam", write_masks(folder, mask))
-    with pytest.raises(InputError, match=r"masks/1.png: the mask has no pixel with a depth in .*cam/1.png"):
-        images[1]

@@ -11,8 +11,10 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
+from jaxcap.cli.track.frame_records import pack, row_template, unpack
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
+from jaxcap.fit.judgement.verdict import NO_PERSON
 from jaxcap.fit.tracking import recover
 from jaxcap.fit.tracking import track as sequence
 from jaxcap.fit.tracking.batch import fit_batch, scan_track
@@ -21,7 +23,7 @@ from jaxcap.fit.tracking.track_frame import make_tracker, start_state
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import stack_clouds
-from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.observe.clouds import Cloud, make_cloud, missing_cloud
 
 POINTS, NOISE, FRAMES, JUNK = 600, 0.003, 6, 3
 TRACES: list[int] = []
@@ -127,6 +129,34 @@ def test_a_run_goes_on_from_a_frame_bit_by_bit(tracked):
     rest = track_frames(TRACKER, clouds[JUNK:], frames[JUNK - 1], first=JUNK)
     for again, frame in zip(rest, frames[JUNK:], strict=True):
         assert same(again, frame)
+
+
+def test_frames_without_a_person_are_lost_keep_the_pose_and_resume_bit_by_bit(scene):
+    """A person who comes in the second frame and is away in the fifth."""
+    truth, clouds = scene
+    away = missing_cloud("nobody is there.")
+    seen = [away, *clouds[:3], away, clouds[3]]
+    frames = list(track_frames(TRACKER, seen, truth[0], sigma=0.05))
+    assert [frame.verdict for frame in frames] == ["lost", "good", "good", "good", "lost", "good"]
+    for number, kept in ((0, truth[0]), (4, frames[3].pose)):
+        assert frames[number].reasons == (NO_PERSON,)
+        assert frames[number].unseen == ()
+        assert same(frames[number].pose, kept)
+    # the frames that come after nobody are those of a sequence that begins with them
+    alone = track_frames(TRACKER, clouds[:3], truth[0], sigma=0.05)
+    assert all(same(one.pose, frame.pose) for one, frame in zip(alone, frames[1:4], strict=True))
+    template = row_template(TRACKER)
+    for done in (1, 5):
+        stopped, _ = unpack(template, pack(frames[done - 1], 0.1))
+        assert stopped.reasons == frames[done - 1].reasons
+        rest = track_frames(TRACKER, seen[done:], stopped, first=done, sigma=0.05)
+        for again, frame in zip(rest, frames[done:], strict=True):
+            assert all(
+                np.array_equal(a, b, equal_nan=True)
+                for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(frame), strict=True)
+            )
+    with pytest.raises(InputError, match="nobody is there"):
+        stack_clouds([clouds[0], away])
 
 
 def test_a_scan_is_the_loop(scene):

@@ -61,8 +61,9 @@ def estimate_shape(
     **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
     """
     check_at_least("estimate_shape", 1, num_frames=num_frames)
+    clouds = [cloud for cloud in clouds if not cloud.missing]
     if not clouds:
-        raise InputError("estimate_shape: there are no clouds; expected at least one.")
+        raise InputError("estimate_shape: there are no clouds of a person; expected at least one.")
     space = _find_space(tracker, space)
     good, others = _track(tracker, clouds, search)
     if not good:

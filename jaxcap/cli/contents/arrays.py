@@ -20,13 +20,13 @@ from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
 from ..console.console import say
 from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size
-from .depth import describe_depth
+from .depth import DepthOptions, describe_camera_depth
 from .folders import describe_clouds
 from .listing import print_list
 
 
 @reader_of("an .npz file")
-def describe_arrays(path: Path, unit: str) -> str:
+def describe_arrays(path: Path, unit: str, options: DepthOptions) -> str:
     """Print a description of an `.npz`, and return its kind."""
     kind = kind_of_arrays(array_names(path), read_format_name(path))
     tell = {
@@ -43,7 +43,7 @@ def describe_arrays(path: Path, unit: str) -> str:
     if kind == "meshes":
         return describe_meshes(path, unit)
     if kind == "depth":
-        return describe_depth(path)
+        return describe_camera_depth(path, options)
     if kind == "clouds":
         return describe_clouds(str(path), unit)
     if kind == "keys":

@@ -1,23 +1,132 @@
-"""Text descriptions of depth images."""
+"""Text descriptions of depth images, and of the people and the room in them."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ...io.depth.sequence import read_depths
+from ...depth.back_projection import world_points
+from ...depth.background import Background, estimate_background, farthest_depths, spread_frames
+from ...depth.candidates import PERSON, PIECE, join_candidates
+from ...depth.check_depths import check_depth_scale, check_image_size_of
+from ...depth.person import search_person
+from ...depth.planes import find_floor, find_planes, refine_plane
+from ...errors import InputError, user_message
+from ...geometry.camera import Camera
+from ...io.cameras import read_cameras
+from ...io.depth.sequence import DepthFrame, read_depths
 from ..console.console import pluralise, say
+from ..console.heartbeat import set_activity
+
+#: largest number of frames that are examined, and of frame numbers in a sentence
+MAX_EXAMINED, MAX_NAMED = 20, 10
 
 
-def describe_depth(source: Path) -> str:
-    """Print the number and the size of depth images, and the range of the first one's depths, and return their kind."""
-    images = read_depths(source)
-    depth = images[0].depths[0]
+class DepthOptions(NamedTuple):
+    """How depth images are to be read."""
+
+    cameras: Path | None = None
+    scale: float = 1000.0
+
+
+def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -> str:
+    """Print the number and the size of depth images, and the range of the first one's depths, and return their kind.
+
+    With the intrinsics of the `camera` of that number print the floor, the background and the people in some frames.
+    """
+    images = read_depths(source, depth_scale=options.scale)
+    frame = images[0]
+    depth = frame.depths[0]
     measured = depth[depth > 0]
     say(f"{pluralise(len(images), 'depth image')} of {depth.shape[1]} x {depth.shape[0]} pixels")
     if len(measured):
         low, middle, high = np.percentile(measured, [1, 50, 99])
+        unit = "millimetres" if options.scale == 1000 else f"1 / {options.scale:g} of a metre"
         say(
             f"the first has depths of {low:.2f} to {high:.2f} m, median {middle:.2f} m, if its whole numbers are "
-            f"millimetres; {100 * len(measured) / depth.size:.0f} % of its pixels were measured"
+            f"{unit}; {100 * len(measured) / depth.size:.0f} % of its pixels were measured"
         )
+    if frame.masks[0] is not None:
+        say(f"masks of the person; in the first one {100 * frame.masks[0].mean():.0f} % of the pixels")
+    try:
+        check_depth_scale(depth, "the first image")
+    except InputError as error:
+        say(user_message(error))
+        return "depth"
+    if options.cameras is None:
+        say("the intrinsics of the camera (--cameras) are needed to find the floor and the person")
+        return "depth"
+    cameras = read_cameras(options.cameras)
+    if camera >= len(cameras):
+        raise InputError(
+            f"{options.cameras}: there are {len(cameras)} cameras; expected one for each folder of images."
+        )
+    set_activity("searching for the floor and the person")
+    numbers = spread_frames(len(images), MAX_EXAMINED)
+    frames = {number: images[number] for number in numbers}
+    _describe_room(cameras[camera], frames)
     return "depth"
+
+
+def describe_camera_depth(source: str | Path, options: DepthOptions) -> str:
+    """Describe the images of one camera as `describe_depth` does; `options.cameras` may have no other."""
+    if options.cameras is not None and (count := len(read_cameras(options.cameras))) != 1:
+        raise InputError(
+            f"{options.cameras}: there are {count} cameras, but the images of one are described; give the intrinsics of that "
+            "camera, or describe the folder of `jaxcap scan`."
+        )
+    return describe_depth(source, options)
+
+
+def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
+    depths = [frame.depths[0] for frame in frames.values()]
+    for depth, frame in zip(depths, frames.values(), strict=True):
+        check_image_size_of(camera, depth, "image", frame.name)
+    background = estimate_background(camera, depths)
+    far, _ = farthest_depths(np.stack(depths), 1)
+    eye = np.asarray(camera.eye, float)
+    points = world_points(camera, far)[far > 0]
+    floor = find_floor(find_planes(points, eye))
+    if floor is None:
+        say("floor: none was found")
+    else:
+        floor = refine_plane(floor, points)
+        tilt = np.degrees(np.arccos(np.clip(floor.normal[1], -1.0, 1.0)))
+        say(
+            f"floor: {eye @ floor.normal - floor.offset:.2f} m below the camera; its normal is {tilt:.0f} degrees from the "
+            "vertical of the camera's world"
+        )
+    if background.doubt:
+        say(f"background: not known; {background.doubt}")
+    else:
+        known = 100 * np.mean(background.depth[far > 0] > 0)
+        say(f"background: {known:.0f} % of the measured pixels show surface that never moves and is nobody")
+    _describe_people(camera, frames, background)
+
+
+def _describe_people(camera: Camera, frames: dict[int, DepthFrame], background: Background) -> None:
+    people, nobody = [], []
+    for number, frame in frames.items():
+        steps = search_person(camera, frame.depths[0], background, frame.name)
+        found = [one for one in steps.candidates if one.found in (PERSON, PIECE)]
+        if found:
+            people.append(join_candidates(found))
+        else:
+            nobody.append(number)
+    if people:
+        extent, area, distance = (
+            float(np.median([getattr(one, name) for one in people]))
+            for name in ("extent", "area", "distance")
+        )
+        say(
+            f"a person was found in {len(people)} of the {pluralise(len(frames), 'frame')} that were examined: {extent:.2f} m "
+            f"long, {area:.2f} m² of visible surface, {distance:.1f} m away"
+        )
+    if nobody:
+        say(f"no surface has the size of a person in {_named(nobody)}, counted from 0")
+
+
+def _named(numbers: Sequence[int]) -> str:
+    more = f" and {len(numbers) - MAX_NAMED} others" if len(numbers) > MAX_NAMED else ""
+    return f"{'frame' if len(numbers) == 1 else 'frames'} {', '.join(map(str, numbers[:MAX_NAMED]))}{more}"

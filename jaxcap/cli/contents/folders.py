@@ -15,14 +15,14 @@ from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
 from ..scan.depth_images import image_path
 from .bodies import describe_motion, format_size
-from .depth import describe_depth
+from .depth import DepthOptions, describe_camera_depth, describe_depth
 from .texts import describe_journal, describe_statistics
 
 #: maximum number of files of a folder that are identified
 MAX_IDENTIFIED = 1000
 
 
-def describe_folder(folder: Path, unit: str) -> str:
+def describe_folder(folder: Path, unit: str, options: DepthOptions) -> str:
     """Print a description of a folder, and return its kind. Raises `InputError` if no verb can read any file
     in it."""
     kind = identify(folder)
@@ -35,8 +35,8 @@ def describe_folder(folder: Path, unit: str) -> str:
         say(f"scans of {pluralise(len(cameras), 'camera')}")
         images = [image_path(folder, number, 0).parent for number in range(len(cameras))]
         if any(one.is_dir() for one in images):
-            for one in images:
-                describe_depth(one)
+            for number, one in enumerate(images):
+                describe_depth(one, options._replace(cameras=folder / "cameras.json"), number)
             return "depth scans"
         return describe_clouds(str(folder), unit, "scans")
     if there["mesh"]:
@@ -47,7 +47,7 @@ def describe_folder(folder: Path, unit: str) -> str:
             "example."
         )
     if there["depth"] == sum(there.values()):
-        return describe_depth(folder)
+        return describe_camera_depth(folder, options)
     for one, count in there.most_common():
         say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")
     return f"folder of {there.most_common(1)[0][0]}"

@@ -1,53 +1,91 @@
 """The frames of depth images as clouds of the person, read on access."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ...body.body import Body
+from ...depth.background import MAX_FRAMES, Background, spread_frames
 from ...depth.clouds import cloud_of_depths
 from ...errors import InputError
 from ...fit.tracking.check_cloud import check_cloud
-from ...io.cameras import read_cameras
-from ...io.depth.sequence import read_depths
+from ...io.archives.journal import read_header
 from ...io.lazy_frames import LazyFrames
-from ...observe.clouds import Cloud
-from ..console.options import Up
-from ..sources import upright_camera
+from ...observe.clouds import Cloud, missing_cloud
+from ..console.console import warn
+from ..console.heartbeat import set_activity
+from ..depth.sources import DepthSources, choose_frames
+
+#: key of a journal's header with the names of the images that show the background
+BACKGROUND_KEY = "background images"
 
 
-def load_depth_clouds(
-    depths: Sequence[str],
-    cameras: Path | None,
-    masks: Sequence[str],
-    scale: float,
-    frames: tuple[int | None, int | None],
-    body: Body,
-    up: Up,
+def depth_clouds(
+    sources: DepthSources, backgrounds: Sequence[Background | None], body: Body
 ) -> LazyFrames[Cloud]:
-    """Open depth images as clouds of the person with their depth images, y up.
-
-    **Arguments:** `scale`, units of the images in a metre; `frames`, first and last, both included; `up`, the vertical
-    of the cameras' world.
-
-    **Raises:** `InputError` if there are no cameras, or another number of them than of sequences.
-    """
-    if cameras is None:
-        raise InputError(
-            "--depth needs the intrinsics of the camera; give them with --cameras, .json as written by `jaxcap scan`, "
-            "Open3D, RealSense or OpenCV."
-        )
-    known = [upright_camera(camera, up) for camera in read_cameras(cameras)]
-    if len(known) != len(depths):
-        raise InputError(
-            f"{cameras}: there are {len(known)} cameras, but --depth names {len(depths)} sequences of images; give a "
-            "folder, a quoted glob such as 'cam0/*.png', or an .npz for each camera."
-        )
-    images = read_depths(list(depths), list(masks), *frames, depth_scale=scale)
+    """Make clouds of the person with their depth images. A frame without a person is a `missing_cloud`."""
+    dofs = body.skeleton.num_dofs
 
     def load(number: int) -> Cloud:
-        frame = images[number]
-        cloud = cloud_of_depths(known, frame.depths, frame.masks, name=frame.name)
+        frame = sources.images[number]
+        cloud = cloud_of_depths(
+            sources.cameras,
+            frame.depths,
+            frame.masks,
+            backgrounds=backgrounds,
+            name=frame.name,
+            keep_missing=True,
+        )
+        if cloud.missing:
+            return cloud
+        count = int((cloud.weights > 0).sum())
+        if count < dofs:
+            return missing_cloud(
+                f"{frame.name}: the person has {count} points, fewer than the {dofs} parameters of the pose.",
+                cloud.views,
+            )
         check_cloud(body, cloud, frame.name)
         return cloud
 
-    return LazyFrames(images.names, load)
+    return LazyFrames(sources.images.names, load)
+
+
+def background_frames(sources: DepthSources, journal: Path, resume: bool) -> list[int]:
+    """Choose the frames that show the background; a resumed run uses those with which it began.
+
+    Images that were added since would change the background, and so the points of all frames.
+    """
+    if not (resume and journal.is_file()):
+        return choose_frames(sources)
+    begun = read_header(journal).get(BACKGROUND_KEY)
+    names = set(begun) if isinstance(begun, list) else set()
+    return [number for number, name in enumerate(sources.images.names) if Path(name).name in names]
+
+
+def check_some_person(clouds: LazyFrames[Cloud], first: Cloud) -> None:
+    """Check that the first frame, or one of some spread ones, shows a person. Raises `InputError`."""
+    if not first.missing:
+        return
+    set_activity("searching for a frame with a person")
+    numbers = spread_frames(len(clouds), MAX_FRAMES)
+    if not any(_shows_person(clouds, number) for number in numbers):
+        raise InputError(
+            f"{first.missing} The same holds for all of the {len(numbers)} frames that were tried."
+        )
+
+
+def _shows_person(clouds: LazyFrames[Cloud], number: int) -> bool:
+    try:
+        return not clouds[number].missing
+    except InputError:
+        # tracking reports it
+        return False
+
+
+def announce_missing(clouds: Iterator[Cloud]) -> Iterator[Cloud]:
+    """Yield clouds, and print the reason of the first of consecutive frames without a person."""
+    before = False
+    for cloud in clouds:
+        if cloud.missing and not before:
+            warn(f"{cloud.missing} The frame is lost, and keeps the pose of the frame before.")
+        before = bool(cloud.missing)
+        yield cloud

@@ -29,7 +29,6 @@ from ..console.options import (
     DepthSpec,
     Flag,
     OptionalCount,
-    OptionalFile,
     Skl,
     Unit,
     Up,
@@ -37,10 +36,21 @@ from ..console.options import (
     arg,
 )
 from ..console.timed import timed
+from ..depth.sources import (
+    BackgroundChoice,
+    Cameras,
+    DepthScale,
+    Empty,
+    Masks,
+    describe_doubts,
+    estimate_backgrounds,
+    open_depth_sources,
+    read_empty,
+)
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .depth import load_depth_clouds
+from .depth import BACKGROUND_KEY, announce_missing, background_frames, check_some_person, depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .results import PERSON, check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
@@ -66,15 +76,11 @@ class Track:
     """Depth images instead of CLOUDS: for each camera a folder, a quoted glob ('cam0/*.png', 16 bits) or an .npz with
     the array `depth` (F, H, W). The person is found in each image, unless --masks is given or the .npz has an array
     `mask` (F, H, W)."""
-    cameras: OptionalFile = None
-    """Cameras of --depth, .json: intrinsics as written by Open3D, RealSense or OpenCV, or calibrated cameras as written
-    by `jaxcap scan`."""
-    masks: DepthSpec = ()
-    """Masks of the person in the images of --depth: for each camera a folder or a quoted glob. The person is where a
-    mask is not zero."""
-    depth_scale: float = 1000.0
-    """Number of units of --depth in one metre: 1000 if the images are in millimetres. It applies to whole numbers;
-    other depths are in metres."""
+    cameras: Cameras = None
+    masks: Masks = ()
+    empty: Empty = ()
+    background: BackgroundChoice = "auto"
+    depth_scale: DepthScale = 1000.0
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
@@ -125,17 +131,25 @@ class Track:
         )
         tracker = self.tracker(body, limits)
         rate = find_rate(self.rate, self.clouds, self.depth)
-        clouds = self.open_clouds(body)
+        clouds, images, doubts = self.open_clouds(body)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
+        check_some_person(clouds, begun)
         make_writable(self.out)
         print_rate(rate)
+        for doubt in doubts:
+            warn(doubt)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
             if self.fit_shape:
                 tracker = self.tracker(self.find_person(tracker, clouds), limits)
-            header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
+            header = {
+                **self.settings(),
+                **fingerprint(tracker, begun),
+                **pose_layout(body.skeleton),
+                BACKGROUND_KEY: images,
+            }
             self.track(journal, tracker, clouds, rate, header)
 
     def find_person(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
@@ -148,14 +162,25 @@ class Track:
         # the written body, so that a resumed run has the same one
         return load_body(str(path))[0]
 
-    def open_clouds(self, body: Body) -> LazyFrames[Cloud]:
-        """Open the clouds, or the depth images. Raises `InputError`."""
+    def open_clouds(self, body: Body) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
+        """Open the clouds, or the depth images with their backgrounds.
+
+        Return also the names of the images that show the background of the sequence itself, and what is not known of it,
+        in sentences. Raises `InputError`.
+        """
         if not self.depth:
-            return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up)
+            return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up), [], []
         frames = (self.first, self.last)
-        return load_depth_clouds(
-            self.depth, self.cameras, self.masks, self.depth_scale, frames, body, self.up
-        )
+        sources = open_depth_sources(self.depth, self.cameras, self.masks, self.depth_scale, frames, self.up)
+        numbers: list[int] = []
+        if self.empty:
+            backgrounds = read_empty(sources, self.empty, self.depth_scale)
+        else:
+            if self.background == "auto":
+                numbers = background_frames(sources, self.out / JOURNAL, self.resume)
+            backgrounds = estimate_backgrounds(sources, numbers)
+        names = [Path(sources.images.names[number]).name for number in numbers]
+        return depth_clouds(sources, backgrounds, body), names, describe_doubts(backgrounds)
 
     def track(
         self,
@@ -220,7 +245,11 @@ class Track:
             raise InputError("No clouds were given; give CLOUDS, or depth images with --depth.")
         if self.clouds and self.depth:
             raise InputError("CLOUDS and --depth were both given; give one of them.")
-        given = {"--cameras": self.cameras is not None, "--masks": bool(self.masks)}
+        given = {
+            "--cameras": self.cameras is not None,
+            "--masks": bool(self.masks),
+            "--empty": bool(self.empty),
+        }
         for name, there in given.items():
             if there and not self.depth:
                 raise InputError(f"{name} is for depth images; give these with --depth.")
@@ -238,7 +267,16 @@ class Track:
             "limit_weight",
             "depth_scale",
         )
-        choices = ("vertices", "unit", "up", "estimate_priors", "initialise", "partial", "fit_shape")
+        choices = (
+            "vertices",
+            "unit",
+            "up",
+            "estimate_priors",
+            "initialise",
+            "partial",
+            "fit_shape",
+            "background",
+        )
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
     def tracker(self, body: Body, limits: AbstractLimits | None) -> Tracker:
@@ -278,7 +316,7 @@ class Track:
         return timed(
             track_frames(
                 tracker,
-                iter(clouds[begin:]),
+                announce_missing(iter(clouds[begin:])),
                 last,
                 search=SEARCHES[self.initialise],
                 sigma=self.sigma0,
@@ -289,12 +327,15 @@ class Track:
 
 
 def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
-    """Read the first `count` clouds, or those before the first that cannot be read, which tracking reports."""
+    """Read the first `count` clouds of a person, or those before the first that cannot be read, which tracking reports."""
     found = []
-    for number in range(min(len(clouds), count)):
+    for number in range(len(clouds)):
         try:
-            found.append(clouds[number])
+            cloud = clouds[number]
         except InputError:
+            break
+        found += [] if cloud.missing else [cloud]
+        if len(found) == count:
             break
     return found
 

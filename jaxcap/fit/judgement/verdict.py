@@ -35,6 +35,8 @@ UNSEEN, UNSEEN_ADJACENT = 0.3, 0.5
 DOUBTFUL_SHARE, DOUBTFUL_SHARE_AFTER = 0.7, 0.6
 #: factor on the limits at which a first frame, without a baseline, is lost
 FIRST_FRAME_FACTOR = 10.0
+#: the reason of a frame without points
+NO_PERSON = "no person in the frame"
 
 
 class Judgement(eqx.Module):
@@ -42,7 +44,7 @@ class Judgement(eqx.Module):
 
     #: of each row of `stack_evidence`, by region and, last, of the whole body
     shares: Float[Array | np.ndarray, "3 Q"]
-    #: one, or more for a first frame without a baseline
+    #: one, or more for a first frame without a baseline; zero if the frame shows no person (`nothing_to_judge`)
     tolerance: Float[Array | np.ndarray, ""]
     #: share of a limit at which the frame is doubtful
     doubt: Float[Array | np.ndarray, ""]
@@ -82,6 +84,8 @@ class Judgement(eqx.Module):
     @property
     def reasons(self) -> tuple[str, ...]:
         """The faults and their parts, without a full stop, worst first; empty where the verdict is good."""
+        if float(self.tolerance) == 0:
+            return (NO_PERSON,)
         found: dict[str, float] = {}
         doubt = float(self.doubt)
         for row, what in zip(np.asarray(self.shares, float), REASON_FORMATS, strict=True):
@@ -121,6 +125,21 @@ def judge_evidence(surface: RegionSamples, baseline: Baseline, evidence: Evidenc
     doubt = jnp.where(baseline.flagged > 0, DOUBTFUL_SHARE_AFTER, DOUBTFUL_SHARE).astype(limits.dtype)
     return Judgement(
         shares, tolerance, doubt, evidence.support, surface.names, surface.joints, surface.part_parents
+    )
+
+
+def nothing_to_judge(surface: RegionSamples, baseline: Baseline) -> Judgement:
+    """Make the judgement of a frame that shows no person: lost, with a tolerance of zero."""
+    none = jnp.zeros((), baseline.level.dtype)
+    support = jnp.zeros(len(surface.joints), none.dtype)
+    return Judgement(
+        jnp.zeros_like(baseline.level),
+        none,
+        none,
+        support,
+        surface.names,
+        surface.joints,
+        surface.part_parents,
     )
 
 

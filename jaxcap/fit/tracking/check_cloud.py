@@ -21,8 +21,10 @@ def check_cloud(body: Body, cloud: Cloud, name: str = "the cloud") -> None:
     count.
 
     **Raises:** `InputError` with one sentence: fewer points than the pose has parameters, or an extent that
-    points to another unit, which is named.
+    points to another unit, which is named. A cloud without points is refused with its own reason.
     """
+    if cloud.missing:
+        raise InputError(cloud.missing)
     check_cloud_extent(body, np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], name)
 
 

@@ -23,6 +23,7 @@ from ..judgement.region_samples import sample_regions
 from .check_cloud import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
+from .missing import has_begun, missing_frame
 from .recover import (
     SearchHistory,
     TrackedFrame,
@@ -82,7 +83,8 @@ def track_frames(
     A frame is judged by the points that no part explains and by the surface without points in view of a
     sensor, compared with the baseline of the previous frames. A frame that is not good is searched for
     from many starts; after a search without success the next one waits, twice as long each time. A frame that
-    nothing explains is `lost`, and tracking goes on.
+    nothing explains is `lost`, and tracking goes on. So is a frame that shows no person (`missing_cloud`): it keeps the
+    last pose that was not lost.
 
     **Raises:** `InputError` for an invalid `sigma` or `up`, and, when its turn comes, for a cloud with fewer
     points than the pose has parameters, or in another unit.
@@ -106,7 +108,10 @@ def _track_frames(
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
     coarse, surface = None, sample_regions(tracker.body)
-    frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
+    frame = start if isinstance(start, TrackedFrame) else None
+    # where the first frame with a person starts
+    pose = rest_pose(tracker.body.skeleton) if start is None else start
+    pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
 
     def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
         _LOG.info("searching for a better pose of frame %d", number)
@@ -115,9 +120,13 @@ def _track_frames(
         return coarse_tracker(tracker) if coarse is None else coarse
 
     for number, cloud in enumerate(_iterate_clouds(clouds), first):
+        if cloud.missing:
+            frame = missing_frame(tracker, surface, cloud, frame, pose)
+            yield frame
+            continue
         check_cloud(tracker.body, cloud, f"cloud {number}")
-        if frame is None:
-            pose = rest_pose(tracker.body.skeleton) if pose is None else pose
+        if frame is None or not has_begun(frame):
+            frame = None
             if search is not True:
                 frame = track_first_frame(tracker, surface, cloud, pose, sigma)
             if frame is None or (search == "auto" and frame.verdict != "good"):

@@ -91,16 +91,11 @@ class _Images(NamedTuple):
 
 
 def _check_mask(mask: Bool[np.ndarray, "h w"], path: Path, depth: Float[np.ndarray, "H W"], of: str) -> None:
-    """Check that a mask has the size of the depth image `of`, and a pixel with a depth. Raises `InputError`."""
+    """Check that a mask has the size of the depth image `of`. Raises `InputError`."""
     if mask.shape != depth.shape:
         raise InputError(
             f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, but the depth image {of} has "
             f"{depth.shape[1]} x {depth.shape[0]}; give masks of the size of the depth images."
-        )
-    if not (mask & (depth > 0)).any():
-        raise InputError(
-            f"{path}: the mask has no pixel with a depth in {of}; pixels of the person must not be zero in the mask. Correct "
-            "the mask, or give no masks, so that the person is searched for."
         )
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from ...errors import InputError, user_message
 from ..contents import Take
 from ..figures.clouds import DisplayCloud, DisplayClouds
+from ..figures.depth_layers import LAYER_COLOURS, MEASURED
 from ..figures.figure import CLAY, BodyFigure, Colour
 from ..figures.pick import pick_point
 from ..figures.points import LabelledPoints, PointFigure
@@ -36,6 +37,8 @@ PLAIN, DISTANCE, POSTERIOR = "plain", "distance to the scan", "posterior of the 
 TAKE_COLOURS: tuple[Colour, ...] = (CLAY, (121, 178, 160), (201, 151, 166), (158, 154, 205), (200, 183, 120))
 #: colours of the bones of takes without a surface
 BONE_COLOURS: tuple[Colour, ...] = (BONE, (52, 120, 190), (62, 150, 92), (190, 74, 96), (126, 88, 178))
+#: layers of depth images that are shown at first: all but the one that contains the others
+SHOWN_LAYERS = tuple(name for name in LAYER_COLOURS if name != MEASURED)
 #: number of frames in the cache of distances; each is some 80 kB
 MAX_CACHED_HEATS = 1_000
 
@@ -53,6 +56,8 @@ class Choice:
     colours: str = PLAIN
     #: upper end of the scale of distances, metres
     limit: float = 0.02
+    #: the layers of depth images, by name
+    layers: tuple[str, ...] = SHOWN_LAYERS
 
 
 class Appearance(NamedTuple):

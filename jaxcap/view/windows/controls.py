@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..contents import Contents
+from ..figures.depth_layers import LAYER_COLOURS
 from ..figures.eye import FRONT, SIDE, TOP
 from ..figures.scan_colours import heat_legend
 from .column import DISTANCE, PLAIN, POSTERIOR, Choice
@@ -125,6 +126,9 @@ class Controls:
         for field, (label, there) in wanted.items():
             if there:
                 self._add_switch(gui, field, label)
+        if contents.depths:
+            for name in LAYER_COLOURS:
+                self._add_layer_switch(gui, name)
         if len(contents.takes) > 1:
             beside = gui.add_checkbox("Side by side", self.spacing != 0)
             beside.on_update(lambda event: self._set_spacing(event.target.value))
@@ -148,6 +152,14 @@ class Controls:
     def _add_switch(self, gui: GuiApi, field: str, label: str) -> None:
         box = gui.add_checkbox(label, getattr(self.choice, field))
         box.on_update(lambda event: self._choose(**{field: bool(event.target.value)}))
+
+    def _add_layer_switch(self, gui: GuiApi, name: str) -> None:
+        box = gui.add_checkbox(name.capitalize(), name in self.choice.layers)
+
+        @box.on_update
+        def _(event) -> None:
+            others = [layer for layer in self.choice.layers if layer != name]
+            self._choose(layers=(*others, name) if event.target.value else tuple(others))
 
     def _choose(self, **changes) -> None:
         self.choice = dataclasses.replace(self.choice, **changes)

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from ...geometry.camera import Camera
 from ...io.meshes.mesh import Mesh
 from ..contents import Contents
+from ..figures.depth_figure import DepthFigure
+from ..figures.depth_layers import MEASURED
 from ..figures.figure import BodyFigure
 from ..figures.points import LabelledPoints
 from ..figures.scenery import add_floor
@@ -59,6 +61,7 @@ class SceneFigures:
             LabelledPoints(scene, f"/markers{number}", markers.frames.labels)
             for number, markers in enumerate(contents.markers)
         ]
+        self._depths = [DepthFigure(scene, f"/depth{number}") for number in range(len(contents.depths))]
         for number, camera in enumerate(contents.cameras):
             _add_camera(scene, f"/cameras/{number}", camera)
         self._offsets = [np.zeros(3) for _ in self.columns]
@@ -123,7 +126,13 @@ class SceneFigures:
 
     def appearances(self, frame: int, choice: Choice) -> list[Appearance]:
         """Compute the slow parts of one frame of the timeline; nothing is sent."""
+        # kept there for `draw`
+        self.notes(frame)
         return [column.appearance(frame / self.contents.rate, frame, choice) for column in self.columns]
+
+    def notes(self, frame: int) -> list[str]:
+        """List what is wrong with depth images of one frame of the timeline, in sentences; it may search for people."""
+        return [layers[min(frame, len(layers) - 1)].note for layers in self.contents.depths]
 
     def draw(self, frame: int, looks: list[Appearance], choice: Choice) -> None:
         """Show one frame of the timeline."""
@@ -132,6 +141,8 @@ class SceneFigures:
         time = frame / self.contents.rate
         for column, look in zip(self.columns, looks, strict=True):
             column.draw(look, choice)
+        for figure, layers in zip(self._depths, self.contents.depths, strict=True):
+            figure.show(layers[min(frame, len(layers) - 1)], choice.layers)
         for figure, meshes in zip(self._meshes, self.contents.meshes, strict=True):
             figure.visible = choice.surface
             if choice.surface:
@@ -153,11 +164,16 @@ def _clouds_of_take(clouds: list, number: int):
 
 
 def _boxes(contents: Contents) -> list[Float[np.ndarray, "2 3"]]:
-    """Return the bounding boxes of the first frame of meshes and markers, or of the cameras if nothing else
-    is shown, metres."""
+    """Return the bounding boxes of the first frame of meshes, markers and depth images, or of the cameras if nothing
+    else is shown, metres."""
     points = [meshes.vertices[0] for meshes in contents.meshes]
     for markers in contents.markers:
         points.append(np.asarray(markers.frames.positions)[np.asarray(markers.frames.visible)][:200])
+    for layers in contents.depths:
+        measured = layers[0].layers[MEASURED].points
+        if len(measured):
+            # single pixels may be far away
+            points.append(np.quantile(measured, [0.01, 0.99], axis=0))
     if not points and not contents.takes and not contents.clouds:
         points = [np.array([np.asarray(camera.eye) for camera in contents.cameras])]
     return [np.stack([some.min(0), some.max(0)]).astype(float) for some in points if len(some)]

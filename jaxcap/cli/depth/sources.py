@@ -1,0 +1,153 @@
+"""Depth images with their cameras, and the backgrounds behind the person."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+from ...depth.background import MAX_FRAMES, MIN_FRAMES, Background, estimate_background, spread_frames
+from ...errors import InputError
+from ...geometry.camera import Camera
+from ...io.cameras import read_cameras
+from ...io.depth.sequence import DepthFrame, read_depths
+from ...io.lazy_frames import LazyFrames
+from ..console.heartbeat import set_activity
+from ..console.options import DepthSpec, OptionalFile, Up, arg
+from ..sources import upright_camera
+
+#: options of several verbs
+Cameras = Annotated[
+    OptionalFile,
+    arg(
+        help="Cameras of the depth images, .json: intrinsics as written by Open3D, RealSense or OpenCV, or calibrated cameras "
+        "as written by `jaxcap scan`."
+    ),
+]
+Masks = Annotated[
+    DepthSpec,
+    arg(
+        help="Masks of the person in the depth images: for each camera a folder or a quoted glob. The person is where a mask is "
+        "not zero."
+    ),
+]
+Empty = Annotated[
+    DepthSpec,
+    arg(
+        help="Depth images that show nobody, for each camera a source as for --depth: the background. Without them the "
+        "background is estimated from what never moves in the sequence."
+    ),
+]
+DepthScale = Annotated[
+    float,
+    arg(
+        help="Number of units of the depth images in one metre: 1000 if they are in millimetres. It applies to whole numbers; "
+        "other depths are in metres."
+    ),
+]
+BackgroundChoice = Annotated[
+    Literal["auto", "never"],
+    arg(
+        help="Estimate the background from what never moves in the sequence, if neither --empty nor masks are given (auto), or "
+        "never."
+    ),
+]
+
+
+class DepthSources(NamedTuple):
+    """The images of all cameras, read on access."""
+
+    #: y up
+    cameras: list[Camera]
+    images: LazyFrames[DepthFrame]
+    #: one source for each camera, as the user named it
+    names: tuple[str, ...]
+
+
+def open_depth_sources(
+    depths: Sequence[str],
+    cameras: Path | None,
+    masks: Sequence[str],
+    scale: float,
+    frames: tuple[int | None, int | None] = (None, None),
+    up: Up = "y",
+) -> DepthSources:
+    """Open depth images with their cameras, y up.
+
+    **Arguments:** `scale`, units of the images in a metre; `frames`, first and last, both included; `up`, the vertical
+    of the cameras' world.
+
+    **Raises:** `InputError` if there are no cameras, or another number of them than of sequences.
+    """
+    if cameras is None:
+        raise InputError(
+            "--depth needs the intrinsics of the camera; give them with --cameras, .json as written by `jaxcap scan`, "
+            "Open3D, RealSense or OpenCV."
+        )
+    known = [upright_camera(camera, up) for camera in read_cameras(cameras)]
+    if len(known) != len(depths):
+        raise InputError(
+            f"{cameras}: there are {len(known)} cameras, but --depth names {len(depths)} sequences of images; give a "
+            "folder, a quoted glob such as 'cam0/*.png', or an .npz for each camera."
+        )
+    images = read_depths(list(depths), list(masks), *frames, depth_scale=scale)
+    return DepthSources(known, images, tuple(depths))
+
+
+def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> list[Background | None]:
+    """Read the backgrounds of all cameras from images that show nobody. Raises `InputError`."""
+    if len(empty) != len(sources.cameras):
+        raise InputError(
+            f"--empty names {len(empty)} sequences of images, but --depth {len(sources.cameras)}; give empty frames of each "
+            "camera."
+        )
+    set_activity("reading the empty frames")
+    found: list[Background | None] = []
+    for camera, source in zip(sources.cameras, empty, strict=True):
+        images = read_depths(source, depth_scale=scale)
+        depths = [images[number].depths[0] for number in spread_frames(len(images), MAX_FRAMES)]
+        found.append(estimate_background(camera, depths, empty=True, where=source))
+    return found
+
+
+def choose_frames(sources: DepthSources) -> list[int]:
+    """Choose frames for the background of the sequence itself; none if they are too few, or the person is known."""
+    numbers = spread_frames(len(sources.images), MAX_FRAMES)
+    try:
+        known = all(mask is not None for mask in sources.images[0].masks)
+    except InputError:
+        # tracking reports it
+        return []
+    return [] if known or len(numbers) < MIN_FRAMES else numbers
+
+
+def estimate_backgrounds(sources: DepthSources, numbers: Sequence[int]) -> list[Background | None]:
+    """Estimate the backgrounds of all cameras from some frames of the sequence; None without frames.
+
+    Images that cannot be read, or of another size, are left out: tracking reports them when their turn comes.
+    """
+    nothing: list[Background | None] = [None] * len(sources.cameras)
+    if not numbers:
+        return nothing
+    set_activity("estimating the background")
+    frames = []
+    for number in numbers:
+        try:
+            frames.append(sources.images[number].depths)
+        except InputError:
+            continue
+    found = nothing
+    for number, camera in enumerate(sources.cameras):
+        shape = camera.height, camera.width
+        depths = [images[number] for images in frames if images[number].shape == shape]
+        if depths:
+            found[number] = estimate_background(camera, depths, where=sources.names[number])
+    return found
+
+
+def describe_doubts(backgrounds: Sequence[Background | None]) -> list[str]:
+    """List what the backgrounds do not show, a sentence for each camera, without full stops."""
+    several = len(backgrounds) > 1
+    return [
+        f"the background{f' of camera {number}' if several else ''} is not known: {one.doubt}"
+        for number, one in enumerate(backgrounds)
+        if one is not None and one.doubt
+    ]

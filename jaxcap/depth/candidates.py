@@ -1,0 +1,106 @@
+"""Surfaces in front of the background, and which of them are a person."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+#: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
+MAX_PIECE_GAP = 0.25
+#: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres
+MAX_SMALL_GAP = 0.12
+#: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
+MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
+#: farther surface is no person, metres; smaller surface is noise, square metres
+MAX_DISTANCE, MIN_PIECE_AREA = 8.0, 1e-3
+#: what a candidate was found to be
+PERSON, PIECE, OTHER = "the person", "a piece of the person", "farther away than the person"
+TOO_SMALL, TOO_LARGE, TOO_FAR = "too small", "too large", "too far away"
+
+
+class Candidate(NamedTuple):
+    """A connected surface in an image, without floors, walls and background."""
+
+    #: its number in the image of labels
+    label: int
+    #: some of its points in the world, metres
+    points: Float[np.ndarray, "N 3"]
+    #: visible area, square metres
+    area: float
+    #: the longest side of its box, metres
+    extent: float
+    #: median distance from the camera, metres
+    distance: float
+    #: one of the constants above
+    found: str
+
+
+def list_candidates(
+    labels: Int[np.ndarray, "h w"],
+    points: Float[np.ndarray, "h w 3"],
+    areas: Float[np.ndarray, "h w"],
+    eye: Float[np.ndarray, "3"],
+) -> list[Candidate]:
+    """Measure labelled surfaces, and judge each alone: those of a person's size are `OTHER`.
+
+    **Arguments:** `areas`, that of each pixel's surface, square metres; `eye`, the position of the camera, metres.
+    """
+    total = np.bincount(labels.reshape(-1), areas.reshape(-1))
+    candidates = []
+    for label in np.flatnonzero(total >= MIN_PIECE_AREA):
+        if label == 0:
+            continue
+        few = points[labels == label]
+        extent = _extent(few)
+        distance = float(np.median(np.linalg.norm(few - eye, axis=1)))
+        area = float(total[label])
+        if extent > MAX_EXTENT:
+            found = TOO_LARGE
+        elif area < MIN_AREA or extent < MIN_EXTENT:
+            found = TOO_SMALL
+        else:
+            found = TOO_FAR if distance > MAX_DISTANCE else OTHER
+        candidates.append(Candidate(int(label), few, area, extent, distance, found))
+    return candidates
+
+
+def choose_person(candidates: list[Candidate]) -> list[Candidate]:
+    """Mark the nearest surface of a person's size as the person, and smaller ones next to it as its pieces."""
+    right = [one for one in candidates if one.found == OTHER]
+    if not right:
+        return candidates
+    first = min(right, key=lambda one: one.distance / one.area**0.25)
+    found, person = {first.label: PERSON}, first.points
+    for one in sorted(candidates, key=lambda one: -one.area):
+        if one.label == first.label:
+            continue
+        gap = MAX_PIECE_GAP if one.area < first.area else MAX_SMALL_GAP
+        if is_piece(first.points, one.points, gap) or is_piece(person, one.points, MAX_SMALL_GAP):
+            found[one.label] = PIECE
+            person = np.concatenate([person, one.points])
+    return [one._replace(found=found.get(one.label, one.found)) for one in candidates]
+
+
+def join_candidates(parts: list[Candidate]) -> Candidate:
+    """Measure several surfaces together, such as a person and its pieces; the rest is that of the first."""
+    points = np.concatenate([one.points for one in parts])
+    area = sum(one.area for one in parts)
+    return parts[0]._replace(points=points, area=area, extent=_extent(points))
+
+
+def is_piece(
+    points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "M 3"], max_gap: float = MAX_PIECE_GAP
+) -> bool:
+    """Test if two surfaces are near enough to each other, and together small enough, to be of one person."""
+    both = np.concatenate([points, others])
+    return _extent(both) <= MAX_EXTENT and _gap(points, others) < max_gap
+
+
+def _extent(points: Float[np.ndarray, "N 3"]) -> float:
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    return float((high - low).max())
+
+
+def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
+    return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())

@@ -1,0 +1,38 @@
+"""Checks that a depth image fits its camera, and that its depths can be in metres."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ..errors import InputError
+from ..geometry.camera import Camera
+
+#: range of the median depth of an image, metres, and a usual one
+MIN_MEDIAN, MAX_MEDIAN, USUAL_MEDIAN = 0.1, 30.0, 2.0
+
+
+def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
+    """Check that an image has the size of its camera's images. Raises `InputError`."""
+    if image.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "
+            f"{camera.height}, as the camera."
+        )
+
+
+def check_depth_scale(depth: Float[np.ndarray, "*frames H W"], where: str) -> None:
+    """Check that the median depth of one or more images is one that depth cameras measure.
+
+    **Raises:** `InputError` with the factor by which the scale of depths is wrong.
+    """
+    measured = depth[depth > 0]
+    if not len(measured):
+        return
+    median = float(np.median(measured))
+    if MIN_MEDIAN <= median <= MAX_MEDIAN:
+        return
+    factor = 10.0 ** round(abs(np.log10(median / USUAL_MEDIAN)))
+    wrong, right = ("large", "larger") if median > MAX_MEDIAN else ("small", "smaller")
+    raise InputError(
+        f"{where}: the median depth is {median:.3g} m; expected {MIN_MEDIAN:g} to {MAX_MEDIAN:g} m. Depths seem to be "
+        f"{factor:g} times too {wrong}; give a depth scale that is {factor:g} times {right} (units in a metre)."
+    )
