@@ -79,8 +79,8 @@ def _level_distances(
 def blank_view(camera: Camera) -> DepthView:
     """Make the view of a camera that sees no person in a frame: it measures nothing."""
     camera = reduce_camera(camera, view_step(camera.height, camera.width))
-    nothing = np.zeros((camera.height, camera.width), np.float32)
-    return DepthView(camera, nothing, nothing)  # pyright: ignore[reportArgumentType]
+    levels, image = np.zeros(NUM_LEVELS, np.float32), np.zeros((camera.height, camera.width), np.float32)
+    return DepthView(camera, image, levels, np.zeros((NUM_LEVELS, *image.shape), np.float32))  # pyright: ignore[reportArgumentType]
 
 
 def view_step(height: int, width: int) -> int:
