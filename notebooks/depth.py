@@ -32,7 +32,7 @@ from jaxcap.scanner.scan import scan_scene
 # and a chair. For images of your own, `read_depths` opens a folder, and `read_cameras` the intrinsics.
 
 # %%
-person = jc.human("female", height=1.6, weight=0.3, resolution="medium")
+person = jc.human(sex="female", height=1.6, weight=0.3, resolution="medium")
 performance = walk_and_wave(person.skeleton, seconds=1.0)
 posed = [jc.pose_body(person, performance[number]) for number in range(0, performance.num_frames, 2)]
 surfaces = [np.asarray(one.vertices, float) for one in posed]

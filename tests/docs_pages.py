@@ -119,8 +119,17 @@ def adaptation_page(folder: Path) -> dict[str, object]:
     }
 
 
+def depth_page(folder: Path) -> dict[str, object]:
+    """A body, and clouds of it at rest."""
+    del folder
+    body = jc.human(resolution="low", joints="tracking")
+    posed = jc.pose_body(body, jc.rest_pose(body.skeleton))
+    return {"jc": jc, "np": np, "body": body, "clouds": [jc.make_cloud(posed.vertices, posed.normals)] * 3}
+
+
 #: what is there before a page's first line: files in its folder, and names
 GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
+    "docs/depth.md": depth_page,
     "docs/markers.md": markers_page,
     "docs/files.md": files_page,
     "docs/adaptation.md": adaptation_page,
