@@ -12,7 +12,7 @@ from .surfaces import connect_pixels, search_step
 
 #: share of a connected surface that has to move, so that all of it may be a person
 MIN_MOVING_SHARE = 0.02
-#: surface may be a person if it is attached to one in so many frames, and in this share of those that show the surface
+#: surface may be a person if it is attached to one in so many frames, and in this share of those with a person who moves
 MIN_ATTACHED_FRAMES, MIN_ATTACHED_SHARE = 2, 0.4
 
 
@@ -26,10 +26,9 @@ def find_attached(
 
     In each frame the surfaces without floors and walls are connected. A surface of a person's size of which a share is
     nearer than the farthest `depth` by more than the `tolerance` is a person who moves. The rest of it, and surfaces next
-    to it, never move but may belong to the person: a trunk, of which only the arms move. Arms that move at any time are
-    nearer than the farthest depth in almost all frames, at rest as well, as other frames show the wall behind them. So
-    surface that most frames show alone is furniture. If nobody moves, all surfaces but floors and walls may belong to a
-    person.
+    to it, never move but may belong to the person: a trunk, of which only the arms move. Surface that stands alone in most
+    of the frames that show a person who moves is furniture. Frames in which nobody moves decide nothing: a person may
+    stand still in them. If nobody moves in any frame, all surfaces but floors and walls may belong to a person.
 
     **Arguments:** `images`, frames of one camera that does not move, metres.
     """
@@ -44,9 +43,10 @@ def find_attached(
         labels, moving = _find_moving(camera, image.astype(float), z, nearer, planes, step)
         surfaces |= labels > 0
         moved += bool(moving)
-        person = np.isin(labels, moving)
-        attached += person & ~nearer
-        alone += (labels > 0) & ~person & ~nearer
+        if moving:
+            person = np.isin(labels, moving)
+            attached += person & ~nearer
+            alone += (labels > 0) & ~person & ~nearer
     if moved < MIN_ATTACHED_FRAMES:
         unknown, moved = surfaces, 0
     else:

@@ -11,6 +11,7 @@ from command_line import fails, runs
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
+from jaxcap.cli.depth.sources import open_depth_sources
 from jaxcap.cli.track import depth as depth_clouds
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
@@ -147,3 +148,16 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
 def test_what_does_not_fit_is_told(captured, tmp_path, capsys, monkeypatch, words, sentence):
     monkeypatch.chdir(captured)
     assert sentence in fails(capsys, "track", "body.npz", *words, "-o", tmp_path)
+
+
+def test_a_camera_that_looks_away_is_named(captured, capsys):
+    """Of two cameras the second one sees a wall alone, in three frames of which one shows nobody."""
+    sources = open_depth_sources(
+        [str(captured / "leaves.npz"), str(captured / "wall.npz")], captured / "two.json", (), 1000.0
+    )
+    clouds = depth_clouds.depth_clouds(sources, [None, None], human(resolution="low", joints="tracking"))
+    shown = list(depth_clouds.announce_missing(iter(clouds)))
+    assert [bool(cloud.missing) for cloud in shown] == [False, True, False]
+    first, last = capsys.readouterr().err.strip().splitlines()
+    assert "the mask has no pixel with a depth" in first and "The frame is lost" in first
+    assert "camera 1 saw no person in 2 frames in which other cameras saw one" in last

@@ -9,6 +9,7 @@ _DEPTH = (
         "track human --depth {file} --cameras CAMERAS.json -o tracked",
         "fits a body, given the intrinsics of the camera",
     ),
+    ("view --depth {file} --cameras CAMERAS.json", "shows how the person is found"),
 )
 #: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -90,6 +91,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
         (
             "track human --depth {file}/depth0 --cameras {file}/cameras.json -o tracked",
             "fits a body to one camera's images",
+        ),
+        (
+            "view --depth {file}/depth0 --cameras {file}/cameras.json",
+            "shows how the person is found, if there is one camera",
         ),
     ),
     "folder of markers": (("markers fit {file}/* -o subject.npz", "calibrates a subject"),),

@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ...body.body import Body
 from ...depth.background import MAX_FRAMES, Background, spread_frames
 from ...depth.clouds import cloud_of_depths
@@ -82,10 +84,29 @@ def _shows_person(clouds: LazyFrames[Cloud], number: int) -> bool:
 
 
 def announce_missing(clouds: Iterator[Cloud]) -> Iterator[Cloud]:
-    """Yield clouds, and print the reason of the first of consecutive frames without a person."""
-    before = False
+    """Yield clouds, and print the reason of the first of consecutive frames without a person.
+
+    Print also which cameras see no person in the first `MAX_FRAMES` frames that show one.
+    """
+    before, count, blind = False, 0, set[int]()
     for cloud in clouds:
         if cloud.missing and not before:
             warn(f"{cloud.missing} The frame is lost, and keeps the pose of the frame before.")
         before = bool(cloud.missing)
+        if not before and count < MAX_FRAMES:
+            here = {number for number, view in enumerate(cloud.views) if not np.asarray(view.depth).any()}
+            blind = here if count == 0 else blind & here
+            count += 1
+            if count == MAX_FRAMES:
+                _warn_of_blind(blind, count)
         yield cloud
+    if count < MAX_FRAMES:
+        _warn_of_blind(blind, count)
+
+
+def _warn_of_blind(cameras: set[int], count: int) -> None:
+    for number in sorted(cameras):
+        warn(
+            f"camera {number} saw no person in {count} frames in which other cameras saw one; if it looks away, correct its "
+            "position and direction, or leave it out"
+        )
