@@ -12,12 +12,12 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.baseline import initial_baseline
 from ...fit.judgement.region_samples import sample_regions
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em_step import FrameStatistics
-from ...fit.tracking.recover import SearchHistory, TrackedFrame, reasons_of, unseen_of, verdict_of
-from ...fit.tracking.track_frame import Tracker, start_state
+from ...fit.tracking.people.person_frame import frame_template
+from ...fit.tracking.recover import TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...fit.tracking.track_frame import Tracker
 
 #: column of a row with the hash of its cloud's name, and number of values before the pose
 CLOUD_AT, POSE_AT = 1, 2
@@ -115,13 +115,4 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     samples the body's surface, so call it once.
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
-    number = jnp.zeros((), pose.rotations.dtype)
-    statistics = FrameStatistics(number, number, number, number, number)
-    surface = sample_regions(tracker.body)
-    baseline = initial_baseline(surface, num_cameras)
-    support = jnp.zeros(len(surface.joints), number.dtype)
-    judgement = Judgement(
-        baseline.level, number, number, support, surface.names, surface.joints, surface.part_parents
-    )
-    state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchHistory())
+    return frame_template(tracker, sample_regions(tracker.body), pose, num_cameras)

@@ -13,7 +13,8 @@ from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.tracking.em_step import make_mixture_settings
 from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
+from ...fit.tracking.advance import FirstSearch, Search
+from ...fit.tracking.track import track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.archives.npz import save_body

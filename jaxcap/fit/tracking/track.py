@@ -1,12 +1,9 @@
 """Tracking of whole sequences, as a stream or at once."""
 
-import logging
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Literal, NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -18,41 +15,13 @@ from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
-from ..judgement.baseline import initial_baseline
-from ..judgement.region_samples import sample_regions
+from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
-from .compare_poses import choose_likeliest, likelier_pose
-from .initialise import coarse_tracker, initialise
-from .recover import (
-    SearchHistory,
-    TrackedFrame,
-    choose_better,
-    finish_frame,
-    judge_frame,
-    needs_search,
-    reset_velocity,
-    search_frame,
-    track_first_frame,
-    track_frame_jit,
-)
+from .recover import TrackedFrame
 from .track_frame import Tracker, check_sigma, make_tracker
 
-_LOG = logging.getLogger(__name__)
 #: largest numbers of frames and reasons named in a sentence
 MAX_NAMED_FRAMES, MAX_NAMED_REASONS = 20, 4
-#: search for the pose of a first frame: if the start does not explain the cloud, always, never
-FirstSearch = Literal["auto"] | bool
-
-
-class Search(NamedTuple):
-    """A search that is about to begin; the first one of a process compiles for a minute or more."""
-
-    #: number of the frame
-    frame: int
-    #: the faults, as in `TrackedFrame.reasons`; empty for a requested search
-    reasons: tuple[str, ...]
-    #: number of earlier searches
-    num_earlier: int
 
 
 @checked
@@ -105,62 +74,18 @@ def _track_frames(
     margin: float,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
-    coarse, surface = None, sample_regions(tracker.body)
+    follower = make_follower(tracker, up, on_search)
     frame, pose = (start, None) if isinstance(start, TrackedFrame) else (None, start)
-
-    def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
-        _LOG.info("searching for a better pose of frame %d", number)
-        if on_search is not None:
-            on_search(Search(number, reasons, int(before)))
-        return coarse_tracker(tracker) if coarse is None else coarse
-
-    for number, cloud in enumerate(_iterate_clouds(clouds), first):
+    for number, cloud in enumerate(iterate_clouds(clouds), first):
         check_cloud(tracker.body, cloud, f"cloud {number}")
+        likely = None if candidates is None else candidates(number)
         if frame is None:
             pose = rest_pose(tracker.body.skeleton) if pose is None else pose
-            if search is not True:
-                frame = track_first_frame(tracker, surface, cloud, pose, sigma)
-            if frame is None or (search == "auto" and frame.verdict != "good"):
-                coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
-                pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
-                found = track_first_frame(tracker, surface, cloud, pose, 0.03)
-                frame = found if frame is None else choose_better(tracker, cloud, found, frame)
-                frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
-            if candidates is not None:
-                reached = frame.state, frame.statistics
-                state, statistics = choose_likeliest(
-                    tracker, *reached, candidates(number), pose, cloud, margin
-                )
-                if state is not frame.state:
-                    baseline = initial_baseline(surface, len(cloud.views))
-                    searches = SearchHistory(count=frame.searches.count)
-                    frame = judge_frame(surface, cloud, state, statistics, baseline, searches)
-                    frame = finish_frame(tracker, frame, pose)
+            frame = find_first_frame(
+                follower, cloud, pose, number, search=search, sigma=sigma, candidates=likely, margin=margin
+            )
         else:
-            before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
-            state, statistics = track_frame_jit(tracker, frame.state, cloud)
-            # a lost frame may have led away from the correct pose
-            others = [
-                *([trusted] if frame.lost else []),
-                *(candidates(number) if candidates is not None else []),
-            ]
-            if others:
-                state, statistics = choose_likeliest(
-                    tracker, state, statistics, others, before, cloud, margin
-                )
-            if frame.lost:
-                state = reset_velocity(tracker, state)
-            frame = judge_frame(surface, cloud, state, statistics, baseline, frame.searches)
-            if needs_search(frame):
-                coarse = begin_search(number, frame.reasons, frame.searches.count)
-                key = jax.random.key(number)
-                found = search_frame(tracker, surface, coarse, frame, baseline, trusted, cloud, key, up)
-                if candidates is not None and found.pose is not frame.pose:
-                    # the end of a search may be worse than its start
-                    likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
-                    found = found if likelier is found.pose else frame
-                frame = found
-            frame = finish_frame(tracker, frame, trusted)
+            frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
         yield frame
 
 
@@ -249,7 +174,7 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-def _iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
+def iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
     """Iterate over frames, also of scans as read from files, and of one cloud stacked over frames."""
     if isinstance(clouds, (Cloud, Scan)):
         return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there
