@@ -1,5 +1,6 @@
 """Depth images of people: the person in an image, and clouds with their depth images."""
 
 from .clouds import cloud_of_depths as cloud_of_depths
+from .people import find_people as find_people
 from .person import find_person as find_person
 from .views import make_depth_view as make_depth_view

@@ -11,10 +11,10 @@ from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
+from ...fit.tracking.advance import FirstSearch, Search
 from ...fit.tracking.em_step import make_mixture_settings
 from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.advance import FirstSearch, Search
-from ...fit.tracking.track import track_frames, unseen_sentences, verdict_sentences
+from ...fit.tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.archives.npz import save_body
@@ -43,9 +43,11 @@ from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .depth import load_depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
+from .people import follow_people, people_template, read_count, write_people
 from .results import PERSON, check_folder, check_same_clouds, fingerprint, make_writable, write_results
 
 JOURNAL = "journal"
+People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
 #: number of frames from which the shape of a person is estimated
 SHAPE_FRAMES = 40
 #: values of --initialise
@@ -79,6 +81,9 @@ class Track:
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
+    people: People = None
+    """Track several people in the same clouds: their largest number, or `auto` to find it. The clouds must not contain
+    floors or walls. The results of each person are written to a folder of its own, person_1 and so on."""
     fit_shape: Flag = False
     """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it.
     BODY must have the joints of the embedded human, as `human` does."""
@@ -137,7 +142,10 @@ class Track:
             if self.fit_shape:
                 tracker = self.tracker(self.find_person(tracker, clouds), limits)
             header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
-            self.track(journal, tracker, clouds, rate, header)
+            if self.people is None:
+                self.track(journal, tracker, clouds, rate, header)
+            else:
+                self.track_people(journal, tracker, clouds, rate, header, read_count(self.people))
 
     def find_person(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
         """Estimate the shape of the person from the first frames and write it, or read it if an earlier run did."""
@@ -170,16 +178,10 @@ class Track:
         runs in the folder."""
         body = tracker.body
         template = row_template(tracker, num_cameras=len(self.depth))
-        going_on = self.resume and path.is_file()
-        journal = (
-            resume_journal(path, header, row_width(template))
-            if going_on
-            else create_journal(path, header, row_width(template))
-        )
-        with journal:
+        with self.open_journal(path, header, row_width(template)) as journal:
             check_same_clouds(journal, clouds.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.track_remaining(tracker, clouds, journal, last)
+            self.track_remaining(self.steps(tracker, clouds, journal.count, last), clouds, journal)
         set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
@@ -188,17 +190,54 @@ class Track:
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
+        for sentence in (
+            *verdict_sentences(results.verdicts),
+            *unseen_sentences(results.unseen),
+            *others_sentences(results.others),
+        ):
             warn(sentence)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
                 "Check the unit, the up axis and the body."
             )
-        if len(rows) < len(clouds):
-            raise KeyboardInterrupt(
-                f"stopped after {len(rows)} of {len(clouds)} frames, which are written; --resume continues"
+        check_complete(len(rows), clouds)
+
+    def track_people(
+        self,
+        path: Path,
+        tracker: Tracker,
+        clouds: LazyFrames[Cloud],
+        rate: Rate,
+        header: dict[str, object],
+        count: int | None,
+    ) -> None:
+        """Track several people as `track` does one body; `count` is None if their number is to be found."""
+        template = people_template(tracker, count, len(self.depth))
+        with self.open_journal(path, header, row_width(template)) as journal:
+            check_same_clouds(journal, clouds.names)
+            last = None if journal.last is None else unpack(template, journal.last)[0]
+            frames = follow_people(
+                tracker,
+                iter(clouds[journal.count :]),
+                template,
+                count,
+                last,
+                search=SEARCHES[self.initialise],
+                sigma=self.sigma0,
+                first=journal.count,
+                announce=make_announcer(),
             )
+            self.track_remaining(timed(frames), clouds, journal)
+        set_activity("writing the results")
+        rows = journal.read()[: len(clouds)]
+        write_people(self.out, tracker, template, rows, rate.frames, clouds.names)
+        check_complete(len(rows), clouds)
+
+    def open_journal(self, path: Path, header: dict[str, object], width: int) -> Journal:
+        """Open the journal of an interrupted run, or create one."""
+        going_on = self.resume and path.is_file()
+        return (resume_journal if going_on else create_journal)(path, header, width)
 
     def check(self) -> None:
         """Check that options are in range. Raises `InputError`."""
@@ -225,6 +264,12 @@ class Track:
         for name, there in given.items():
             if there and not self.depth:
                 raise InputError(f"{name} is for depth images; give these with --depth.")
+        if self.people is not None:
+            read_count(self.people)
+            if self.fit_shape:
+                raise InputError(
+                    "--fit-shape estimates the shape of one person; it cannot be given with --people."
+                )
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
 
@@ -239,7 +284,16 @@ class Track:
             "limit_weight",
             "depth_scale",
         )
-        choices = ("vertices", "unit", "up", "estimate_priors", "initialise", "partial", "fit_shape")
+        choices = (
+            "vertices",
+            "unit",
+            "up",
+            "estimate_priors",
+            "initialise",
+            "partial",
+            "fit_shape",
+            "people",
+        )
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
     def tracker(self, body: Body, limits: AbstractLimits | None) -> Tracker:
@@ -256,11 +310,8 @@ class Track:
             body, mixture, terms, iterations=self.iterations, partial=self.partial or bool(self.depth)
         )
 
-    def track_remaining(
-        self, tracker: Tracker, clouds: LazyFrames[Cloud], journal: Journal, last: TrackedFrame | None
-    ) -> None:
-        """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
-        steps = self.steps(tracker, clouds, journal.count, last)
+    def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:
+        """Append the frames of all `steps` to the journal, each with its seconds; Ctrl-C stops early."""
         try:
             for frame, took in progress(steps, len(clouds), min(journal.count, len(clouds))):
                 journal.append(pack(frame, took, clouds.names[journal.count]))
@@ -300,17 +351,28 @@ def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
     return found
 
 
-def make_announcer() -> Callable[[Search], None]:
-    """Return a function that prints the frame of a pose search and its reason, before the search begins."""
+def check_complete(count: int, clouds: LazyFrames[Cloud]) -> None:
+    """Report that tracking was stopped before the last frame, by a `KeyboardInterrupt`."""
+    if count < len(clouds):
+        raise KeyboardInterrupt(
+            f"stopped after {count} of {len(clouds)} frames, which are written; --resume continues"
+        )
+
+
+def make_announcer() -> Callable[..., None]:
+    """Return a function that prints the frame of a pose search and its reason, before the search begins.
+
+    Its second argument names the person, such as " of person 2 in".
+    """
     compiled = False
 
-    def announce(search: Search) -> None:
+    def announce(search: Search, whose: str = " of") -> None:
         nonlocal compiled
         why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
         many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
         before = f"; {many} before it" if search.num_earlier else ""
         once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
-        warn(f"searching for the pose of frame {search.frame}{why}{before}{once}")
+        warn(f"searching for the pose{whose} frame {search.frame}{why}{before}{once}")
         compiled = True
 
     return announce

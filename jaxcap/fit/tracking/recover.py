@@ -81,6 +81,8 @@ class TrackedFrame(eqx.Module):
     lost: bool
     #: faults by part, compared with the previous frames
     judgement: Judgement
+    #: the cloud has another object of a person's size, whose points are outliers
+    others: bool
     #: start of the next frame; with the three fields below it is sufficient to resume after a stop
     state: TrackState
     #: pose of the last frame that was not lost, including this one
@@ -170,7 +172,7 @@ def judge_frame(
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
-    return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, searches)
+    return TrackedFrame(pose, statistics, lost, judgement, False, state, pose, renewed, searches)
 
 
 @eqx.filter_jit

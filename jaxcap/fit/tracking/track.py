@@ -4,6 +4,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -17,6 +18,7 @@ from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
+from .people.other_people import shows_others
 from .recover import TrackedFrame
 from .track_frame import Tracker, check_sigma, make_tracker
 
@@ -86,6 +88,7 @@ def _track_frames(
             )
         else:
             frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
+        frame = eqx.tree_at(lambda f: f.others, frame, shows_others(follower, frame.pose, cloud))
         yield frame
 
 
@@ -108,8 +111,8 @@ def track(
     of the first frame; `rate` frames per second; `tracker` for other settings than the default, made of the
     same body; `search`, `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a
     log-likelihood, such as `make_floor(body)`, where no tracker is given. A warning names lost or doubtful
-    frames, with their faults, and parts of the body without points; `track_frames` gives the verdict on each
-    frame.
+    frames, with their faults, and parts of the body without points, and frames that show another person; `track_frames` gives the verdict on
+    each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in another unit.
     """
@@ -119,13 +122,14 @@ def track(
         )
     check_rate("track", rate)
     tracker = make_tracker(body, terms=terms) if tracker is None else tracker
-    poses, verdicts, unseen = [], [], []
+    poses, verdicts, unseen, others = [], [], [], []
     for frame in track_frames(tracker, clouds, start, search=search, sigma=sigma, up=up):
         # copies in NumPy: a JAX array has an overhead of a kilobyte
         poses.append(jax.tree.map(np.array, frame.pose))
         verdicts.append((frame.verdict, frame.reasons))
         unseen.append(frame.unseen)
-    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen)):
+        others.append(frame.others)
+    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen), *others_sentences(others)):
         warnings.warn(f"{sentence}.", stacklevel=3)
     return stack_poses(poses, rate)
 
@@ -140,9 +144,7 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
         numbers = [number for number, (found, _) in enumerate(verdicts) if found == verdict]
         if not numbers:
             continue
-        named = ", ".join(map(str, numbers[:MAX_NAMED_FRAMES])) + (
-            " and more" if len(numbers) > MAX_NAMED_FRAMES else ""
-        )
+        named = name_frames(numbers)
         counts = Counter(reason for number in numbers for reason in verdicts[number][1])
         reasons = "; ".join(
             f"{reason} (in {count})" for reason, count in counts.most_common(MAX_NAMED_REASONS)
@@ -172,6 +174,26 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
         f"{sum(map(bool, unseen))} of {len(unseen)} frames do not show the whole body: no points belong to "
         f"{named}{more}, and their poses in these frames are guesses"
     ]
+
+
+def others_sentences(others: Sequence[bool]) -> list[str]:
+    """Describe the frames that show more than one person; without a full stop.
+
+    **Arguments:** `others` of every `TrackedFrame`.
+    """
+    numbers = [number for number, found in enumerate(others) if found]
+    if not numbers:
+        return []
+    return [
+        f"{len(numbers)} of {len(others)} frames show something else of a person's size, which may be another person: "
+        f"{name_frames(numbers)}, counted from 0; its points are outliers; track several people with track_people or --people"
+    ]
+
+
+def name_frames(numbers: Sequence[int]) -> str:
+    """List frames by their numbers, at most `MAX_NAMED_FRAMES`."""
+    more = " and more" if len(numbers) > MAX_NAMED_FRAMES else ""
+    return ", ".join(map(str, numbers[:MAX_NAMED_FRAMES])) + more
 
 
 def iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:

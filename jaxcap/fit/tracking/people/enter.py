@@ -15,7 +15,7 @@ from ....observe.clouds import Cloud
 from ..advance import FirstSearch, Follower, find_first_frame
 from ..initialise import rotated_starts
 from ..log_posterior import log_posterior
-from ..recover import TrackedFrame
+from ..recover import TrackedFrame, choose_better
 from .exchange import is_same_body
 from .groups import MIN_SIZE, assign_to_groups, find_groups
 from .person_frame import UNDECIDED, PersonFrame, enter
@@ -117,9 +117,7 @@ def find_newcomers(
     ]
 
 
-def make_newcomer(
-    cloud: Cloud, rows: Int[np.ndarray, "M"], points: Float[np.ndarray, "G 3"]
-) -> Newcomer:
+def make_newcomer(cloud: Cloud, rows: Int[np.ndarray, "M"], points: Float[np.ndarray, "G 3"]) -> Newcomer:
     """Weight a cloud for some rows, of a group with given points."""
     weights = np.zeros(len(cloud.weights), np.asarray(cloud.weights).dtype)
     weights[rows] = np.asarray(cloud.weights)[rows]
@@ -190,15 +188,35 @@ def _by_fit(
     search: FirstSearch,
     sigma: float,
 ) -> tuple[dict[int, TrackedFrame], list[tuple[int, int]]]:
-    """Pair newcomers with absent people of different bodies by the densities of their fits."""
-    frames, scores = {}, np.zeros((len(newcomers), len(absent)))
+    """Pair newcomers with absent people of different bodies by the densities of their fits.
+
+    The pose is searched for with one body. The others are tracked from there if they have the same joints, and
+    searched for once they are chosen.
+    """
+    frames, scores, searched = {}, np.zeros((len(newcomers), len(absent))), set()
     for g, newcomer in enumerate(newcomers):
+        pose = None
         for column, k in enumerate(absent):
-            frame = start_person(followers[k], people[k], newcomer, number, search, sigma)
+            follower, known = followers[k], followers[absent[0]].tracker.body.skeleton.names
+            if pose is not None and follower.tracker.body.skeleton.names == known:
+                hiding = no_occluders(follower, len(people))
+                frame = find_first_frame(
+                    follower, newcomer.cloud, pose, number, search=False, sigma=sigma, occluders=hiding
+                )
+            else:
+                frame = start_person(follower, people[k], newcomer, number, search, sigma)
+                searched.add((g, k))
+            pose = frame.pose if pose is None else pose
             frames[g, k] = frame
-            scores[g, column] = float(log_posterior(followers[k].tracker, frame.pose, newcomer.cloud))
+            scores[g, column] = float(log_posterior(follower.tracker, frame.pose, newcomer.cloud))
     lowest = np.where(np.isfinite(scores), scores, -1e6)
     chosen = [(int(g), absent[column]) for g, column in zip(*linear_sum_assignment(-lowest), strict=True)]
+    for g, k in chosen:
+        if search is False or people[k].seen or (g, k) in searched:
+            continue
+        # a search with the wrong body may have found the back as the front
+        own = start_person(followers[k], people[k], newcomers[g], number, search, sigma)
+        frames[g, k] = choose_better(followers[k].tracker, newcomers[g].cloud, own, frames[g, k])
     return {k: frames[g, k] for g, k in chosen}, chosen
 
 

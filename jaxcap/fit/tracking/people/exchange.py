@@ -82,9 +82,7 @@ def end_contact(
         code = CORRECTED
         sizes = people[i].num_points, people[j].num_points
         for person, tracked, size in zip(pair, found.frames, reversed(sizes), strict=True):
-            people[person] = eqx.tree_at(
-                lambda p: (p.tracked, p.num_points), people[person], (tracked, size)
-            )
+            people[person] = eqx.tree_at(lambda p: (p.tracked, p.num_points), people[person], (tracked, size))
     elif people[i].contacts[j] == UNSURE and abs(found.gain) <= MIN_GAIN:
         code = UNDECIDED
     for person, other in (pair, pair[::-1]):
@@ -123,11 +121,7 @@ def try_exchange(
         gain -= _density(followers[person], people[person].pose, clouds[person])
         old = people[person].tracked
         # levels of faults and searches are those of the person
-        frames.append(
-            eqx.tree_at(
-                lambda f: (f.baseline, f.searches), tracked, (old.baseline, old.searches)
-            )
-        )
+        frames.append(eqx.tree_at(lambda f: (f.baseline, f.searches), tracked, (old.baseline, old.searches)))
     return Exchange(gain if np.isfinite(gain) else -np.inf, (frames[0], frames[1]))
 
 

@@ -150,7 +150,7 @@ def frame_template(
         baseline.level, number, number, support, surface.names, surface.joints, surface.part_parents
     )
     state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchHistory())
+    return TrackedFrame(pose, statistics, False, judgement, False, state, pose, baseline, SearchHistory())
 
 
 def present_people(people: Sequence[PersonFrame]) -> list[int]:

@@ -81,9 +81,7 @@ def advance_people(
     people, ended = update_contacts(people, distances)
     for pair in ended:
         people = end_contact(followers, people, clouds, pair)
-    return people, np.asarray(
-        is_nobodys(cloud.weights, divided.shares, divided.distances, NOBODY_DISTANCE)
-    )
+    return people, np.asarray(is_nobodys(cloud.weights, divided.shares, divided.distances, NOBODY_DISTANCE))
 
 
 def share_points(

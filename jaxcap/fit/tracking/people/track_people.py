@@ -1,5 +1,6 @@
 """Tracking of several people in a stream of clouds."""
 
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -82,12 +83,7 @@ def _make_followers(
     for number, tracker in enumerate(trackers):
         if id(tracker) not in made:
             made[id(tracker)] = make_follower(tracker, up)
-        announce = None
-        if on_search is not None:
-
-            def announce(search: Search, number: int = number) -> None:
-                on_search(number, search)
-
+        announce = None if on_search is None else functools.partial(on_search, number)
         followers.append(made[id(tracker)]._replace(on_search=announce))
     return followers
 
@@ -110,12 +106,10 @@ def _track_people(
             people = [
                 absent_person(one.tracker, one.surface, len(followers), len(cloud.views)) for one in followers
             ]
-            given = list(start or ())
-            if given and isinstance(given[0], PersonFrame):
-                people[: len(given)] = given  # pyright: ignore[reportCallIssue, reportArgumentType]
-            elif given:
-                poses = given
-        if poses is not None:
+            given = [one for one in start or () if isinstance(one, PersonFrame)]
+            people[: len(given)] = given
+            poses = [one for one in start or () if isinstance(one, Pose)]
+        if poses:
             people = _start_at(followers, people, poses, cloud, number, search, sigma)
         else:
             people, free = advance_people(followers, people, cloud, number)
