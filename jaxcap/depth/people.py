@@ -27,21 +27,26 @@ from .views import check_image_size_of
 MIN_PIECE_AREA = 1e-3
 #: people who touch are one surface, whose longest side may be larger than a person's by this factor
 TOUCHING = 1.5
-#: least longest side of a person, as a share of the nearest one's
-MIN_HEIGHT_SHARE = 0.5
+#: least height of a person, as a share of the nearest one's
+MIN_HEIGHT_SHARE = 0.6
 
 
 @checked
 def find_people(
-    camera: Camera, depth: Float[np.ndarray, "H W"], count: int = 2, where: str = "the image"
+    camera: Camera,
+    depth: Float[np.ndarray, "H W"],
+    count: int = 2,
+    where: str = "the image",
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> list[Bool[np.ndarray, "H W"]]:
     """Find the pixels of at most `count` people, nearest first; people who touch are one mask.
 
     As `find_person`: floors and walls are planes, the other pixels are grouped into connected surfaces, and surfaces of a
-    person's size are people. A surface that is less than half as large as the nearest person is none. Smaller surfaces are
-    added to the person next to them.
+    person's size are people, unless they are much lower than the nearest one. Smaller surfaces are added to the person next
+    to them.
 
-    **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages.
+    **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages; `up`,
+    the vertical of the camera's world.
 
     **Raises:** `InputError` if the image has another size than the camera's, or no surface has the size of a person.
     """
@@ -68,8 +73,9 @@ def find_people(
             f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
         )
     large.sort(key=lambda piece: _distance(piece, eye) / piece.area**0.25)
-    least = MIN_HEIGHT_SHARE * _extent(large[0].points)
-    people = [piece for piece in large if _extent(piece.points) >= least][:count]
+    heights = [_height(piece, up) for piece in large]
+    tall = [height >= MIN_HEIGHT_SHARE * heights[0] for height in heights]
+    people = [piece for piece, high in zip(large, tall, strict=True) if high][:count]
     kept: list[list[_Piece]] = [[person] for person in people]
     main = {person.label for person in people}
     for piece in pieces:
@@ -86,3 +92,8 @@ def find_people(
 
 def _distance(piece: _Piece, eye: Float[np.ndarray, "3"]) -> float:
     return float(np.median(np.linalg.norm(piece.points - eye, axis=1)))
+
+
+def _height(piece: _Piece, up: tuple[float, float, float]) -> float:
+    low, high = np.quantile(piece.points @ (np.asarray(up) / np.linalg.norm(up)), [0.02, 0.98])
+    return float(high - low)

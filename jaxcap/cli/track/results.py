@@ -127,3 +127,11 @@ def write_results(
     ]
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
+
+
+def check_complete(count: int, clouds: Sequence) -> None:
+    """Report that tracking was stopped before the last frame, by a `KeyboardInterrupt`."""
+    if count < len(clouds):
+        raise KeyboardInterrupt(
+            f"stopped after {count} of {len(clouds)} frames, which are written; --resume continues"
+        )

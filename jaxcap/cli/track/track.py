@@ -1,6 +1,7 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,8 +12,9 @@ from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.limits.limits import AbstractLimits
 from ...errors import InputError, user_message
-from ...fit.tracking.advance import FirstSearch, Search
+from ...fit.tracking.advance import FirstSearch
 from ...fit.tracking.em_step import make_mixture_settings
+from ...fit.tracking.people.track_people import MAX_PEOPLE
 from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
@@ -41,10 +43,19 @@ from ..console.timed import timed
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .announce import make_announcer
 from .depth import load_depth_clouds
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .people import follow_people, people_template, read_count, write_people
-from .results import PERSON, check_folder, check_same_clouds, fingerprint, make_writable, write_results
+from .results import (
+    PERSON,
+    check_complete,
+    check_folder,
+    check_same_clouds,
+    fingerprint,
+    make_writable,
+    write_results,
+)
 
 JOURNAL = "journal"
 People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
@@ -131,7 +142,8 @@ class Track:
         )
         tracker = self.tracker(body, limits)
         rate = find_rate(self.rate, self.clouds, self.depth)
-        clouds = self.open_clouds(body)
+        others: set[int] = set()
+        clouds = self.open_clouds(body, others)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
@@ -143,7 +155,7 @@ class Track:
                 tracker = self.tracker(self.find_person(tracker, clouds), limits)
             header = {**self.settings(), **fingerprint(tracker, begun), **pose_layout(body.skeleton)}
             if self.people is None:
-                self.track(journal, tracker, clouds, rate, header)
+                self.track(journal, tracker, clouds, rate, header, others)
             else:
                 self.track_people(journal, tracker, clouds, rate, header, read_count(self.people))
 
@@ -157,14 +169,18 @@ class Track:
         # the written body, so that a resumed run has the same one
         return load_body(str(path))[0]
 
-    def open_clouds(self, body: Body) -> LazyFrames[Cloud]:
-        """Open the clouds, or the depth images. Raises `InputError`."""
+    def open_clouds(self, body: Body, others: set[int]) -> LazyFrames[Cloud]:
+        """Open the clouds, or the depth images; frames that show a second person are added to `others` as they are read.
+
+        **Raises:** `InputError`.
+        """
         if not self.depth:
             return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up)
         frames = (self.first, self.last)
-        return load_depth_clouds(
-            self.depth, self.cameras, self.masks, self.depth_scale, frames, body, self.up
-        )
+        inputs = self.depth, self.cameras, self.masks, self.depth_scale, frames, body, self.up
+        if self.people is None:
+            return load_depth_clouds(*inputs, others=others)
+        return load_depth_clouds(*inputs, people=read_count(self.people) or MAX_PEOPLE)
 
     def track(
         self,
@@ -173,15 +189,16 @@ class Track:
         clouds: LazyFrames[Cloud],
         rate: Rate,
         header: dict[str, object],
+        others: set[int],
     ) -> None:
         """Track all frames that the journal at `path` lacks, and write the results, while the lock excludes other
-        runs in the folder."""
+        runs in the folder. `others` has the frames that show a second person, once they are read."""
         body = tracker.body
         template = row_template(tracker, num_cameras=len(self.depth))
         with self.open_journal(path, header, row_width(template)) as journal:
             check_same_clouds(journal, clouds.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.track_remaining(self.steps(tracker, clouds, journal.count, last), clouds, journal)
+            self.track_remaining(self.steps(tracker, clouds, journal.count, last, others), clouds, journal)
         set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
@@ -324,20 +341,25 @@ class Track:
             raise InputError(f"{user_message(error)}{kept}") from None
 
     def steps(
-        self, tracker: Tracker, clouds: LazyFrames[Cloud], begin: int, last: TrackedFrame | None
+        self,
+        tracker: Tracker,
+        clouds: LazyFrames[Cloud],
+        begin: int,
+        last: TrackedFrame | None,
+        others: set[int],
     ) -> Iterator[tuple[TrackedFrame, float]]:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
-        return timed(
-            track_frames(
-                tracker,
-                iter(clouds[begin:]),
-                last,
-                search=SEARCHES[self.initialise],
-                sigma=self.sigma0,
-                first=begin,
-                on_search=make_announcer(),
-            )
+        frames = track_frames(
+            tracker,
+            iter(clouds[begin:]),
+            last,
+            search=SEARCHES[self.initialise],
+            sigma=self.sigma0,
+            first=begin,
+            on_search=make_announcer(),
         )
+        for number, (frame, seconds) in enumerate(timed(frames), begin):
+            yield dataclasses.replace(frame, others=frame.others or number in others), seconds
 
 
 def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
@@ -349,30 +371,3 @@ def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
         except InputError:
             break
     return found
-
-
-def check_complete(count: int, clouds: LazyFrames[Cloud]) -> None:
-    """Report that tracking was stopped before the last frame, by a `KeyboardInterrupt`."""
-    if count < len(clouds):
-        raise KeyboardInterrupt(
-            f"stopped after {count} of {len(clouds)} frames, which are written; --resume continues"
-        )
-
-
-def make_announcer() -> Callable[..., None]:
-    """Return a function that prints the frame of a pose search and its reason, before the search begins.
-
-    Its second argument names the person, such as " of person 2 in".
-    """
-    compiled = False
-
-    def announce(search: Search, whose: str = " of") -> None:
-        nonlocal compiled
-        why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
-        many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
-        before = f"; {many} before it" if search.num_earlier else ""
-        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
-        warn(f"searching for the pose{whose} frame {search.frame}{why}{before}{once}")
-        compiled = True
-
-    return announce
