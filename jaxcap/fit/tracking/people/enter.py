@@ -23,6 +23,8 @@ from .scene import no_occluders
 
 #: a person returns within this distance of the last position, metres; farther away it may be somebody else
 RETURN_DISTANCE = 1.5
+#: points nearer to somebody who is lost may be this person's, metres
+LOST_DISTANCE = 1.0
 #: least size of somebody who comes in, as a share of the height, and least share of the usual number of points
 MIN_NEW_SIZE, MIN_NEW_POINTS = 0.55, 0.25
 #: least share of the usual number of points from which a hidden person is tracked again at the last position, and its
@@ -60,9 +62,8 @@ def enter_people(
     """
     people = list(people)
     absent = [k for k, one in enumerate(people) if not one.present and one.tracked.searches.wait <= 0]
-    first = not any(person.seen for person in people)
-    newcomers = find_newcomers(followers[0], people, cloud, free, first)
-    if not absent or not newcomers:
+    newcomers = find_newcomers(followers, people, cloud, free) if absent else []
+    if not newcomers:
         return people
     alike = all(is_same_body(followers[absent[0]].tracker.body, followers[k].tracker.body) for k in absent)
     if alike:
@@ -87,28 +88,34 @@ def enter_people(
 
 
 def find_newcomers(
-    follower: Follower,
+    followers: Sequence[Follower],
     people: Sequence[PersonFrame],
     cloud: Cloud,
     free: Bool[np.ndarray, "N"],
-    first: bool = False,
 ) -> list[Newcomer]:
     """Find the groups of `free` points that may be people, largest first.
 
-    A group near the last position of somebody hidden may be smaller than a person.
+    A group near the last position of somebody hidden may be smaller than a person. A group near somebody who is lost is
+    no newcomer: the search for the lost one may find it.
     """
-    usual = max((person.usual_points for person in people if person.present), default=0.0)
+    follower, usual = followers[0], max(person.usual_points for person in people)
     rows = np.flatnonzero(free)
     if len(rows) < max(MIN_RETURN_POINTS * usual, 1.0):
         return []
     points = np.asarray(cloud.points, float)[rows]
-    height = float(np.ptp(np.asarray(follower.tracker.body.vertices, float), axis=0).max())
+    height = float(follower.surface.size)
     up = np.asarray(follower.up, float) / np.linalg.norm(follower.up)
     groups = find_groups(points, height, up, MIN_SIZE)
-    if not first:
+    if any(person.seen for person in people):
         groups = [
-            g for g in groups if _is_new(points[g], height, usual) or _is_return(points[g], people, follower)
+            g for g in groups if _is_new(points[g], height, usual) or _is_return(points[g], people, followers)
         ]
+    lost = [k for k, person in enumerate(people) if person.present and person.lost]
+    groups = [
+        g
+        for g in groups
+        if all(_distance(followers[k], people[k], np.median(points[g], 0)) > LOST_DISTANCE for k in lost)
+    ]
     if not groups:
         return []
     return [
@@ -224,7 +231,9 @@ def _is_new(points: Float[np.ndarray, "N 3"], height: float, usual: float) -> bo
     return len(points) >= MIN_NEW_POINTS * usual and np.ptp(points, axis=0).max() >= MIN_NEW_SIZE * height
 
 
-def _is_return(points: Float[np.ndarray, "N 3"], people: Sequence[PersonFrame], follower: Follower) -> bool:
+def _is_return(
+    points: Float[np.ndarray, "N 3"], people: Sequence[PersonFrame], followers: Sequence[Follower]
+) -> bool:
     """Test if points are enough of somebody who was hidden, at the last position."""
     middle = np.median(points, axis=0)
     return any(
@@ -232,7 +241,7 @@ def _is_return(points: Float[np.ndarray, "N 3"], people: Sequence[PersonFrame], 
         and not person.present
         and len(points) >= MIN_RETURN_POINTS * person.usual_points
         and _distance(follower, person, middle) <= HIDDEN_DISTANCE
-        for person in people
+        for follower, person in zip(followers, people, strict=True)
     )
 
 
