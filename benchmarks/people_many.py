@@ -143,7 +143,9 @@ def main() -> None:
     )
     scenarios = get_args(Scenario)
     parser.add_argument("--scenarios", nargs="+", choices=scenarios, default=list(scenarios))
-    parser.add_argument("--frames", type=int, help="number of frames in the middle of each scenario")
+    parser.add_argument(
+        "--frames", type=int, default=50, help="number of frames in the middle of each scenario"
+    )
     parser.add_argument("--same-body", action="store_true", help="track everyone with the same body")
     parser.add_argument("--pixels", type=int, default=320, help="width of the images")
     parser.add_argument("--picture", type=Path, help="write a PNG of three frames of each scenario")
@@ -158,7 +160,7 @@ def main() -> None:
             f"{scenario}_error_ratio": ("<=", 1.3),
             f"{scenario}_lost": ("==", 0),
         }
-    sizes = {"cameras": CAMERAS, "points_of_a_person": POINTS, "frames": options.frames or "all"}
+    sizes = {"cameras": CAMERAS, "points_of_a_person": POINTS, "frames": options.frames}
     finish("people_many", figures, limits, sizes, {"median_frame": float(np.median(seconds))})
 
 

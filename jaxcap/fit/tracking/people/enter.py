@@ -18,8 +18,8 @@ from ..log_posterior import log_posterior
 from ..recover import TrackedFrame, choose_better
 from .exchange import is_same_body
 from .groups import MIN_SIZE, assign_to_groups, find_groups
-from .person_frame import UNDECIDED, PersonFrame, enter
-from .scene import no_occluders
+from .person_frame import UNDECIDED, PersonFrame, enter, present_people
+from .scene import Shares, free_points, no_occluders, person_size
 
 #: a person returns within this distance of the last position, metres; farther away it may be somebody else
 RETURN_DISTANCE = 1.5
@@ -39,6 +39,7 @@ _pose_body = eqx.filter_jit(pose_body)
 class Newcomer(NamedTuple):
     """A group of points that may be a person."""
 
+    #: with weights of the group's points only
     cloud: Cloud
     #: median of its points, metres
     middle: Float[np.ndarray, "3"]
@@ -48,22 +49,20 @@ class Newcomer(NamedTuple):
 def enter_people(
     followers: Sequence[Follower],
     people: Sequence[PersonFrame],
-    cloud: Cloud,
-    free: Bool[np.ndarray, "N"],
+    newcomers: Sequence[Newcomer],
     number: int,
     *,
     search: FirstSearch = "auto",
     sigma: float = 0.1,
 ) -> list[PersonFrame]:
-    """Let absent people come in where a group of the `free` points has the size of a person.
+    """Let absent people come in as `newcomers`.
 
     Somebody who was seen before returns near the last position. If the bodies differ, the groups are given to the people
     who explain them best. If an equal person could have come in as well, both get a reason.
     """
     people = list(people)
     absent = [k for k, one in enumerate(people) if not one.present and one.tracked.searches.wait <= 0]
-    newcomers = find_newcomers(followers, people, cloud, free) if absent else []
-    if not newcomers:
+    if not absent or not newcomers:
         return people
     alike = all(is_same_body(followers[absent[0]].tracker.body, followers[k].tracker.body) for k in absent)
     if alike:
@@ -91,15 +90,15 @@ def find_newcomers(
     followers: Sequence[Follower],
     people: Sequence[PersonFrame],
     cloud: Cloud,
-    free: Bool[np.ndarray, "N"],
+    divided: Shares,
 ) -> list[Newcomer]:
-    """Find the groups of `free` points that may be people, largest first.
+    """Find the groups of points of nobody that may be people, largest first.
 
-    A group near the last position of somebody hidden may be smaller than a person. A group near somebody who is lost is
-    no newcomer: the search for the lost one may find it.
+    A group near the last position of somebody hidden may be smaller than a person. A group near somebody who is lost or has
+    hardly any points is no newcomer: it may be that person.
     """
     follower, usual = followers[0], max(person.usual_points for person in people)
-    rows = np.flatnonzero(free)
+    rows = np.flatnonzero(free_points(cloud, divided))
     if len(rows) < max(MIN_RETURN_POINTS * usual, 1.0):
         return []
     points = np.asarray(cloud.points, float)[rows]
@@ -110,7 +109,11 @@ def find_newcomers(
         groups = [
             g for g in groups if _is_new(points[g], height, usual) or _is_return(points[g], people, followers)
         ]
-    lost = [k for k, person in enumerate(people) if person.present and person.lost]
+    lost = [
+        k
+        for k in present_people(people)
+        if people[k].lost or person_size(cloud, divided, k) < MIN_RETURN_POINTS * people[k].usual_points
+    ]
     groups = [
         g
         for g in groups
@@ -130,6 +133,13 @@ def make_newcomer(cloud: Cloud, rows: Int[np.ndarray, "M"], points: Float[np.nda
     weights[rows] = np.asarray(cloud.weights)[rows]
     own = eqx.tree_at(lambda c: c.weights, cloud, jnp.asarray(weights))
     return Newcomer(own, np.median(points, axis=0), float(weights.sum()))
+
+
+def points_of(newcomers: Sequence[Newcomer]) -> Bool[np.ndarray, "N"] | None:
+    """Mark the points of all newcomers; None if there are none."""
+    if not newcomers:
+        return None
+    return np.any([np.asarray(one.cloud.weights) > 0 for one in newcomers], axis=0)
 
 
 def start_person(
@@ -228,7 +238,8 @@ def _by_fit(
 
 
 def _is_new(points: Float[np.ndarray, "N 3"], height: float, usual: float) -> bool:
-    return len(points) >= MIN_NEW_POINTS * usual and np.ptp(points, axis=0).max() >= MIN_NEW_SIZE * height
+    size = float(np.ptp(points, axis=0).max())
+    return len(points) >= MIN_NEW_POINTS * usual and size >= MIN_NEW_SIZE * height
 
 
 def _is_return(

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ....body.body import pose_body
 from ....body.pose import Pose, retract
@@ -15,6 +15,9 @@ from ..track_frame import Tracker, TrackState
 
 #: standard deviation of a person's own outliers, such as hair and clothes, from the surface, metres
 OUTLIER_DEVIATION = 0.1
+#: standard deviation along the surface of a point from the nearest vertex, metres: the vertices of a reduced body are up to
+#: 4 cm apart
+ALONG_DEVIATION = 0.03
 #: density of the points that belong to nobody, per cubic metre: equal to that of a person's outliers at 25 cm
 NOBODY_DENSITY = 0.01
 #: every how many samples of a surface the distances of points are measured to
@@ -40,14 +43,16 @@ def person_density(
 ) -> PersonDensity:
     """Compute the density of a posed person at all points.
 
-    It is `(1 - w) p(y) + w q(y)`: `p` is the density on the surface as a whole (`matched_log_density`), and `q`, a normal
+    It is `(1 - w) p(y) + w q(y)`: `p` is the density on the surface as a whole (`matched_log_density`), with the standard
+    deviations `sigma` across the surface and `ALONG_DEVIATION` along it, or `sigma` if that is larger; and `q`, a normal
     distribution about the nearest sample of the surface with the standard deviation `OUTLIER_DEVIATION`, is the person's
     own class of outliers. `w` is the share of outliers of the tracker.
     """
     mixture, parts = tracker.mixture, tracker.parts
     estimate = Estimate(pose, sigma, uniform_priors(parts, sigma.dtype))
     posed, found = e_step(tracker.body, parts, mixture, cloud, box_volume(cloud), estimate)
-    matched = matched_log_density(found, parts, posed, cloud, sigma, mixture.tangential_weight)
+    along = jnp.minimum(1.0, (sigma / ALONG_DEVIATION) ** 2)
+    matched = matched_log_density(found, parts, posed, cloud, sigma, along)
     samples = pose_body(surface.body, pose).vertices
     # relative to the body's centre, as differences of squares lose digits far from the origin
     middle = jnp.mean(samples, 0)
@@ -76,7 +81,7 @@ def person_weights(
     weights: Float[Array, "N"],
     shares: Float[Array, "K N"],
     distances: Float[Array, "N"],
-    person: int | Float[Array, ""],
+    person: int | Int[Array, ""],
     reach: float | Float[Array, ""],
 ) -> Float[Array, "N"]:
     """Compute the weights of the points for one person: those that the other people do not explain.
@@ -91,7 +96,10 @@ def person_weights(
 
 @jax.jit
 def is_nobodys(
-    weights: Float[Array, "N"], shares: Float[Array, "K N"], distances: Float[Array, "K N"], away: float
+    weights: Float[Array, "N"],
+    shares: Float[Array, "K N"],
+    distances: Float[Array, "K N"],
+    away: float | Float[Array, ""],
 ) -> Bool[Array, "N"]:
     """Find the points that nobody explains and that are farther than `away` metres from every person."""
     return (weights > 0) & (jnp.sum(shares, 0) < 0.5) & (jnp.min(distances, 0) > away)

@@ -44,44 +44,71 @@ class Shares(NamedTuple):
     samples: dict[int, Float[Array, "S 3"]]
 
 
-def advance_people(
-    followers: Sequence[Follower], people: Sequence[PersonFrame], cloud: Cloud, number: int
-) -> tuple[list[PersonFrame], Bool[np.ndarray, "N"]]:
-    """Track all people who are present in one cloud; return them, and the points of nobody.
+def divide_points(followers: Sequence[Follower], people: Sequence[PersonFrame], cloud: Cloud) -> Shares:
+    """Divide the points of a cloud between the people who are present.
 
-    Everyone is predicted, the points are divided by the densities of all people, and each is tracked with the own share
-    (`person_weights`). Where people are close to each other, this is done a second time with the new poses instead of the
-    predicted ones. Then each is judged, and searched for if necessary, with the other people as occluders.
+    Everyone is predicted, and the points are divided by the densities of all people. Where people are close to each other,
+    this is done a second time with poses that are tracked with these shares, instead of the predicted ones.
     """
-    people = [one if one.present else leave(one, 0.0) for one in people]
     present = present_people(people)
     states = {k: people[k].tracked.state for k in present}
     poses = {k: predict_pose(followers[k].tracker, states[k]) for k in present}
     sigmas = {k: _first_sigma(followers[k], people[k]) for k in present}
     divided = share_points(followers, poses, sigmas, cloud)
-    distances = pair_distances(divided)
-    close = {k for pair, distance in distances.items() if distance < CLOSE for k in pair}
-    if close:
-        for k in close:
-            own = person_cloud(cloud, divided, k, _reach(people[k]))
-            if _weight(own) > 0:
-                state, _ = track_frame_jit(followers[k].tracker, states[k], own)
-                poses[k], sigmas[k] = state.estimate.pose, state.estimate.sigma
-        divided = share_points(followers, poses, sigmas, cloud)
+    close = {k for pair, gap in pair_distances(divided).items() if gap < CLOSE for k in pair}
+    if not close:
+        return divided
+    for k in close:
+        own = person_cloud(cloud, divided, k, _reach(people[k]))
+        if float(jnp.sum(own.weights)) > 0:
+            state, _ = track_frame_jit(followers[k].tracker, states[k], own)
+            poses[k], sigmas[k] = state.estimate.pose, state.estimate.sigma
+    return share_points(followers, poses, sigmas, cloud)
+
+
+def advance_people(
+    followers: Sequence[Follower],
+    people: Sequence[PersonFrame],
+    cloud: Cloud,
+    divided: Shares,
+    number: int,
+    excluded: Bool[np.ndarray, "N"] | None = None,
+) -> list[PersonFrame]:
+    """Track all people who are present in one cloud, each with the own share of the points (`person_weights`).
+
+    Each is judged, and searched for if necessary, with the other people as occluders. Where two people part, an exchange is
+    tested for.
+
+    **Arguments:** `excluded`, points of somebody who comes in.
+    """
+    people = [one if one.present else leave(one, 0.0) for one in people]
+    free = cloud
+    if excluded is not None and excluded.any():
+        free = eqx.tree_at(lambda c: c.weights, cloud, jnp.where(jnp.asarray(excluded), 0.0, cloud.weights))
     clouds = {}
-    for k in present:
-        size = float(jnp.sum(cloud.weights * divided.shares[k]))
+    for k in present_people(people):
+        size = person_size(cloud, divided, k)
         if not has_points(people[k], size):
             people[k] = leave(people[k], size)
             continue
-        clouds[k] = person_cloud(cloud, divided, k, _reach(people[k]))
+        clouds[k] = person_cloud(free, divided, k, _reach(people[k]))
         hiding = occluders(followers[k], divided, k, len(people))
         tracked = advance_frame(followers[k], people[k].tracked, clouds[k], number, occluders=hiding)
         people[k] = stay(people[k], tracked, size)
-    people, ended = update_contacts(people, distances)
+    people, ended = update_contacts(people, pair_distances(divided))
     for pair in ended:
         people = end_contact(followers, people, clouds, pair)
-    return people, np.asarray(is_nobodys(cloud.weights, divided.shares, divided.distances, NOBODY_DISTANCE))
+    return people
+
+
+def person_size(cloud: Cloud, divided: Shares, person: int) -> float:
+    """Compute the weight of the points of a person."""
+    return float(jnp.sum(cloud.weights * divided.shares[person]))
+
+
+def free_points(cloud: Cloud, divided: Shares) -> Bool[np.ndarray, "N"]:
+    """Find the points of nobody."""
+    return np.asarray(is_nobodys(cloud.weights, divided.shares, divided.distances, NOBODY_DISTANCE))
 
 
 def share_points(
@@ -146,7 +173,3 @@ def _first_sigma(follower: Follower, person: PersonFrame) -> Float[Array, ""]:
     """Compute the standard deviation at which `track_frame` starts."""
     tracker = follower.tracker
     return jnp.maximum(tracker.sigma_growth * person.tracked.state.estimate.sigma, tracker.sigma_start)
-
-
-def _weight(cloud: Cloud) -> float:
-    return float(jnp.sum(cloud.weights))

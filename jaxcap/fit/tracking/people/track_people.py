@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import numpy as np
+import jax.numpy as jnp
 
 from ....arguments import checked
 from ....body.pose import Pose
@@ -15,9 +15,9 @@ from ..advance import FirstSearch, Follower, Search, find_first_frame, make_foll
 from ..check_cloud import check_cloud
 from ..track import iterate_clouds
 from ..track_frame import Tracker, check_sigma
-from .enter import enter_people
+from .enter import enter_people, find_newcomers, points_of
 from .person_frame import PersonFrame, absent_person, enter
-from .scene import advance_people, no_occluders, person_cloud, share_points
+from .scene import advance_people, divide_points, no_occluders, person_cloud, person_size, share_points
 
 #: largest number of people if it is not given
 MAX_PEOPLE = 6
@@ -112,8 +112,11 @@ def _track_people(
         if poses:
             people = _start_at(followers, people, poses, cloud, number, search, sigma)
         else:
-            people, free = advance_people(followers, people, cloud, number)
-            people = enter_people(followers, people, cloud, free, number, search=search, sigma=sigma)
+            divided = divide_points(followers, people, cloud)
+            newcomers = find_newcomers(followers, people, cloud, divided)
+            excluded = points_of(newcomers)
+            people = advance_people(followers, people, cloud, divided, number, excluded)
+            people = enter_people(followers, people, newcomers, number, search=search, sigma=sigma)
         yield tuple(person for person in people if person.seen or not grows)
 
 
@@ -127,8 +130,7 @@ def _start_at(
     sigma: float,
 ) -> list[PersonFrame]:
     """Track the first frame from given poses."""
-    deviation = np.asarray(sigma, np.asarray(poses[0].rotations).dtype)
-    sigmas = {k: cloud.weights.dtype.type(deviation) for k in range(len(poses))}
+    sigmas = {k: jnp.asarray(sigma, pose.rotations.dtype) for k, pose in enumerate(poses)}
     divided = share_points(followers, dict(enumerate(poses)), sigmas, cloud)
     started = list(people)
     for k, pose in enumerate(poses):
@@ -137,5 +139,5 @@ def _start_at(
         frame = find_first_frame(
             followers[k], own, pose, number, search=search, sigma=sigma, occluders=hiding
         )
-        started[k] = enter(people[k], frame, float((cloud.weights * divided.shares[k]).sum()))
+        started[k] = enter(people[k], frame, person_size(cloud, divided, k))
     return started
