@@ -12,7 +12,7 @@ from ..fit.correspondence.find_pairs import within_aperture
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
-from ..geometry.clusters import connected_labels
+from ..geometry.sampling import connected_labels
 from ..observe.clouds import Cloud, make_cloud
 from .adapt_body import adapt_body
 from .task import AdaptState, AdaptTask

@@ -60,7 +60,7 @@ class Follower(NamedTuple):
     on_search: Callable[[Search], None] | None
 
     def begin_search(self, number: int, reasons: tuple[str, ...], before: float) -> Tracker:
-        """Announce a search, and return its tracker."""
+        """Begin a search: call `on_search`, and return the tracker of searches."""
         _LOG.info("searching for a better pose of frame %d", number)
         if self.on_search is not None:
             self.on_search(Search(number, reasons, int(before)))

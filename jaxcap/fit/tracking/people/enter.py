@@ -55,7 +55,7 @@ def enter_people(
     search: FirstSearch = "auto",
     sigma: float = 0.1,
 ) -> list[PersonFrame]:
-    """Let absent people come in as `newcomers`.
+    """Match newcomers with absent people, and start to track them.
 
     Somebody who was seen before returns near the last position. If the bodies differ, the groups are given to the people
     who explain them best. If an equal person could have come in as well, both get a reason.

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import KDTree
 
-from ....geometry.clusters import connected_labels
+from ....geometry.sampling import connected_labels
 from ....observe.clouds import Cloud
 
 #: neighbour whose distance measures the density at a point; a point is an outlier if it is farther than `SPARSE` times the
