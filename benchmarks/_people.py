@@ -9,14 +9,19 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks._scenes import RATE, human_motion
+from benchmarks.depth_rooms import visible_joints
 from jaxcap.body.people.anatomy import rest_deviations
+from jaxcap.depth import cloud_of_depths, find_people
+from jaxcap.depth.fuse import fuse_cloud
 from jaxcap.energy.data.landmarks import JointLandmarks
 from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.reference_pose import ReferencePrior
 from jaxcap.geometry import rotation
+from jaxcap.geometry.camera import Camera
 from jaxcap.scanner.scan import scan_scene
+from jaxcap.scanner.sensors import Sensor
 
-Scenario = Literal["two_walk", "three_walk", "handshake"]
+Scenario = Literal["two_walk", "three_walk", "handshake", "two_walk_camera"]
 BUILDS: tuple[dict[str, Any], ...] = (
     dict(sex="female", age=22, weight=0.25, muscle=0.45, height=1.58),
     dict(sex="male", age=28, weight=0.4, muscle=0.8, height=1.88),
@@ -150,8 +155,6 @@ def scan_people(
     people: People, who: list[int], cameras, scanner, points: int, seed: int = 0
 ) -> list[jc.Cloud]:
     """Scan some of the people in every frame; `points` of each are kept on average."""
-    from jaxcap.depth.fuse import fuse_cloud
-
     clouds = []
     for frame in range(len(people.motions[0])):
         images = scan_scene(scanner, cameras, surfaces(people, frame, who), seed, frame)
@@ -160,3 +163,27 @@ def scan_people(
         kept = rng.choice(len(scan.points), min(points * len(who), len(scan.points)), replace=False)
         clouds.append(jc.make_cloud(scan.points[kept], scan.normals[kept], name=f"frame {frame}"))
     return clouds
+
+
+def film_people(
+    people: People, who: list[int], camera: Camera, sensor: Sensor, seed: int = 0
+) -> tuple[list[jc.Cloud], np.ndarray]:
+    """Make the cloud of the people that are found in each depth image of one camera, and find the visible joints.
+
+    They are (K, F, J), of the people in `who`.
+    """
+    clouds, visible = [], []
+    for frame in range(len(people.motions[0])):
+        (image,) = scan_scene(sensor.errors, [camera], surfaces(people, frame, who), seed, frame)
+        masks = find_people(camera, image.depth, len(who), f"frame {frame}")
+        mask = np.any(masks, axis=0)
+        clouds.append(cloud_of_depths([camera], [image.depth], [mask], name=f"frame {frame}"))
+        visible.append(
+            [
+                visible_joints(
+                    camera, people.joints[k, frame], np.where(image.labels == label, image.depth, 0.0)
+                )
+                for label, k in enumerate(who)
+            ]
+        )
+    return clouds, np.swapaxes(np.array(visible), 0, 1)

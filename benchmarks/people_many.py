@@ -7,11 +7,15 @@ The people are found in the first cloud, and no start is given. Each tracker kno
 all are the embedded human of average build instead, and nobody can be distinguished by shape.
 
 Each person is scanned and tracked alone, too, by the same cameras in the same motion. Joint errors are compared with those.
+In `two_walk_camera`, which is not run by default, one Azure Kinect from the side sees the walk of `two_walk`: one person
+hides the other one. The errors are those of visible joints.
+
 A frame is exchanged if a tracked person is nearer to another person than to its own.
 """
 
 import argparse
 import time
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -21,15 +25,17 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 import jaxcap as jc
-from benchmarks._people import People, Scenario, make_people, scan_people
+from benchmarks._people import People, Scenario, film_people, make_people, scan_people
 from benchmarks._people_pictures import draw_people
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
+from jaxcap.geometry.camera import look_at
 
 #: numbers of cameras, their distance from the middle of the scene and height, metres
 CAMERAS, DISTANCE, HEIGHT = 4, 3.8, 1.6
 #: points of one person in a cloud, on average
 POINTS = 3000
+SCENARIOS: tuple[Scenario, ...] = ("two_walk", "three_walk", "handshake")
 SCANNER = jc.scanner.Scanner(noise=0.004, edge_loss=0.5)
 
 _pose_body = eqx.filter_jit(jc.pose_body)
@@ -45,11 +51,12 @@ class Tracked(NamedTuple):
     poses: list[jc.Pose]
 
 
-def make_trackers(people: People, same_body: bool) -> list[jc.fit.Tracker]:
+def make_trackers(people: People, same_body: bool, partial: bool) -> list[jc.fit.Tracker]:
     """Make the tracker of each person, all the same one with `same_body`."""
     if same_body:
-        return [jc.make_tracker(jc.human(joints="tracking", resolution="low"))] * len(people.bodies)
-    return [jc.make_tracker(body) for body in people.bodies]
+        body = jc.human(joints="tracking", resolution="medium")
+        return [jc.make_tracker(body, partial=partial)] * len(people.bodies)
+    return [jc.make_tracker(body, partial=partial) for body in people.bodies]
 
 
 def track_together(
@@ -97,15 +104,28 @@ def count_exchanges(tracked: list[Tracked], people: People, who: list[int]) -> i
     return count
 
 
+def observe(
+    people: People, who: list[int], scenario: Scenario, pixels: int
+) -> tuple[list[jc.Cloud], np.ndarray]:
+    """Make the clouds of some people, and find the joints (K, F, J) with which poses are compared."""
+    if scenario == "two_walk_camera":
+        sensor = jc.scanner.SENSORS["azure-kinect"]
+        eye = [DISTANCE, HEIGHT, 0.0]
+        camera = look_at(eye, [0.0, 0.9, 0.0], *sensor.resolution, sensor.field_of_view)
+        return film_people(people, who, camera, sensor)
+    resolution = (pixels, pixels * 3 // 4)
+    cameras = jc.geometry.ring_of_cameras(CAMERAS, 360, DISTANCE, HEIGHT, [0.0, 0.9, 0.0], resolution, 70.0)
+    clouds = scan_people(people, who, cameras, SCANNER, POINTS)
+    return clouds, np.ones((len(who), *people.joints.shape[1:3]), bool)
+
+
 def run_scenario(scenario: Scenario, options: argparse.Namespace) -> tuple[dict[str, float], list[float]]:
     """Track the people of one scenario together and alone."""
     people = make_people(shared_folder(), scenario, options.frames)
     everyone = list(range(len(people.bodies)))
-    trackers = make_trackers(people, options.same_body)
-    resolution = (options.pixels, options.pixels * 3 // 4)
-    cameras = jc.geometry.ring_of_cameras(CAMERAS, 360, DISTANCE, HEIGHT, [0.0, 0.9, 0.0], resolution, 70.0)
+    trackers = make_trackers(people, options.same_body, scenario == "two_walk_camera")
     progress(f"{scenario}: {len(everyone)} people, {len(people.motions[0])} frames")
-    clouds = scan_people(people, everyone, cameras, SCANNER, POINTS)
+    clouds, visible = observe(people, everyone, scenario, options.pixels)
     together, seconds = track_together(trackers, clouds, options.same_body)
     who = match_people(together, people, options.same_body)
     if options.picture is not None:
@@ -113,18 +133,20 @@ def run_scenario(scenario: Scenario, options: argparse.Namespace) -> tuple[dict[
         draw_people(path, trackers, [one.poses for one in together], clouds)
     ratios, errors, p95 = [], [], []
     for own, tracked in zip(who, together, strict=True):
-        alone = track_alone(trackers[own], scan_people(people, [own], cameras, SCANNER, POINTS))
-        error, single = (
+        alone = track_alone(trackers[own], observe(people, [own], scenario, options.pixels)[0])
+        distances = [
             1000 * np.linalg.norm(one.joints - people.joints[own], axis=-1) for one in (tracked, alone)
-        )
+        ]
+        error, single = (each[visible[own]] for each in distances)
         ratios.append(error.mean() / single.mean())
         errors.append(error.mean())
         p95.append(np.quantile(error, 0.95) / np.quantile(single, 0.95))
-        worst = int(np.argmax(error.mean(1)))
+        worst = int(np.argmax(distances[0].mean(1)))
         progress(
             f"person {own + 1}: {error.mean():.1f} mm together, {single.mean():.1f} mm alone; 95 %: "
             f"{np.quantile(error, 0.95):.1f} and {np.quantile(single, 0.95):.1f} mm; worst frame {worst}: "
-            f"{error[worst].mean():.1f} and {single[worst].mean():.1f} mm"
+            f"{distances[0][worst].mean():.1f} and {distances[1][worst].mean():.1f} mm; verdicts alone: "
+            f"{dict(Counter(alone.verdicts))}"
         )
     figures = {
         "exchanges": float(count_exchanges(together, people, who)),
@@ -141,8 +163,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    scenarios = get_args(Scenario)
-    parser.add_argument("--scenarios", nargs="+", choices=scenarios, default=list(scenarios))
+    parser.add_argument("--scenarios", nargs="+", choices=get_args(Scenario), default=list(SCENARIOS))
     parser.add_argument(
         "--frames", type=int, default=50, help="number of frames in the middle of each scenario"
     )
@@ -155,11 +176,9 @@ def main() -> None:
         found, taken = run_scenario(scenario, options)
         figures |= found
         seconds += taken[1:]
-        limits |= {
-            f"{scenario}_exchanges": ("==", 0),
-            f"{scenario}_error_ratio": ("<=", 1.3),
-            f"{scenario}_lost": ("==", 0),
-        }
+        limits |= {f"{scenario}_exchanges": ("==", 0), f"{scenario}_error_ratio": ("<=", 1.3)}
+        if scenario in SCENARIOS:
+            limits[f"{scenario}_lost"] = ("==", 0)
     sizes = {"cameras": CAMERAS, "points_of_a_person": POINTS, "frames": options.frames}
     finish("people_many", figures, limits, sizes, {"median_frame": float(np.median(seconds))})
 
