@@ -11,6 +11,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, difference, rest_pose, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.errors import InputError
+from jaxcap.fit.judgement.evidence import NUM_DIRECTIONS, _fibonacci_directions, gather_evidence
 from jaxcap.fit.tracking.advance import make_follower
 from jaxcap.fit.tracking.people.exchange import end_contact, try_exchange, with_contacts
 from jaxcap.fit.tracking.people.groups import assign_to_groups, find_groups
@@ -278,6 +279,23 @@ def test_another_person_in_the_cloud_of_one_body_is_found(rng):
     assert sentence.startswith("1 of 2 frames show something else of a person's size")
     assert ": 1, counted from 0" in sentence
     assert others_sentences([False, False]) == []
+
+
+def test_surface_behind_others_may_be_empty(rng):
+    """A camera in front sees a person only beside the other one."""
+    points, normals = surface_points(standing(0.0), rng)
+    hidden = (np.abs(points[:, 0]) < 0.2) & (points[:, 1] < 0.9)
+    kept = (normals[:, 2] > 0) & ~hidden
+    cloud = make_cloud(points[kept], normals[kept])
+    sensors = jnp.asarray(_fibonacci_directions(NUM_DIRECTIONS)[:, 2] > 0.9, float)
+    other = np.asarray(_pose_body(FOLLOWER.surface.body, standing(0.0, 1.0)).vertices)
+    before = jnp.asarray(np.pad(other, ((0, 0), (0, 1)), constant_values=1.0))
+    empty = [
+        float(gather_evidence(FOLLOWER.surface, standing(0.0), cloud, sensors, occluders).empty.sum())
+        for occluders in (None, before, before.at[:, 3].set(0.0))
+    ]
+    assert empty[1] < 0.2 * empty[0]
+    assert empty[0] == empty[2] > 0.05
 
 
 def test_wrong_numbers_are_refused():

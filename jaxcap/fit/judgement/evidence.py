@@ -39,6 +39,9 @@ MIN_COVERAGE_COSINE, COVERAGE_TOLERANCE = 0.1, 0.03
 TINY = 1e-9
 #: cells along a side of a depth buffer, which wraps around
 NUM_DEPTH_CELLS = 64
+#: the direction of an unknown sensor differs from the nearest known direction: sideways shift of an occluder for each metre
+#: in front of the body, and stride of the occluders, which are repeated with these shifts
+SHIFT, OCCLUDER_STRIDE = 0.15, 4
 
 
 class Evidence(eqx.Module):
@@ -198,13 +201,17 @@ def _visible_from(
     def project(points):
         return jnp.stack([points @ across.T, points @ up.T], -1) / (DEPTH_CELL_SIZE * size)
 
-    def from_one(cells, nearness, hiding_cells, hiding_nearness):
-        hiding = (hiding_cells, hiding_nearness, occluders[:, 3] > 0)
+    few = occluders[::OCCLUDER_STRIDE]
+    steps = SHIFT / (DEPTH_CELL_SIZE * size) * jnp.asarray(np.indices((3, 3)).reshape(2, 1, -1).T - 1.0)
+
+    def from_one(cells, nearness, hiding_cells, ahead):
+        shifted = (hiding_cells + steps * jnp.maximum(ahead, 0.0)[:, None]).reshape(-1, 2)
+        hiding = shifted, jnp.tile(ahead, len(steps)), jnp.tile(few[:, 3] > 0, len(steps))
         return _unoccluded(cells, nearness, OCCLUSION_DEPTH * size, hiding)
 
-    ahead = occluders[:, :3] @ directions.T
+    ahead = few[:, :3] @ directions.T
     return jax.vmap(from_one, (1, 1, 1, 1))(
-        project(vertices), vertices @ directions.T, project(occluders[:, :3]), ahead
+        project(vertices), vertices @ directions.T, project(few[:, :3]), ahead
     )
 
 
