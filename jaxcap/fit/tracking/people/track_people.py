@@ -67,7 +67,8 @@ def track_people(
     if given is not None and given != (given if count is None else count):
         raise InputError(f"{where}: there are {given} starts; expected {count}, one for each person.")
     poses = start is not None and len(start) > 0 and isinstance(start[0], Pose)
-    size = count or (given if poses and given else MAX_PEOPLE)
+    known = next((len(one.contacts) for one in start or () if isinstance(one, PersonFrame)), MAX_PEOPLE)
+    size = count or (given if poses and given else known)
     followers = _make_followers([trackers] * size if alike else list(trackers), up, on_search)
     return _track_people(followers, clouds, start, search, sigma, first, grows=count is None and not poses)
 
