@@ -5,9 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from ..body.body import Body, pose_body
 from ..errors import InputError
@@ -15,6 +12,7 @@ from ..fit.correspondence.find_pairs import within_aperture
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
+from ..geometry.sampling import connected_labels
 from ..observe.clouds import Cloud, make_cloud
 from .adapt_body import adapt_body
 from .task import AdaptState, AdaptTask
@@ -164,18 +162,6 @@ def person_sized_groups(
         if tall and slim and len(rows) >= MIN_OBJECT_SHARE * num_scan_points:
             found.append(rows)
     return sorted(found, key=len, reverse=True)
-
-
-def connected_labels(points: Float[np.ndarray, "N 3"], link_length: float) -> Int[np.ndarray, "N"]:
-    """Label connected components of points.
-
-    Cells have a side of half a `link_length`, metres. Occupied cells are connected if their distance is at most two
-    sides.
-    """
-    cells, cell_of = np.unique(np.floor(points / (link_length / 2)).astype(int), axis=0, return_inverse=True)
-    pairs = KDTree(cells).query_pairs(2.0, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    return connected_components(graph, directed=False)[1][cell_of.reshape(-1)]
 
 
 def _fit_quality_alone(task: AdaptTask, cloud: Cloud) -> FitQuality:

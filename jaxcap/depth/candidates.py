@@ -94,7 +94,7 @@ def is_piece(
 ) -> bool:
     """Test if two surfaces are near enough to each other, and together small enough, to be of one person."""
     both = np.concatenate([points, others])
-    return _extent(both) <= MAX_EXTENT and _gap(points, others) < max_gap
+    return _extent(both) <= MAX_EXTENT and surface_gap(points, others) < max_gap
 
 
 def _extent(points: Float[np.ndarray, "N 3"]) -> float:
@@ -102,5 +102,6 @@ def _extent(points: Float[np.ndarray, "N 3"]) -> float:
     return float((high - low).max())
 
 
-def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
+def surface_gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> float:
+    """Compute the smallest distance of some points of a surface to another one, metres."""
     return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())

@@ -37,6 +37,7 @@ def cloud_of_depths(
     voxel: float = VOXEL,
     name: str = "the frame",
     keep_missing: bool = False,
+    max_apart: float = MAX_APART,
 ) -> Cloud:
     """Make the cloud of the person in one frame of depth images, with their views.
 
@@ -46,7 +47,8 @@ def cloud_of_depths(
     **Arguments:** `depths`, metres, zero where nothing was measured, one for each of the `cameras`; `masks`, the pixels
     of the person, found by `find_person` where None; `backgrounds` for this search, of `estimate_background`; `voxel`, the
     side of the cubes that keep one point each, metres; `name` for messages; `keep_missing`, return a cloud without points
-    instead of a `NoPersonError`: its `missing` has the reason, and tracking keeps the pose.
+    instead of a `NoPersonError`: its `missing` has the reason, and tracking keeps the pose; `max_apart`, the largest
+    distance of the people that two cameras see, metres: infinite for masks of several people.
 
     **Raises:** `InputError` if there are other numbers of images than of cameras, or an image has another size than its
     camera's, or depths that cannot be in metres; `NoPersonError` if no camera sees a person, or cameras see people that
@@ -75,7 +77,7 @@ def cloud_of_depths(
     try:
         if len(reasons) == len(cameras):
             raise NoPersonError(reasons[0])
-        _check_one_person(cameras, people, name)
+        _check_one_person(cameras, people, name, max_apart)
         scan = fuse_cloud(cameras, people, GAP, 2, voxel)
         # without a normal a point is at an edge, and may be between front and back
         sure = np.any(scan.normals != 0, 1)
@@ -112,7 +114,9 @@ def _person(
     return mask
 
 
-def _check_one_person(cameras: Sequence[Camera], people: list[np.ndarray], name: str) -> None:
+def _check_one_person(
+    cameras: Sequence[Camera], people: list[np.ndarray], name: str, max_apart: float
+) -> None:
     """Check that the cameras see people at one position. Raises `NoPersonError`."""
     middles = {
         number: np.median(measured_points(camera, depth), axis=0)
@@ -122,7 +126,7 @@ def _check_one_person(cameras: Sequence[Camera], people: list[np.ndarray], name:
     first = min(middles)
     for number, middle in middles.items():
         apart = float(np.linalg.norm(middle - middles[first]))
-        if apart > MAX_APART:
+        if apart > max_apart:
             raise NoPersonError(
                 f"{name}: the people that cameras {first} and {number} see are {apart:.1f} m apart; check the positions "
                 "and directions of the cameras, or give masks of one person."

@@ -51,6 +51,19 @@ def search_person(
 
     **Raises:** `InputError` if an image has another size than the camera's, or depths that cannot be in metres.
     """
+    search = segment_surfaces(camera, depth, background, where)
+    candidates = choose_person(search.candidates)
+    kept = [one.label for one in candidates if one.found in (PERSON, PIECE)]
+    return search._replace(candidates=candidates, person=mask_of(search, kept, depth))
+
+
+def segment_surfaces(
+    camera: Camera, depth: Float[np.ndarray, "H W"], background: Background | None, where: str
+) -> PersonSearch:
+    """Remove planes and background, and group the remaining pixels into connected surfaces; no person is chosen yet.
+
+    The errors are those of `search_person`.
+    """
     check_image_size_of(camera, depth, "image", where)
     check_depth_scale(depth, where)
     step, measured, eye = search_step(depth.shape), depth > 0, np.asarray(camera.eye, float)
@@ -65,10 +78,17 @@ def search_person(
     free = measured & ~on_plane & ~behind
     labels = connect_pixels(z, free[::step, ::step])
     focal = float(np.mean(np.asarray(camera.focal)))
-    candidates = choose_person(list_candidates(labels, few, (z * step / focal) ** 2, eye))
-    kept = [one.label for one in candidates if one.found in (PERSON, PIECE)]
-    person = _refine(np.isin(labels, kept), z, depth, free, step)
-    return PersonSearch(planes, on_plane, behind, candidates, labels, step, person)
+    candidates = list_candidates(labels, few, (z * step / focal) ** 2, eye)
+    return PersonSearch(planes, on_plane, behind, candidates, labels, step, np.zeros(depth.shape, bool))
+
+
+def mask_of(
+    search: PersonSearch, labels: list[int], depth: Float[np.ndarray, "H W"]
+) -> Bool[np.ndarray, "H W"]:
+    """Return the pixels of some of the surfaces of `segment_surfaces`."""
+    z = depth[:: search.step, :: search.step]
+    free = (depth > 0) & ~search.on_planes & ~search.on_background
+    return _refine(np.isin(search.labels, labels), z, depth, free, search.step)
 
 
 @checked

@@ -40,6 +40,8 @@ from .tracking.batch import scan_track as scan_track
 from .tracking.em_step import MixtureSettings as MixtureSettings
 from .tracking.em_step import make_mixture_settings as make_mixture_settings
 from .tracking.limb_flips import flip_limb_ends as flip_limb_ends
+from .tracking.people.person_frame import PersonFrame as PersonFrame
+from .tracking.people.track_people import track_people as track_people
 from .tracking.recover import TrackedFrame as TrackedFrame
 from .tracking.track import track_frames as track_frames
 from .tracking.track_frame import Tracker as Tracker

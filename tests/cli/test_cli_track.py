@@ -17,7 +17,8 @@ from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli.sources import load_body
 from jaxcap.cli.track import track as track_module
-from jaxcap.fit.tracking.track import Search, track_frames
+from jaxcap.fit.tracking.advance import Search
+from jaxcap.fit.tracking.track import track_frames
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion, load_skeleton
 from jaxcap.io.meshes.mesh import Mesh, write_mesh

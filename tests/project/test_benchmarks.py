@@ -59,6 +59,15 @@ def test_track_cmu(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_people_many(checkout, shared, tmp_path):
+    options = ("--scenarios", "handshake", "--frames", "6", "--picture", str(tmp_path / "people.png"))
+    line = run(checkout, "people_many", *options)
+    assert meets(line, "handshake_exchanges", "handshake_lost_but_not_alone")
+    assert (tmp_path / "people_handshake.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_lost(checkout, shared, tmp_path):
     picture = tmp_path / "judged.png"
     options = ("--scenes", "test_whole", "--frames", "12", "--every", "6", "--picture", str(picture))

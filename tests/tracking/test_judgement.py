@@ -213,7 +213,8 @@ def test_legs_through_each_other_are_told_where_every_point_is_explained(rng):
 def test_a_camera_sees_what_its_depth_buffer_says():
     camera = look_at([0.4, 0.6, 2.5], [0.0, 0.0, 0.0], 320, 240, 60.0)
     posed = _pose_body(SURFACE.body, REST)
-    ours = np.asarray(_visible_in_camera(camera, posed.vertices, SURFACE.normals, SURFACE.size))
+    nobody = jnp.zeros((0, 4))
+    ours = np.asarray(_visible_in_camera(camera, posed.vertices, SURFACE.normals, SURFACE.size, nobody))
     corners, _ = _even_samples(np.asarray(BODY.vertices), np.asarray(BODY.faces))
     seen = np.asarray(visible_vertices(camera, BODY.vertices, BODY.faces, 0.02))[corners]
     # samples are within triangles, and those of which one corner is hidden are on an edge

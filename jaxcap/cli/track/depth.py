@@ -4,12 +4,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from ...body.body import Body
 from ...depth.background import MAX_FRAMES, Background, spread_frames
 from ...depth.clouds import cloud_of_depths
-from ...errors import InputError
+from ...depth.people import find_people
+from ...errors import InputError, NoPersonError
 from ...fit.tracking.check_cloud import check_cloud
+from ...geometry.camera import Camera
 from ...io.archives.journal import read_header
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud, missing_cloud
@@ -22,13 +25,21 @@ BACKGROUND_KEY = "background images"
 
 
 def depth_clouds(
-    sources: DepthSources, backgrounds: Sequence[Background | None], body: Body
+    sources: DepthSources, backgrounds: Sequence[Background | None], body: Body, others: set[int]
 ) -> LazyFrames[Cloud]:
-    """Make clouds of the person with their depth images. A frame without a person is a `missing_cloud`."""
-    dofs = body.skeleton.num_dofs
+    """Make clouds of the person with their depth images. A frame without a person is a `missing_cloud`.
+
+    The numbers of frames without a mask that show a second person are added to `others` as they are read.
+    """
 
     def load(number: int) -> Cloud:
         frame = sources.images[number]
+        found = zip(sources.cameras, frame.depths, backgrounds, frame.masks, strict=True)
+        if any(
+            mask is None and len(_people(camera, depth, background, 2, frame.name)) > 1
+            for camera, depth, background, mask in found
+        ):
+            others.add(number)
         cloud = cloud_of_depths(
             sources.cameras,
             frame.depths,
@@ -37,18 +48,56 @@ def depth_clouds(
             name=frame.name,
             keep_missing=True,
         )
-        if cloud.missing:
-            return cloud
-        count = int((cloud.weights > 0).sum())
-        if count < dofs:
-            return missing_cloud(
-                f"{frame.name}: the person has {count} points, fewer than the {dofs} parameters of the pose.",
-                cloud.views,
-            )
-        check_cloud(body, cloud, frame.name)
-        return cloud
+        return _check(cloud, body, frame.name)
 
     return LazyFrames(sources.images.names, load)
+
+
+def people_clouds(
+    sources: DepthSources, backgrounds: Sequence[Background | None], body: Body, count: int
+) -> LazyFrames[Cloud]:
+    """Make clouds of at most `count` people, as `depth_clouds` makes them of one."""
+
+    def load(number: int) -> Cloud:
+        frame = sources.images[number]
+        found = zip(sources.cameras, frame.depths, backgrounds, frame.masks, strict=True)
+        masks = [
+            _mask(depth, _people(camera, depth, background, count, frame.name)) if mask is None else mask
+            for camera, depth, background, mask in found
+        ]
+        # two cameras may see different people
+        cloud = cloud_of_depths(
+            sources.cameras, frame.depths, masks, name=frame.name, keep_missing=True, max_apart=np.inf
+        )
+        return _check(cloud, body, frame.name)
+
+    return LazyFrames(sources.images.names, load)
+
+
+def _people(
+    camera: Camera, depth: Float[np.ndarray, "H W"], background: Background | None, count: int, where: str
+) -> list[Bool[np.ndarray, "H W"]]:
+    """Find at most `count` people in an image; none if it shows nobody."""
+    try:
+        return find_people(camera, depth, count, where, background=background)
+    except NoPersonError:
+        return []
+
+
+def _mask(depth: Float[np.ndarray, "H W"], people: list[Bool[np.ndarray, "H W"]]) -> Bool[np.ndarray, "H W"]:
+    return np.any([np.zeros(depth.shape, bool), *people], axis=0)
+
+
+def _check(cloud: Cloud, body: Body, name: str) -> Cloud:
+    """Check a cloud; one with too few points is a `missing_cloud`. Raises `InputError`."""
+    dofs = body.skeleton.num_dofs
+    count = int((cloud.weights > 0).sum())
+    if not cloud.missing and count < dofs:
+        reason = f"{name}: the person has {count} points, fewer than the {dofs} parameters of the pose."
+        return missing_cloud(reason, cloud.views)
+    if not cloud.missing:
+        check_cloud(body, cloud, name)
+    return cloud
 
 
 def background_frames(sources: DepthSources, journal: Path, resume: bool) -> list[int]:

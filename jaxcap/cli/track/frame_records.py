@@ -2,7 +2,7 @@
 
 import zlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,13 +12,15 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.baseline import initial_baseline
 from ...fit.judgement.region_samples import sample_regions
 from ...fit.judgement.verdict import UNSEEN, Judgement
 from ...fit.tracking.em_step import FrameStatistics
-from ...fit.tracking.recover import SearchHistory, TrackedFrame, reasons_of, unseen_of, verdict_of
-from ...fit.tracking.track_frame import Tracker, start_state
+from ...fit.tracking.people.person_frame import PersonFrame, frame_template
+from ...fit.tracking.recover import TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...fit.tracking.track_frame import Tracker
 
+#: a frame of one body, or of several people
+Frame = TypeVar("Frame", TrackedFrame, PersonFrame, tuple[PersonFrame, ...])
 #: column of a row with the hash of its cloud's name, and number of values before the pose
 CLOUD_AT, POSE_AT = 1, 2
 
@@ -33,7 +35,7 @@ def hash_cloud_name(name: str) -> float:
     return float(zlib.crc32(Path(name).name.encode("utf-8", "surrogateescape")))
 
 
-def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
+def pack(frame: Frame, seconds: float, cloud: str = "") -> Float[np.ndarray, "R"]:
     """Encode a frame as one row of numbers, exact in both precisions; `cloud` is its cloud's name."""
     return np.concatenate(
         [
@@ -43,8 +45,8 @@ def pack(frame: TrackedFrame, seconds: float, cloud: str = "") -> Float[np.ndarr
     )
 
 
-def unpack(template: TrackedFrame, row: Float[np.ndarray, "R"]) -> tuple[TrackedFrame, float]:
-    """Decode the frame of a row by `pack`, bit for bit, with the shapes and types of a `row_template`."""
+def unpack(template: Frame, row: Float[np.ndarray, "R"]) -> tuple[Frame, float]:
+    """Decode the frame of a row by `pack`, bit for bit, with the shapes and types of a template."""
     leaves, tree = jax.tree.flatten(template)
     numbers, at = [], POSE_AT
     for leaf in leaves:
@@ -67,6 +69,8 @@ class Results(NamedTuple):
     verdicts: list[tuple[str, tuple[str, ...]]]
     #: `unseen` of every `TrackedFrame`
     unseen: list[tuple[str, ...]]
+    #: `others` of every `TrackedFrame`
+    others: list[bool]
 
 
 def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
@@ -78,7 +82,7 @@ def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Re
         columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
         arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
         at += size
-    poses, statistics, lost, judgements = jax.tree.unflatten(tree, arrays)
+    poses, statistics, lost, judgements, others = jax.tree.unflatten(tree, arrays)
     lost = np.asarray(lost)
     judgements = jax.tree.map(np.asarray, judgements)
     verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
@@ -90,7 +94,8 @@ def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Re
         gone = bool(lost[number])
         verdicts[number] = verdict_of(gone, there), reasons_of(gone, there)
         unseen[number] = unseen_of(gone, there)
-    return Results(rows[:, 0], poses, jax.tree.map(np.asarray, statistics), verdicts, unseen)
+    statistics, others = jax.tree.map(np.asarray, (statistics, others))
+    return Results(rows[:, 0], poses, statistics, verdicts, unseen, others.astype(bool).tolist())
 
 
 def results_width(template: TrackedFrame) -> int:
@@ -98,11 +103,11 @@ def results_width(template: TrackedFrame) -> int:
     return POSE_AT + sum(np.size(leaf) for leaf in jax.tree.leaves(_results_in(template)))
 
 
-def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judgement]:
-    return frame.pose, frame.statistics, frame.lost, frame.judgement
+def _results_in(frame: TrackedFrame) -> tuple[Pose, FrameStatistics, bool, Judgement, bool]:
+    return frame.pose, frame.statistics, frame.lost, frame.judgement, frame.others
 
 
-def row_width(template: TrackedFrame) -> int:
+def row_width(template: Frame) -> int:
     """Count the values of a row."""
     return len(pack(template, 0.0))
 
@@ -115,13 +120,4 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     samples the body's surface, so call it once.
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
-    number = jnp.zeros((), pose.rotations.dtype)
-    statistics = FrameStatistics(number, number, number, number, number)
-    surface = sample_regions(tracker.body)
-    baseline = initial_baseline(surface, num_cameras)
-    support = jnp.zeros(len(surface.joints), number.dtype)
-    judgement = Judgement(
-        baseline.level, number, number, support, surface.names, surface.joints, surface.part_parents
-    )
-    state = start_state(tracker, pose)
-    return TrackedFrame(pose, statistics, False, judgement, state, pose, baseline, SearchHistory())
+    return frame_template(tracker, sample_regions(tracker.body), pose, num_cameras)

@@ -21,6 +21,8 @@ from .frame_records import CLOUD_AT, Results, hash_cloud_name
 
 #: the shape of the person, if it was estimated
 PERSON = "person.npz"
+#: beginning of the name of the folder of one person among several, followed by the number from 1
+PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
@@ -31,7 +33,8 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     replace them.
     """
     make_writable(folder)
-    there = [name for name in (*FILES, PERSON, journal) if (folder / name).exists()]
+    of_people = [f"{own.name}/{name}" for own in sorted(folder.glob(f"{PERSON_FOLDER}*")) for name in FILES]
+    there = [name for name in (*FILES, *of_people, PERSON, journal) if (folder / name).exists()]
     if there and not (resume or overwrite):
         what = "an unfinished run" if set(there) <= {PERSON, journal} else "the results of a run"
         raise InputError(
@@ -44,7 +47,15 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     if overwrite:
         for name in there:
             (folder / name).unlink()
+        for own in folder.glob(f"{PERSON_FOLDER}*"):
+            if own.is_dir() and not any(own.iterdir()):
+                own.rmdir()
     return folder / journal
+
+
+def person_folder(folder: Path, number: int) -> Path:
+    """Return the folder of the results of one person among several; `number` counts from 0."""
+    return folder / f"{PERSON_FOLDER}{number + 1}"
 
 
 def make_writable(folder: Path) -> None:
@@ -116,3 +127,11 @@ def write_results(
     ]
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
+
+
+def check_complete(count: int, clouds: Sequence) -> None:
+    """Report that tracking was stopped before the last frame, by a `KeyboardInterrupt`."""
+    if count < len(clouds):
+        raise KeyboardInterrupt(
+            f"stopped after {count} of {len(clouds)} frames, which are written; --resume continues"
+        )

@@ -1,6 +1,7 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
-from collections.abc import Callable, Iterator
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,9 +12,11 @@ from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
+from ...fit.tracking.advance import FirstSearch
 from ...fit.tracking.em_step import make_mixture_settings
+from ...fit.tracking.people.track_people import MAX_PEOPLE
 from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.track import FirstSearch, Search, track_frames, unseen_sentences, verdict_sentences
+from ...fit.tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.archives.npz import save_body
@@ -50,11 +53,29 @@ from ..depth.sources import (
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .depth import BACKGROUND_KEY, announce_missing, background_frames, check_some_person, depth_clouds
+from .announce import make_announcer
+from .depth import (
+    BACKGROUND_KEY,
+    announce_missing,
+    background_frames,
+    check_some_person,
+    depth_clouds,
+    people_clouds,
+)
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
-from .results import PERSON, check_folder, check_same_clouds, fingerprint, make_writable, write_results
+from .people import follow_people, people_template, read_count, write_people
+from .results import (
+    PERSON,
+    check_complete,
+    check_folder,
+    check_same_clouds,
+    fingerprint,
+    make_writable,
+    write_results,
+)
 
 JOURNAL = "journal"
+People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
 #: number of frames from which the shape of a person is estimated
 SHAPE_FRAMES = 40
 #: values of --initialise
@@ -84,6 +105,9 @@ class Track:
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
+    people: People = None
+    """Track several people in the same clouds: their largest number, or `auto` to find it. The clouds must not contain
+    floors or walls. The results of each person are written to a folder of its own, person_1 and so on."""
     fit_shape: Flag = False
     """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it.
     BODY must have the joints of the embedded human, as `human` does."""
@@ -131,7 +155,8 @@ class Track:
         )
         tracker = self.tracker(body, limits)
         rate = find_rate(self.rate, self.clouds, self.depth)
-        clouds, images, doubts = self.open_clouds(body)
+        others: set[int] = set()
+        clouds, images, doubts = self.open_clouds(body, others)
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
@@ -150,7 +175,10 @@ class Track:
                 **pose_layout(body.skeleton),
                 BACKGROUND_KEY: images,
             }
-            self.track(journal, tracker, clouds, rate, header)
+            if self.people is None:
+                self.track(journal, tracker, clouds, rate, header, others)
+            else:
+                self.track_people(journal, tracker, clouds, rate, header, read_count(self.people))
 
     def find_person(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
         """Estimate the shape of the person from the first frames and write it, or read it if an earlier run did."""
@@ -162,11 +190,11 @@ class Track:
         # the written body, so that a resumed run has the same one
         return load_body(str(path))[0]
 
-    def open_clouds(self, body: Body) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
+    def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
         """Open the clouds, or the depth images with their backgrounds.
 
         Return also the names of the images that show the background of the sequence itself, and what is not known of it,
-        in sentences. Raises `InputError`.
+        in sentences. Frames that show a second person are added to `others` as they are read. Raises `InputError`.
         """
         if not self.depth:
             return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up), [], []
@@ -180,7 +208,11 @@ class Track:
                 numbers = background_frames(sources, self.out / JOURNAL, self.resume)
             backgrounds = estimate_backgrounds(sources, numbers)
         names = [Path(sources.images.names[number]).name for number in numbers]
-        return depth_clouds(sources, backgrounds, body), names, describe_doubts(backgrounds)
+        if self.people is None:
+            clouds = depth_clouds(sources, backgrounds, body, others)
+        else:
+            clouds = people_clouds(sources, backgrounds, body, read_count(self.people) or MAX_PEOPLE)
+        return clouds, names, describe_doubts(backgrounds)
 
     def track(
         self,
@@ -189,21 +221,16 @@ class Track:
         clouds: LazyFrames[Cloud],
         rate: Rate,
         header: dict[str, object],
+        others: set[int],
     ) -> None:
         """Track all frames that the journal at `path` lacks, and write the results, while the lock excludes other
-        runs in the folder."""
+        runs in the folder. `others` has the frames that show a second person, once they are read."""
         body = tracker.body
         template = row_template(tracker, num_cameras=len(self.depth))
-        going_on = self.resume and path.is_file()
-        journal = (
-            resume_journal(path, header, row_width(template))
-            if going_on
-            else create_journal(path, header, row_width(template))
-        )
-        with journal:
+        with self.open_journal(path, header, row_width(template)) as journal:
             check_same_clouds(journal, clouds.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.track_remaining(tracker, clouds, journal, last)
+            self.track_remaining(self.steps(tracker, clouds, journal.count, last, others), clouds, journal)
         set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
@@ -212,17 +239,54 @@ class Track:
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
+        for sentence in (
+            *verdict_sentences(results.verdicts),
+            *unseen_sentences(results.unseen),
+            *others_sentences(results.others),
+        ):
             warn(sentence)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
                 "Check the unit, the up axis and the body."
             )
-        if len(rows) < len(clouds):
-            raise KeyboardInterrupt(
-                f"stopped after {len(rows)} of {len(clouds)} frames, which are written; --resume continues"
+        check_complete(len(rows), clouds)
+
+    def track_people(
+        self,
+        path: Path,
+        tracker: Tracker,
+        clouds: LazyFrames[Cloud],
+        rate: Rate,
+        header: dict[str, object],
+        count: int | None,
+    ) -> None:
+        """Track several people as `track` does one body; `count` is None if their number is to be found."""
+        template = people_template(tracker, count, len(self.depth))
+        with self.open_journal(path, header, row_width(template)) as journal:
+            check_same_clouds(journal, clouds.names)
+            last = None if journal.last is None else unpack(template, journal.last)[0]
+            frames = follow_people(
+                tracker,
+                iter(clouds[journal.count :]),
+                template,
+                count,
+                last,
+                search=SEARCHES[self.initialise],
+                sigma=self.sigma0,
+                first=journal.count,
+                announce=make_announcer(),
             )
+            self.track_remaining(timed(frames), clouds, journal)
+        set_activity("writing the results")
+        rows = journal.read()[: len(clouds)]
+        write_people(self.out, tracker, template, rows, rate.frames, clouds.names)
+        check_complete(len(rows), clouds)
+
+    def open_journal(self, path: Path, header: dict[str, object], width: int) -> Journal:
+        """Open the journal of an interrupted run, or create one."""
+        going_on = self.resume and path.is_file()
+        return (resume_journal if going_on else create_journal)(path, header, width)
 
     def check(self) -> None:
         """Check that options are in range. Raises `InputError`."""
@@ -253,6 +317,12 @@ class Track:
         for name, there in given.items():
             if there and not self.depth:
                 raise InputError(f"{name} is for depth images; give these with --depth.")
+        if self.people is not None:
+            read_count(self.people)
+            if self.fit_shape:
+                raise InputError(
+                    "--fit-shape estimates the shape of one person; it cannot be given with --people."
+                )
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
 
@@ -276,6 +346,7 @@ class Track:
             "partial",
             "fit_shape",
             "background",
+            "people",
         )
         return {name: getattr(self, name) for name in (*numbers, *choices)}
 
@@ -293,11 +364,8 @@ class Track:
             body, mixture, terms, iterations=self.iterations, partial=self.partial or bool(self.depth)
         )
 
-    def track_remaining(
-        self, tracker: Tracker, clouds: LazyFrames[Cloud], journal: Journal, last: TrackedFrame | None
-    ) -> None:
-        """Track all frames after the `last` of the journal, and append them; Ctrl-C stops early."""
-        steps = self.steps(tracker, clouds, journal.count, last)
+    def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:
+        """Append the frames of all `steps` to the journal, each with its seconds; Ctrl-C stops early."""
         try:
             for frame, took in progress(steps, len(clouds), min(journal.count, len(clouds))):
                 journal.append(pack(frame, took, clouds.names[journal.count]))
@@ -310,20 +378,25 @@ class Track:
             raise InputError(f"{user_message(error)}{kept}") from None
 
     def steps(
-        self, tracker: Tracker, clouds: LazyFrames[Cloud], begin: int, last: TrackedFrame | None
+        self,
+        tracker: Tracker,
+        clouds: LazyFrames[Cloud],
+        begin: int,
+        last: TrackedFrame | None,
+        others: set[int],
     ) -> Iterator[tuple[TrackedFrame, float]]:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
-        return timed(
-            track_frames(
-                tracker,
-                announce_missing(iter(clouds[begin:])),
-                last,
-                search=SEARCHES[self.initialise],
-                sigma=self.sigma0,
-                first=begin,
-                on_search=make_announcer(),
-            )
+        frames = track_frames(
+            tracker,
+            announce_missing(iter(clouds[begin:])),
+            last,
+            search=SEARCHES[self.initialise],
+            sigma=self.sigma0,
+            first=begin,
+            on_search=make_announcer(),
         )
+        for number, (frame, seconds) in enumerate(timed(frames), begin):
+            yield dataclasses.replace(frame, others=frame.others or number in others), seconds
 
 
 def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
@@ -338,19 +411,3 @@ def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
         if len(found) == count:
             break
     return found
-
-
-def make_announcer() -> Callable[[Search], None]:
-    """Return a function that prints the frame of a pose search and its reason, before the search begins."""
-    compiled = False
-
-    def announce(search: Search) -> None:
-        nonlocal compiled
-        why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
-        many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
-        before = f"; {many} before it" if search.num_earlier else ""
-        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
-        warn(f"searching for the pose of frame {search.frame}{why}{before}{once}")
-        compiled = True
-
-    return announce

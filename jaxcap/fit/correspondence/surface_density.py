@@ -29,6 +29,26 @@ def surface_log_density(
     **Arguments:** `found` at the same `posed`, `cloud` and `sigma`; the others as in `posterior`. Points of weight zero
     have no meaning.
     """
+    log_part = matched_log_density(found, parts, posed, cloud, sigma, tangential_weight)
+    share = jnp.maximum(outlier, MIN_OUTLIER)
+    log_outlier = jnp.log(share) - jnp.log(box_volume)
+    return jnp.logaddexp(jnp.log1p(-share) + log_part, log_outlier)
+
+
+def matched_log_density(
+    found: Posterior,
+    parts: PartBlocks,
+    posed: Posed,
+    cloud: Cloud,
+    sigma: Float[Array, ""],
+    tangential_weight: Float[Array, ""],
+) -> Float[Array, "N"]:
+    """Compute the log-density of each point on its likeliest part, without an outlier class.
+
+    It is minus infinity where no part explains the point.
+
+    **Arguments:** as in `surface_log_density`.
+    """
     best = jnp.argmax(found.weights, axis=1)[:, None]
     rows = jnp.take_along_axis(found.vertices, best, 1)[:, 0]
     explained = jnp.take_along_axis(found.weights, best, 1)[:, 0] > 0
@@ -36,9 +56,5 @@ def surface_log_density(
     across = jnp.sum(away * posed.normals[rows], -1) ** 2
     squared = across + tangential_weight * (jnp.sum(away**2, -1) - across)
     present = sum(count > 0 for count in parts.blocks_of_part)
-    share = jnp.maximum(outlier, MIN_OUTLIER)
-    log_part = (
-        jnp.log1p(-share) - jnp.log(present) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - squared / (2 * sigma**2)
-    )
-    log_outlier = jnp.log(share) - jnp.log(box_volume)
-    return jnp.where(explained, jnp.logaddexp(log_part, log_outlier), log_outlier)
+    log_part = -jnp.log(present) - 1.5 * jnp.log(2 * jnp.pi * sigma**2) - squared / (2 * sigma**2)
+    return jnp.where(explained, log_part, -jnp.inf)

@@ -39,6 +39,9 @@ MIN_COVERAGE_COSINE, COVERAGE_TOLERANCE = 0.1, 0.03
 TINY = 1e-9
 #: cells along a side of a depth buffer, which wraps around
 NUM_DEPTH_CELLS = 64
+#: the direction of an unknown sensor differs from the nearest known direction: sideways shift of an occluder for each metre
+#: in front of the body, and stride of the occluders, which are repeated with these shifts
+SHIFT, OCCLUDER_STRIDE = 0.15, 4
 
 
 class Evidence(eqx.Module):
@@ -61,7 +64,11 @@ class Evidence(eqx.Module):
 
 @eqx.filter_jit
 def gather_evidence(
-    surface: RegionSamples, pose: Pose, cloud: Cloud, sensors: Float[Array, "D"] | Sequence[Camera] = ()
+    surface: RegionSamples,
+    pose: Pose,
+    cloud: Cloud,
+    sensors: Float[Array, "D"] | Sequence[Camera] = (),
+    occluders: Float[Array, "O 4"] | None = None,
 ) -> Evidence:
     """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
@@ -70,7 +77,8 @@ def gather_evidence(
     **Arguments:** `sensors` are the cameras where they are known. Otherwise `NUM_DIRECTIONS` spread over the
     sphere represent possible sensors: the array is one for each direction of a sensor (`sensor_directions`) and zero
     for the others. Where it is empty or zero, the directions of this frame that show the least empty surface
-    are used.
+    are used. `occluders` are points of other surfaces that hide the body, such as other people's, metres, each with a
+    fourth number that is one, or zero for none.
     """
     posed = pose_body(surface.body, pose)
     turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
@@ -81,6 +89,8 @@ def gather_evidence(
     # relative to the body's centre, as differences of squares lose digits far from the origin
     middle = jnp.mean(posed.vertices, 0)
     vertices, points = posed.vertices - middle, points - middle
+    before = jnp.zeros((0, 4), vertices.dtype) if occluders is None else occluders
+    hiding = before - jnp.append(middle, 0.0)
     squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ vertices.T + jnp.sum(vertices**2, 1)
     known = jnp.any(point_normals != 0, 1)
     fits = (point_normals @ normals.T > MIN_NORMAL_COSINE) | ~known[:, None]
@@ -95,14 +105,14 @@ def gather_evidence(
     covered = jnp.min(jnp.where(weights[:, None] > 0, near, jnp.inf), 0) <= gap**2
     if isinstance(sensors, Sequence) and len(sensors):
         expected = jnp.stack(
-            [_visible_in_camera(camera, posed.vertices, normals, size) for camera in sensors]
+            [_visible_in_camera(camera, posed.vertices, normals, size, before) for camera in sensors]
         )
         share = _coverage(expected, covered)
         expected = jnp.any(expected, 0)
     else:
         directions = jnp.asarray(_fibonacci_directions(NUM_DIRECTIONS), vertices.dtype)
         cosine = (normals @ directions.T).T
-        clear = _visible_from(directions, vertices, size)
+        clear = _visible_from(directions, vertices, size, hiding)
         # at grazing angles the coverage falls steeply with the angle to the next sensor
         share = _coverage(clear & (cosine > MIN_COVERAGE_COSINE), covered)
         selected = share >= jnp.max(share) - COVERAGE_TOLERANCE
@@ -177,19 +187,40 @@ def _fibonacci_directions(count: int) -> Float[np.ndarray, "D 3"]:
 
 
 def _visible_from(
-    directions: Float[Array, "D 3"], vertices: Float[Array, "S 3"], size: Float[Array, ""]
+    directions: Float[Array, "D 3"],
+    vertices: Float[Array, "S 3"],
+    size: Float[Array, ""],
+    occluders: Float[Array, "O 4"],
 ) -> Bool[Array, "D S"]:
     """Find the samples that are not occluded from a distant camera in each direction."""
     helper = jnp.where(jnp.abs(directions[:, 1:2]) < 0.9, jnp.eye(3)[1], jnp.eye(3)[0])
     across = jnp.cross(helper, directions)
     across = across / jnp.linalg.norm(across, axis=1, keepdims=True)
     up = jnp.cross(directions, across)
-    cells = jnp.stack([vertices @ across.T, vertices @ up.T], -1) / (DEPTH_CELL_SIZE * size)
-    return jax.vmap(_unoccluded, (1, 1, None))(cells, vertices @ directions.T, OCCLUSION_DEPTH * size)
+
+    def project(points):
+        return jnp.stack([points @ across.T, points @ up.T], -1) / (DEPTH_CELL_SIZE * size)
+
+    few = occluders[::OCCLUDER_STRIDE]
+    steps = SHIFT / (DEPTH_CELL_SIZE * size) * jnp.asarray(np.indices((3, 3)).reshape(2, 1, -1).T - 1.0)
+
+    def from_one(cells, nearness, hiding_cells, ahead):
+        shifted = (hiding_cells + steps * jnp.maximum(ahead, 0.0)[:, None]).reshape(-1, 2)
+        hiding = shifted, jnp.tile(ahead, len(steps)), jnp.tile(few[:, 3] > 0, len(steps))
+        return _unoccluded(cells, nearness, OCCLUSION_DEPTH * size, hiding)
+
+    ahead = few[:, :3] @ directions.T
+    return jax.vmap(from_one, (1, 1, 1, 1))(
+        project(vertices), vertices @ directions.T, project(few[:, :3]), ahead
+    )
 
 
 def _visible_in_camera(
-    camera: Camera, vertices: Float[Array, "S 3"], normals: Float[Array, "S 3"], size
+    camera: Camera,
+    vertices: Float[Array, "S 3"],
+    normals: Float[Array, "S 3"],
+    size,
+    occluders: Float[Array, "O 4"],
 ) -> Bool[Array, "S"]:
     """Find the samples that a camera sees."""
     sight = camera.eye - vertices
@@ -197,17 +228,37 @@ def _visible_in_camera(
     pixels, depth = project_points(camera, vertices)
     # a cell is as wide as `DEPTH_CELL_SIZE` in the depth of the body's centre
     wide = DEPTH_CELL_SIZE * size * jnp.mean(camera.focal) / jnp.maximum(jnp.median(depth), 1e-3)
-    clear = _unoccluded(pixels / wide, -depth, OCCLUSION_DEPTH * size)
+    hiding_pixels, hiding_depth = project_points(camera, occluders[:, :3])
+    ahead = (occluders[:, 3] > 0) & (hiding_depth > 0)
+    hiding = (hiding_pixels / wide, -hiding_depth, ahead)
+    clear = _unoccluded(pixels / wide, -depth, OCCLUSION_DEPTH * size, hiding)
     return clear & is_in_image(camera, vertices) & (jnp.sum(sight * normals, 1) > MIN_SIGHT_COSINE)
 
 
 def _unoccluded(
-    positions: Float[Array, "S 2"], nearness: Float[Array, "S"], tolerance: Float[Array, ""]
+    positions: Float[Array, "S 2"],
+    nearness: Float[Array, "S"],
+    tolerance: Float[Array, ""],
+    hiding: tuple[Float[Array, "O 2"], Float[Array, "O"], Bool[Array, "O"]],
 ) -> Bool[Array, "S"]:
-    """Find the samples without another in their cell that is nearer by more than `tolerance`."""
-    column, row = (
-        jnp.mod(jnp.floor(positions[:, axis]), NUM_DEPTH_CELLS).astype(jnp.int32) for axis in (0, 1)
-    )
-    cell = row * NUM_DEPTH_CELLS + column
+    """Find the samples without another one, or a point of another surface, in their cell that is nearer by more than
+    `tolerance`.
+
+    `hiding` are positions and nearness of the other surface's points, and whether they count.
+    """
+
+    def cell_of(positions):
+        column, row = (
+            jnp.mod(jnp.floor(positions[:, axis]), NUM_DEPTH_CELLS).astype(jnp.int32) for axis in (0, 1)
+        )
+        return row * NUM_DEPTH_CELLS + column
+
+    cell = cell_of(positions)
     nearest = jnp.full(NUM_DEPTH_CELLS * NUM_DEPTH_CELLS, -jnp.inf, nearness.dtype).at[cell].max(nearness)
+    other, other_nearness, counts = hiding
+    if len(other):
+        # the cells wrap around, so that distant points would hide the body as well
+        low, high = jnp.min(positions, 0), jnp.max(positions, 0)
+        counts = counts & jnp.all((other >= low - 1.0) & (other <= high + 1.0), 1)
+        nearest = nearest.at[cell_of(other)].max(jnp.where(counts, other_nearness, -jnp.inf))
     return nearness >= nearest[cell] - tolerance

@@ -26,7 +26,7 @@ def missing_frame(
     unknown = jnp.full((), jnp.nan, pose.rotations.dtype)
     statistics = FrameStatistics(unknown, unknown, unknown, unknown, state.estimate.sigma)
     judgement = nothing_to_judge(surface, baseline)
-    return TrackedFrame(pose, statistics, True, judgement, state, pose, baseline, searches)
+    return TrackedFrame(pose, statistics, True, judgement, False, state, pose, baseline, searches)
 
 
 def has_begun(frame: TrackedFrame) -> bool:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from ...body.pose import Pose, concatenate_poses
 from ...energy.priors.reference_pose import tangent_deviations
@@ -81,6 +81,8 @@ class TrackedFrame(eqx.Module):
     lost: bool
     #: faults by part, compared with the previous frames
     judgement: Judgement
+    #: the cloud has another object of a person's size, whose points are outliers
+    others: bool
     #: start of the next frame; with the three fields below it is sufficient to resume after a stop
     state: TrackState
     #: pose of the last frame that was not lost, including this one
@@ -128,7 +130,12 @@ def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
 
 
 def track_first_frame(
-    tracker: Tracker, surface: RegionSamples, cloud: Cloud, pose: Pose, sigma: float
+    tracker: Tracker,
+    surface: RegionSamples,
+    cloud: Cloud,
+    pose: Pose,
+    sigma: float,
+    occluders: Float[Array, "O 4"] | None = None,
 ) -> TrackedFrame:
     """Track the first frame from a pose near it.
 
@@ -141,7 +148,8 @@ def track_first_frame(
         state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
     baseline = initial_baseline(surface, len(cloud.views))
-    frame = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline)
+    reached = reset_velocity(tracker, state)
+    frame = judge_frame(surface, cloud, reached, statistics, baseline, occluders=occluders)
     return finish_frame(tracker, frame, pose)
 
 
@@ -152,26 +160,31 @@ def judge_frame(
     statistics: FrameStatistics,
     baseline: Baseline,
     searches: SearchHistory = NO_SEARCHES,
+    occluders: Float[Array, "O 4"] | None = None,
 ) -> TrackedFrame:
-    """Compare a frame with the `baseline`, and update this if the frame is good.
+    """Compare a frame with the `baseline`, and update this if the frame is good; `occluders` as in `gather_evidence`.
 
     Doubtful frames would gradually make their faults normal. The first frame that is not lost has nothing to
     be compared with, and updates them.
     """
     pose = state.estimate.pose
-    judgement, renewed = _compare(surface, baseline, pose, cloud)
+    judgement, renewed = _compare(surface, baseline, pose, cloud, occluders)
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
-    return TrackedFrame(pose, statistics, lost, judgement, state, pose, renewed, searches)
+    return TrackedFrame(pose, statistics, lost, judgement, False, state, pose, renewed, searches)
 
 
 @eqx.filter_jit
 def _compare(
-    surface: RegionSamples, baseline: Baseline, pose: Pose, cloud: Cloud
+    surface: RegionSamples,
+    baseline: Baseline,
+    pose: Pose,
+    cloud: Cloud,
+    occluders: Float[Array, "O 4"] | None,
 ) -> tuple[Judgement, Baseline]:
     cameras = [view.camera for view in cloud.views]
-    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline))
+    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline), occluders)
     return judge_evidence(surface, baseline, evidence), update_baseline(baseline, evidence)
 
 
@@ -213,6 +226,7 @@ def search_frame(
     cloud: Cloud,
     key: PRNGKeyArray,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    occluders: Float[Array, "O 4"] | None = None,
 ) -> TrackedFrame:
     """Search for a frame, which was compared with `baseline`, from many starts (Kineben, section 6, "global
     refinement").
@@ -244,7 +258,8 @@ def search_frame(
     state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
     searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
-    found = judge_frame(surface, cloud, reset_velocity(tracker, state), statistics, baseline, searches)
+    reached = reset_velocity(tracker, state)
+    found = judge_frame(surface, cloud, reached, statistics, baseline, searches, occluders)
     if choose_better(tracker, cloud, found, frame) is frame:
         return failed
     # a better pose that is not good either keeps the pause

@@ -1,10 +1,8 @@
 """Tracking of whole sequences, as a stream or at once."""
 
-import logging
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,42 +16,15 @@ from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames, as_cloud
 from ...value_checks import check_direction
-from ..judgement.baseline import initial_baseline
-from ..judgement.region_samples import sample_regions
+from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
-from .compare_poses import choose_likeliest, likelier_pose
-from .initialise import coarse_tracker, initialise
 from .missing import has_begun, missing_frame
-from .recover import (
-    SearchHistory,
-    TrackedFrame,
-    choose_better,
-    finish_frame,
-    judge_frame,
-    needs_search,
-    reset_velocity,
-    search_frame,
-    track_first_frame,
-    track_frame_jit,
-)
+from .people.other_people import shows_others
+from .recover import TrackedFrame
 from .track_frame import Tracker, check_sigma, make_tracker
 
-_LOG = logging.getLogger(__name__)
 #: largest numbers of frames and reasons named in a sentence
 MAX_NAMED_FRAMES, MAX_NAMED_REASONS = 20, 4
-#: search for the pose of a first frame: if the start does not explain the cloud, always, never
-FirstSearch = Literal["auto"] | bool
-
-
-class Search(NamedTuple):
-    """A search that is about to begin; the first one of a process compiles for a minute or more."""
-
-    #: number of the frame
-    frame: int
-    #: the faults, as in `TrackedFrame.reasons`; empty for a requested search
-    reasons: tuple[str, ...]
-    #: number of earlier searches
-    num_earlier: int
 
 
 @checked
@@ -107,69 +78,25 @@ def _track_frames(
     margin: float,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
-    coarse, surface = None, sample_regions(tracker.body)
+    follower = make_follower(tracker, up, on_search)
     frame = start if isinstance(start, TrackedFrame) else None
     # where the first frame with a person starts
     pose = rest_pose(tracker.body.skeleton) if start is None else start
     pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
-
-    def begin_search(number: int, reasons: tuple[str, ...], before: float) -> Tracker:
-        _LOG.info("searching for a better pose of frame %d", number)
-        if on_search is not None:
-            on_search(Search(number, reasons, int(before)))
-        return coarse_tracker(tracker) if coarse is None else coarse
-
-    for number, cloud in enumerate(_iterate_clouds(clouds), first):
+    for number, cloud in enumerate(iterate_clouds(clouds), first):
         if cloud.missing:
-            frame = missing_frame(tracker, surface, cloud, frame, pose)
+            frame = missing_frame(tracker, follower.surface, cloud, frame, pose)
             yield frame
             continue
         check_cloud(tracker.body, cloud, f"cloud {number}")
+        likely = None if candidates is None else candidates(number)
         if frame is None or not has_begun(frame):
-            frame = None
-            if search is not True:
-                frame = track_first_frame(tracker, surface, cloud, pose, sigma)
-            if frame is None or (search == "auto" and frame.verdict != "good"):
-                coarse = begin_search(number, () if frame is None else frame.reasons, 0.0)
-                pose, _ = initialise(tracker, cloud, up=up, coarse=coarse)
-                found = track_first_frame(tracker, surface, cloud, pose, 0.03)
-                frame = found if frame is None else choose_better(tracker, cloud, found, frame)
-                frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
-            if candidates is not None:
-                reached = frame.state, frame.statistics
-                state, statistics = choose_likeliest(
-                    tracker, *reached, candidates(number), pose, cloud, margin
-                )
-                if state is not frame.state:
-                    baseline = initial_baseline(surface, len(cloud.views))
-                    searches = SearchHistory(count=frame.searches.count)
-                    frame = judge_frame(surface, cloud, state, statistics, baseline, searches)
-                    frame = finish_frame(tracker, frame, pose)
+            frame = find_first_frame(
+                follower, cloud, pose, number, search=search, sigma=sigma, candidates=likely, margin=margin
+            )
         else:
-            before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
-            state, statistics = track_frame_jit(tracker, frame.state, cloud)
-            # a lost frame may have led away from the correct pose
-            others = [
-                *([trusted] if frame.lost else []),
-                *(candidates(number) if candidates is not None else []),
-            ]
-            if others:
-                state, statistics = choose_likeliest(
-                    tracker, state, statistics, others, before, cloud, margin
-                )
-            if frame.lost:
-                state = reset_velocity(tracker, state)
-            frame = judge_frame(surface, cloud, state, statistics, baseline, frame.searches)
-            if needs_search(frame):
-                coarse = begin_search(number, frame.reasons, frame.searches.count)
-                key = jax.random.key(number)
-                found = search_frame(tracker, surface, coarse, frame, baseline, trusted, cloud, key, up)
-                if candidates is not None and found.pose is not frame.pose:
-                    # the end of a search may be worse than its start
-                    likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
-                    found = found if likelier is found.pose else frame
-                frame = found
-            frame = finish_frame(tracker, frame, trusted)
+            frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
+        frame = eqx.tree_at(lambda f: f.others, frame, shows_others(follower, frame.pose, cloud))
         yield frame
 
 
@@ -192,8 +119,8 @@ def track(
     of the first frame; `rate` frames per second; `tracker` for other settings than the default, made of the
     same body; `search`, `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a
     log-likelihood, such as `make_floor(body)`, where no tracker is given. A warning names lost or doubtful
-    frames, with their faults, and parts of the body without points; `track_frames` gives the verdict on each
-    frame.
+    frames, with their faults, and parts of the body without points, and frames that show another person; `track_frames` gives the verdict on
+    each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in another unit.
     """
@@ -203,13 +130,14 @@ def track(
         )
     check_rate("track", rate)
     tracker = make_tracker(body, terms=terms) if tracker is None else tracker
-    poses, verdicts, unseen = [], [], []
+    poses, verdicts, unseen, others = [], [], [], []
     for frame in track_frames(tracker, clouds, start, search=search, sigma=sigma, up=up):
         # copies in NumPy: a JAX array has an overhead of a kilobyte
         poses.append(jax.tree.map(np.array, frame.pose))
         verdicts.append((frame.verdict, frame.reasons))
         unseen.append(frame.unseen)
-    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen)):
+        others.append(frame.others)
+    for sentence in (*verdict_sentences(verdicts), *unseen_sentences(unseen), *others_sentences(others)):
         warnings.warn(f"{sentence}.", stacklevel=3)
     return stack_poses(poses, rate)
 
@@ -224,9 +152,7 @@ def verdict_sentences(verdicts: Sequence[tuple[str, Sequence[str]]]) -> list[str
         numbers = [number for number, (found, _) in enumerate(verdicts) if found == verdict]
         if not numbers:
             continue
-        named = ", ".join(map(str, numbers[:MAX_NAMED_FRAMES])) + (
-            " and more" if len(numbers) > MAX_NAMED_FRAMES else ""
-        )
+        named = name_frames(numbers)
         counts = Counter(reason for number in numbers for reason in verdicts[number][1])
         reasons = "; ".join(
             f"{reason} (in {count})" for reason, count in counts.most_common(MAX_NAMED_REASONS)
@@ -258,7 +184,27 @@ def unseen_sentences(unseen: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-def _iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
+def others_sentences(others: Sequence[bool]) -> list[str]:
+    """Describe the frames that show more than one person; without a full stop.
+
+    **Arguments:** `others` of every `TrackedFrame`.
+    """
+    numbers = [number for number, found in enumerate(others) if found]
+    if not numbers:
+        return []
+    return [
+        f"{len(numbers)} of {len(others)} frames show something else of a person's size, which may be another person: "
+        f"{name_frames(numbers)}, counted from 0; its points are outliers; track several people with track_people or --people"
+    ]
+
+
+def name_frames(numbers: Sequence[int]) -> str:
+    """List frames by their numbers, at most `MAX_NAMED_FRAMES`."""
+    more = " and more" if len(numbers) > MAX_NAMED_FRAMES else ""
+    return ", ".join(map(str, numbers[:MAX_NAMED_FRAMES])) + more
+
+
+def iterate_clouds(clouds: Iterable[Cloud | Scan] | Cloud) -> Iterator[Cloud]:
     """Iterate over frames, also of scans as read from files, and of one cloud stacked over frames."""
     if isinstance(clouds, (Cloud, Scan)):
         return iter(CloudFrames(clouds))  # pyright: ignore[reportArgumentType] - a scan is refused there

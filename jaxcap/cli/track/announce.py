@@ -1,0 +1,25 @@
+"""Messages on the searches of a tracking run."""
+
+from collections.abc import Callable
+
+from ...fit.tracking.advance import Search
+from ..console.console import warn
+
+
+def make_announcer() -> Callable[..., None]:
+    """Return a function that prints the frame of a pose search and its reason, before the search begins.
+
+    Its second argument names the person, such as " of person 2 in".
+    """
+    compiled = False
+
+    def announce(search: Search, whose: str = " of") -> None:
+        nonlocal compiled
+        why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
+        many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
+        before = f"; {many} before it" if search.num_earlier else ""
+        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
+        warn(f"searching for the pose{whose} frame {search.frame}{why}{before}{once}")
+        compiled = True
+
+    return announce

@@ -1,0 +1,80 @@
+"""Several people in a depth image of a room."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..arguments import checked
+from ..errors import NoPersonError
+from ..geometry.camera import Camera
+from ..value_checks import check_at_least
+from .background import Background
+from .candidates import (
+    MAX_DISTANCE,
+    MAX_EXTENT,
+    MAX_PIECE_GAP,
+    MAX_SMALL_GAP,
+    MIN_AREA,
+    MIN_EXTENT,
+    Candidate,
+    is_piece,
+    surface_gap,
+)
+from .person import mask_of, segment_surfaces
+
+#: people who touch are one surface, whose longest side may be larger than a person's by this factor
+TOUCHING = 1.5
+#: least height of a person, as a share of the nearest one's
+MIN_HEIGHT_SHARE = 0.6
+
+
+@checked
+def find_people(
+    camera: Camera,
+    depth: Float[np.ndarray, "H W"],
+    count: int = 2,
+    where: str = "the image",
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    background: Background | None = None,
+) -> list[Bool[np.ndarray, "H W"]]:
+    """Find the pixels of at most `count` people, nearest first; people who touch are one mask.
+
+    As `find_person`: floors, walls and the background are removed, the other pixels are grouped into connected surfaces, and
+    surfaces of a person's size are people, unless they are much lower than the nearest one. Smaller surfaces are added to
+    the person next to them.
+
+    **Arguments:** `depth`, metres, zero for pixels without measurement; `where` names the image in messages; `up`,
+    the vertical of the camera's world; `background` of `estimate_background`.
+
+    **Raises:** `InputError` as `search_person`; `NoPersonError` if nothing was measured, or no surface has the size of a
+    person.
+    """
+    check_at_least("find_people", 1, count=count)
+    search = segment_surfaces(camera, depth, background, where)
+    largest = MAX_EXTENT * (1.0 if count == 1 else TOUCHING)
+    large = [
+        one
+        for one in search.candidates
+        if one.area >= MIN_AREA and MIN_EXTENT <= one.extent <= largest and one.distance <= MAX_DISTANCE
+    ]
+    if not large:
+        raise NoPersonError(
+            f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
+        )
+    large.sort(key=lambda one: one.distance / one.area**0.25)
+    heights = [_height(one, up) for one in large]
+    tall = [height >= MIN_HEIGHT_SHARE * heights[0] for height in heights]
+    people = [[one] for one, high in zip(large, tall, strict=True) if high][:count]
+    others = [one for one in search.candidates if all(one.label != person[0].label for person in people)]
+    # larger pieces first, so that smaller ones find them
+    for one in sorted(others, key=lambda one: -one.area):
+        own = min(people, key=lambda person: min(surface_gap(piece.points, one.points) for piece in person))
+        gap = MAX_PIECE_GAP if one.area < own[0].area else 0.0
+        points = np.concatenate([piece.points for piece in own])
+        if is_piece(own[0].points, one.points, gap) or is_piece(points, one.points, MAX_SMALL_GAP):
+            own.append(one)
+    return [mask_of(search, [piece.label for piece in own], depth) for own in people]
+
+
+def _height(one: Candidate, up: tuple[float, float, float]) -> float:
+    low, high = np.quantile(one.points @ (np.asarray(up) / np.linalg.norm(up)), [0.02, 0.98])
+    return float(high - low)

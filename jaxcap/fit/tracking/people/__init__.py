@@ -1,0 +1,1 @@
+"""Tracking of several people in the same clouds."""

@@ -1,0 +1,109 @@
+"""`jaxcap track --people`: a folder for each person, refusals, and a stopped run."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import FRAMES, fails, runs, write_inputs
+
+from jaxcap.cli import main
+from jaxcap.fit.tracking import advance
+from jaxcap.io.archives.journal import Journal
+from jaxcap.io.archives.npz import load_motion
+
+DISTANCE = 1.4
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """Clouds of a small human, and of the same one with a second one next to it from the third frame on."""
+    folder = write_inputs(tmp_path_factory.mktemp("people"))
+    with np.load(folder / "clouds.npz") as file:
+        points, normals = file["points"], file["normals"]
+    second = points + [DISTANCE, 0.0, 0.0]
+    # before, the points of the second person are those of the first
+    second[:2] = points[:2]
+    np.savez(
+        folder / "both.npz",
+        points=np.concatenate([points, second], axis=1),
+        normals=np.concatenate([normals, normals], axis=1),
+    )
+    return folder
+
+
+def command(inputs, out, *more):
+    return ["track", inputs / "body.npz", inputs / "both.npz", "-o", out, "--initialise", "never", *more]
+
+
+@pytest.fixture(scope="module")
+def finished(inputs):
+    out = inputs / "whole"
+    main([str(word) for word in command(inputs, out, "--people", "2")])
+    return out
+
+
+def test_each_person_has_a_folder(inputs, finished):
+    truth = load_motion(inputs / "truth.npz")
+    assert {path.name for path in finished.iterdir()} == {"journal", "person_1", "person_2"}
+    for number in (1, 2):
+        folder = finished / f"person_{number}"
+        names = {path.name for path in folder.iterdir()}
+        assert names == {"motion.bvh", "motion.npz", "statistics.csv", "statistics.json"}
+        with np.load(folder / "motion.npz") as file:
+            assert len(file["translations"]) == FRAMES
+        rows = json.loads((folder / "statistics.json").read_text())["frames"]
+        late = [True, True, False, False, False] if number == 2 else [False] * FRAMES
+        assert [row["verdict"] == "lost" for row in rows] == late
+        if number == 2:
+            assert rows[0]["reasons"] == "this person has not been in the scene yet"
+    with pytest.warns(UserWarning, match="2 of 5 frames are lost"):
+        motion = load_motion(finished / "person_2" / "motion.npz")
+    apart = np.asarray(motion.poses.translations[:, 0] - truth.poses.translations[:, 0])
+    np.testing.assert_allclose(apart[2:], np.tile([DISTANCE, 0, 0], (FRAMES - 2, 1)), atol=0.03)
+    # before it comes in, the pose is the first one
+    np.testing.assert_array_equal(motion.poses.translations[0], motion.poses.translations[2])
+
+
+def test_a_stopped_run_continues_to_the_same_result(inputs, finished, tmp_path, capsys, monkeypatch):
+    append, left = Journal.append, [3]
+
+    def stopping(self, record):
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        append(self, record)
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "append", stopping)
+        with pytest.raises(SystemExit) as stop:
+            runs(capsys, *command(inputs, out, "--people", "2"))
+    assert stop.value.code == 130
+    assert "--overwrite" in fails(capsys, *command(inputs, out, "--people", "2"))
+    runs(capsys, *command(inputs, out, "--people", "2", "--resume"))
+    for number in (1, 2):
+        with (
+            np.load(out / f"person_{number}" / "motion.npz") as first,
+            np.load(finished / f"person_{number}" / "motion.npz") as second,
+        ):
+            assert set(first.files) == set(second.files)
+            assert all(np.array_equal(first[name], second[name]) for name in first.files)
+    # replaced by a run of one body, the folders of people are gone
+    runs(capsys, *command(inputs, out, "--overwrite", "--last", 0))
+    assert not list(out.glob("person_*"))
+
+
+def test_one_body_in_clouds_of_two_people_is_reported(inputs, tmp_path, capsys, monkeypatch):
+    # a search would find the same, after a long compilation
+    monkeypatch.setattr(advance, "needs_search", lambda frame: False)
+    capsys.readouterr()
+    main([str(word) for word in command(inputs, tmp_path / "out", "--last", 2)])
+    assert "1 of 3 frames show something else of a person's size" in capsys.readouterr().err
+
+
+def test_wrong_numbers_are_refused(inputs, tmp_path, capsys):
+    for people in ("0", "two", "-1"):
+        line = fails(capsys, *command(inputs, tmp_path / "out", f"--people={people}"))
+        assert "at least 1, or auto" in line
+    line = fails(capsys, *command(inputs, tmp_path / "out", "--people", "2", "--fit-shape"))
+    assert "--fit-shape" in line
