@@ -26,7 +26,7 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.body.retraction import retract
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
-from jaxcap.fit.tracking import track as sequence
+from jaxcap.fit.tracking import advance
 from jaxcap.fit.tracking.log_posterior import log_posterior
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
@@ -132,7 +132,7 @@ def test_worse_frames_are_those_far_below_the_others():
 
 def test_a_frame_keeps_its_pose_where_the_one_before_leads_elsewhere(mixed, monkeypatch):
     """In the wrong order of time the tracker goes astray; with poses that are known none gets worse."""
-    monkeypatch.setattr(sequence, "search_frame", lambda tracker, surface, coarse, frame, *more: frame)
+    monkeypatch.setattr(advance, "search_frame", lambda tracker, surface, coarse, frame, *more: frame)
     task, actor, poses = mixed
     tracker, clouds = make_tracker(actor), [task.cloud(n) for n in task.scanned]
     before = [float(log_posterior(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]

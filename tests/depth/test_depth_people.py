@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from jaxcap.cli.track.depth import load_depth_clouds
+from jaxcap.cli.depth.sources import open_depth_sources
+from jaxcap.cli.track.depth import depth_clouds, people_clouds
 from jaxcap.depth import find_people, find_person
 from jaxcap.errors import InputError
 from jaxcap.geometry.camera import look_at
@@ -66,13 +67,13 @@ def test_frames_of_the_command_line_have_all_people_or_name_the_frame(tmp_path):
     alone, _ = scene([-0.7, 0.0, 0.0])
     np.savez(tmp_path / "depth.npz", depth=(1000 * np.stack([alone, pair])).astype(np.uint16))
     write_cameras(tmp_path / "cameras.json", [CAMERA])
-    inputs = ([str(tmp_path / "depth.npz")], tmp_path / "cameras.json", [], 1000.0, (None, None), BODY, "y")
-    others: set[int] = set()
-    one = load_depth_clouds(*inputs, others=others)
+    inputs = ([str(tmp_path / "depth.npz")], tmp_path / "cameras.json", [], 1000.0, (None, None), "y")
+    sources, others = open_depth_sources(*inputs), set[int]()
+    one = depth_clouds(sources, [None], BODY, others)
     widths = [float(np.ptp(np.asarray(cloud.points)[:, 0])) for cloud in one]
     assert max(widths) < 1.3
     assert others == {1}
-    several = load_depth_clouds(*inputs, people=2)
+    several = people_clouds(sources, [None], BODY, 2)
     widths = [float(np.ptp(np.asarray(cloud.points)[:, 0])) for cloud in several]
     assert widths[0] < 1.3
     assert 2.0 < widths[1] < 2.8

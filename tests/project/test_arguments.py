@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 import jaxcap as jc
 from jaxcap.arguments import checked
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import track as sequence
+from jaxcap.fit.tracking import advance
 from jaxcap.io.meshes.clouds import Scans
 
 
@@ -293,7 +293,7 @@ def test_units():
 def test_scans_of_files_are_clouds(monkeypatch):
     """What `read_clouds` gives goes wherever clouds do, and comes to the same."""
     # searches are slow, and are not what this is about
-    monkeypatch.setattr(sequence, "needs_search", lambda frame: False)
+    monkeypatch.setattr(advance, "needs_search", lambda frame: False)
     points = np.asarray(BODY.vertices, float)
     scans = Scans(["a", "b"], lambda frame: (points, points - points.mean(0), np.zeros((0, 3), int)))
     clouds = [jc.make_cloud(scan.points, scan.normals) for scan in scans]

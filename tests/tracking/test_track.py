@@ -15,8 +15,7 @@ from jaxcap.cli.track.frame_records import pack, row_template, unpack
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
 from jaxcap.fit.judgement.verdict import NO_PERSON
-from jaxcap.fit.tracking import recover
-from jaxcap.fit.tracking import track as sequence
+from jaxcap.fit.tracking import advance, recover
 from jaxcap.fit.tracking.batch import fit_batch, scan_track
 from jaxcap.fit.tracking.track import track, track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker, start_state
@@ -245,7 +244,7 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
         searched.append(cloud)
         return truth[0], None
 
-    monkeypatch.setattr(sequence, "initialise", found)
+    monkeypatch.setattr(advance, "initialise", found)
     layout = dof_layout(SKELETON)
     raised = np.zeros(SKELETON.num_dofs)
     raised[layout.translations[0]] = [0.6, 0.3, 0.0]

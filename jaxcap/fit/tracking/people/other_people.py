@@ -17,8 +17,8 @@ NUM_POINTS = 1500
 DISTANCE = 0.25
 #: least share of the explained points, and least height and longest side, as shares of the body's
 MIN_POINTS, MIN_HEIGHT, MIN_SIZE = 0.25, 0.5, 0.55
-#: least share of the points that the body explains
-MIN_EXPLAINED = 0.2
+#: least share of the points near the body, and of these on its surface, at most so far from a sample of it, metres
+MIN_EXPLAINED, MIN_ON_SURFACE, ON_SURFACE = 0.2, 0.5, 0.06
 
 _pose_body = eqx.filter_jit(pose_body)
 
@@ -33,8 +33,12 @@ def shows_others(follower: Follower, pose: Pose, cloud: Cloud) -> bool:
     samples = np.asarray(_pose_body(follower.surface.body, pose).vertices, float)
     if not np.isfinite(samples).all():
         return False
-    far = np.isinf(KDTree(samples).query(points, distance_upper_bound=DISTANCE)[0])
+    distances = KDTree(samples).query(points, distance_upper_bound=DISTANCE)[0]
+    far = np.isinf(distances)
     num_explained = len(points) - int(far.sum())
+    # a body in noise shows nothing
+    if np.sum(distances <= ON_SURFACE) < MIN_ON_SURFACE * num_explained:
+        return False
     if far.sum() < MIN_POINTS * num_explained or num_explained < MIN_EXPLAINED * len(points):
         return False
     up = np.asarray(follower.up, float) / np.linalg.norm(follower.up)
