@@ -12,7 +12,7 @@ from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
 from .back_projection import measured_points
-from .planes import find_planes, on_planes
+from .planes import Plane, find_planes, on_planes
 from .views import check_image_size_of
 
 #: image size for the search, pixels on the longest side
@@ -48,8 +48,15 @@ def find_person(
 
     **Raises:** `InputError` if the image has another size than the camera's, or no surface has the size of a person.
     """
+    return find_person_and_planes(camera, depth, where)[0]
+
+
+def find_person_and_planes(
+    camera: Camera, depth: Float[np.ndarray, "H W"], where: str
+) -> tuple[Bool[np.ndarray, "H W"], list[Plane]]:
+    """Find the pixels of the person as `find_person` does, and the planes of floor and walls."""
     check_image_size_of(camera, depth, "image", where)
-    step = max(1, -(-max(depth.shape) // SEARCH_SIDE))
+    step = search_step(depth.shape)
     points = np.zeros((*depth.shape, 3))
     points[depth > 0] = measured_points(camera, depth)
     z = depth[::step, ::step]
@@ -58,7 +65,7 @@ def find_person(
     few = points[::step, ::step]
     planes = find_planes(few[z > 0], np.asarray(camera.eye, float))
     free = (depth > 0) & ~on_planes(planes, points)
-    labels = _connected(z, free[::step, ::step])
+    labels = connected_pixels(z, free[::step, ::step])
     focal = float(np.mean(np.asarray(camera.focal)))
     pieces = []
     for number in range(1, labels.max() + 1):
@@ -90,7 +97,12 @@ def find_person(
         ):
             kept.add(piece.label)
     small = np.isin(labels, list(kept))
-    return _refine(small, z, depth, free, step)
+    return enlarge_mask(small, z, depth, free, step), planes
+
+
+def search_step(shape: tuple[int, ...]) -> int:
+    """Return the step between the rows and columns of an image that a search visits."""
+    return max(1, -(-max(shape) // SEARCH_SIDE))
 
 
 def _extent(points: Float[np.ndarray, "N 3"]) -> float:
@@ -102,7 +114,7 @@ def _gap(one: Float[np.ndarray, "N 3"], other: Float[np.ndarray, "M 3"]) -> floa
     return float(KDTree(one).query(other[:: max(1, len(other) // 200)])[0].min())
 
 
-def _connected(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+def connected_pixels(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
     """Label connected pixels with continuous depths, from 1; zero for others."""
     index = np.arange(z.size).reshape(z.shape)
     links = []
@@ -117,7 +129,7 @@ def _connected(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> In
     return labels.reshape(z.shape)
 
 
-def _refine(
+def enlarge_mask(
     small: Bool[np.ndarray, "h w"],
     z: Float[np.ndarray, "h w"],
     depth: Float[np.ndarray, "H W"],

@@ -39,17 +39,31 @@ def make_depth_view(
             f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
         )
     depth = fill_shadows(np.where(measured, depth, 0.0), person, float(camera.focal[0]))
+    step = view_step(depth.shape)
+    reduced, outside = view_images(depth, person, step)
+    return DepthView(reduce_camera(camera, step), reduced, outside)  # pyright: ignore[reportArgumentType]
+
+
+def view_step(shape: tuple[int, ...]) -> int:
+    """Return the number of rows and columns of an image that are one in its view."""
+    return -(-max(shape) // MAX_VIEW_SIDE)
+
+
+def view_images(
+    depth: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"], step: int
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Compute the images of a view, reduced by `step`: depths, and distances from the person in the background, pixels."""
     measured = depth > 0
-    step = -(-max(depth.shape) // MAX_VIEW_SIDE)
     person, background = person & measured, ~person & measured
-    person_depth = _reduce(np.where(person, depth, np.inf), step)
-    nearest = minimum_filter(np.where(person, depth, np.inf), EDGE_WINDOW, mode="constant", cval=np.inf)
+    in_front = np.where(person, depth, np.inf)
+    person_depth = _reduce(in_front, step)
+    nearest = minimum_filter(in_front, EDGE_WINDOW, mode="constant", cval=np.inf)
     background_depth = _reduce(np.where(background, depth, np.inf), step)
     shown = np.isfinite(person_depth)
     empty = ~shown & np.isfinite(background_depth)
-    depth = np.where(shown, _reduce(nearest, step), np.where(empty, background_depth, 0.0))
+    reduced = np.where(shown, _reduce(nearest, step), np.where(empty, background_depth, 0.0))
     outside = np.where(empty, np.asarray(distance_transform_edt(~shown)), 0.0)
-    return DepthView(reduce_camera(camera, step), depth.astype(np.float32), outside.astype(np.float32))  # pyright: ignore[reportArgumentType]
+    return reduced.astype(np.float32), outside.astype(np.float32)
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -89,9 +89,14 @@ def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
 
 
 def write_results(
-    folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
+    folder: Path,
+    skeleton: Skeleton,
+    results: Results,
+    rate: float,
+    names: Sequence[str],
+    summary: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the motion and the statistics of a run; `names` are those of the clouds."""
+    """Write the motion and the statistics of a run; `names` are those of the clouds, `summary` is added to the statistics."""
     motion = Motion(results.poses, rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
     save_motion(folder / "motion.npz", motion, skeleton, [verdict for verdict, _ in results.verdicts])
@@ -115,4 +120,4 @@ def write_results(
         )
     ]
     write_csv(folder / "statistics.csv", rows)
-    write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
+    write_json(folder / "statistics.json", {"rate": rate, **(summary or {}), "frames": rows})

@@ -22,6 +22,7 @@ from ..judgement.baseline import initial_baseline
 from ..judgement.region_samples import sample_regions
 from .check_cloud import check_cloud
 from .compare_poses import choose_likeliest, likelier_pose
+from .follow import follow_frame
 from .initialise import coarse_tracker, initialise
 from .recover import (
     SearchHistory,
@@ -30,10 +31,8 @@ from .recover import (
     finish_frame,
     judge_frame,
     needs_search,
-    reset_velocity,
     search_frame,
     track_first_frame,
-    track_frame_jit,
 )
 from .track_frame import Tracker, check_sigma, make_tracker
 
@@ -137,20 +136,9 @@ def _track_frames(
                     frame = judge_frame(surface, cloud, state, statistics, baseline, searches)
                     frame = finish_frame(tracker, frame, pose)
         else:
-            before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
-            state, statistics = track_frame_jit(tracker, frame.state, cloud)
-            # a lost frame may have led away from the correct pose
-            others = [
-                *([trusted] if frame.lost else []),
-                *(candidates(number) if candidates is not None else []),
-            ]
-            if others:
-                state, statistics = choose_likeliest(
-                    tracker, state, statistics, others, before, cloud, margin
-                )
-            if frame.lost:
-                state = reset_velocity(tracker, state)
-            frame = judge_frame(surface, cloud, state, statistics, baseline, frame.searches)
+            trusted, baseline = frame.trusted, frame.baseline
+            others = () if candidates is None else candidates(number)
+            frame = follow_frame(tracker, surface, frame, cloud, others, margin)
             if needs_search(frame):
                 coarse = begin_search(number, frame.reasons, frame.searches.count)
                 key = jax.random.key(number)

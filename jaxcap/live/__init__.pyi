@@ -1,0 +1,5 @@
+"""Tracking of what arrives: the newest frame is tracked, and older ones are dropped."""
+
+from .live_tracker import LiveTracker as LiveTracker
+from .statistics import LiveFrame as LiveFrame
+from .statistics import LiveStatistics as LiveStatistics
