@@ -13,8 +13,9 @@ from ..observe.clouds import Cloud, ordered_cloud, padded_size
 from .clouds import GAP, VOXEL
 from .fixed_camera import FixedCamera, ImageBox
 from .follow_person import follow_person
-from .fuse import average_in_voxels, normals_along_rays
+from .fuse import average_in_voxels
 from .person import find_person_and_planes
+from .pixel_surface import pixel_surface
 from .shadows import fill_shadows
 from .thin import thin_points
 from .views import check_image_size_of, reduce_camera, view_images, view_step
@@ -67,11 +68,12 @@ class CloudStream:
             where = name if len(depths) == 1 else f"{name}, camera {number}"
             check_image_size_of(fixed.camera, depth, "image", where)
             box, person = self._person(fixed, depth, surface, where)
-            here = depth[box.rows, box.columns]
-            alone = np.where(person, here, 0.0)
-            rays = fixed.rays[box.rows, box.columns]
-            points.append(fixed.points(alone, box))
-            normals.append(normals_along_rays(rays, fixed.focal, alone, GAP, WINDOW) @ fixed.rotation)
+            # single precision is enough for pixels of one image, and faster
+            here = depth[box.rows, box.columns].astype(np.float32)
+            alone = np.where(person, here, np.float32(0.0))
+            surface_of_pixels = pixel_surface(fixed, box, alone, GAP, WINDOW)
+            points.append(surface_of_pixels[0])
+            normals.append(surface_of_pixels[1])
             views.append(self._view(number, box, here, person))
         at, along = np.concatenate(points), np.concatenate(normals)
         if not len(at):

@@ -142,13 +142,13 @@ def _plane_sums(depth: Float[np.ndarray, "H W"], gap: float, window: int) -> Flo
     here = depth[box]
     framed = np.pad(here, window)
     inverses = np.divide(1.0, framed, out=np.zeros_like(framed), where=framed > 0)
-    sums, (height, width) = np.zeros((9, *here.shape)), here.shape
+    sums, (height, width) = np.zeros((9, *here.shape), here.dtype), here.shape
     for down in range(-window, window + 1):
         # of one row of neighbours: 1, u, u^2, w and wu
-        row = np.zeros((5, *here.shape))
+        row = np.zeros((5, *here.shape), here.dtype)
         for across in range(-window, window + 1):
             there = np.s_[window + down : window + down + height, window + across : window + across + width]
-            near = ((framed[there] > 0) & (np.abs(framed[there] - here) < gap)).astype(float)
+            near = ((framed[there] > 0) & (np.abs(framed[there] - here) < gap)).astype(here.dtype)
             inverse = inverses[there] * near
             row[0] += near
             row[3] += inverse
@@ -157,15 +157,9 @@ def _plane_sums(depth: Float[np.ndarray, "H W"], gap: float, window: int) -> Flo
                 row[2] += across**2 * near
                 row[4] += across * inverse
         count, u, uu, w, wu = row
-        sums[[0, 1, 3, 6, 7]] += row[[0, 1, 2, 3, 4]]
-        for number, (part, factor) in {
-            2: (count, down),
-            4: (u, down),
-            5: (count, down**2),
-            8: (w, down),
-        }.items():
-            if down:
-                sums[number] += factor * part
+        parts = (count, u, down * count, uu, down * u, down**2 * count, w, wu, down * w)
+        for total, part in zip(sums, parts, strict=True):
+            total += part
     return sums[:, measured[box]]
 
 

@@ -137,12 +137,12 @@ def enlarge_mask(
     step: int,
 ) -> Bool[np.ndarray, "H W"]:
     """Enlarge a mask to `free` pixels of its blocks, and of the blocks next to these, with a depth like theirs."""
-    size, blocks = depth.shape, np.pad(np.where(small, z, 0.0), 1)
-    height, width = small.shape
-    person = np.zeros(size, bool)
+    (rows, columns), (height, width) = depth.shape, small.shape
+    blocks = np.pad(np.where(small, z, 0.0).astype(depth.dtype), 1)
+    tolerance, person = CONTINUITY * depth, np.zeros(depth.shape, bool)
     for down in range(3):
         for across in range(3):
             near = blocks[down : down + height, across : across + width]
-            wide = np.kron(near, np.ones((step, step)))[: size[0], : size[1]]
-            person |= np.abs(depth - wide) < CONTINUITY * depth
+            wide = near.repeat(step, 0)[:rows].repeat(step, 1)[:, :columns]
+            person |= np.abs(depth - wide) < tolerance
     return person & free

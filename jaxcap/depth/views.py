@@ -80,7 +80,9 @@ def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h 
     height, width = (-(-side // step) for side in image.shape)
     padded = np.full((height * step, width * step), np.inf)
     padded[: image.shape[0], : image.shape[1]] = image
-    return padded.reshape(height, step, width, step).min((1, 3))
+    # slices are several times faster than a minimum over two axes of four
+    rows = np.minimum.reduce([padded[k::step] for k in range(step)])
+    return np.minimum.reduce([rows[:, k::step] for k in range(step)])
 
 
 def reduce_camera(camera: Camera, step: int) -> Camera:

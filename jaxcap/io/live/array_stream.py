@@ -14,7 +14,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from .arrivals import Arrival
 MAX_ELEMENTS = 4 * MAX_PIXELS
 
 
-def write_array(file: BinaryIO, array: np.ndarray | float) -> None:
+def write_array(file: Any, array: np.ndarray | float) -> None:
     """Write one array of a stream, and pass it on at once."""
     np.lib.format.write_array(file, np.asarray(array), allow_pickle=False)
     file.flush()
@@ -40,14 +40,14 @@ def write_array(file: BinaryIO, array: np.ndarray | float) -> None:
 
 @checked
 def read_array_stream(
-    file: BinaryIO,
+    file: Any,
     name: str = "the stream",
     depth_scale: float | int = 1000.0,
     stop: threading.Event | None = None,
 ) -> Iterator[Arrival]:
     """Read the frames of a stream of arrays, until its end or until `stop`.
 
-    **Arguments:** `name` for messages; `depth_scale`, the number of the units of whole numbers in a metre. Frames without a
+    **Arguments:** `file`, open for reading bytes, such as `sys.stdin.buffer`; `name` for messages; `depth_scale`, the number of the units of whole numbers in a metre. Frames without a
     time have that of their arrival.
 
     **Raises:** `InputError`, when its turn comes, for an array that is no frame, or a stream that ends within an array.
@@ -55,7 +55,7 @@ def read_array_stream(
     return _read(file, name, float(depth_scale), threading.Event() if stop is None else stop)
 
 
-def _read(file: BinaryIO, name: str, depth_scale: float, stop: threading.Event) -> Iterator[Arrival]:
+def _read(file: Any, name: str, depth_scale: float, stop: threading.Event) -> Iterator[Arrival]:
     stamp, number, begin = None, 0, time.monotonic()
     while not stop.is_set():
         where = f"{name}[{number}]"
@@ -71,7 +71,7 @@ def _read(file: BinaryIO, name: str, depth_scale: float, stop: threading.Event) 
         stamp, number = None, number + 1
 
 
-def _read_array(file: BinaryIO, where: str) -> np.ndarray | None:
+def _read_array(file: Any, where: str) -> np.ndarray | None:
     """Read one array; None at the end of the stream. Raises `InputError`."""
     first = file.read(1)
     if not first:
@@ -91,7 +91,7 @@ def _read_array(file: BinaryIO, where: str) -> np.ndarray | None:
     data = bytearray(size)
     view, at = memoryview(data), 0
     while at < size:
-        count = file.readinto(view[at:])  # pyright: ignore[reportAttributeAccessIssue]
+        count = file.readinto(view[at:])
         if not count:
             raise InputError(
                 f"{where}: the stream ends within this frame; the frames before it are complete."
@@ -139,7 +139,7 @@ def _frame(array: np.ndarray, where: str, depth_scale: float) -> DepthFrame | Sc
 class _Pushed:
     """A stream with its first byte put back."""
 
-    def __init__(self, first: bytes, file: BinaryIO):
+    def __init__(self, first: bytes, file: Any):
         self._first, self._file = first, file
 
     def read(self, size: int) -> bytes:
