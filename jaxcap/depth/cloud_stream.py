@@ -15,7 +15,7 @@ from .fixed_camera import FixedCamera, ImageBox
 from .follow_person import follow_person
 from .fuse import average_in_voxels
 from .person import find_person_and_planes
-from .pixel_surface import pixel_surface
+from .pixel_surface import pixel_surface, warm_up_pixels
 from .shadows import fill_shadows
 from .thin import thin_points
 from .views import check_image_size_of, reduce_camera, view_images, view_step
@@ -23,7 +23,7 @@ from .views import check_image_size_of, reduce_camera, view_images, view_step
 #: rows and columns around a pixel for its normal
 WINDOW = 2
 #: default number of points of a cloud
-NUM_POINTS = 2048
+NUM_POINTS = 1024
 
 
 class CloudStream:
@@ -45,6 +45,11 @@ class CloudStream:
         self.cameras = [FixedCamera(camera) for camera in cameras]
         self.num_points, self.voxel = num_points, voxel
         self._views = [reduce_camera(camera, view_step((camera.height, camera.width))) for camera in cameras]
+
+    def warm_up(self) -> None:
+        """Compile what any number of pixels needs."""
+        for fixed in self.cameras:
+            warm_up_pixels(fixed, GAP, WINDOW)
 
     def make(
         self,

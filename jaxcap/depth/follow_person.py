@@ -7,8 +7,8 @@ from scipy.spatial import KDTree
 from .fixed_camera import FixedCamera, ImageBox
 from .person import connected_pixels, enlarge_mask, search_step
 
-#: farthest that the surface of the person may move from its last place, metres: a hand at 10 m/s in a thirtieth of a second
-MARGIN = 0.35
+#: farthest that the surface of the person may move from its last place, metres: a hand at 7 m/s in a thirtieth of a second
+MARGIN = 0.25
 #: pixels nearer than this to the last surface belong to the person, metres
 NEAR = 0.12
 #: least share of a connected surface that has to be near the last surface
@@ -34,8 +34,10 @@ def follow_person(
     if box is None:
         return None
     here = depth[box.rows, box.columns]
-    free = (here > box.nearest) & (here > 0) & (here < box.farthest) & ~fixed.on_planes(here, box)
-    small = np.where(free, here, 0.0)[::step, ::step]
+    small = here[::step, ::step]
+    small = np.where(
+        (small > box.nearest) & (small < box.farthest) & ~fixed.on_planes(small, box, step), small, 0.0
+    )
     labels = connected_pixels(small, small > 0)
     points = fixed.points(small, box, step)
     tree = KDTree(surface[:: max(1, len(surface) // NUM_POINTS)])
@@ -48,8 +50,32 @@ def follow_person(
     seen = _expected_pixels(fixed, box, surface, step)
     if close[kept].sum() < MIN_FOUND_SHARE * seen:
         return None
-    person = enlarge_mask(kept[labels], small, here, free, step)
-    return box, person
+    return box, _enlarge(fixed, box, here, kept[labels], small, step)
+
+
+def _enlarge(
+    fixed: FixedCamera,
+    box: ImageBox,
+    depth: Float[np.ndarray, "h w"],
+    small: Bool[np.ndarray, "a b"],
+    small_depth: Float[np.ndarray, "a b"],
+    step: int,
+) -> Bool[np.ndarray, "h w"]:
+    """Enlarge a mask of every `step`-th pixel to all pixels, within the rows and columns around it only."""
+    rows, columns = (
+        slice(max(int(some[0]) - 1, 0), int(some[-1]) + 2)
+        for some in (np.flatnonzero(small.any(axis)) for axis in (1, 0))
+    )
+    inner = tuple(slice(side.start * step, side.stop * step) for side in (rows, columns))
+    there = ImageBox(
+        *(slice(whole.start + part.start, min(whole.start + part.stop, whole.stop)) for whole, part in zip(box[:2], inner, strict=True)),
+        box.nearest, box.farthest,
+    )  # fmt: skip
+    here = depth[inner]
+    free = (here > box.nearest) & (here > 0) & (here < box.farthest) & ~fixed.on_planes(here, there)
+    person = np.zeros(depth.shape, bool)
+    person[inner] = enlarge_mask(small[rows, columns], small_depth[rows, columns], here, free, step)
+    return person
 
 
 def _expected_pixels(fixed: FixedCamera, box: ImageBox, surface: Float[np.ndarray, "N 3"], step: int) -> int:

@@ -40,6 +40,17 @@ def pixel_surface(
     return np.asarray(points)[:count], np.asarray(normals)[:count]
 
 
+def warm_up_pixels(fixed: FixedCamera, gap: float, window: int) -> None:
+    """Compile the numbers of pixels that occur."""
+    camera, size = fixed.camera, MIN_PIXELS
+    framed = np.zeros((camera.height + 2 * window, camera.width + 2 * window), np.float32)
+    while size <= MAX_PIXELS:
+        pixels = np.zeros((2, size), np.int32)
+        arrays = (camera.rotation, camera.translation, camera.focal, camera.principal_point)
+        jax.block_until_ready(_surface(*arrays, framed, pixels, gap, window))
+        size *= 2
+
+
 @partial(jax.jit, static_argnames=("gap", "window"))
 def _surface(
     rotation: Float[Array, "3 3"],

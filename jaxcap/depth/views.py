@@ -2,7 +2,7 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import distance_transform_edt, minimum_filter
+from scipy.ndimage import distance_transform_edt
 
 from ..arguments import checked
 from ..errors import InputError
@@ -57,7 +57,7 @@ def view_images(
     person, background = person & measured, ~person & measured
     in_front = np.where(person, depth, np.inf)
     person_depth = _reduce(in_front, step)
-    nearest = minimum_filter(in_front, EDGE_WINDOW, mode="constant", cval=np.inf)
+    nearest = _minimum_around(in_front)
     background_depth = _reduce(np.where(background, depth, np.inf), step)
     shown = np.isfinite(person_depth)
     empty = ~shown & np.isfinite(background_depth)
@@ -75,10 +75,18 @@ def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str
         )
 
 
+def _minimum_around(image: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """Take the least value of the `EDGE_WINDOW` rows and columns around each pixel; slices are faster than a filter."""
+    reach, (height, width) = EDGE_WINDOW // 2, image.shape
+    padded = np.pad(image, reach, constant_values=np.inf)
+    rows = np.minimum.reduce([padded[k : k + height] for k in range(EDGE_WINDOW)])
+    return np.minimum.reduce([rows[:, k : k + width] for k in range(EDGE_WINDOW)])
+
+
 def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h w"]:
     """Take the least value of each block of `step` rows and columns."""
     height, width = (-(-side // step) for side in image.shape)
-    padded = np.full((height * step, width * step), np.inf)
+    padded = np.full((height * step, width * step), np.inf, image.dtype)
     padded[: image.shape[0], : image.shape[1]] = image
     # slices are several times faster than a minimum over two axes of four
     rows = np.minimum.reduce([padded[k::step] for k in range(step)])

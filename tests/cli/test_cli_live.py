@@ -30,7 +30,10 @@ def captured(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     body = human(resolution="low", joints="tracking")
     camera = look_at([0.0, 0.2, 2.4], [0.0, 0.1, 0.0], 160, 120, 60)
-    vertices, faces = np.asarray(pose_body(body, rest_pose(body.skeleton)).vertices, float), np.asarray(body.faces)
+    vertices, faces = (
+        np.asarray(pose_body(body, rest_pose(body.skeleton)).vertices, float),
+        np.asarray(body.faces),
+    )
     images = []
     for step in range(4):
         depth = render_depth(camera, make_ray_mesh(vertices + [0.01 * step, 0.0, 0.0], faces)).depth
@@ -42,9 +45,24 @@ def captured(tmp_path_factory):
 
 
 def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch):
-    words = (captured / "body.npz", "--cameras", captured / "cameras.json", "--num-points", "512", "--no-search")
+    words = (
+        captured / "body.npz",
+        "--cameras",
+        captured / "cameras.json",
+        "--num-points",
+        "512",
+        "--no-search",
+    )
     printed = runs(
-        capsys, "live", *words, "--watch", captured / "depth.npz", "--replay", "0.5", "-o", tmp_path / "replay"
+        capsys,
+        "live",
+        *words,
+        "--watch",
+        captured / "depth.npz",
+        "--replay",
+        "0.5",
+        "-o",
+        tmp_path / "replay",
     )
     assert "latency" in printed and "4 tracked, 0 dropped" in printed
     motion = load_motion(tmp_path / "replay" / "motion.npz")
@@ -81,7 +99,10 @@ def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch
         (["--watch", "-", "--replay", "30"], "--replay is for recorded files"),
         (["--watch", "depth.npz", "--replay", "0"], "--replay is 0; it must be above 0 frames per second"),
         (["--watch", "a", "b"], "--watch names 2 sources of clouds"),
-        (["--watch", "a", "b", "--cameras", "cameras.json"], "there are 1 cameras, but --watch names 2 sources"),
+        (
+            ["--watch", "a", "b", "--cameras", "cameras.json"],
+            "there are 1 cameras, but --watch names 2 sources",
+        ),
         (["--watch", "realsense"], "the package pyrealsense2 of this camera is not installed"),
         (["--watch", "-", "--num-points", "0"], "--num-points is 0; it must be at least 1"),
     ],
@@ -94,9 +115,7 @@ def test_what_does_not_fit_is_told(captured, tmp_path, capsys, monkeypatch, word
 
 def results_of(count: int) -> Results:
     """Frames whose root is at their number."""
-    poses = [
-        Pose(np.full((1, 3), float(k)), np.array([[1.0, 0, 0, 0]]), np.array(1.0)) for k in range(count)
-    ]
+    poses = [Pose(np.full((1, 3), float(k)), np.array([[1.0, 0, 0, 0]]), np.array(1.0)) for k in range(count)]
     poses = stack_poses([jax.tree.map(jax.numpy.asarray, pose) for pose in poses]).poses
     numbers = np.arange(count, dtype=float)
     statistics = FrameStatistics(numbers, numbers, numbers, numbers, numbers)  # pyright: ignore[reportArgumentType]

@@ -46,7 +46,7 @@ def test_a_person_is_followed_to_the_next_frame():
 
 
 def test_a_person_far_from_the_last_place_is_searched_for():
-    depth, person = room()
+    depth, _ = room()
     fixed = FixedCamera(CAMERA)
     vertices = np.asarray(BODY.vertices, float)
     assert follow_person(fixed, depth, vertices + [1.5, 0.0, 0.0]) is None
@@ -58,7 +58,7 @@ def test_a_person_far_from_the_last_place_is_searched_for():
 
 
 def test_clouds_have_one_size_and_the_weight_of_all_points():
-    depth, person = room()
+    depth, _ = room()
     whole = cloud_of_depths([CAMERA], [depth])
     vertices, faces = np.asarray(BODY.vertices, float), np.asarray(BODY.faces)
     stream = CloudStream([CAMERA], 512)
@@ -77,7 +77,9 @@ def test_clouds_have_one_size_and_the_weight_of_all_points():
 
 def test_flat_surface_is_thinned_more_than_curved_surface(rng):
     """A wall and a sphere of the same density."""
-    wall = np.stack([*np.meshgrid(np.arange(40) * 0.01, np.arange(40) * 0.01), np.zeros((40, 40))], -1).reshape(-1, 3)
+    wall = np.stack(
+        [*np.meshgrid(np.arange(40) * 0.01, np.arange(40) * 0.01), np.zeros((40, 40))], -1
+    ).reshape(-1, 3)
     directions = rng.normal(size=(600, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.concatenate([wall, [1.0, 0.0, 0.0] + 0.05 * directions])
@@ -88,9 +90,7 @@ def test_flat_surface_is_thinned_more_than_curved_surface(rng):
     on_sphere = thinned.points[:, 0] > 0.8
     assert on_sphere.sum() > 500 and (~on_sphere).sum() < 500
     # of merged points the mean stays
-    np.testing.assert_allclose(
-        thinned.weights @ thinned.points / len(points), points.mean(0), atol=1e-12
-    )
+    np.testing.assert_allclose(thinned.weights @ thinned.points / len(points), points.mean(0), atol=1e-12)
     # in any order
     order = rng.permutation(len(points))
     other = thin_points(points[order], normals[order], 0.01, 1000)
@@ -100,7 +100,7 @@ def test_flat_surface_is_thinned_more_than_curved_surface(rng):
 
 def test_images_that_do_not_fit_are_refused():
     depth, _ = room()
-    with pytest.raises(InputError, match="there are no cameras"):
+    with pytest.raises(InputError, match="There are no cameras"):
         CloudStream([])
     stream = CloudStream([CAMERA])
     with pytest.raises(InputError, match="2 depth images of 1 cameras"):

@@ -29,7 +29,9 @@ def differentiated(energy, pose):
 
 def random_pose(rng) -> Pose:
     """A pose away from rest, moved, with a scale."""
-    pose = retract(BODY.skeleton, rest_pose(BODY.skeleton), jnp.asarray(0.2 * rng.normal(size=BODY.skeleton.num_dofs)))
+    pose = retract(
+        BODY.skeleton, rest_pose(BODY.skeleton), jnp.asarray(0.2 * rng.normal(size=BODY.skeleton.num_dofs))
+    )
     return Pose(pose.translations.at[0].add(jnp.array([0.3, -0.2, 2.0])), pose.rotations, jnp.asarray(1.1))
 
 
@@ -40,11 +42,15 @@ def test_bone_jacobians_are_those_of_forward_mode(name, rng):
         energy = make_self_collision(BODY)
         assert energy is not None
         # points at a distance count as inside
-        energy = eqx.tree_at(lambda e: [limb.allowed for limb in e.limbs], energy, replace_fn=lambda allowed: allowed - 0.3)
+        energy = eqx.tree_at(
+            lambda e: [limb.allowed for limb in e.limbs], energy, replace_fn=lambda allowed: allowed - 0.3
+        )
     else:
         bones = jnp.asarray(rng.integers(0, BODY.skeleton.num_joints, 200))
         rest, points = (jnp.asarray(rng.normal(size=(200, 3))) for _ in range(2))
-        energy = rigid_moments(bones, rest, points, jnp.asarray(rng.uniform(size=200)), BODY.skeleton.num_joints)
+        energy = rigid_moments(
+            bones, rest, points, jnp.asarray(rng.uniform(size=200)), BODY.skeleton.num_joints
+        )
         energy = 2.5 * energy if name == "weighted" else energy
     residual, rows = _linearise(energy, BODY, pose)
     expected = np.asarray(differentiated(energy, pose))

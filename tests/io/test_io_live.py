@@ -32,7 +32,11 @@ def stream(*arrays) -> io.BytesIO:
 def test_a_stream_has_images_clouds_and_times(rng):
     image = rng.integers(0, 4000, (12, 16)).astype(np.uint16)
     points = rng.normal(size=(20, 6)).astype(np.float32)
-    frames = list(read_array_stream(stream(2.5, image, np.stack([image, image]), 3.0, np.asfortranarray(points), points[:, :3])))
+    frames = list(
+        read_array_stream(
+            stream(2.5, image, np.stack([image, image]), 3.0, np.asfortranarray(points), points[:, :3])
+        )
+    )
     assert [frame.seconds for frame in frames[::2]] == [2.5, 3.0]
     one, two, with_normals, without = (frame.read() for frame in frames)
     assert isinstance(one, DepthFrame) and isinstance(two, DepthFrame)
@@ -124,7 +128,12 @@ def test_frames_of_two_cameras_are_paired_and_a_watch_ends_after_its_timeout(tmp
     for folder in folders:
         folder.mkdir()
     frames = watch_depth_folders(folders, 1000.0, threading.Event(), timeout=0.3)
-    timer = threading.Timer(0.05, lambda: [(f / f"{k}.png").write_bytes(png(10 * n + k)) for k in range(2) for n, f in enumerate(folders)])
+    timer = threading.Timer(
+        0.05,
+        lambda: [
+            (f / f"{k}.png").write_bytes(png(10 * n + k)) for k in range(2) for n, f in enumerate(folders)
+        ],
+    )
     timer.start()
     found = [[round(1000 * float(depth[0, 0])) for depth in frame.read().depths] for frame in frames]
     assert found == [[0, 10], [1, 11]]
@@ -163,7 +172,9 @@ def fake_realsense(depth: np.ndarray) -> types.ModuleType:
     image = types.SimpleNamespace(get_data=lambda: depth, get_timestamp=lambda: 1500.0)
     frames = types.SimpleNamespace(get_depth_frame=lambda: image)
     inner = types.SimpleNamespace(fx=10.0, fy=11.0, ppx=8.0, ppy=6.0, width=16, height=12)
-    stream = types.SimpleNamespace(as_video_stream_profile=lambda: types.SimpleNamespace(get_intrinsics=lambda: inner))
+    stream = types.SimpleNamespace(
+        as_video_stream_profile=lambda: types.SimpleNamespace(get_intrinsics=lambda: inner)
+    )
     sensor = types.SimpleNamespace(get_depth_scale=lambda: 0.001)
     device = types.SimpleNamespace(first_depth_sensor=lambda: sensor)
     profile = types.SimpleNamespace(get_device=lambda: device, get_stream=lambda kind: stream)
@@ -222,9 +233,13 @@ def test_an_orbbec_camera_by_its_package(monkeypatch):
 
 def test_cameras_without_their_package_or_a_connection_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(InputError, match="the package pyrealsense2 of this camera is not installed; install it with"):
+    with pytest.raises(
+        InputError, match="the package pyrealsense2 of this camera is not installed; install it with"
+    ):
         open_device("realsense", threading.Event())
     module = types.ModuleType("pyorbbecsdk")
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", module)
-    with pytest.raises(InputError, match="the camera cannot be started with 640 x 480 pixels at 30 frames per second"):
+    with pytest.raises(
+        InputError, match="the camera cannot be started with 640 x 480 pixels at 30 frames per second"
+    ):
         open_device("orbbec", threading.Event())

@@ -79,7 +79,9 @@ def test_frames_that_arrive_slowly_are_tracked_as_a_recording():
     assert [frame.number for frame in frames] == list(range(8))
     assert [frame.seconds for frame in frames] == [number / 30 for number in range(8)]
     assert (statistics.tracked, statistics.dropped, statistics.failed) == (8, 0, 0)
-    assert len(latencies) == 8 and statistics.latency_median <= statistics.latency_p99 == np.percentile(latencies, 99)
+    assert len(latencies) == 8 and statistics.latency_median <= statistics.latency_p99 == np.percentile(
+        latencies, 99
+    )
     assert "8 tracked, 0 dropped" in statistics.sentence()
 
 

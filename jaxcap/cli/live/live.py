@@ -1,5 +1,6 @@
 """`jaxcap live`: track a person as frames arrive."""
 
+import sys
 import threading
 import time
 from dataclasses import dataclass
@@ -11,10 +12,10 @@ import numpy as np
 from ...depth.cloud_stream import NUM_POINTS
 from ...errors import InputError, user_message
 from ...fit.tracking.track import unseen_sentences, verdict_sentences
-from ...fit.tracking.track_frame import Tracker, make_tracker
+from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal, create_journal
 from ...io.system.lock import run_lock
-from ...live.live_tracker import LiveTracker
+from ...live.live_tracker import LiveTracker, make_live_tracker
 from ...live.statistics import LiveFrame, LiveStatistics
 from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity, write_status
@@ -27,8 +28,8 @@ from ..track.track import JOURNAL
 from .slots import fill_slots, frame_slots
 from .sources import Source, observation, open_source
 
-#: seconds between two status lines on a terminal
-STATUS_SECONDS = 0.5
+#: seconds between two statuses on a terminal, and between two lines elsewhere
+STATUS_SECONDS, LINE_SECONDS = 0.5, 5.0
 #: default rate of the written motion, frames per second
 DEFAULT_RATE = 30.0
 #: seconds for the last frame at the end
@@ -62,7 +63,7 @@ class Live:
     num_points: int = NUM_POINTS
     """Largest number of points of a frame. Flat parts of the surface are thinned first."""
     iterations: OptionalCount = None
-    """Number of iterations of expectation maximisation per frame: by default 6 for depth images, or 3 for clouds."""
+    """Number of iterations of expectation maximisation per frame. Default: 3."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     timeout: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint="")] = None
@@ -106,9 +107,8 @@ class Live:
                 self.timeout,
                 stop,
             )
-            tracker = make_tracker(
-                body, terms=terms, iterations=self.iterations, partial=self.partial or bool(source.cameras)
-            )
+            partial = self.partial or bool(source.cameras)
+            tracker = make_live_tracker(body, terms, partial=partial, iterations=self.iterations)
             template = row_template(tracker, num_cameras=len(source.cameras))
             with create_journal(path, pose_layout(body.skeleton), row_width(template)) as journal:
                 run = LiveRun(tracker, source, journal, self)
@@ -222,7 +222,7 @@ class LiveRun:
 
     def _print_status(self) -> None:
         now = time.monotonic()
-        if now - self._printed < STATUS_SECONDS:
+        if now - self._printed < (STATUS_SECONDS if sys.stderr.isatty() else LINE_SECONDS):
             return
         self._printed, found = now, self._live.statistics
         if found.last_failure and found.last_failure != self._failure:

@@ -37,7 +37,11 @@ class RigidMoments(AbstractBoneEnergy):
         x, y, z = carried[:, 0], carried[:, 1], carried[:, 2]
         none = jnp.zeros_like(x)
         # a x v, for each column v
-        rows = [(none, z, -y, ones, none, none), (-z, none, x, none, ones, none), (y, -x, none, none, none, ones)]
+        rows = [
+            (none, z, -y, ones, none, none),
+            (-z, none, x, none, ones, none),
+            (y, -x, none, none, none, ones),
+        ]
         jacobian = jnp.stack([jnp.stack(row, -1) for row in rows], 1)
         bones = jnp.arange(len(f), dtype=jnp.int32)[:, None]
         return bones, jacobian.reshape(len(f), 1, -1, 6)

@@ -17,10 +17,12 @@ def follow_frame(
     cloud: Cloud,
     poses: Sequence[Pose] = (),
     margin: float = 0.0,
+    judge: bool = True,
 ) -> TrackedFrame:
     """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
 
-    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`.
+    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`. Without `judge` the frame keeps the
+    verdict of the frame before it.
     """
     before = frame.state.estimate.pose
     state, statistics = track_frame_jit(tracker, frame.state, cloud)
@@ -30,4 +32,15 @@ def follow_frame(
         state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
     if frame.lost:
         state = reset_velocity(tracker, state)
+    if not judge:
+        return TrackedFrame(
+            state.estimate.pose,
+            statistics,
+            frame.lost,
+            frame.judgement,
+            state,
+            state.estimate.pose,
+            frame.baseline,
+            frame.searches,
+        )
     return judge_frame(surface, cloud, state, statistics, frame.baseline, frame.searches)

@@ -8,7 +8,7 @@ import jax
 
 from ...body.pose import Pose, rest_pose
 from ...observe.clouds import Cloud
-from ...value_checks import check_direction
+from ...value_checks import check_at_least, check_direction
 from ..judgement.baseline import initial_baseline
 from ..judgement.region_samples import sample_regions
 from .check_cloud import check_cloud
@@ -37,7 +37,8 @@ class OnlineTracker:
     of the search takes the found pose as its start if that explains the frame better. Call `close` at the end.
 
     **Arguments:** `start`, a pose near the first frame, rest where not given; `search`, search for frames that are not good;
-    `sigma` and `up` as in `track_frames`.
+    `sigma` and `up` as in `track_frames`; `judge_every`, judge only each so-many-th frame after a good one. The frames between have
+    the verdict of the frame before.
     """
 
     def __init__(
@@ -48,7 +49,9 @@ class OnlineTracker:
         search: bool = True,
         sigma: float = 0.1,
         up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+        judge_every: int = 1,
     ):
+        check_at_least("OnlineTracker", 1, judge_every=judge_every)
         check_sigma("OnlineTracker", sigma)
         check_direction("OnlineTracker", up=up)
         self.tracker, self.sigma, self.up, self.searches_frames = tracker, sigma, up, search
@@ -60,7 +63,7 @@ class OnlineTracker:
         self._surface = sample_regions(tracker.body)
         self._thread = ThreadPoolExecutor(1, "pose search")
         self._search: Future[TrackedFrame] | None = None
-        self._is_first_search = False
+        self._is_first_search, self._judge_every = False, judge_every
         self._coarse: Tracker | None = None
 
     @property
@@ -80,13 +83,27 @@ class OnlineTracker:
                 self._begin(True, cloud, frame, self.start)
         else:
             before = self.frame
-            frame = follow_frame(self.tracker, self._surface, before, cloud)
+            judge = before.verdict != "good" or self.count % self._judge_every == 0
+            frame = follow_frame(self.tracker, self._surface, before, cloud, judge=judge)
             frame = self._use_search(frame, before, cloud)
             if self.searches_frames and self._search is None and needs_search(frame):
                 self._begin(False, cloud, frame, before.trusted, before)
             frame = finish_frame(self.tracker, frame, before.trusted)
         self.frame, self.count = frame, self.count + 1
         return frame
+
+    def warm_up(self, cloud: Cloud) -> None:
+        """Compile everything that clouds of this size need, also after a lost frame, but the search.
+
+        **Raises:** `InputError` as `track` does.
+        """
+        sample = OnlineTracker(self.tracker, self.start, search=False, sigma=self.sigma, up=self.up)
+        sample.track(cloud)
+        frame = sample.track(cloud)
+        lost = eqx.tree_at(lambda f: f.lost, frame, True)
+        follow_frame(self.tracker, self._surface, lost, cloud)
+        log_posterior(self.tracker, frame.pose, cloud)
+        sample.close()
 
     def close(self) -> None:
         """End without the result of a search."""
@@ -135,12 +152,9 @@ class OnlineTracker:
         if likelihood <= float(log_posterior(self.tracker, frame.pose, cloud)):
             searches = found.searches if not self._is_first_search else frame.searches.extend()
             return eqx.tree_at(lambda f: f.searches, frame, searches)
-        baseline = frame.baseline
-        if self._is_first_search:
-            # that of a wrong pose so far
-            baseline = initial_baseline(self._surface, len(cloud.views))
-        else:
-            baseline = before.baseline
+        # a first search follows a wrong pose, and so does its baseline
+        first = self._is_first_search
+        baseline = initial_baseline(self._surface, len(cloud.views)) if first else before.baseline
         return judge_frame(
             self._surface,
             cloud,

@@ -76,16 +76,16 @@ def _read_array(file: Any, where: str) -> np.ndarray | None:
     first = file.read(1)
     if not first:
         return None
+    head = _Pushed(first, file)
     try:
-        header = parse_array_header(_Pushed(first, file))
-    except ValueError as error:
-        if "EOF" in str(error):
-            raise InputError(
-                f"{where}: the stream ends within this frame; the frames before it are complete."
-            ) from None
-        raise InputError(
-            f"{where}: this is not an array as numpy.save writes it; write whole arrays, one after the other."
-        ) from None
+        header = parse_array_header(head)
+    except ValueError:
+        problem = (
+            "the stream ends within this frame; the frames before it are complete."
+            if head.has_ended
+            else "this is not an array as numpy.save writes it; write whole arrays, one after the other."
+        )
+        raise InputError(f"{where}: {problem}") from None
     _check_header(header, where)
     size = math.prod(header.shape) * header.dtype.itemsize
     data = bytearray(size)
@@ -141,7 +141,11 @@ class _Pushed:
 
     def __init__(self, first: bytes, file: Any):
         self._first, self._file = first, file
+        self.has_ended = False
 
     def read(self, size: int) -> bytes:
         data, self._first = self._first[:size], self._first[size:]
-        return data + (self._file.read(size - len(data)) if size > len(data) else b"")
+        if size > len(data):
+            data += self._file.read(size - len(data))
+        self.has_ended = len(data) < size
+        return data
