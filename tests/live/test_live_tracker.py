@@ -12,7 +12,7 @@ from helpers import chain_body
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import Pose, rest_pose, retract
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import online
+from jaxcap.fit.tracking import online, track
 from jaxcap.fit.tracking.online import OnlineTracker
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
@@ -63,10 +63,11 @@ def test_a_mailbox_keeps_the_newest_and_hands_over():
     assert box.take() is None and not box.put(5) and box.replace(6) == 6
 
 
-def test_frames_that_arrive_slowly_are_tracked_as_a_recording():
+def test_frames_that_arrive_slowly_are_tracked_as_a_recording(monkeypatch):
+    monkeypatch.setattr(track, "needs_search", lambda frame: False)
     expected = [rotations(frame.pose) for frame in track_frames(TRACKER, CLOUDS, search=False)]
     found, frames = [], []
-    with LiveTracker(TRACKER, on_frame=frames.append, search=False) as live:
+    with LiveTracker(TRACKER, on_frame=frames.append, search=False, judge_every=1) as live:
         assert live.warm_up(CLOUDS[0]) > 0
         assert live.newest is None and live.statistics.tracked == 0
         for number, cloud in enumerate(CLOUDS):
@@ -162,5 +163,5 @@ def test_no_frame_waits_for_a_search(monkeypatch):
     frame = tracking.track(cloud)
     assert frame.verdict == "good"
     joints = [np.asarray(_pose(BODY, pose).joints) for pose in (frame.pose, pose_at(5.0))]
-    assert np.abs(joints[0] - joints[1]).max() < 0.02
+    assert np.abs(joints[0] - joints[1]).max() < 0.05
     tracking.close()
