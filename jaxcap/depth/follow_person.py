@@ -48,7 +48,7 @@ def follow_person(
     kept = (pixels >= MIN_PIXELS) & (close >= MIN_NEAR_SHARE * pixels)
     kept[0] = False
     seen = _expected_pixels(fixed, box, surface, step)
-    if close[kept].sum() < MIN_FOUND_SHARE * seen:
+    if not kept.any() or close[kept].sum() < MIN_FOUND_SHARE * seen:
         return None
     return box, _enlarge(fixed, box, here, kept[labels], small, step)
 
@@ -67,10 +67,11 @@ def _enlarge(
         for some in (np.flatnonzero(small.any(axis)) for axis in (1, 0))
     )
     inner = tuple(slice(side.start * step, side.stop * step) for side in (rows, columns))
-    there = ImageBox(
-        *(slice(whole.start + part.start, min(whole.start + part.stop, whole.stop)) for whole, part in zip(box[:2], inner, strict=True)),
-        box.nearest, box.farthest,
-    )  # fmt: skip
+    across = [
+        slice(whole.start + part.start, min(whole.start + part.stop, whole.stop))
+        for whole, part in zip((box.rows, box.columns), inner, strict=True)
+    ]
+    there = ImageBox(across[0], across[1], box.nearest, box.farthest)
     here = depth[inner]
     free = (here > box.nearest) & (here > 0) & (here < box.farthest) & ~fixed.on_planes(here, there)
     person = np.zeros(depth.shape, bool)
@@ -81,6 +82,7 @@ def _enlarge(
 def _expected_pixels(fixed: FixedCamera, box: ImageBox, surface: Float[np.ndarray, "N 3"], step: int) -> int:
     """Count the pixels of the search that the last surface covers."""
     there = surface @ fixed.rotation.T + fixed.translation
+    there = there[there[:, 2] > MARGIN]
     pixels = (
         fixed.focal * there[:, :2] / there[:, 2:] + fixed.middle - [box.columns.start, box.rows.start]
     ) / step

@@ -1,18 +1,20 @@
 """`jaxcap live`: replayed images, a pipe, what it writes, and what does not fit."""
 
 import io
+import itertools
 import json
 import sys
 import types
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import fails, runs
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.pose import Pose, rest_pose, stack_poses
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.cli.live import sources
 from jaxcap.cli.live.slots import fill_slots, frame_slots
 from jaxcap.cli.track.frame_records import Results
 from jaxcap.errors import InputError
@@ -20,6 +22,7 @@ from jaxcap.fit.tracking.em_step import FrameStatistics
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
+from jaxcap.io.live.arrivals import replay
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.view.live import follow_run
 
@@ -74,7 +77,25 @@ def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch
         statistics = json.load(file)
     assert statistics["live"]["tracked"] == 4 and len(statistics["frames"]) == 4
     take = follow_run(tmp_path / "replay", human(resolution="low", joints="tracking"))
-    assert take.motion.num_frames == 4
+    assert len(take.motion) == 4
+
+    def stopped(*arguments):
+        yield from itertools.islice(replay(*arguments), 2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sources, "replay", stopped)
+    runs(
+        capsys,
+        "live",
+        *words,
+        "--watch",
+        captured / "depth.npz",
+        "--replay",
+        "0.5",
+        "-o",
+        tmp_path / "stopped",
+    )
+    assert len(load_motion(tmp_path / "stopped" / "motion.npz")) in (1, 2)
 
     data = io.BytesIO()
     with np.load(captured / "depth.npz") as file:
@@ -115,11 +136,12 @@ def test_what_does_not_fit_is_told(captured, tmp_path, capsys, monkeypatch, word
 
 def results_of(count: int) -> Results:
     """Frames whose root is at their number."""
-    poses = [Pose(np.full((1, 3), float(k)), np.array([[1.0, 0, 0, 0]]), np.array(1.0)) for k in range(count)]
-    poses = stack_poses([jax.tree.map(jax.numpy.asarray, pose) for pose in poses]).poses
-    numbers = np.arange(count, dtype=float)
-    statistics = FrameStatistics(numbers, numbers, numbers, numbers, numbers)  # pyright: ignore[reportArgumentType]
-    return Results(numbers, poses, statistics, [("good", ())] * count, [()] * count)
+    places = jnp.broadcast_to(jnp.arange(count, dtype=float)[:, None, None], (count, 1, 3))
+    rotations = jnp.tile(jnp.array([1.0, 0, 0, 0]), (count, 1, 1))
+    poses = Pose(places, rotations, jnp.ones(count))
+    numbers = jnp.arange(count, dtype=float)
+    statistics = FrameStatistics(numbers, numbers, numbers, numbers, numbers)
+    return Results(np.asarray(numbers), poses, statistics, [("good", ())] * count, [()] * count)
 
 
 def test_dropped_frames_are_interpolated():

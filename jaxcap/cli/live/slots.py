@@ -61,4 +61,6 @@ def fill_slots(
         verdicts,
         unseen,
     )
-    return filled, [names[row] if known else "" for row, known in zip(nearest, there, strict=True)]
+    return filled, [
+        names[row] if known else "" for row, known in zip(nearest.tolist(), there.tolist(), strict=True)
+    ]
