@@ -6,6 +6,7 @@ import json
 import sys
 import types
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -140,7 +141,8 @@ def results_of(count: int) -> Results:
     rotations = jnp.tile(jnp.array([1.0, 0, 0, 0]), (count, 1, 1))
     poses = Pose(places, rotations, jnp.ones(count))
     numbers = jnp.arange(count, dtype=float)
-    statistics = FrameStatistics(numbers, numbers, numbers, numbers, numbers)
+    one = jnp.zeros(())
+    statistics = jax.tree.map(lambda _: numbers, FrameStatistics(one, one, one, one, one))
     return Results(np.asarray(numbers), poses, statistics, [("good", ())] * count, [()] * count)
 
 

@@ -95,7 +95,7 @@ class Live:
         )
         make_writable(self.out)
         with run_lock(self.out):
-            path = check_folder(self.out, JOURNAL, False, self.overwrite)
+            path = check_folder(self.out, JOURNAL, False, self.overwrite, resumable=False)
             stop = threading.Event()
             source = open_source(
                 self.watch,

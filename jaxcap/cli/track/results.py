@@ -24,8 +24,8 @@ PERSON = "person.npz"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
-def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> Path:
-    """Make a folder if it does not exist, and return the path of its journal.
+def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resumable: bool = True) -> Path:
+    """Make a folder if it does not exist, and return the path of its journal. `resumable`: the verb has --resume.
 
     **Raises:** `InputError` if it has no write access, or contains results without permission to resume or
     replace them.
@@ -34,9 +34,12 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     there = [name for name in (*FILES, PERSON, journal) if (folder / name).exists()]
     if there and not (resume or overwrite):
         what = "an unfinished run" if set(there) <= {PERSON, journal} else "the results of a run"
-        raise InputError(
-            f"{folder}: this folder contains {what}; give --resume to continue it or --overwrite to replace it."
+        mend = (
+            "--resume to continue it or --overwrite to replace it"
+            if resumable
+            else "--overwrite to replace it"
         )
+        raise InputError(f"{folder}: this folder contains {what}; give {mend}.")
     if resume and journal not in there and there not in ([], [PERSON]):
         raise InputError(
             f"{folder}: this folder has no journal to resume from; give --overwrite to begin anew."
