@@ -61,6 +61,4 @@ def fill_slots(
         verdicts,
         unseen,
     )
-    return filled, [
-        names[row] if known else "" for row, known in zip(nearest.tolist(), there.tolist(), strict=True)
-    ]
+    return filled, [str(names[int(row)]) if known else "" for row, known in zip(nearest, there, strict=True)]
