@@ -10,6 +10,7 @@ from . import geometry as geometry
 from . import io as io
 from . import learn as learn
 from . import limits as limits
+from . import live as live
 from . import markers as markers
 from . import metrics as metrics
 from . import observe as observe

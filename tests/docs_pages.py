@@ -12,7 +12,9 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.body.people.anatomy import rest_deviations
+from jaxcap.geometry.camera import look_at
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
+from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -106,6 +108,19 @@ def files_page(folder: Path) -> dict[str, object]:
     return {"jc": jc, "body": body, "motion": jc.Motion(jc.body.sample_poses(body.skeleton, count=3), 30.0)}
 
 
+def live_page(folder: Path) -> dict[str, object]:
+    """A person in front of a camera, in two images."""
+    del folder
+    body = jc.human(resolution="low", joints="tracking")
+    camera = look_at([0.0, 0.2, 2.4], [0.0, 0.1, 0.0], 160, 120, 60)
+    shown = render_depth(
+        camera, make_ray_mesh(np.asarray(body.vertices, float), np.asarray(body.faces))
+    ).depth
+    depth = np.where(shown > 0, shown, 4.0)
+    frames, found = [(0.0, depth), (1.0, depth)], []
+    return {"jc": jc, "body": body, "camera": camera, "depth": depth, "frames": frames, "show": found.append}
+
+
 def adaptation_page(folder: Path) -> dict[str, object]:
     """A template, and clouds of somebody smaller in a few poses."""
     del folder
@@ -132,5 +147,6 @@ GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/depth.md": depth_page,
     "docs/markers.md": markers_page,
     "docs/files.md": files_page,
+    "docs/live.md": live_page,
     "docs/adaptation.md": adaptation_page,
 }

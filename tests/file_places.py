@@ -42,6 +42,7 @@ PLACES = [
         {"body": "small.obj", "clouds": (GONE,), "out": "new", "skl": "bones.skl", "vj": FILE},
         ("parts.vj",),
     ),
+    Place("live.live.Live", {"body": FILE, "watch": (GONE,), "out": "new"}, ALL_BODIES),
     Place("evaluate.Evaluate", {"body": FILE, "motion": GONE, "clouds": (GONE,)}, ALL_BODIES),
     Place("evaluate.Evaluate", {"body": BODY, "motion": FILE, "clouds": ("clouds.npz",)}, MOTIONS),
     # clouds are read when their frame comes, after the number of frames is checked

@@ -41,7 +41,7 @@ def fuse_cloud(
     ]
     points, normals, numbers = (np.concatenate(parts) for parts in zip(*views, strict=True))
     if voxel > 0 and len(points):
-        points, normals, numbers = _average_in_voxels(points, normals, numbers, voxel)
+        points, normals, numbers = average_in_voxels(points, normals, numbers, voxel)
     return FusedScan(points, normals, numbers, np.zeros((0, 3), int))
 
 
@@ -97,20 +97,19 @@ def image_normals(
     more than `gap`, metres, are excluded. Normals are zero if fewer than three pixels are left, or if these
     are collinear.
     """
-    rows, columns = np.nonzero(depth > 0)
-    framed = np.pad(depth, window)
-    here, (fx, fy) = depth[rows, columns], np.asarray(camera.focal, float)
-    sums = np.zeros((9, len(rows)))
-    for down in range(-window, window + 1):
-        for across in range(-window, window + 1):
-            neighbours = framed[rows + window + down, columns + window + across]
-            near = (neighbours > 0) & (np.abs(neighbours - here) < gap)
-            weight, inverse = near.astype(float), np.where(near, 1.0 / np.where(near, neighbours, 1.0), 0.0)
-            sums += np.stack([
-                weight, weight * across, weight * down, weight * across**2, weight * across * down,
-                weight * down**2, inverse, inverse * across, inverse * down,
-            ])  # fmt: skip
-    n, u, v, uu, uv, vv, w, wu, wv = sums
+    return normals_along_rays(camera_rays(camera), np.asarray(camera.focal, float), depth, gap, window)
+
+
+def normals_along_rays(
+    rays: Float[np.ndarray, "H W 3"],
+    focal: Float[np.ndarray, "2"],
+    depth: Float[np.ndarray, "H W"],
+    gap: float,
+    window: int,
+) -> Float[np.ndarray, "P 3"]:
+    """Estimate normals as `image_normals` does, also in a part of an image, with the `rays` of its pixels."""
+    n, u, v, uu, uv, vv, w, wu, wv = _plane_sums(depth, gap, window)
+    fx, fy = focal
     # centre the sums, so that two unknowns are left
     count = np.maximum(n, 1.0)
     uu, uv, vv = uu - u * u / count, uv - u * v / count, vv - v * v / count
@@ -119,7 +118,7 @@ def image_normals(
     known = (n >= 3) & (spread > 1e-9)
     safe = np.where(known, spread, 1.0)
     slope = np.stack([(wu * vv - wv * uv) / safe * fx, (wv * uu - wu * uv) / safe * fy], 1)
-    rays = camera_rays(camera)[rows, columns]
+    rays = rays[depth > 0]
     level = (w - slope[:, 0] / fx * u - slope[:, 1] / fy * v) / count
     normals = np.concatenate([slope, (level - np.sum(slope * rays[:, :2], 1))[:, None]], 1)
     normals *= np.where(np.sum(normals * rays, 1) > 0, -1.0, 1.0)[:, None]
@@ -127,6 +126,41 @@ def image_normals(
     return np.where(
         (known & (lengths > 0))[:, None], normals / np.where(lengths > 0, lengths, 1.0)[:, None], 0.0
     )
+
+
+def _plane_sums(depth: Float[np.ndarray, "H W"], gap: float, window: int) -> Float[np.ndarray, "9 P"]:
+    """Sum over the neighbours of each measured pixel: 1, u, v, u^2, uv, v^2, w, wu and wv.
+
+    `u` and `v` are the columns and rows from the pixel, `w` the inverse depth. Only the box around the measured pixels is
+    visited.
+    """
+    measured = depth > 0
+    if not measured.any():
+        return np.zeros((9, 0))
+    rows, columns = (np.flatnonzero(measured.any(axis)) for axis in (1, 0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    here = depth[box]
+    framed = np.pad(here, window)
+    inverses = np.divide(1.0, framed, out=np.zeros_like(framed), where=framed > 0)
+    sums, (height, width) = np.zeros((9, *here.shape), here.dtype), here.shape
+    for down in range(-window, window + 1):
+        # of one row of neighbours: 1, u, u^2, w and wu
+        row = np.zeros((5, *here.shape), here.dtype)
+        for across in range(-window, window + 1):
+            there = np.s_[window + down : window + down + height, window + across : window + across + width]
+            near = ((framed[there] > 0) & (np.abs(framed[there] - here) < gap)).astype(here.dtype)
+            inverse = inverses[there] * near
+            row[0] += near
+            row[3] += inverse
+            if across:
+                row[1] += across * near
+                row[2] += across**2 * near
+                row[4] += across * inverse
+        count, u, uu, w, wu = row
+        parts = (count, u, down * count, uu, down * u, down**2 * count, w, wu, down * w)
+        for total, part in zip(sums, parts, strict=True):
+            total += part
+    return sums[:, measured[box]]
 
 
 def _world(camera: Camera, depth: np.ndarray, gap: float, window: int) -> tuple[np.ndarray, np.ndarray]:
@@ -141,14 +175,24 @@ def _is_continuous(depths: np.ndarray, gap: float) -> np.ndarray:
     return (nearest > 0) & (farthest - nearest <= gap)
 
 
-def _average_in_voxels(
+def average_in_voxels(
     points: np.ndarray, normals: np.ndarray, views: np.ndarray, side: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Average points and normals in each cube, with the view of the cube's first point."""
-    cells = np.floor(points / side).astype(np.int64)
-    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    cell, count = cell.reshape(-1), len(first)
+    _, first, cell = np.unique(cell_numbers(points, side), return_index=True, return_inverse=True)
+    count = len(first)
     total = np.stack([np.bincount(cell, a, count) for a in np.concatenate([points, normals], 1).T], 1)
     means = total[:, :3] / np.bincount(cell, minlength=count)[:, None]
     lengths = np.linalg.norm(total[:, 3:], axis=1, keepdims=True)
     return means, total[:, 3:] / np.where(lengths > 1e-12, lengths, 1.0), views[first]
+
+
+def cell_numbers(points: Float[np.ndarray, "N 3"], side: float) -> Int[np.ndarray, "N"]:
+    """Number the cubes of a grid that contain the points; equal numbers are equal cubes, and the order is that of x, y, z."""
+    cells = np.floor(points / side).astype(np.int64)
+    cells -= cells.min(0)
+    sizes = cells.max(0).astype(object) + 1
+    if sizes[0] * sizes[1] * sizes[2] > 2**62:
+        # too many cubes for one number, as of points at very different distances
+        return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
+    return (cells[:, 0] * int(sizes[1]) + cells[:, 1]) * int(sizes[2]) + cells[:, 2]

@@ -88,7 +88,7 @@ def mask_of(
     """Return the pixels of some of the surfaces of `segment_surfaces`."""
     z = depth[:: search.step, :: search.step]
     free = (depth > 0) & ~search.on_planes & ~search.on_background
-    return _refine(np.isin(search.labels, labels), z, depth, free, search.step)
+    return enlarge_mask(np.isin(search.labels, labels), z, depth, free, search.step)
 
 
 @checked
@@ -106,15 +106,19 @@ def find_person(
     if not (depth > 0).any():
         check_image_size_of(camera, depth, "image", where)
         raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
-    person = search_person(camera, depth, background, where).person
-    if not person.any():
+    return check_found(search_person(camera, depth, background, where), where).person
+
+
+def check_found(search: PersonSearch, where: str) -> PersonSearch:
+    """Return a search that found a person. Raises `NoPersonError`."""
+    if not search.person.any():
         raise NoPersonError(
             f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
         )
-    return person
+    return search
 
 
-def _refine(
+def enlarge_mask(
     small: Bool[np.ndarray, "h w"],
     z: Float[np.ndarray, "h w"],
     depth: Float[np.ndarray, "H W"],
@@ -122,12 +126,12 @@ def _refine(
     step: int,
 ) -> Bool[np.ndarray, "H W"]:
     """Enlarge a mask to `free` pixels of its blocks, and of the blocks next to these, with a depth like theirs."""
-    size, blocks = depth.shape, np.pad(np.where(small, z, 0.0), 1)
-    height, width = small.shape
-    person = np.zeros(size, bool)
+    (rows, columns), (height, width) = depth.shape, small.shape
+    blocks = np.pad(np.where(small, z, 0.0).astype(depth.dtype), 1)
+    tolerance, person = CONTINUITY * depth, np.zeros(depth.shape, bool)
     for down in range(3):
         for across in range(3):
             near = blocks[down : down + height, across : across + width]
-            wide = near.repeat(step, 0).repeat(step, 1)[: size[0], : size[1]]
-            person |= np.abs(depth - wide) < CONTINUITY * depth
+            wide = near.repeat(step, 0)[:rows].repeat(step, 1)[:, :columns]
+            person |= np.abs(depth - wide) < tolerance
     return person & free

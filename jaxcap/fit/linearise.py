@@ -10,10 +10,17 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, Posed, pose_body
-from ..body.geometric_jacobian import concatenate_jacobians, joint_jacobian, pose_jacobian, select_parameters
+from ..body.geometric_jacobian import (
+    concatenate_jacobians,
+    descendant_matrix,
+    joint_jacobian,
+    pose_jacobian,
+    select_parameters,
+)
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.retraction import retract
+from ..energy.data.bones import AbstractBoneEnergy
 from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.energy import AbstractEnergy, Weighted, safe_sqrt, terms_of, unweighted
 from ..geometry import rotation
@@ -62,7 +69,8 @@ def frame_jacobian(
     """
     posed = pose_body(body, pose)
     terms = terms_of(energy)
-    others = tuple(term for term in terms if not isinstance(unweighted(term), AbstractVertexEnergy))
+    closed = (AbstractVertexEnergy, AbstractBoneEnergy) if tangent is None else AbstractVertexEnergy
+    others = tuple(term for term in terms if not isinstance(unweighted(term), closed))
     dofs = body.skeleton.num_dofs
     count = 0 if tangent is None else tangent.centres.shape[2]
 
@@ -78,7 +86,7 @@ def frame_jacobian(
     differentiated = iter(zip(residuals, jacobians, strict=True))
     rows = [
         (term.residual(posed), _term_jacobian(term, posed, tangent))
-        if isinstance(unweighted(term), AbstractVertexEnergy)
+        if isinstance(unweighted(term), closed)
         else next(differentiated)
         for term in terms
     ]
@@ -249,5 +257,25 @@ def weighted_derivatives(
 
 
 def _term_jacobian(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | None) -> Float[Array, "R N"]:
+    if isinstance(unweighted(term), AbstractBoneEnergy):
+        return _bone_term_jacobian(term, posed)
     rows = point_jacobian(posed, *weighted_derivatives(term, posed), tangent)
     return rows.reshape(-1, rows.shape[2])
+
+
+def _bone_term_jacobian(term: AbstractEnergy, posed: Posed) -> Float[Array, "R D"]:
+    """Differentiate a weighted term over bones by the pose."""
+    plain, weight = unweighted(term), 1.0
+    while isinstance(term, Weighted):
+        weight, term = weight * safe_sqrt(term.weight), term.energy
+    assert isinstance(plain, AbstractBoneEnergy)
+    bones, rows = plain.bone_jacobian(posed)
+    skeleton = posed.body.skeleton
+    rates = pose_jacobian(skeleton, posed.pose, posed.transforms)
+    fields = jnp.concatenate([rates.angular, rates.linear], 1)
+    # the velocity of each bone by each parameter of the pose
+    velocities = descendant_matrix(skeleton, rates)[:, None] * fields.T
+    count, dofs = len(rows) * rows.shape[2], velocities.shape[2]
+    if bones is None:
+        return weight * (jnp.swapaxes(rows, 1, 2).reshape(count, -1) @ velocities.reshape(-1, dofs))
+    return weight * jnp.einsum("ckrn,cknd->crd", rows, velocities[bones]).reshape(count, dofs)

@@ -125,13 +125,16 @@ def check_coordinates(points: Float[np.ndarray, "N 3"], name: str) -> None:
 
 
 def ordered_cloud(
-    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N"]
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    weights: Float[np.ndarray, "N"],
+    size: int | None = None,
 ) -> Cloud:
-    """Create a cloud from arrays, in the order and with the padding of `make_cloud`, unchecked and of any
-    unit."""
+    """Create a cloud from arrays, in the order and with the padding of `make_cloud`, or padded to `size`; unchecked and of
+    any unit."""
     order = spatial_order(points, weights)
     points, normals, weights = points[order], normals[order], weights[order]
-    extra = padded_size(len(points)) - len(points)
+    extra = (padded_size(len(points)) if size is None else size) - len(points)
     # padding repeats the first point, so that bounding boxes do not change
     return Cloud(
         jnp.asarray(np.concatenate([points, np.repeat(points[:1], extra, 0)])),

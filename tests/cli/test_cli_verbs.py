@@ -18,7 +18,7 @@ from jaxcap.io.meshes.mesh import Mesh, read_mesh, write_mesh
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 from jaxcap.io.skeletons.skl import read_skl, write_skl
 
-VERBS = ("demo", "rig", "learn", "fit", "track", "scan", "evaluate", "info", "convert")
+VERBS = ("demo", "rig", "learn", "fit", "track", "live", "scan", "evaluate", "info", "convert")
 
 
 @pytest.fixture(scope="module")

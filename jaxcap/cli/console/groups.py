@@ -70,6 +70,7 @@ the user for later runs. The environment variable JAXCAP_CACHE names another fol
         "fit": Verb("fit.Fit", "Fit the poses of a body to registered meshes"),
         "adapt": Verb("adapt.adapt.Adapt", "Adapt a template body to the actor in a sequence of scans"),
         "track": Verb("track.track.Track", "Fit a body to a sequence of point clouds"),
+        "live": Verb("live.live.Live", "Fit a body to depth images or clouds as they arrive"),
         "evaluate": Verb("evaluate.Evaluate", "Measure distances from scans to a body, and joint errors"),
         "scan": Verb("scan.scan.Scan", "Scan a moving body with virtual depth cameras"),
         "markers": MARKERS,

@@ -76,7 +76,7 @@ class _Output:
 
 
 _OUTPUT = _Output()
-write_line = _OUTPUT.line
+write_line, write_status = _OUTPUT.line, _OUTPUT.write_status
 
 
 def set_activity(text: str) -> None:

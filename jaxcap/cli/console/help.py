@@ -63,6 +63,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 #: titles of a verb's own settings, and options that are in another group for some verbs
 TITLES = {
     "track": "Tracking",
+    "live": "Live tracking",
     "adapt": "Adaptation",
     "learn": "Learning",
     "scan": "Cameras and measurement errors",

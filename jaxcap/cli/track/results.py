@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -26,8 +26,8 @@ PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 
 
-def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> Path:
-    """Make a folder if it does not exist, and return the path of its journal.
+def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resumable: bool = True) -> Path:
+    """Make a folder if it does not exist, and return the path of its journal. `resumable`: the verb has --resume.
 
     **Raises:** `InputError` if it has no write access, or contains results without permission to resume or
     replace them.
@@ -37,9 +37,12 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool) -> P
     there = [name for name in (*FILES, *of_people, PERSON, journal) if (folder / name).exists()]
     if there and not (resume or overwrite):
         what = "an unfinished run" if set(there) <= {PERSON, journal} else "the results of a run"
-        raise InputError(
-            f"{folder}: this folder contains {what}; give --resume to continue it or --overwrite to replace it."
+        mend = (
+            "--resume to continue it or --overwrite to replace it"
+            if resumable
+            else "--overwrite to replace it"
         )
+        raise InputError(f"{folder}: this folder contains {what}; give {mend}.")
     if resume and journal not in there and there not in ([], [PERSON]):
         raise InputError(
             f"{folder}: this folder has no journal to resume from; give --overwrite to begin anew."
@@ -100,9 +103,14 @@ def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:
 
 
 def write_results(
-    folder: Path, skeleton: Skeleton, results: Results, rate: float, names: Sequence[str]
+    folder: Path,
+    skeleton: Skeleton,
+    results: Results,
+    rate: float,
+    names: Sequence[str],
+    summary: Mapping[str, object] | None = None,
 ) -> None:
-    """Write the motion and the statistics of a run; `names` are those of the clouds."""
+    """Write the motion and the statistics of a run; `names` are those of the clouds, `summary` is added to the statistics."""
     motion = Motion(results.poses, rate)
     write_bvh(folder / "motion.bvh", skeleton, motion)
     save_motion(folder / "motion.npz", motion, skeleton, [verdict for verdict, _ in results.verdicts])
@@ -126,7 +134,7 @@ def write_results(
         )
     ]
     write_csv(folder / "statistics.csv", rows)
-    write_json(folder / "statistics.json", {"rate": rate, "frames": rows})
+    write_json(folder / "statistics.json", {"rate": rate, **(summary or {}), "frames": rows})
 
 
 def check_complete(count: int, clouds: Sequence) -> None:

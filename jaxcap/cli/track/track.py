@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
@@ -19,7 +18,6 @@ from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
-from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...io.system.lock import run_lock
@@ -64,6 +62,7 @@ from .depth import (
 )
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
 from .people import follow_people, people_template, read_count, write_people
+from .person_shape import find_person_shape
 from .results import (
     PERSON,
     check_complete,
@@ -76,8 +75,6 @@ from .results import (
 
 JOURNAL = "journal"
 People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
-#: number of frames from which the shape of a person is estimated
-SHAPE_FRAMES = 40
 #: values of --initialise
 SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
 
@@ -168,7 +165,7 @@ class Track:
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
             if self.fit_shape:
-                tracker = self.tracker(self.find_person(tracker, clouds), limits)
+                tracker = self.tracker(find_person_shape(self.out / PERSON, tracker, clouds), limits)
             header = {
                 **self.settings(),
                 **fingerprint(tracker, begun),
@@ -179,16 +176,6 @@ class Track:
                 self.track(journal, tracker, clouds, rate, header, others)
             else:
                 self.track_people(journal, tracker, clouds, rate, header, read_count(self.people))
-
-    def find_person(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
-        """Estimate the shape of the person from the first frames and write it, or read it if an earlier run did."""
-        path = self.out / PERSON
-        if not path.is_file():
-            set_activity("estimating the shape of the person")
-            save_body(path, estimate_shape(tracker, first_readable(clouds, SHAPE_FRAMES)))
-            say(f"the shape of the person is in {path}; the frames are now tracked with it")
-        # the written body, so that a resumed run has the same one
-        return load_body(str(path))[0]
 
     def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
         """Open the clouds, or the depth images with their backgrounds.
@@ -397,17 +384,3 @@ class Track:
         )
         for number, (frame, seconds) in enumerate(timed(frames), begin):
             yield dataclasses.replace(frame, others=frame.others or number in others), seconds
-
-
-def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
-    """Read the first `count` clouds of a person, or those before the first that cannot be read, which tracking reports."""
-    found = []
-    for number in range(len(clouds)):
-        try:
-            cloud = clouds[number]
-        except InputError:
-            break
-        found += [] if cloud.missing else [cloud]
-        if len(found) == count:
-            break
-    return found

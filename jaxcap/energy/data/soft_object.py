@@ -74,11 +74,33 @@ def soft_distance(soft: SoftObject, posed: Posed, points: Float[Array, "N 3"]) -
 
     The P primitives are transformed into the world by similarities, not N points into the frame of each.
     """
+    return _blend(points, *_posed_primitives(soft, posed))
+
+
+def soft_distance_slopes(
+    soft: SoftObject, posed: Posed, points: Float[Array, "N 3"]
+) -> tuple[Float[Array, "N"], Float[Array, "N P 3"]]:
+    """Compute `soft_distance` and its derivative by the offset of each point from each primitive.
+
+    The sum over primitives is the slope by the point, and the negative sum over the primitives of a bone is that by a translation of
+    the bone.
+    """
+    centres, precisions, stiffness = _posed_primitives(soft, posed)
+    measure = jax.vmap(jax.vmap(jax.value_and_grad(primitive_distance)), (0, None))
+    distances, along = measure(points[:, None] - centres, precisions)
+    shares = jax.nn.softmax(-stiffness * distances, axis=1)
+    return -jax.nn.logsumexp(-stiffness * distances, axis=1) / stiffness, shares[..., None] * along
+
+
+def _posed_primitives(
+    soft: SoftObject, posed: Posed
+) -> tuple[Float[Array, "P 3"], Float[Array, "P 3 3"], Float[Array, ""]]:
+    """Compute centres, precisions and stiffness in the world."""
     r, scale = posed.transforms.rotations[soft.bones], posed.pose.scale
     centres = jnp.einsum("pab,pb->pa", r, soft.centres) + posed.transforms.translations[soft.bones]
     # the inverse of a similarity: its rotation block is a rotation times the scale
     precisions = jnp.einsum("pab,pbc,pdc->pad", r, soft.precisions, r) / scale**4
-    return _blend(points, centres, precisions, soft.stiffness / scale)
+    return centres, precisions, soft.stiffness / scale
 
 
 def primitive_distance(offset: Float[Array, "3"], precision: Float[Array, "3 3"]) -> Float[Array, ""]:

@@ -5,10 +5,10 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ..energy import AbstractEnergy
+from .bones import AbstractBoneEnergy
 
 
-class RigidMoments(AbstractEnergy):
+class RigidMoments(AbstractBoneEnergy):
     """`sum_i w_i |T_b(i) x_i - y_i|^2`, exactly, for any number of pairs.
 
     The sum depends on the pairs of a bone only through the 7 x 7 moment matrix `M` of `[x; 1; y]`: with `A =
@@ -27,6 +27,24 @@ class RigidMoments(AbstractEnergy):
         f = self.factors
         moved = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + shift[:, :, None] * f[:, 3:4] - f[:, 4:]
         return moved.reshape(-1)
+
+    def bone_jacobian(self, posed: Posed):
+        """Differentiate by each bone: `a x (R F_x + (R o + t) F_1) + b F_1` for the field `(a, b)`."""
+        r, t = posed.transforms.rotations, posed.transforms.translations
+        f, ones = self.factors, self.factors[:, 3]
+        origins = jnp.einsum("jab,jb->ja", r, self.origins) + t
+        carried = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + origins[:, :, None] * f[:, 3:4]
+        x, y, z = carried[:, 0], carried[:, 1], carried[:, 2]
+        none = jnp.zeros_like(x)
+        # a x v, for each column v
+        rows = [
+            (none, z, -y, ones, none, none),
+            (-z, none, x, none, ones, none),
+            (y, -x, none, none, none, ones),
+        ]
+        jacobian = jnp.stack([jnp.stack(row, -1) for row in rows], 1)
+        bones = jnp.arange(len(f), dtype=jnp.int32)[:, None]
+        return bones, jacobian.reshape(len(f), 1, -1, 6)
 
 
 @checked

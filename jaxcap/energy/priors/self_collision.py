@@ -13,8 +13,9 @@ from ...body.people.anatomy import BODY_REGIONS
 from ...body.pose import rest_pose
 from ...body.skeleton import Skeleton
 from ...geometry.sampling import even_indices
-from ..data.soft_object import SoftObject, make_soft_object, soft_distance
-from ..energy import AbstractEnergy, safe_sqrt
+from ..data.bones import AbstractBoneEnergy
+from ..data.soft_object import SoftObject, make_soft_object, soft_distance, soft_distance_slopes
+from ..energy import safe_sqrt
 
 #: parts of a person's limbs that must not be inside of others, without their side
 ARM = ("ForeArm", "Hand", "FingerBase", "HandFinger1")
@@ -35,7 +36,7 @@ class LimbCollision(eqx.Module):
     allowed: Float[Array, "N"]
 
 
-class SelfCollision(AbstractEnergy):
+class SelfCollision(AbstractBoneEnergy):
     """`sum_i w_i max(depth_i - allowed_i, 0)^2` over points of limbs inside of other parts of the body.
 
     Parts are soft objects (`SoftObject`), and points move rigidly with their bones.
@@ -51,11 +52,29 @@ class SelfCollision(AbstractEnergy):
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         depths = []
         for limb in self.limbs:
-            r, t = posed.transforms.rotations[limb.bones], posed.transforms.translations[limb.bones]
-            points = jnp.einsum("nab,nb->na", r, limb.points) + t
-            depth = -soft_distance(limb.others, posed, points)
+            depth = -soft_distance(limb.others, posed, _limb_points(limb, posed))
             depths.append(jnp.maximum(depth - limb.allowed * posed.pose.scale, 0.0))
         return safe_sqrt(self.weight) * jnp.concatenate(depths)
+
+    def bone_jacobian(self, posed: Posed):
+        """Differentiate by all bones.
+
+        A distance depends on the place of a point relative to a primitive only, so a motion of the primitive's bone acts as the
+        opposite motion of the point.
+        """
+        rows, bones = [], jnp.arange(len(posed.joints))
+        for limb in self.limbs:
+            points = _limb_points(limb, posed)
+            distance, slopes = soft_distance_slopes(limb.others, posed, points)
+            inside = -distance - limb.allowed * posed.pose.scale > 0
+            wrenches = jnp.concatenate([jnp.cross(points[:, None], slopes), slopes], -1)
+            wrenches = jnp.where(inside[:, None, None], safe_sqrt(self.weight) * wrenches, 0.0)
+            # products with membership matrices are faster on a CPU than scatters
+            of_others = (limb.others.bones[:, None] == bones).astype(slopes.dtype)
+            own = (limb.bones[:, None] == bones).astype(slopes.dtype)
+            moved = jnp.einsum("npc,pj->njc", wrenches, of_others)
+            rows.append(moved - own[:, :, None] * jnp.sum(wrenches, 1)[:, None])
+        return None, jnp.concatenate(rows)[:, :, None]
 
 
 @checked
@@ -80,6 +99,11 @@ def make_self_collision(body: Body, deviation: float | int = 0.01) -> SelfCollis
         near = _bones(skeleton, ("UpLeg", *LEG), other)
         limbs.append(_limb(body, whole, _bones(skeleton, LEG, side), near))
     return SelfCollision(tuple(limbs), jnp.asarray(deviation**-2, body.vertices.dtype))
+
+
+def _limb_points(limb: LimbCollision, posed: Posed) -> Float[Array, "N 3"]:
+    r, t = posed.transforms.rotations[limb.bones], posed.transforms.translations[limb.bones]
+    return jnp.einsum("nab,nb->na", r, limb.points) + t
 
 
 def _bones(skeleton: Skeleton, names: Collection[str], side: str = "") -> list[int]:

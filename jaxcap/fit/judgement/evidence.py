@@ -91,18 +91,15 @@ def gather_evidence(
     vertices, points = posed.vertices - middle, points - middle
     before = jnp.zeros((0, 4), vertices.dtype) if occluders is None else occluders
     hiding = before - jnp.append(middle, 0.0)
-    squared = jnp.sum(points**2, 1)[:, None] - 2 * points @ vertices.T + jnp.sum(vertices**2, 1)
-    known = jnp.any(point_normals != 0, 1)
-    fits = (point_normals @ normals.T > MIN_NORMAL_COSINE) | ~known[:, None]
-    near = jnp.where(fits, squared, jnp.inf)
-    distances = jnp.sqrt(jnp.maximum(jnp.min(near, 1), 0.0)) / size
-    region = surface.regions[jnp.argmin(squared, 1)]
+    nearest = _nearest_samples(points, point_normals, weights > 0, vertices, normals)
+    distances = jnp.sqrt(nearest.squared) / size
+    region = surface.regions[nearest.sample]
     beyond = jnp.clip((distances - NEAR) / (FAR - NEAR), 0.0, 1.0)
     amount = weights * beyond * _neighbour_density(points / (CELL_SIZE * size), rows, beyond)
     count = len(surface.names)
     # gaps are wide between few points
     gap = jnp.maximum(EMPTY, SPARSE / jnp.sqrt(jnp.maximum(jnp.sum(cloud.weights > 0), 1))) * size
-    covered = jnp.min(jnp.where(weights[:, None] > 0, near, jnp.inf), 0) <= gap**2
+    covered = nearest.to_points <= gap**2
     if isinstance(sensors, Sequence) and len(sensors):
         expected = jnp.stack(
             [_visible_in_camera(camera, posed.vertices, normals, size, before) for camera in sensors]
@@ -134,7 +131,7 @@ def gather_evidence(
     )
     parts = jnp.asarray(surface.region_parts)[surface.regions]
     of_parts = jnp.zeros(len(surface.joints), amount.dtype).at[parts].add(surface.areas)
-    explained = jnp.zeros_like(of_parts).at[parts[jnp.argmin(near, 1)]].add(weights * (distances < NEAR))
+    explained = jnp.zeros_like(of_parts).at[parts[nearest.compatible]].add(weights * (distances < NEAR))
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
@@ -143,6 +140,51 @@ def gather_evidence(
         support=explained / jnp.maximum(jnp.sum(explained) * of_parts, TINY),
         coverage=share,
     )
+
+
+class _NearestSamples(eqx.Module):
+    """The nearest samples of points, and the nearest points of samples."""
+
+    #: nearest sample, whatever its normal
+    sample: Int[Array, "N"]
+    #: nearest sample with a compatible normal, the first where there is none, and its squared distance
+    compatible: Int[Array, "N"]
+    squared: Float[Array, "N"]
+    #: squared distance from each sample to the nearest of the used points with a compatible normal
+    to_points: Float[Array, "S"]
+
+
+def _nearest_samples(
+    points: Float[Array, "N 3"],
+    point_normals: Float[Array, "N 3"],
+    used: Bool[Array, "N"],
+    vertices: Float[Array, "S 3"],
+    normals: Float[Array, "S 3"],
+) -> _NearestSamples:
+    """Search by a running minimum over the samples, which XLA vectorises on a CPU, unlike `argmin` of all distances."""
+    x, y, z = points.T
+    nx, ny, nz = point_normals.T
+    known = jnp.any(point_normals != 0, 1)
+    limits = jnp.where(known, MIN_NORMAL_COSINE, -jnp.inf).astype(points.dtype)
+
+    def step(found, row):
+        best, sample, best_compatible, compatible = found
+        (vx, vy, vz), (ux, uy, uz), number = row
+        squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
+        near = jnp.where(nx * ux + ny * uy + nz * uz > limits, squared, jnp.inf)
+        closer, closer_compatible = squared < best, near < best_compatible
+        found = (
+            jnp.where(closer, squared, best),
+            jnp.where(closer, number, sample),
+            jnp.where(closer_compatible, near, best_compatible),
+            jnp.where(closer_compatible, number, compatible),
+        )
+        return found, jnp.min(jnp.where(used, near, jnp.inf))
+
+    far, none = jnp.full(len(points), jnp.inf, points.dtype), jnp.zeros(len(points), jnp.int32)
+    rows = (vertices, normals, jnp.arange(len(vertices), dtype=jnp.int32))
+    (_, sample, squared, compatible), to_points = jax.lax.scan(step, (far, none, far, none), rows, unroll=8)
+    return _NearestSamples(sample, compatible, squared, to_points)
 
 
 def _coverage(shown: Bool[Array, "D S"], covered: Bool[Array, "S"]) -> Float[Array, "D"]:

@@ -113,6 +113,44 @@ def find_first_frame(
     return frame
 
 
+def follow_frame(
+    tracker: Tracker,
+    surface: RegionSamples,
+    frame: TrackedFrame,
+    cloud: Cloud,
+    poses: Sequence[Pose] = (),
+    margin: float = 0.0,
+    judge: bool = True,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
+
+    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`; `occluders` as in `gather_evidence`. Without `judge` the frame keeps the
+    verdict of the frame before it.
+    """
+    before = frame.state.estimate.pose
+    state, statistics = track_frame_jit(tracker, frame.state, cloud)
+    # a lost frame may have led away from the correct pose
+    others = [*([frame.trusted] if frame.lost else []), *poses]
+    if others:
+        state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
+    if frame.lost:
+        state = reset_velocity(tracker, state)
+    if not judge:
+        return TrackedFrame(
+            state.estimate.pose,
+            statistics,
+            frame.lost,
+            frame.judgement,
+            frame.others,
+            state,
+            state.estimate.pose,
+            frame.baseline,
+            frame.searches,
+        )
+    return judge_frame(surface, cloud, state, statistics, frame.baseline, frame.searches, occluders)
+
+
 def advance_frame(
     follower: Follower,
     frame: TrackedFrame,
@@ -129,15 +167,8 @@ def advance_frame(
     `occluders` as in `gather_evidence`.
     """
     tracker, surface = follower.tracker, follower.surface
-    before, trusted, baseline = frame.state.estimate.pose, frame.trusted, frame.baseline
-    state, statistics = track_frame_jit(tracker, frame.state, cloud)
-    # a lost frame may have led away from the correct pose
-    others = [*([trusted] if frame.lost else []), *(candidates or ())]
-    if others:
-        state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
-    if frame.lost:
-        state = reset_velocity(tracker, state)
-    frame = judge_frame(surface, cloud, state, statistics, baseline, frame.searches, occluders)
+    trusted, baseline = frame.trusted, frame.baseline
+    frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
     if needs_search(frame):
         coarse = follower.begin_search(number, frame.reasons, frame.searches.count)
         key = jax.random.key(number)

@@ -66,6 +66,8 @@ class Tracker(eqx.Module):
     terms: tuple[AbstractEnergy, ...]
     #: steps of expectation maximisation per frame
     iterations: int = eqx.field(static=True)
+    #: largest number of vertices that are tested for free space
+    num_tested: int = eqx.field(static=True, default=NUM_TESTED)
 
     def __check_init__(self):
         check_fields(self)
@@ -92,6 +94,7 @@ def make_tracker(
     sigma_start: float = 0.015,
     iterations: int | None = None,
     partial: bool = False,
+    num_tested: int = NUM_TESTED,
 ) -> Tracker:
     """Make a `Tracker` for a body.
 
@@ -101,7 +104,8 @@ def make_tracker(
     do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
-    `terms` are further energies, in units of a log-likelihood.
+    `num_tested`, the largest number of vertices that are tested for free space; `terms` are further energies, in units of a
+    log-likelihood.
 
     **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
     """
@@ -112,7 +116,7 @@ def make_tracker(
     check_positive(where, "metres", sigma_start=sigma_start)
     default = PARTIAL_ITERATIONS if partial else ITERATIONS
     iterations = default if iterations is None else iterations
-    check_at_least(where, 1, iterations=iterations)
+    check_at_least(where, 1, iterations=iterations, num_tested=num_tested)
     own = sum_user_terms(where, terms, body)
     bones = body.skin.dominant_bones()
     return Tracker(
@@ -128,6 +132,7 @@ def make_tracker(
         sigma_start=as_number(sigma_start),
         terms=() if own is None else terms_of(own),
         iterations=iterations,
+        num_tested=num_tested,
     )
 
 
@@ -176,7 +181,7 @@ def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
         terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
     if cloud.views:
         count = len(tracker.body.vertices)
-        rows = jnp.linspace(0, count - 1, min(NUM_TESTED, count)).astype(jnp.int32)
+        rows = jnp.linspace(0, count - 1, min(tracker.num_tested, count)).astype(jnp.int32)
         weights = jnp.full(len(rows), FREE_SPACE_WEIGHT / len(rows)) * total / len(cloud.views)
         deviation = jnp.asarray(FREE_SPACE_DEVIATION)
         terms += [FreeSpace(rows, weights, view, deviation) for view in cloud.views]

@@ -22,7 +22,7 @@ _METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}
 _CHUNK_SIZE = 2**20
 
 
-class _ArrayHeader(NamedTuple):
+class ArrayHeader(NamedTuple):
     """The header of an array."""
 
     shape: tuple[int, ...]
@@ -148,7 +148,7 @@ def _members(file: zipfile.ZipFile, path: str | Path) -> dict[str, zipfile.ZipIn
     return found
 
 
-def _read_array_header(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> _ArrayHeader:
+def _read_array_header(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str) -> ArrayHeader:
     """Read the header of an array and check it against the archive. Raises `InputError`."""
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; write the file without a password.")
@@ -158,7 +158,7 @@ def _read_array_header(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str)
         )
     with file.open(info) as stream:
         try:
-            head = _parse_array_header(stream)
+            head = parse_array_header(stream)
         except ValueError:
             raise InputError(f"{where} is not a NumPy array; write the file with numpy.savez.") from None
         begins = stream.tell()
@@ -176,7 +176,7 @@ def _read_array_header(file: zipfile.ZipFile, info: zipfile.ZipInfo, where: str)
     return head
 
 
-def _parse_array_header(stream: Any) -> _ArrayHeader:
+def parse_array_header(stream: Any) -> ArrayHeader:
     """Parse the header of an array. Raises `ValueError` if it is invalid."""
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -188,14 +188,14 @@ def _parse_array_header(stream: Any) -> _ArrayHeader:
         raise ValueError("no head") from error
     if not all(isinstance(length, int) and 0 <= length < 2**40 for length in shape) or len(shape) > 16:
         raise ValueError(f"shape {shape}")
-    return _ArrayHeader(shape, by_columns, dtype)
+    return ArrayHeader(shape, by_columns, dtype)
 
 
-def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: _ArrayHeader, where: str) -> np.ndarray:
+def _numbers(file: zipfile.ZipFile, info: zipfile.ZipInfo, head: ArrayHeader, where: str) -> np.ndarray:
     """Read the elements of an array in native byte order. Raises `InputError` for invalid text."""
     data = bytearray(math.prod(head.shape) * head.dtype.itemsize)
     with file.open(info) as stream:
-        _parse_array_header(stream)
+        parse_array_header(stream)
         at = 0
         while at < len(data):
             piece = stream.read(_CHUNK_SIZE)

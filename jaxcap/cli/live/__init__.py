@@ -1,0 +1,1 @@
+"""`jaxcap live`: frames as they arrive."""

@@ -1,0 +1,1 @@
+"""Frames that arrive while a program runs: growing folders, pipes, depth cameras."""

@@ -1,0 +1,147 @@
+"""Folders to which another program adds a file for each frame."""
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ...errors import InputError
+from ...observe.clouds import Scan
+from ..depth.images import SUFFIXES, read_depth_image
+from ..depth.sequence import DepthFrame
+from ..meshes.clouds import read_clouds
+from ..meshes.mesh import SUFFIXES as MESH_SUFFIXES
+from ..meshes.point_files import read_organised_depth
+from ..system.paths import natural_sort_key
+from .arrivals import Arrival
+
+#: seconds between two looks into a folder, and for which a file must not change before it is read
+POLL_SECONDS, SETTLE_SECONDS = 0.004, 0.03
+#: seconds after a change of a folder in which its time of change may miss a file
+FOLDER_CLOCK_SECONDS = 0.05
+#: seconds after which a file that is still incomplete is read anyway, and refused by its reader
+MAX_WAIT_SECONDS = 2.0
+#: the last bytes of a complete PNG
+PNG_END = b"IEND\xaeB`\x82"
+ORGANISED = ".pcd"
+
+
+def watch_depth_folders(
+    folders: Sequence[str | Path], depth_scale: float, stop: threading.Event, timeout: float | None = None
+) -> Iterator[Arrival]:
+    """Yield the frames of depth images that are added to the folders, one folder for each camera.
+
+    Files that are there already are not read. Frame `n` is complete when every folder has its `n`-th new image, in the
+    order of the numbers in their names. Images that are still being written are waited for.
+
+    **Arguments:** `depth_scale`, the number of the images' units in a metre; `timeout`, seconds without a new frame after which
+    the iteration ends, never where not given.
+
+    **Raises:** `InputError` if a folder does not exist.
+    """
+
+    def read(paths: Sequence[Path]) -> DepthFrame:
+        depths = tuple(
+            read_organised_depth(path)
+            if path.suffix.lower() == ORGANISED
+            else read_depth_image(path, depth_scale)
+            for path in paths
+        )
+        return DepthFrame(str(paths[0]), depths, (None,) * len(depths))
+
+    return _watch(folders, (*SUFFIXES, ORGANISED), read, stop, timeout)
+
+
+def watch_cloud_folder(
+    folder: str | Path, unit: str, stop: threading.Event, timeout: float | None = None
+) -> Iterator[Arrival]:
+    """Yield the clouds that are added to a folder, as `watch_depth_folders` yields images."""
+    return _watch([folder], MESH_SUFFIXES, lambda paths: read_clouds(paths[0], unit=unit)[0], stop, timeout)
+
+
+def _watch(
+    folders: Sequence[str | Path],
+    suffixes: Sequence[str],
+    read: Callable[[Sequence[Path]], DepthFrame | Scan],
+    stop: threading.Event,
+    timeout: float | None,
+) -> Iterator[Arrival]:
+    watched = [_Folder(Path(folder), suffixes) for folder in folders]
+    last, begin = time.monotonic(), time.time()
+    while not stop.is_set():
+        for folder in watched:
+            folder.look()
+        while all(folder.complete for folder in watched):
+            files = [folder.complete.popleft() for folder in watched]
+            paths, written = [file.path for file in files], max(file.written for file in files)
+            last = time.monotonic()
+            arrived = last - max(time.time() - written, 0.0)
+            yield Arrival(str(paths[0]), written - begin, arrived, lambda paths=paths: read(paths))
+            if stop.is_set():
+                return
+        if timeout is not None and time.monotonic() - last > timeout:
+            return
+        stop.wait(POLL_SECONDS)
+
+
+class _File(NamedTuple):
+    path: Path
+    #: the time of its last change, seconds since the epoch
+    written: float
+
+
+class _Folder:
+    """New files of a folder: those that are complete, in their order."""
+
+    def __init__(self, folder: Path, suffixes: Sequence[str]):
+        self.folder, self.suffixes = folder, suffixes
+        self.complete: deque[_File] = deque()
+        self._growing: list[Path] = []
+        self._changed = 0.0
+        self._known = set(self._names())
+
+    def look(self) -> None:
+        """Look for new files, and move those that are complete."""
+        new = [name for name in self._names() if name not in self._known]
+        self._known.update(new)
+        self._growing += sorted((self.folder / name for name in new), key=natural_sort_key)
+        while self._growing and (written := _completed(self._growing[0])) is not None:
+            self.complete.append(_File(self._growing.pop(0), written))
+
+    def _names(self) -> list[str]:
+        """List the files of the folder if it may have changed since the last look. Raises `InputError`."""
+        try:
+            changed = os.stat(self.folder).st_mtime
+            if changed == self._changed and time.time() - changed > FOLDER_CLOCK_SECONDS:
+                return []
+            names = [name for name in os.listdir(self.folder) if name.lower().endswith(tuple(self.suffixes))]
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: this folder cannot be read ({error.strerror}); make it before frames arrive."
+            ) from None
+        self._changed = changed
+        return [name for name in names if not name.startswith(".")]
+
+
+def _completed(path: Path) -> float | None:
+    """Return the time of a file's last change once it is complete; None before.
+
+    A PNG has its own end. Any other file is complete if it did not change for a while.
+    """
+    try:
+        with open(path, "rb") as file:
+            status = os.fstat(file.fileno())
+            age = time.time() - status.st_mtime
+            if path.suffix.lower() == ".png" and status.st_size > len(PNG_END):
+                file.seek(-len(PNG_END), os.SEEK_END)
+                if file.read() == PNG_END:
+                    return status.st_mtime
+            elif status.st_size and age > SETTLE_SECONDS:
+                return status.st_mtime
+            return status.st_mtime if age > MAX_WAIT_SECONDS else None
+    except OSError:
+        # renamed or removed; its reader tells so
+        return time.time()

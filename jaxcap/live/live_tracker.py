@@ -1,0 +1,260 @@
+"""Tracking of frames as they arrive, in two threads."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..arguments import checked
+from ..body.body import Body, posed_vertices
+from ..body.pose import Pose
+from ..depth.stream.cloud_stream import NUM_POINTS, CloudStream
+from ..energy.check_energies import UserTerms
+from ..errors import InputError, user_message
+from ..fit.tracking.online import OnlineTracker
+from ..fit.tracking.track_frame import Tracker, make_tracker
+from ..geometry.camera import Camera
+from ..observe import Scan, thin_cloud
+from ..observe.clouds import Cloud, as_cloud
+from .mailbox import Mailbox
+from .statistics import LiveFrame, LiveStatistics, StatisticsCounter
+
+#: verdicts are given every so many frames, as a judgement takes a quarter of the time of a frame
+JUDGE_EVERY = 2
+#: steps of expectation maximisation, and vertices tested for free space, of a live tracker of depth images
+ITERATIONS, NUM_TESTED = 3, 500
+#: a frame: depth images of all cameras in metres, a cloud, or a scan as read from a file
+Observation = Sequence[np.ndarray] | Cloud | Scan
+
+
+class _Incoming(NamedTuple):
+    number: int
+    name: str
+    seconds: float
+    arrived: float
+    read: Callable[[], Observation]
+
+
+class _Ready(NamedTuple):
+    """A frame as a cloud."""
+
+    incoming: _Incoming
+    cloud: Cloud
+    #: seconds of computation of the cloud
+    computed: float
+
+
+def make_live_tracker(
+    body: Body, terms: UserTerms = (), *, partial: bool = True, iterations: int | None = None
+) -> Tracker:
+    """Make a `Tracker` that is fast enough for live depth images, with the arguments of `make_tracker`.
+
+    It takes 3 steps of expectation maximisation where `make_tracker(partial=True)` takes 6, and tests fewer vertices for free
+    space. Frames that follow each other closely need no more.
+    """
+    steps = ITERATIONS if iterations is None else iterations
+    return make_tracker(body, terms=terms, iterations=steps, partial=partial, num_tested=NUM_TESTED)
+
+
+class LiveTracker:
+    """Track frames as they arrive: the newest frame is tracked, and frames that a newer one overtakes are dropped.
+
+    `push` returns at once. One thread makes the cloud of a frame while another tracks the previous frame. A search for a lost
+    body runs next to them (`OnlineTracker`). Use it in a `with` statement, or call `close`.
+
+    **Arguments:** `tracker` as of `make_live_tracker`; `cameras` of the depth images, which
+    do not move; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
+    frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`.
+    """
+
+    @checked
+    def __init__(
+        self,
+        tracker: Tracker,
+        cameras: Sequence[Camera] = (),
+        *,
+        num_points: int = NUM_POINTS,
+        on_frame: Callable[[LiveFrame], None] | None = None,
+        start: Pose | None = None,
+        search: bool = True,
+        sigma: float | int = 0.1,
+        up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+        judge_every: int = JUDGE_EVERY,
+    ):
+        self._online = OnlineTracker(
+            tracker, start, search=search, sigma=float(sigma), up=up, judge_every=judge_every
+        )
+        self._stream = CloudStream(list(cameras), num_points) if cameras else None
+        self.num_points, self.on_frame = num_points, on_frame
+        #: the newest tracked frame
+        self.newest: LiveFrame | None = None
+        self._counts, self._lock, self._pushed = StatisticsCounter(), threading.Lock(), 0
+        self._idle = threading.Condition(self._lock)
+        self._open = 0
+        self._surface: Float[np.ndarray, "N 3"] | None = None
+        self._failure: BaseException | None = None
+        self._incoming, self._ready = Mailbox[_Incoming](), Mailbox[_Ready]()
+        self._threads = [
+            threading.Thread(
+                target=self._guard, args=(work,), daemon=True, name=f"live {work.__name__.strip('_')}"
+            )
+            for work in (self._make_clouds, self._track)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def push(
+        self,
+        frame: Observation | Callable[[], Observation],
+        seconds: float | int | None = None,
+        *,
+        name: str = "",
+        arrived: float | None = None,
+    ) -> None:
+        """Give the tracker a frame, or a function that reads it, and return at once.
+
+        **Arguments:** `frame`, the depth images of all cameras (metres, zero where nothing was measured), a cloud, or a scan; a
+        function is called only if the frame is not dropped; `seconds`, the time of the frame on the clock of its source; `name`
+        for messages; `arrived`, the time of its arrival by `time.monotonic()`, now by default.
+
+        **Raises:** the error that has ended a thread, if one has.
+        """
+        if self._failure is not None:
+            raise self._failure
+        now = time.monotonic() if arrived is None else arrived
+        read = frame if callable(frame) else lambda: frame
+        with self._lock:
+            number, self._pushed, self._open = self._pushed, self._pushed + 1, self._open + 1
+        there = _Incoming(
+            number, name or f"frame {number}", now if seconds is None else float(seconds), now, read
+        )
+        if self._incoming.replace(there) is not None:
+            self._finish(dropped=True)
+
+    def warm_up(self, frame: Observation) -> float:
+        """Compile everything that a frame of this size needs but the search, and return the seconds that this takes.
+
+        The frame itself is not counted, and no later frame starts from it.
+
+        **Raises:** `InputError` for a frame that cannot be tracked.
+        """
+        begin, tracker = time.perf_counter(), self._online.tracker
+        cloud = self._cloud(frame, "the first frame")
+        if self._stream is not None:
+            self._stream.warm_up()
+        self._online.warm_up(cloud)
+        np.asarray(posed_vertices(tracker.body, self._online.start))
+        return time.perf_counter() - begin
+
+    @property
+    def statistics(self) -> LiveStatistics:
+        """Counts, rate and latency so far."""
+        with self._lock:
+            return self._counts.summary()
+
+    @property
+    def latencies(self) -> Float[np.ndarray, "N"]:
+        """Latencies of the tracked frames, seconds."""
+        with self._lock:
+            return self._counts.latencies()
+
+    @property
+    def is_searching(self) -> bool:
+        """Whether the body is searched for."""
+        return self._online.is_searching
+
+    def wait(self, timeout: float | int | None = None) -> bool:
+        """Wait until all frames that were pushed are tracked or dropped; false after `timeout` seconds.
+
+        **Raises:** the error that has ended a thread, if one has.
+        """
+        with self._idle:
+            done = self._idle.wait_for(lambda: not self._open or self._failure is not None, timeout)
+        if self._failure is not None:
+            raise self._failure
+        return done
+
+    def close(self) -> None:
+        """Stop after the frame that is being tracked."""
+        self._incoming.close()
+        self._ready.close()
+        for thread in self._threads:
+            thread.join()
+        self._online.close()
+
+    def __enter__(self) -> "LiveTracker":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _guard(self, work: Callable[[], None]) -> None:
+        """Run the work of a thread, and keep the error that ends it for the caller."""
+        try:
+            work()
+        except BaseException as error:
+            with self._idle:
+                self._failure = error
+                self._idle.notify_all()
+            self._incoming.close()
+            self._ready.close()
+
+    def _make_clouds(self) -> None:
+        while (incoming := self._incoming.take()) is not None:
+            begin = time.perf_counter()
+            try:
+                cloud = self._cloud(incoming.read(), incoming.name)
+            except InputError as error:
+                self._finish(failure=user_message(error))
+                continue
+            if not self._ready.put(_Ready(incoming, cloud, time.perf_counter() - begin)):
+                return
+
+    def _cloud(self, frame: Observation, name: str) -> Cloud:
+        if isinstance(frame, (Cloud, Scan)):
+            cloud = as_cloud(frame)
+            few = int(np.count_nonzero(np.asarray(cloud.weights))) <= self.num_points
+            return cloud if few else thin_cloud(cloud, self.num_points)
+        if self._stream is None:
+            raise InputError(f"{name}: these are depth images, but no camera is known; give `cameras`.")
+        return self._stream.make(list(frame), self._surface, name)
+
+    def _track(self) -> None:
+        while (ready := self._ready.take()) is not None:
+            begin, incoming = time.perf_counter(), ready.incoming
+            try:
+                tracked = self._online.track(ready.cloud, incoming.name)
+            except InputError as error:
+                self._finish(failure=user_message(error))
+                continue
+            done = time.monotonic()
+            computed = ready.computed + time.perf_counter() - begin
+            frame = LiveFrame(
+                incoming.number,
+                incoming.name,
+                float(incoming.seconds),
+                done - incoming.arrived,
+                computed,
+                tracked,
+            )
+            body = self._online.tracker.body
+            self._surface = None if tracked.lost else np.asarray(posed_vertices(body, tracked.pose), float)
+            self.newest = frame
+            if self.on_frame is not None:
+                self.on_frame(frame)
+            self._finish(latency=frame.latency)
+
+    def _finish(self, latency: float | None = None, dropped: bool = False, failure: str = "") -> None:
+        """Count a frame that is done."""
+        with self._idle:
+            if latency is not None:
+                self._counts.add(latency)
+            self._counts.dropped += dropped
+            if failure:
+                self._counts.failed += 1
+                self._counts.last_failure = failure
+            self._open -= 1
+            self._idle.notify_all()

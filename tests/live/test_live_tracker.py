@@ -1,0 +1,168 @@
+"""Tracking of frames as they arrive: the newest one wins, no frame waits for a search, and nothing is lost in counting."""
+
+import threading
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import chain_body
+
+from jaxcap.body.body import pose_body
+from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.body.retraction import retract
+from jaxcap.errors import InputError
+from jaxcap.fit.tracking import online, track
+from jaxcap.fit.tracking.online import OnlineTracker
+from jaxcap.fit.tracking.track import track_frames
+from jaxcap.fit.tracking.track_frame import make_tracker
+from jaxcap.geometry.mesh import sample_surface
+from jaxcap.live.live_tracker import LiveTracker
+from jaxcap.live.mailbox import Mailbox
+from jaxcap.observe.clouds import Cloud, make_cloud
+
+BODY = chain_body("linear", rings=8, sides=8)
+TRACKER = make_tracker(BODY, iterations=2)
+_pose = eqx.filter_jit(pose_body)
+
+
+def pose_at(step: float) -> Pose:
+    return retract(BODY.skeleton, rest_pose(BODY.skeleton), jnp.full(BODY.skeleton.num_dofs, 0.01 * step))
+
+
+def cloud_at(step: float, number: int) -> Cloud:
+    """The surface in a pose that bends more with every step."""
+    vertices = np.asarray(_pose(BODY, pose_at(step)).vertices, float)
+    points, normals = sample_surface(vertices, np.asarray(BODY.faces), 200, np.random.default_rng(number))
+    return make_cloud(points, normals)
+
+
+CLOUDS = [cloud_at(float(k), k) for k in range(8)]
+
+
+def rotations(pose: Pose) -> np.ndarray:
+    return np.asarray(pose.rotations)
+
+
+def test_a_mailbox_keeps_the_newest_and_hands_over():
+    box = Mailbox[int]()
+    assert box.replace(1) is None
+    assert box.replace(2) == 1
+    assert box.take() == 2
+    assert box.put(3)
+    taken = []
+    thread = threading.Thread(target=lambda: taken.append(box.put(4)))
+    thread.start()
+    thread.join(0.05)
+    # the place is taken
+    assert thread.is_alive()
+    assert box.take() == 3
+    thread.join()
+    assert taken == [True] and box.take() == 4
+    box.close()
+    assert box.take() is None and not box.put(5) and box.replace(6) == 6
+
+
+def test_frames_that_arrive_slowly_are_tracked_as_a_recording(monkeypatch):
+    monkeypatch.setattr(track, "needs_search", lambda frame: False)
+    expected = [rotations(frame.pose) for frame in track_frames(TRACKER, CLOUDS, search=False)]
+    found, frames = [], []
+    with LiveTracker(TRACKER, on_frame=frames.append, search=False, judge_every=1) as live:
+        assert live.warm_up(CLOUDS[0]) > 0
+        assert live.newest is None and live.statistics.tracked == 0
+        for number, cloud in enumerate(CLOUDS):
+            live.push(cloud, number / 30)
+            assert live.wait(60)
+            assert live.newest is not None
+            found.append(rotations(live.newest.tracked.pose))
+        statistics, latencies = live.statistics, live.latencies
+    np.testing.assert_array_equal(found, expected)
+    assert [frame.number for frame in frames] == list(range(8))
+    assert [frame.seconds for frame in frames] == [number / 30 for number in range(8)]
+    assert (statistics.tracked, statistics.dropped, statistics.failed) == (8, 0, 0)
+    assert len(latencies) == 8 and statistics.latency_median <= statistics.latency_p99 == np.percentile(
+        latencies, 99
+    )
+    assert "8 tracked, 0 dropped" in statistics.sentence()
+
+
+def test_of_a_burst_the_newest_is_tracked_and_dropped_frames_are_never_read():
+    read = []
+
+    def reader(number):
+        def load():
+            read.append(number)
+            return CLOUDS[number % len(CLOUDS)]
+
+        return load
+
+    with LiveTracker(TRACKER, search=False) as live:
+        for number in range(200):
+            live.push(reader(number))
+        assert live.wait(60)
+        statistics, newest = live.statistics, live.newest
+    assert newest is not None and newest.number == 199
+    assert statistics.tracked + statistics.dropped == 200
+    assert len(read) == statistics.tracked < 150
+
+
+def test_latency_counts_from_the_arrival():
+    with LiveTracker(TRACKER, search=False) as live:
+        live.push(CLOUDS[0], arrived=time.monotonic() - 1.5)
+        live.wait(60)
+        assert live.latencies[0] > 1.5
+
+
+def test_a_frame_that_cannot_be_read_is_counted_and_the_next_one_tracked():
+    def damaged():
+        raise InputError("frame.png: the image cannot be read.")
+
+    with LiveTracker(TRACKER, search=False) as live:
+        for frame in (CLOUDS[0], damaged, [np.zeros((9, 9))], CLOUDS[1]):
+            live.push(frame)
+            live.wait(60)
+        statistics = live.statistics
+    assert (statistics.tracked, statistics.failed) == (2, 2)
+    assert "no camera is known" in statistics.last_failure
+
+
+def test_an_error_of_a_thread_reaches_the_caller():
+    def fault():
+        raise ZeroDivisionError("a fault of the program")
+
+    with LiveTracker(TRACKER, search=False) as live:
+        live.push(fault)
+        with pytest.raises(ZeroDivisionError):
+            live.wait(60)
+        with pytest.raises(ZeroDivisionError):
+            live.push(CLOUDS[0])
+
+
+def test_no_frame_waits_for_a_search(monkeypatch):
+    """The first search lasts until the event, and finds the right pose."""
+    go, started = threading.Event(), threading.Event()
+
+    def slow(tracker, cloud, **options):
+        started.set()
+        assert go.wait(60)
+        return pose_at(5.0), jnp.asarray(0.0)
+
+    monkeypatch.setattr(online, "initialise", slow)
+    monkeypatch.setattr(online, "coarse_tracker", lambda tracker: tracker)
+    away = retract(BODY.skeleton, pose_at(5.0), jnp.zeros(BODY.skeleton.num_dofs).at[:3].set(0.9))
+    tracking = OnlineTracker(TRACKER, away, sigma=0.01)
+    cloud = cloud_at(5.0, 5)
+    first = tracking.track(cloud)
+    assert first.verdict != "good" and started.wait(10) and tracking.is_searching
+    for _ in range(3):
+        frame = tracking.track(cloud)
+    assert frame.verdict != "good" and tracking.is_searching
+    go.set()
+    while tracking.is_searching:
+        time.sleep(0.01)
+    frame = tracking.track(cloud)
+    assert frame.verdict == "good"
+    joints = [np.asarray(_pose(BODY, pose).joints) for pose in (frame.pose, pose_at(5.0))]
+    assert np.abs(joints[0] - joints[1]).max() < 0.05
+    tracking.close()
