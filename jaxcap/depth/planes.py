@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ..arguments import checked
 from ..geometry.mesh import area_normals
 
 #: distance of points that belong to a plane, and share of all points that makes a plane floor or wall
@@ -26,6 +27,7 @@ class Plane(NamedTuple):
     offset: float
 
 
+@checked
 def find_planes(points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]) -> list[Plane]:
     """Find floors and walls by random sample consensus: wide planes with many points and few points behind them.
 
@@ -65,6 +67,7 @@ def on_planes(planes: list[Plane], points: Float[np.ndarray, "*points 3"]) -> Bo
     return on
 
 
+@checked
 def find_floor(
     planes: list[Plane], up: tuple[float, float, float] = (0.0, 1.0, 0.0), max_tilt: float = MAX_FLOOR_TILT
 ) -> Plane | None:
@@ -79,6 +82,7 @@ def find_floor(
     return min(level, key=lambda plane: plane.offset / (plane.normal @ vertical), default=None)
 
 
+@checked
 def refine_plane(plane: Plane, points: Float[np.ndarray, "N 3"]) -> Plane:
     """Fit a plane to the points on it by least squares of their distances."""
     near = points[on_planes([plane], points)]

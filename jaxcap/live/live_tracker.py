@@ -47,6 +47,7 @@ class _Ready(NamedTuple):
     computed: float
 
 
+@checked
 def make_live_tracker(
     body: Body, terms: UserTerms = (), *, partial: bool = True, iterations: int | None = None
 ) -> Tracker:

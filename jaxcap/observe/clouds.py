@@ -92,6 +92,7 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
     return ordered_cloud(points, unit_normals(normals), weights)
 
 
+@checked
 def missing_cloud(reason: str, views: tuple[DepthView, ...] = ()) -> Cloud:
     """Make the cloud of a frame that shows no person, with the `reason`, a sentence.
 

@@ -173,7 +173,7 @@ def test_the_shape_of_a_person_is_written_and_used_again(inputs, finished, tmp_p
         given.append(len(clouds))
         return eqx.tree_at(lambda b: b.vertices, tracker.body, 1.001 * tracker.body.vertices)
 
-    monkeypatch.setattr(track_module, "estimate_shape", estimate)
+    monkeypatch.setattr(person_shape, "estimate_shape", estimate)
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
         fails(capsys, *command(inputs, out, "--fit-shape"), code=130)
