@@ -16,6 +16,7 @@ from command_line import FRAMES, PYTHON, fails, runs, write_inputs
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli.sources import load_body
+from jaxcap.cli.track import person_shape
 from jaxcap.cli.track import track as track_module
 from jaxcap.fit.tracking.advance import Search
 from jaxcap.fit.tracking.track import track_frames
