@@ -8,8 +8,9 @@ from scipy.spatial import KDTree
 
 #: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
 MAX_PIECE_GAP = 0.25
-#: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres
-MAX_SMALL_GAP = 0.12
+#: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres;
+#: a smaller area than this next to other pieces, square metres, may be as far away as a piece: a head above raised arms
+MAX_SMALL_GAP, HEAD_AREA = 0.12, 0.03
 #: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
 MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
 #: farther surface is no person, metres; smaller surface is noise, square metres
@@ -76,10 +77,15 @@ def choose_person(candidates: list[Candidate]) -> list[Candidate]:
         if one.label == first.label:
             continue
         gap = MAX_PIECE_GAP if one.area < first.area else MAX_SMALL_GAP
-        if is_piece(first.points, one.points, gap) or is_piece(person, one.points, MAX_SMALL_GAP):
+        if is_piece(first.points, one.points, gap) or is_piece(person, one.points, chain_gap(one)):
             found[one.label] = PIECE
             person = np.concatenate([person, one.points])
     return [one._replace(found=found.get(one.label, one.found)) for one in candidates]
+
+
+def chain_gap(one: Candidate) -> float:
+    """Return the largest distance of a surface from other pieces of a person, metres."""
+    return MAX_PIECE_GAP if one.area < HEAD_AREA else MAX_SMALL_GAP
 
 
 def join_candidates(parts: list[Candidate]) -> Candidate:

@@ -12,10 +12,10 @@ from .candidates import (
     MAX_DISTANCE,
     MAX_EXTENT,
     MAX_PIECE_GAP,
-    MAX_SMALL_GAP,
     MIN_AREA,
     MIN_EXTENT,
     Candidate,
+    chain_gap,
     is_piece,
     surface_gap,
 )
@@ -70,7 +70,7 @@ def find_people(
         own = min(people, key=lambda person: min(surface_gap(piece.points, one.points) for piece in person))
         gap = MAX_PIECE_GAP if one.area < own[0].area else 0.0
         points = np.concatenate([piece.points for piece in own])
-        if is_piece(own[0].points, one.points, gap) or is_piece(points, one.points, MAX_SMALL_GAP):
+        if is_piece(own[0].points, one.points, gap) or is_piece(points, one.points, chain_gap(one)):
             own.append(one)
     return [mask_of(search, [piece.label for piece in own], depth) for own in people]
 

@@ -139,16 +139,11 @@ def _minimise_flat(problem: AbstractProblem, start: Any, solver: Any, max_steps:
 
 
 def take_step(
-    problem: AbstractProblem,
-    y: Any,
-    descent: optx.AbstractDescent,
-    damping: float | Float[Array, ""],
-    max_halvings: int = 0,
+    problem: AbstractProblem, y: Any, descent: optx.AbstractDescent, damping: float | Float[Array, ""]
 ) -> Any:
-    """Take one damped step from `y`; none if its equations cannot be solved.
+    """Take one damped step from `y` without testing its energy; none if its equations cannot be solved.
 
-    The step is halved up to `max_halvings` times while it raises the energy; without halvings the energy is not
-    tested. Differentiable by every array of the problem.
+    Differentiable by every array of the problem.
     """
     with jax.default_matmul_precision("highest"):
         info = problem.information(y)
@@ -157,21 +152,4 @@ def take_step(
     step, _ = descent.step(1.0 / jnp.asarray(damping, info.as_min().dtype), state)
     solved = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(step)]).all()
     step = jax.tree.map(lambda leaf: jnp.where(solved, leaf, 0.0), step)
-    step = jax.tree.map(jnp.multiply, problem.scales(), step)
-    if max_halvings:
-        share = _descending_share(problem, y, step, info.as_min(), max_halvings)
-        step = jax.tree.map(lambda leaf: share * leaf, step)
-    return problem.retract(y, step)
-
-
-def _descending_share(
-    problem: AbstractProblem, y: Any, step: Any, energy: Float[Array, ""], max_halvings: int
-) -> Float[Array, ""]:
-    """Compute the largest share of a step, by halving it, that does not raise the energy. The share counts as constant for derivatives."""
-    problem, y, step, energy = jax.lax.stop_gradient((problem, y, step, energy))
-
-    def rises(share):
-        shorter = jax.tree.map(lambda leaf: share * leaf, step)
-        return ~(problem.value(problem.retract(y, shorter)) <= energy) & (share > 0.5**max_halvings)
-
-    return jax.lax.while_loop(rises, lambda share: 0.5 * share, jnp.ones_like(energy))
+    return problem.retract(y, jax.tree.map(jnp.multiply, problem.scales(), step))

@@ -39,8 +39,6 @@ class MixtureSettings(eqx.Module):
     candidates: int = eqx.field(static=True, default=1)
     #: estimate the parts' prior shares too, or keep them uniform
     estimate_priors: bool = eqx.field(static=True, default=False)
-    #: largest number of halvings of a step that raises the energy of the M-step; its energy is not tested if zero
-    max_halvings: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
         check_fields(self)
@@ -55,7 +53,6 @@ def make_mixture_settings(
     damping: float = 1.0,
     candidates: int = 1,
     estimate_priors: bool = False,
-    max_halvings: int = 0,
 ) -> MixtureSettings:
     """Make a `MixtureSettings` from plain numbers.
 
@@ -68,7 +65,6 @@ def make_mixture_settings(
     check_within(where, 0, 1, tangential_weight=tangential_weight)
     check_at_least(where, 0, damping=damping)
     check_at_least(where, 1, candidates=candidates)
-    check_at_least(where, 0, max_halvings=max_halvings)
     return MixtureSettings(
         normal_threshold=as_number(normal_threshold),
         outlier=as_number(outlier),
@@ -77,7 +73,6 @@ def make_mixture_settings(
         damping=as_number(damping),
         candidates=candidates,
         estimate_priors=estimate_priors,
-        max_halvings=max_halvings,
     )
 
 
@@ -166,8 +161,7 @@ def em_step(
     posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
     data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
     energy = Sum(terms_of(data) + terms_of(prior))
-    problem = PoseProblem(energy, body)
-    pose = take_step(problem, estimate.pose, NormalDescent(), mixture.damping, mixture.max_halvings)
+    pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
     differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
     squared = jnp.sum(differences**2, -1)
     sigma = renew_sigma(mixture, found, squared, cloud, estimate.sigma)
