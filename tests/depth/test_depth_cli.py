@@ -155,7 +155,9 @@ def test_a_camera_that_looks_away_is_named(captured, capsys):
     sources = open_depth_sources(
         [str(captured / "leaves.npz"), str(captured / "wall.npz")], captured / "two.json", (), 1000.0
     )
-    clouds = depth_clouds.depth_clouds(sources, [None, None], human(resolution="low", joints="tracking"), set())
+    clouds = depth_clouds.depth_clouds(
+        sources, [None, None], human(resolution="low", joints="tracking"), set()
+    )
     shown = list(depth_clouds.announce_missing(iter(clouds)))
     assert [bool(cloud.missing) for cloud in shown] == [False, True, False]
     first, last = capsys.readouterr().err.strip().splitlines()

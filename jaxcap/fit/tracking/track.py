@@ -96,7 +96,8 @@ def _track_frames(
             )
         else:
             frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
-        frame = eqx.tree_at(lambda f: f.others, frame, shows_others(follower, frame.pose, cloud))
+        others = shows_others(follower, frame.pose, cloud, float(frame.statistics.outlier_share))
+        frame = eqx.tree_at(lambda f: f.others, frame, others)
         yield frame
 
 

@@ -19,15 +19,19 @@ DISTANCE = 0.25
 MIN_POINTS, MIN_HEIGHT, MIN_SIZE = 0.25, 0.5, 0.55
 #: least share of the points near the body, and of these on its surface, at most so far from a sample of it, metres
 MIN_EXPLAINED, MIN_ON_SURFACE, ON_SURFACE = 0.2, 0.5, 0.06
+#: least share of outliers in a frame that shows another person, less than MIN_POINTS / (1 + MIN_POINTS)
+MIN_OUTLIERS = 0.15
 
 _pose_body = eqx.filter_jit(pose_body)
 
 
-def shows_others(follower: Follower, pose: Pose, cloud: Cloud) -> bool:
+def shows_others(follower: Follower, pose: Pose, cloud: Cloud, outlier_share: float = 1.0) -> bool:
     """Test if a cloud has another group of points that is as large as a person.
 
-    A few thousandths of a second where there is none.
+    **Arguments:** `outlier_share` of the frame. Points of another person are outliers, so that most frames need no test.
     """
+    if outlier_share < MIN_OUTLIERS:
+        return False
     points, _ = real_points(cloud)
     points = points[even_indices(len(points), NUM_POINTS)]
     samples = np.asarray(_pose_body(follower.surface.body, pose).vertices, float)
