@@ -143,7 +143,9 @@ def results_of(count: int) -> Results:
     numbers = jnp.arange(count, dtype=float)
     one = jnp.zeros(())
     statistics = jax.tree.map(lambda _: numbers, FrameStatistics(one, one, one, one, one))
-    return Results(np.asarray(numbers), poses, statistics, [("good", ())] * count, [()] * count)
+    return Results(
+        np.asarray(numbers), poses, statistics, [("good", ())] * count, [()] * count, [False] * count
+    )
 
 
 def test_dropped_frames_are_interpolated():
