@@ -13,7 +13,7 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import online, track
+from jaxcap.fit.tracking import advance, online
 from jaxcap.fit.tracking.online import OnlineTracker
 from jaxcap.fit.tracking.track import track_frames
 from jaxcap.fit.tracking.track_frame import make_tracker
@@ -65,7 +65,7 @@ def test_a_mailbox_keeps_the_newest_and_hands_over():
 
 
 def test_frames_that_arrive_slowly_are_tracked_as_a_recording(monkeypatch):
-    monkeypatch.setattr(track, "needs_search", lambda frame: False)
+    monkeypatch.setattr(advance, "needs_search", lambda frame: False)
     expected = [rotations(frame.pose) for frame in track_frames(TRACKER, CLOUDS, search=False)]
     found, frames = [], []
     with LiveTracker(TRACKER, on_frame=frames.append, search=False, judge_every=1) as live:
