@@ -49,6 +49,8 @@ def find_people(
     person.
     """
     check_at_least("find_people", 1, count=count)
+    if not (depth > 0).any():
+        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
     search = segment_surfaces(camera, depth, background, where)
     largest = MAX_EXTENT * (1.0 if count == 1 else TOUCHING)
     large = [

@@ -57,7 +57,7 @@ def test_images_without_people_are_refused():
     with pytest.raises(InputError, match="nothing was measured"):
         find_people(CAMERA, np.zeros_like(depth))
     with pytest.raises(InputError, match="no surface has the size of a person"):
-        find_people(CAMERA, depth / 1000.0)
+        find_people(CAMERA, depth / 3.0)
     with pytest.raises(InputError, match="`count` is 0"):
         find_people(CAMERA, depth, 0)
 
