@@ -24,11 +24,12 @@ def find_attached(
 ) -> tuple[Bool[np.ndarray, "H W"], bool]:
     """Find the pixels of the farthest depths that may belong to a person, and whether a person moves.
 
-    In each frame the surfaces without floors and walls are connected. A surface of a person's size of which a share is
-    nearer than the farthest `depth` by more than the `tolerance` is a person who moves. The rest of it, and surfaces next
-    to it, never move but may belong to the person: a trunk, of which only the arms move. Surface that stands alone in most
-    of the frames that show a person who moves is furniture. Frames in which nobody moves decide nothing: a person may
-    stand still in them. If nobody moves in any frame, all surfaces but floors and walls may belong to a person.
+    In each frame, connected surfaces are found after floors and walls are removed. A person-sized surface moves if some of
+    its pixels are nearer than the farthest `depth` by more than the `tolerance`. Its other pixels never move, and neither
+    does surface next to it, but they may belong to the person: the trunk of a person who moves only the arms. In most
+    frames such surface is next to a moving one: the arms are nearer than the farthest depth even at rest, because other
+    frames show the wall behind them. Surface that is alone in most frames is furniture. If nobody moves, every surface
+    except floors and walls may belong to a person.
 
     **Arguments:** `images`, frames of one camera that does not move, metres.
     """

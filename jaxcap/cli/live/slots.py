@@ -28,7 +28,7 @@ def frame_slots(seconds: Float[np.ndarray, "N"], rate: float) -> Int[np.ndarray,
     slots = np.maximum.accumulate(slots)
     if (np.diff(slots) > MAX_PAUSE_FRAMES).any():
         raise InputError(
-            f"The frames of this run have times up to {seconds.max() - seconds[0]:.3g} s apart, more than {MAX_PAUSE_FRAMES} "
+            f"The times of the frames span {seconds.max() - seconds[0]:.3g} s, with a pause of more than {MAX_PAUSE_FRAMES} "
             f"frames at {rate:g} frames per second; check the clock of the source, or give its --rate."
         )
     return slots
