@@ -1,6 +1,6 @@
 """Clouds of the person in depth images, with these images."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from .back_projection import measured_points
 from .background import Background
 from .check_depths import check_depth_scale, check_image_size_of
 from .fuse import fuse_cloud
-from .person import find_person
+from .person import PersonSearch, check_found, check_measured, search_person
 from .views import blank_view, make_depth_view
 
 #: side of the cubes that keep one point each, metres
@@ -38,6 +38,7 @@ def cloud_of_depths(
     name: str = "the frame",
     keep_missing: bool = False,
     max_apart: float = MAX_APART,
+    on_search: Callable[[PersonSearch], None] | None = None,
 ) -> Cloud:
     """Make the cloud of the person in one frame of depth images, with their views.
 
@@ -48,7 +49,8 @@ def cloud_of_depths(
     of the person, found by `find_person` where None; `backgrounds` for this search, of `estimate_background`; `voxel`, the
     side of the cubes that keep one point each, metres; `name` for messages; `keep_missing`, return a cloud without points
     instead of a `NoPersonError`: its `missing` has the reason, and tracking keeps the pose; `max_apart`, the largest
-    distance of the people that two cameras see, metres: infinite for masks of several people.
+    distance of the people that two cameras see, metres: infinite for masks of several people; `on_search` is called with each search for the
+    person.
 
     **Raises:** `InputError` if there are other numbers of images than of cameras, or an image has another size than its
     camera's, or depths that cannot be in metres; `NoPersonError` if no camera sees a person, or cameras see people that
@@ -67,7 +69,7 @@ def cloud_of_depths(
     for number, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         where = name if len(cameras) == 1 else f"{name}, camera {number}"
         try:
-            person = _person(camera, depth, masks[number], backgrounds[number], where)
+            person = _person(camera, depth, masks[number], backgrounds[number], where, on_search)
             views.append(make_depth_view(camera, depth, person, where))
             people.append(np.where(person, depth, 0.0))
         except NoPersonError as error:
@@ -99,10 +101,15 @@ def _person(
     mask: Bool[np.ndarray, "H W"] | None,
     background: Background | None,
     where: str,
+    on_search: Callable[[PersonSearch], None] | None,
 ) -> Bool[np.ndarray, "H W"]:
     """Find the person, or check the mask of it. Raises as `cloud_of_depths` does."""
     if mask is None:
-        return find_person(camera, depth, where, background)
+        check_measured(camera, depth, where)
+        search = search_person(camera, depth, background, where)
+        if on_search is not None:
+            on_search(search)
+        return check_found(search, where).person
     check_image_size_of(camera, depth, "image", where)
     check_image_size_of(camera, mask, "mask", where)
     check_depth_scale(depth, where)

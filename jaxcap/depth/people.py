@@ -1,10 +1,11 @@
 """Several people in a depth image of a room."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ..arguments import checked
-from ..errors import NoPersonError
 from ..geometry.camera import Camera
 from ..value_checks import check_at_least
 from .background import Background
@@ -19,7 +20,7 @@ from .candidates import (
     is_piece,
     surface_gap,
 )
-from .person import mask_of, segment_surfaces
+from .person import check_measured, mask_of, nobody, segment_surfaces
 
 #: people who touch are one surface, whose longest side may be larger than a person's by this factor
 TOUCHING = 1.5
@@ -49,23 +50,11 @@ def find_people(
     person.
     """
     check_at_least("find_people", 1, count=count)
-    if not (depth > 0).any():
-        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
+    check_measured(camera, depth, where)
     search = segment_surfaces(camera, depth, background, where)
-    largest = MAX_EXTENT * (1.0 if count == 1 else TOUCHING)
-    large = [
-        one
-        for one in search.candidates
-        if one.area >= MIN_AREA and MIN_EXTENT <= one.extent <= largest and one.distance <= MAX_DISTANCE
-    ]
-    if not large:
-        raise NoPersonError(
-            f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
-        )
-    large.sort(key=lambda one: one.distance / one.area**0.25)
-    heights = [_height(one, up) for one in large]
-    tall = [height >= MIN_HEIGHT_SHARE * heights[0] for height in heights]
-    people = [[one] for one, high in zip(large, tall, strict=True) if high][:count]
+    people = [[one] for one in choose_people(search.candidates, count, up)]
+    if not people:
+        raise nobody(where)
     others = [one for one in search.candidates if all(one.label != person[0].label for person in people)]
     # larger pieces first, so that smaller ones find them
     for one in sorted(others, key=lambda one: -one.area):
@@ -75,6 +64,23 @@ def find_people(
         if is_piece(own[0].points, one.points, gap) or is_piece(points, one.points, chain_gap(one)):
             own.append(one)
     return [mask_of(search, [piece.label for piece in own], depth) for own in people]
+
+
+def choose_people(
+    candidates: Sequence[Candidate], count: int, up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+) -> list[Candidate]:
+    """Choose the largest surface of each of at most `count` people, nearest first; none if nobody is there."""
+    largest = MAX_EXTENT * (1.0 if count == 1 else TOUCHING)
+    large = [
+        one
+        for one in candidates
+        if one.area >= MIN_AREA and MIN_EXTENT <= one.extent <= largest and one.distance <= MAX_DISTANCE
+    ]
+    large.sort(key=lambda one: one.distance / one.area**0.25)
+    heights = [_height(one, up) for one in large]
+    return [
+        one for one, height in zip(large, heights, strict=True) if height >= MIN_HEIGHT_SHARE * heights[0]
+    ][:count]
 
 
 def _height(one: Candidate, up: tuple[float, float, float]) -> float:

@@ -103,19 +103,32 @@ def find_person(
     **Raises:** `InputError` if an image has another size than the camera's, or depths that cannot be in metres;
     `NoPersonError` if nothing was measured, or no surface has the size of a person.
     """
-    if not (depth > 0).any():
-        check_image_size_of(camera, depth, "image", where)
-        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
+    check_measured(camera, depth, where)
     return check_found(search_person(camera, depth, background, where), where).person
+
+
+def check_measured(camera: Camera, depth: Float[np.ndarray, "H W"], where: str) -> None:
+    """Check that an image of the camera has measured pixels.
+
+    **Raises:** `InputError` if it has another size than the camera's; `NoPersonError` if nothing was measured.
+    """
+    check_image_size_of(camera, depth, "image", where)
+    if not (depth > 0).any():
+        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
 
 
 def check_found(search: PersonSearch, where: str) -> PersonSearch:
     """Return a search that found a person. Raises `NoPersonError`."""
     if not search.person.any():
-        raise NoPersonError(
-            f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
-        )
+        raise nobody(where)
     return search
+
+
+def nobody(where: str) -> NoPersonError:
+    """Make the error of an image in which no surface has the size of a person."""
+    return NoPersonError(
+        f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
+    )
 
 
 def enlarge_mask(

@@ -7,12 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.body import Body
-from ...depth.background import MAX_FRAMES, Background, spread_frames
+from ...depth.background import MAX_FRAMES, Background
 from ...depth.clouds import cloud_of_depths
-from ...depth.people import find_people
+from ...depth.people import choose_people, find_people
+from ...depth.person import PersonSearch
 from ...errors import InputError, NoPersonError
 from ...fit.tracking.check_cloud import check_cloud
 from ...geometry.camera import Camera
+from ...geometry.sampling import even_indices
 from ...io.archives.journal import read_header
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud, missing_cloud
@@ -34,12 +36,11 @@ def depth_clouds(
 
     def load(number: int) -> Cloud:
         frame = sources.images[number]
-        found = zip(sources.cameras, frame.depths, backgrounds, frame.masks, strict=True)
-        if any(
-            mask is None and len(_people(camera, depth, background, 2, frame.name)) > 1
-            for camera, depth, background, mask in found
-        ):
-            others.add(number)
+
+        def look_for_others(search: PersonSearch) -> None:
+            if len(choose_people(search.candidates, 2)) > 1:
+                others.add(number)
+
         cloud = cloud_of_depths(
             sources.cameras,
             frame.depths,
@@ -47,6 +48,7 @@ def depth_clouds(
             backgrounds=backgrounds,
             name=frame.name,
             keep_missing=True,
+            on_search=look_for_others,
         )
         return _check(cloud, body, frame.name)
 
@@ -117,7 +119,7 @@ def check_some_person(clouds: LazyFrames[Cloud], first: Cloud) -> None:
     if not first.missing:
         return
     set_activity("searching for a frame with a person")
-    numbers = spread_frames(len(clouds), MAX_FRAMES)
+    numbers = even_indices(len(clouds), MAX_FRAMES, nearest=True).tolist()
     if not any(_shows_person(clouds, number) for number in numbers):
         raise InputError(
             f"{first.missing} The same holds for all of the {len(numbers)} frames that were tried."
