@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
+from ..geometry.sampling import even_indices
 from .attached import find_attached
 from .check_depths import check_depth_scale, check_image_size_of
 
@@ -39,11 +40,6 @@ class Background(NamedTuple):
     doubt: str = ""
 
 
-def spread_frames(count: int, max_frames: int = MAX_FRAMES) -> list[int]:
-    """Return at most `max_frames` frame numbers that are spread evenly over a sequence."""
-    return np.unique(np.linspace(0, count - 1, min(count, max_frames)).round().astype(int)).tolist()
-
-
 @checked
 def estimate_background(
     camera: Camera,
@@ -72,7 +68,7 @@ def estimate_background(
         raise InputError(f"{where}: there are no images; give at least one.")
     most = max(MIN_FRAMES, min(MAX_FRAMES, MAX_VALUES // (camera.width * camera.height)))
     frames = []
-    for number in spread_frames(len(depths), most):
+    for number in even_indices(len(depths), most, nearest=True).tolist():
         name = f"{where}, image {number}"
         check_image_size_of(camera, depths[number], "image", name)
         frames.append(np.asarray(depths[number], np.float32))

@@ -97,19 +97,8 @@ def image_normals(
     more than `gap`, metres, are excluded. Normals are zero if fewer than three pixels are left, or if these
     are collinear.
     """
-    return normals_along_rays(camera_rays(camera), np.asarray(camera.focal, float), depth, gap, window)
-
-
-def normals_along_rays(
-    rays: Float[np.ndarray, "H W 3"],
-    focal: Float[np.ndarray, "2"],
-    depth: Float[np.ndarray, "H W"],
-    gap: float,
-    window: int,
-) -> Float[np.ndarray, "P 3"]:
-    """Estimate normals as `image_normals` does, also in a part of an image, with the `rays` of its pixels."""
     n, u, v, uu, uv, vv, w, wu, wv = _plane_sums(depth, gap, window)
-    fx, fy = focal
+    fx, fy = np.asarray(camera.focal, float)
     # centre the sums, so that two unknowns are left
     count = np.maximum(n, 1.0)
     uu, uv, vv = uu - u * u / count, uv - u * v / count, vv - v * v / count
@@ -118,7 +107,7 @@ def normals_along_rays(
     known = (n >= 3) & (spread > 1e-9)
     safe = np.where(known, spread, 1.0)
     slope = np.stack([(wu * vv - wv * uv) / safe * fx, (wv * uu - wu * uv) / safe * fy], 1)
-    rays = rays[depth > 0]
+    rays = camera_rays(camera)[depth > 0]
     level = (w - slope[:, 0] / fx * u - slope[:, 1] / fy * v) / count
     normals = np.concatenate([slope, (level - np.sum(slope * rays[:, :2], 1))[:, None]], 1)
     normals *= np.where(np.sum(normals * rays, 1) > 0, -1.0, 1.0)[:, None]

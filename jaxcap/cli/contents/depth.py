@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ...depth.back_projection import world_points
-from ...depth.background import Background, estimate_background, farthest_depths, spread_frames
+from ...depth.background import Background, estimate_background, farthest_depths
 from ...depth.candidates import PERSON, PIECE, join_candidates
 from ...depth.check_depths import check_depth_scale, check_image_size_of
 from ...depth.person import search_person
 from ...depth.planes import find_floor, find_planes, refine_plane
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
+from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
 from ...io.depth.sequence import DepthFrame, read_depths
 from ..console.console import pluralise, say
@@ -24,7 +25,7 @@ MAX_EXAMINED, MAX_NAMED = 20, 10
 
 
 class DepthOptions(NamedTuple):
-    """How depth images are to be read."""
+    """The camera and the unit of depth images."""
 
     cameras: Path | None = None
     scale: float = 1000.0
@@ -63,7 +64,7 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
             f"{options.cameras}: there are {len(cameras)} cameras; expected one for each folder of images."
         )
     set_activity("searching for the floor and the person")
-    numbers = spread_frames(len(images), MAX_EXAMINED)
+    numbers = even_indices(len(images), MAX_EXAMINED, nearest=True).tolist()
     frames = {number: images[number] for number in numbers}
     _describe_room(cameras[camera], frames)
     return "depth"

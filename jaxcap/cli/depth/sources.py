@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-from ...depth.background import MAX_FRAMES, MIN_FRAMES, Background, estimate_background, spread_frames
+from ...depth.background import MAX_FRAMES, MIN_FRAMES, Background, estimate_background
 from ...errors import InputError
 from ...geometry.camera import Camera
+from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
 from ...io.depth.sequence import DepthFrame, read_depths
 from ...io.lazy_frames import LazyFrames
@@ -103,14 +104,17 @@ def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> lis
     found: list[Background | None] = []
     for camera, source in zip(sources.cameras, empty, strict=True):
         images = read_depths(source, depth_scale=scale)
-        depths = [images[number].depths[0] for number in spread_frames(len(images), MAX_FRAMES)]
+        depths = [
+            images[number].depths[0]
+            for number in even_indices(len(images), MAX_FRAMES, nearest=True).tolist()
+        ]
         found.append(estimate_background(camera, depths, empty=True, where=source))
     return found
 
 
 def choose_frames(sources: DepthSources) -> list[int]:
     """Choose frames for the background of the sequence itself; none if they are too few, or the person is known."""
-    numbers = spread_frames(len(sources.images), MAX_FRAMES)
+    numbers = even_indices(len(sources.images), MAX_FRAMES, nearest=True).tolist()
     try:
         known = all(mask is not None for mask in sources.images[0].masks)
     except InputError:

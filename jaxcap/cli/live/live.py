@@ -11,6 +11,7 @@ import numpy as np
 
 from ...depth.stream.cloud_stream import NUM_POINTS
 from ...errors import InputError, user_message
+from ...fit.tracking.recover import TrackedFrame
 from ...fit.tracking.track import unseen_sentences, verdict_sentences
 from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal, create_journal
@@ -20,6 +21,7 @@ from ...live.statistics import LiveFrame, LiveStatistics
 from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity, write_status
 from ..console.options import BodySpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from ..depth.sources import DepthScale
 from ..sources import load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from ..track.frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
@@ -55,9 +57,7 @@ class Live:
     written by `jaxcap scan`. A connected camera states its own intrinsics."""
     replay: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Replay recorded files, which --watch names as `track --depth` does, or clouds, at this rate, frames per second."""
-    depth_scale: float = 1000.0
-    """Number of units of depth images in one metre: 1000 if they are in millimetres. It applies to whole numbers; other
-    depths are in metres."""
+    depth_scale: DepthScale = 1000.0
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of the written motion; dropped frames are interpolated. Default: the rate of --replay, else 30."""
     num_points: int = NUM_POINTS
@@ -114,7 +114,7 @@ class Live:
                 run = LiveRun(tracker, source, journal, self)
                 run.follow(stop)
                 set_activity("writing the results")
-                self.write(tracker, journal, run)
+                self.write(template, tracker, journal, run)
 
     def check(self) -> None:
         """Check that options are in range. Raises `InputError`."""
@@ -133,9 +133,9 @@ class Live:
         if not self.watch:
             raise InputError("--watch names no source; give a folder, '-', realsense or orbbec.")
 
-    def write(self, tracker: Tracker, journal: Journal, run: "LiveRun") -> None:
+    def write(self, template: TrackedFrame, tracker: Tracker, journal: Journal, run: "LiveRun") -> None:
         """Write the motion and the statistics of the run, and print a summary. Raises `InputError` if it has no frames."""
-        rows = journal.read(slice(results_width(row_template(tracker, num_cameras=len(run.source.cameras)))))
+        rows = journal.read(slice(results_width(template)))
         if not len(rows):
             failure = run.statistics.last_failure
             journal.path.unlink()
@@ -143,7 +143,6 @@ class Live:
                 f"{self.out}: no frame was tracked, so nothing is written. "
                 + (f"The last one failed: {failure}" if failure else "No frame arrived.")
             )
-        template = row_template(tracker, num_cameras=len(run.source.cameras))
         rate = self.rate or self.replay or DEFAULT_RATE
         tracked = unpack_results(template, rows)
         seconds = np.array([frame[0] for frame in run.frames])

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry.sampling import even_indices
 from ..fuse import cell_numbers
 
 #: largest side of the cubes in which points are merged, in sides of the finest ones
@@ -37,7 +38,7 @@ def thin_points(
         level += 1
     if len(found.points) > count:
         # even a cube of eight sides is not enough; equal steps keep the density
-        rows = np.linspace(0, len(found.points) - 1, count).round().astype(int)
+        rows = even_indices(len(found.points), count, nearest=True)
         scale = found.weights.sum() / found.weights[rows].sum()
         found = ThinnedPoints(found.points[rows], found.normals[rows], scale * found.weights[rows])
     return found

@@ -125,8 +125,8 @@ def follow_frame(
 ) -> TrackedFrame:
     """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
 
-    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`; `occluders` as in `gather_evidence`. Without `judge` the frame keeps the
-    verdict of the frame before it.
+    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`; `occluders` as in
+    `gather_evidence`. Without `judge` the frame keeps the verdict of the frame before it.
     """
     before = frame.state.estimate.pose
     state, statistics = track_frame_jit(tracker, frame.state, cloud)

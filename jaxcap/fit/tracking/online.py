@@ -10,11 +10,10 @@ from ...body.pose import Pose, rest_pose
 from ...observe.clouds import Cloud
 from ...value_checks import check_at_least, check_direction
 from ..judgement.baseline import initial_baseline
-from ..judgement.region_samples import sample_regions
-from .advance import follow_frame
+from .advance import FOUND_SIGMA, follow_frame, make_follower
 from .check_cloud import check_cloud
 from .compare_poses import track_from
-from .initialise import coarse_tracker, initialise
+from .initialise import initialise
 from .log_posterior import log_posterior
 from .recover import (
     SearchHistory,
@@ -54,17 +53,16 @@ class OnlineTracker:
         check_at_least("OnlineTracker", 1, judge_every=judge_every)
         check_sigma("OnlineTracker", sigma)
         check_direction("OnlineTracker", up=up)
-        self.tracker, self.sigma, self.up, self.searches_frames = tracker, sigma, up, search
+        self.tracker, self.sigma, self.searches_frames = tracker, sigma, search
         self.start = rest_pose(tracker.body.skeleton) if start is None else start
         #: the newest tracked frame
         self.frame: TrackedFrame | None = None
         #: number of tracked frames
         self.count = 0
-        self._surface = sample_regions(tracker.body)
+        self._follower = make_follower(tracker, up)
         self._thread = ThreadPoolExecutor(1, "pose search")
         self._search: Future[TrackedFrame] | None = None
         self._is_first_search, self._judge_every = False, judge_every
-        self._coarse: Tracker | None = None
 
     @property
     def is_searching(self) -> bool:
@@ -78,13 +76,13 @@ class OnlineTracker:
         """
         check_cloud(self.tracker.body, cloud, name or f"cloud {self.count}")
         if self.frame is None:
-            frame = track_first_frame(self.tracker, self._surface, cloud, self.start, self.sigma)
+            frame = track_first_frame(self.tracker, self._follower.surface, cloud, self.start, self.sigma)
             if self.searches_frames and frame.verdict != "good":
                 self._begin(True, cloud, frame, self.start)
         else:
             before = self.frame
             judge = before.verdict != "good" or self.count % self._judge_every == 0
-            frame = follow_frame(self.tracker, self._surface, before, cloud, judge=judge)
+            frame = follow_frame(self.tracker, self._follower.surface, before, cloud, judge=judge)
             frame = self._use_search(frame, before, cloud)
             if self.searches_frames and self._search is None and needs_search(frame):
                 self._begin(False, cloud, frame, before.trusted, before)
@@ -97,11 +95,11 @@ class OnlineTracker:
 
         **Raises:** `InputError` as `track` does.
         """
-        sample = OnlineTracker(self.tracker, self.start, search=False, sigma=self.sigma, up=self.up)
+        sample = OnlineTracker(self.tracker, self.start, search=False, sigma=self.sigma, up=self._follower.up)
         sample.track(cloud)
         frame = sample.track(cloud)
         lost = eqx.tree_at(lambda f: f.lost, frame, True)
-        follow_frame(self.tracker, self._surface, lost, cloud)
+        follow_frame(self.tracker, self._follower.surface, lost, cloud)
         log_posterior(self.tracker, frame.pose, cloud)
         sample.close()
 
@@ -122,22 +120,21 @@ class OnlineTracker:
         number, self._is_first_search = self.count, is_first
 
         def run() -> TrackedFrame:
-            if self._coarse is None:
-                self._coarse = coarse_tracker(self.tracker)
+            coarse = self._follower.coarse()
             if before is None:
-                pose, _ = initialise(self.tracker, cloud, up=self.up, coarse=self._coarse)
-                return track_first_frame(self.tracker, self._surface, cloud, pose, 0.03)
+                pose, _ = initialise(self.tracker, cloud, up=self._follower.up, coarse=coarse)
+                return track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
             key = jax.random.key(number)
             return search_frame(
                 self.tracker,
-                self._surface,
-                self._coarse,
+                self._follower.surface,
+                coarse,
                 frame,
                 before.baseline,
                 trusted,
                 cloud,
                 key,
-                self.up,
+                self._follower.up,
             )
 
         self._search = self._thread.submit(run)
@@ -154,9 +151,9 @@ class OnlineTracker:
             return eqx.tree_at(lambda f: f.searches, frame, searches)
         # a first search follows a wrong pose, and so does its baseline
         first = self._is_first_search
-        baseline = initial_baseline(self._surface, len(cloud.views)) if first else before.baseline
+        baseline = initial_baseline(self._follower.surface, len(cloud.views)) if first else before.baseline
         return judge_frame(
-            self._surface,
+            self._follower.surface,
             cloud,
             state,
             statistics,

@@ -120,8 +120,8 @@ def track(
     of the first frame; `rate` frames per second; `tracker` for other settings than the default, made of the
     same body; `search`, `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a
     log-likelihood, such as `make_floor(body)`, where no tracker is given. A warning names lost or doubtful
-    frames, with their faults, and parts of the body without points, and frames that show another person; `track_frames` gives the verdict on
-    each frame.
+    frames, with their faults, parts of the body without points, and frames that show another person;
+    `track_frames` gives the verdict on each frame.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in another unit.
     """

@@ -200,6 +200,16 @@ def penalty(tracker: Tracker, cloud: Cloud, pose: Pose) -> Float[Array, ""]:
     return 0.5 * jnp.sum(r * r) / jnp.maximum(total, 1.0)
 
 
+def predict_pose(tracker: Tracker, state: TrackState) -> Pose:
+    """Predict the pose of the next frame: a share of the last change, once more."""
+    return retract(tracker.body.skeleton, state.estimate.pose, tracker.momentum * state.change)
+
+
+def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
+    """Compute the standard deviation at which the next frame starts, metres."""
+    return jnp.maximum(tracker.sigma_growth * state.estimate.sigma, tracker.sigma_start)
+
+
 @checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
@@ -207,10 +217,10 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
     """
     skeleton, before = tracker.body.skeleton, state.estimate
-    predicted = retract(skeleton, before.pose, tracker.momentum * state.change)
+    predicted = predict_pose(tracker, state)
     prior = Sum((PosePrior(predicted, tracker.motion_deviations), *frame_terms(tracker, cloud)))
     volume = box_volume(cloud)
-    sigma = jnp.maximum(tracker.sigma_growth * before.sigma, tracker.sigma_start)
+    sigma = first_sigma(tracker, state)
 
     def step(estimate, _):
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)

@@ -7,12 +7,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ....body.body import pose_body
 from ....body.pose import Pose
-from ....body.retraction import retract
 from ....observe.clouds import Cloud
 from ...correspondence.surface_density import matched_log_density
 from ...judgement.region_samples import RegionSamples
 from ..em_step import Estimate, box_volume, e_step, uniform_priors
-from ..track_frame import Tracker, TrackState
+from ..track_frame import Tracker
 
 #: standard deviation of a person's own outliers, such as hair and clothes, from the surface, metres
 OUTLIER_DEVIATION = 0.1
@@ -104,12 +103,6 @@ def is_nobodys(
 ) -> Bool[Array, "N"]:
     """Find the points that nobody explains and that are farther than `away` metres from every person."""
     return (weights > 0) & (jnp.sum(shares, 0) < 0.5) & (jnp.min(distances, 0) > away)
-
-
-@eqx.filter_jit
-def predict_pose(tracker: Tracker, state: TrackState) -> Pose:
-    """Predict the pose of the next frame, as `track_frame` does."""
-    return retract(tracker.body.skeleton, state.estimate.pose, tracker.momentum * state.change)
 
 
 @jax.jit

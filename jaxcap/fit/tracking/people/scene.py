@@ -13,6 +13,7 @@ from ....body.pose import Pose
 from ....observe.clouds import Cloud
 from ..advance import Follower, advance_frame
 from ..recover import track_frame_jit
+from ..track_frame import first_sigma, predict_pose
 from .exchange import end_contact, update_contacts
 from .person_frame import PersonFrame, has_points, leave, present_people, stay
 from .responsibilities import (
@@ -20,7 +21,6 @@ from .responsibilities import (
     is_nobodys,
     person_density,
     person_weights,
-    predict_pose,
     responsibilities,
     surface_distance,
 )
@@ -31,6 +31,8 @@ REACH = 0.5
 CLOSE = 0.4
 #: points of nobody are at least so far away from everyone, metres
 NOBODY_DISTANCE = 0.2
+
+_predict_pose = eqx.filter_jit(predict_pose)
 
 
 class Shares(NamedTuple):
@@ -52,8 +54,8 @@ def divide_points(followers: Sequence[Follower], people: Sequence[PersonFrame], 
     """
     present = present_people(people)
     states = {k: people[k].tracked.state for k in present}
-    poses = {k: predict_pose(followers[k].tracker, states[k]) for k in present}
-    sigmas = {k: _first_sigma(followers[k], people[k]) for k in present}
+    poses = {k: _predict_pose(followers[k].tracker, states[k]) for k in present}
+    sigmas = {k: first_sigma(followers[k].tracker, states[k]) for k in present}
     divided = share_points(followers, poses, sigmas, cloud)
     close = {k for pair, gap in pair_distances(divided).items() if gap < CLOSE for k in pair}
     if not close:
@@ -167,9 +169,3 @@ def no_occluders(follower: Follower, num_people: int) -> Float[Array, "O 4"] | N
 
 def _reach(person: PersonFrame) -> float:
     return np.inf if person.tracked.lost else REACH
-
-
-def _first_sigma(follower: Follower, person: PersonFrame) -> Float[Array, ""]:
-    """Compute the standard deviation at which `track_frame` starts."""
-    tracker = follower.tracker
-    return jnp.maximum(tracker.sigma_growth * person.tracked.state.estimate.sigma, tracker.sigma_start)
