@@ -13,13 +13,13 @@ from scipy import ndimage
 
 import jaxcap as jc
 from benchmarks.report import progress
-from jaxcap.body.joint_limits.abstract_limits import allowed
-from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.energy import Sum, terms_of
 from jaxcap.fit.strict_priorities import priority_step
-from jaxcap.fit.tracking.em_step import Estimate, box_volume, data_energy, e_step, uniform_priors
 from jaxcap.geometry.normals import estimate_normals
+from jaxcap.limits.abstract_limits import allowed
+from jaxcap.limits.implicit_surface import SurfaceLimits
+from jaxcap.tracking.em_step import Estimate, box_volume, data_energy, e_step, uniform_priors
 
 #: pixels, of 640 x 480
 FOCAL, CENTRE = 525.0, (320.0, 240.0)

@@ -11,11 +11,6 @@ import numpy as np
 from jaxcap.adapt.shape.shape_prior import ShapePrior, uniform_laplacian
 from jaxcap.adapt.task import AdaptState
 from jaxcap.body.body import Body
-from jaxcap.body.joint_limits.chart import Chart
-from jaxcap.body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
-from jaxcap.body.joint_limits.rotation_vector_boxes import make_pose_boxes
-from jaxcap.body.pair_prior import make_pair_prior, successive_pairs
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
@@ -35,9 +30,14 @@ from jaxcap.io.registry import write_body, write_markers, write_motion, write_sk
 from jaxcap.io.skeletons.amass import write_amass
 from jaxcap.io.skeletons.cst import CstLimits, write_cst
 from jaxcap.io.skeletons.vj import write_vj
+from jaxcap.limits.chart import Chart
+from jaxcap.limits.implicit_surface import LimitSurface, SurfaceLimits
+from jaxcap.limits.ranges_and_cones import Cone, make_joint_ranges
+from jaxcap.limits.rotation_vector_boxes import make_pose_boxes
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe.markers import make_markers
 from jaxcap.observe.meshes import MeshSequence
+from jaxcap.prior.pair_prior import make_pair_prior, successive_pairs
 
 #: what checkpoints and journals are begun with
 HEADER = {"body": "body.npz", "frames": 4}

@@ -31,13 +31,13 @@ from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import AdaptState, plan_stages
 from jaxcap.body.decimate import reduce_body
-from jaxcap.fit.tracking.track import track_frames
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.metrics import scan_to_surface
 from jaxcap.scanner.scan import scan_frame
 from jaxcap.scanner.settings import Scanner
+from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import make_tracker
 
 #: sex, weight and height of the actors
 ACTORS = (

@@ -19,10 +19,10 @@ from benchmarks._overlays import draw_overlays, make_overlay
 from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.depth import cloud_of_depths
-from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry.camera import Camera
 from jaxcap.geometry.closest import nearest_on_surface
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
+from jaxcap.tracking.track import track_frames
 
 #: every so many-th frame is drawn
 PICTURE_STEP = 5

@@ -23,11 +23,11 @@ import jaxcap as jc
 from benchmarks._overlays import Overlay, draw_overlays, make_overlay
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import Camera, look_at, project_points
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import scan_scene
+from jaxcap.tracking.track import track_frames
 
 Scenario = Literal["whole", "hips_up", "turning"]
 SCENARIOS: tuple[Scenario, ...] = ("whole", "hips_up", "turning")

@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.body import Body, Posed, pose_body
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.kinematics import world_axes
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
@@ -25,6 +24,7 @@ from jaxcap.body.skin import RigidSkin
 from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.fit.linearise import point_jacobian, vertex_jacobian
 from jaxcap.geometry import rotation
+from jaxcap.limits.ranges_and_cones import Cone, make_joint_ranges
 from tests.helpers import chain_body, half_turned_pose, random_pose
 from tests.kineben import ball_operator, cone_gradient, revolute_operator, translate_operator
 

@@ -11,11 +11,11 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks.report import finish, progress
-from jaxcap.body.joint_limits.primitives import STIFFNESS, signed_distance
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.retraction import retract
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.linearise import linearise
+from jaxcap.limits.primitives import STIFFNESS, signed_distance
 
 #: step of the differences, and how near a kink they may straddle it
 STEP = 1e-6

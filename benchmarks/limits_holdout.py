@@ -31,10 +31,10 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import finish, progress
 from jaxcap.cli.limits.motion_limits import format_runs
 from jaxcap.geometry import rotation
-from jaxcap.limits.boxes import learn_boxes
 from jaxcap.limits.frame_evaluation import allowed_frames
-from jaxcap.limits.learn import learn_limits
-from jaxcap.limits.samples import JointSamples, gather_samples
+from jaxcap.limits.learning.boxes import learn_boxes
+from jaxcap.limits.learning.learn_limits import learn_limits
+from jaxcap.limits.learning.samples import JointSamples, gather_samples
 
 #: degrees around the border where the known limit is not asked about
 BORDER_WIDTH = 3.0

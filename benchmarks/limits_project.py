@@ -16,8 +16,8 @@ from benchmarks._scenes import shared_folder
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.limits.frame_evaluation import allowed_frames, nearest_frames
-from jaxcap.limits.learn import learn_limits
-from jaxcap.limits.samples import gather_samples
+from jaxcap.limits.learning.learn_limits import learn_limits
+from jaxcap.limits.learning.samples import gather_samples
 
 #: samples of the elbow that are tried
 ELBOWS = 200

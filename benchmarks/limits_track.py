@@ -34,14 +34,14 @@ from benchmarks._depth import depth_frames, fit_frames
 from benchmarks._scenes import human_motion, shared_folder, takes_of
 from benchmarks._stereo import ARM, STEREO, ArmFrames, simulate_arm, twists
 from benchmarks.report import finish, progress
-from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits
 from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.energy.data.soft_object import SoftObject, SoftPoints, make_soft_object
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solvers.gauss_newton import damped_step
 from jaxcap.fit.strict_priorities import priority_step
-from jaxcap.limits.learn import learn_limits
-from jaxcap.limits.samples import gather_samples
+from jaxcap.limits.implicit_surface import SurfaceLimits
+from jaxcap.limits.learning.learn_limits import learn_limits
+from jaxcap.limits.learning.samples import gather_samples
 
 TAKES = ("02_05", "02_07", "02_08", "02_09", "02_10")
 #: degrees of twist beyond which a frame is bad

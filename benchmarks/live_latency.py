@@ -27,10 +27,10 @@ from benchmarks.report import finish, progress
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.depth.stream.cloud_stream import NUM_POINTS, CloudStream
-from jaxcap.fit.tracking.online import OnlineTracker
 from jaxcap.geometry.camera import Camera, look_at
 from jaxcap.live.live_tracker import ITERATIONS, JUDGE_EVERY
 from jaxcap.scanner.scan import scan_scene
+from jaxcap.tracking.online import OnlineTracker
 
 #: size of the images, pixels, horizontal field of view, degrees, distance and height of the camera, metres
 SIZE, FIELD_OF_VIEW, DISTANCE, HEIGHT = (640, 480), 75.0, 2.4, 1.2

@@ -31,17 +31,17 @@ import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane, rig_crane, true_distances
 from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, scan_frame, shared_folder
 from benchmarks.report import finish, progress
-from jaxcap.fit.judgement.baseline import initial_baseline
-from jaxcap.fit.judgement.region_samples import sample_regions
-from jaxcap.fit.tracking.recover import (
+from jaxcap.metrics import scan_to_surface
+from jaxcap.report.distance_pictures import FrameView, draw_views
+from jaxcap.tracking.judgement.baseline import initial_baseline
+from jaxcap.tracking.judgement.region_samples import sample_regions
+from jaxcap.tracking.recover import (
     TrackedFrame,
     judge_frame,
     reset_velocity,
     track_frame_jit,
 )
-from jaxcap.fit.tracking.track_frame import start_state
-from jaxcap.metrics import scan_to_surface
-from jaxcap.report.distance_pictures import FrameView, draw_views
+from jaxcap.tracking.track_frame import start_state
 
 #: error of the main joints up to which a pose is correct, and beyond which it is incorrect, millimetres
 MAX_CORRECT_ERROR, MIN_INCORRECT_ERROR = 60.0, 150.0

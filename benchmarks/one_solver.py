@@ -31,8 +31,8 @@ from jaxcap.body.shape_modes import ShapeModes, joint_modes
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.energy.stacked import SmoothRotations, stack_energies
-from jaxcap.fit.linear.block_arrow import BlockArrow
-from jaxcap.fit.linear.block_banded import BlockBanded
+from jaxcap.fit.linear_solvers.block_arrow import BlockArrow
+from jaxcap.fit.linear_solvers.block_banded import BlockBanded
 from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import AbstractUnknown, JointCentres, RestVertices, ShapeCoefficients

@@ -40,8 +40,8 @@ from benchmarks._scenes import (
     shared_folder,
 )
 from benchmarks.report import finish, progress
-from jaxcap.fit.tracking.em_step import box_volume
 from jaxcap.metrics import joint_errors
+from jaxcap.tracking.em_step import box_volume
 
 TAKE, FRAMES = "02_05", 150
 #: deviation at which E-steps are compared: the one that tracking this noise settles at, metres

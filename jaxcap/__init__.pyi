@@ -49,9 +49,6 @@ from .energy.priors.reference_pose import RestPrior as RestPrior
 from .errors import InputError as InputError
 from .fit.fit_meshes import fit_meshes as fit_meshes
 from .fit.solve import solve as solve
-from .fit.tracking.initialise import initialise as initialise
-from .fit.tracking.track import track as track
-from .fit.tracking.track_frame import make_tracker as make_tracker
 from .fit.uncertainty import uncertainty as uncertainty
 from .io.archives.npz import load_body as load_body
 from .io.archives.npz import load_motion as load_motion
@@ -74,4 +71,7 @@ from .observe.markers import MarkerFrames as MarkerFrames
 from .observe.markers import make_markers as make_markers
 from .observe.meshes import MeshSequence as MeshSequence
 from .rig.rig import rig_mesh as rig_mesh
+from .tracking.initialise import initialise as initialise
+from .tracking.track import track as track
+from .tracking.track_frame import make_tracker as make_tracker
 from .view.notebook import show as show

@@ -24,7 +24,7 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.limits.charts import chart_coordinates
+from jaxcap.limits.learning.fit_chart import chart_coordinates
 from jaxcap.report.limit_pictures import draw_limits
 from jaxcap.report.motion_strip import draw_strip
 

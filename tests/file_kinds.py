@@ -11,8 +11,6 @@ from c3d_bytes import c3d_bytes
 from helpers import chain_body
 
 from jaxcap.body.body import Body
-from jaxcap.body.joint_limits.chart import Chart
-from jaxcap.body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
@@ -28,6 +26,8 @@ from jaxcap.io.skeletons.bvh import write_bvh
 from jaxcap.io.skeletons.skl import write_skl
 from jaxcap.io.skeletons.vj import write_vj
 from jaxcap.io.usd.usd import write_usd
+from jaxcap.limits.chart import Chart
+from jaxcap.limits.implicit_surface import LimitSurface, SurfaceLimits
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe.meshes import MeshSequence
 

@@ -13,9 +13,9 @@ from ..body.pose import Motion, Pose, stack_poses
 from ..body.retraction import difference, retract
 from ..body.skeleton import Skeleton
 from ..fit.correspondence.nearest_assignment import IndexedScan
-from ..fit.tracking.compare_poses import likelier_pose
-from ..fit.tracking.limb_flips import flip_limb_ends
-from ..fit.tracking.track import track_frames
+from ..tracking.compare_poses import likelier_pose
+from ..tracking.limb_flips import flip_limb_ends
+from ..tracking.track import track_frames
 from .history import append_history
 from .objective import balancing_weight, motion_energy
 from .poses.flag_frames import flag_frames

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from ..body.body import Body, pose_body
-from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..body.shape_modes import ShapeModes
 from ..body.skeleton import Skeleton
@@ -22,6 +21,7 @@ from ..energy.stacked import NormalPrior, SmoothRotations, Stacked, weight_frame
 from ..fit.pose_problem import PoseProblem
 from ..fit.sequences.sequence_problem import SequenceProblem
 from ..fit.sequences.unknowns import ShapeCoefficients
+from ..limits.rotation_vector_boxes import PoseBoxes
 
 #: number of pairs that count as one independent measurement, as neighbouring pairs are correlated
 PAIRS_PER_MEASUREMENT = 50.0

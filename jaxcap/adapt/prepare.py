@@ -6,7 +6,6 @@ import jax.numpy as jnp
 
 from ..arguments import checked
 from ..body.body import Body, body_height
-from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import find_left_right_pairs
@@ -16,6 +15,7 @@ from ..energy.priors.reference_pose import RestPrior
 from ..errors import InputError
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
+from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud, CloudFrames
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior

@@ -6,16 +6,16 @@ from typing import NamedTuple
 from jaxtyping import Array, Float
 
 from ..body.body import Body
-from ..body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
 from ..fit.correspondence.find_pairs import Matching
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
-from ..fit.tracking.recover import TrackedFrame
-from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
+from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud
+from ..tracking.recover import TrackedFrame
+from ..tracking.track_frame import Tracker, make_tracker
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..geometry import dualquat, rotation
+from ..geometry import dual_quaternions as dualquat
+from ..geometry import rotation
 from .pose import Pose
 from .skeleton import Skeleton
 

@@ -13,8 +13,6 @@ from ..body.people.human import human
 from ..body.people.performance import walk_and_wave
 from ..body.pose import Motion
 from ..errors import InputError
-from ..fit.tracking.track import track_frames, verdict_sentences
-from ..fit.tracking.track_frame import make_tracker
 from ..geometry.camera import ring_of_cameras
 from ..io.meshes.clouds import save_clouds
 from ..io.system.atomic import atomic_path, write_text
@@ -24,6 +22,8 @@ from ..observe.clouds import make_cloud
 from ..report.distance_pictures import FrameView, draw_views
 from ..scanner.scan import scan_frame
 from ..scanner.settings import Scanner
+from ..tracking.track import track_frames, verdict_sentences
+from ..tracking.track_frame import make_tracker
 from .console.console import print_table, progress, say, warn
 from .console.options import Flag, OptionalCount, arg
 from .console.timed import timed

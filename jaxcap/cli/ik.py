@@ -11,7 +11,7 @@ from ..edit.ik import session as ik
 from ..edit.ik.constraints import describe_point
 from ..edit.ik.session import IkSession, IkSettings
 from ..edit.ik.solve_ik import Solver
-from ..energy.priors.pair_prior import MahalanobisPrior
+from ..energy.priors.pair_likelihood import MahalanobisPrior
 from ..errors import InputError
 from ..io.archives.prior import load_prior
 from ..io.constraints import read_constraints

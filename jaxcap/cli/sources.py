@@ -9,13 +9,10 @@ import numpy as np
 
 from ..body.body import Body
 from ..body.decimate import reduce_body
-from ..body.joint_limits.abstract_limits import AbstractLimits
-from ..body.joint_limits.ranges_and_cones import JointRanges
 from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan, make_scan
-from ..fit.tracking.check_cloud import check_cloud_extent
 from ..geometry import rotation
 from ..geometry.camera import Camera
 from ..io.archives.limits import read_limits
@@ -24,8 +21,11 @@ from ..io.meshes.clouds import Scans
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import SKINNED_READERS, is_skinned, read_body
 from ..io.skinned.clip import split_clip
+from ..limits.abstract_limits import AbstractLimits
+from ..limits.ranges_and_cones import JointRanges
 from ..observe import Scan
 from ..observe.clouds import Cloud, make_cloud
+from ..tracking.check_cloud import check_cloud_extent
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors

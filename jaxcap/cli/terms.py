@@ -6,14 +6,14 @@ from typing import Annotated
 import numpy as np
 
 from ..body.body import Body
-from ..body.joint_limits.abstract_limits import AbstractLimits
 from ..energy.data.floor import make_floor
 from ..energy.energy import AbstractEnergy
 from ..energy.priors.joint_limits import JointLimits
-from ..energy.priors.pair_prior import MahalanobisPrior
+from ..energy.priors.pair_likelihood import MahalanobisPrior
 from ..errors import InputError
 from ..io.archives.limits import read_limits
 from ..io.archives.prior import load_prior
+from ..limits.abstract_limits import AbstractLimits
 from .console.options import OptionalFile, arg
 
 LimitsFile = Annotated[

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..arguments import checked
-from ..body.joint_limits.abstract_limits import AbstractLimits
 from ..body.kinematics import forward_kinematics
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
+from ..limits.abstract_limits import AbstractLimits
 from .gaze_line import GazeLine
 
 #: fixed-point iterations that account for the motion of the eyes; each reduces the error at least four times

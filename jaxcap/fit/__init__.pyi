@@ -1,6 +1,19 @@
 """Fitting of bodies: least-squares problems, correspondence, tracking."""
 
 from ..energy.data.pairs import pair_positions as pair_positions
+from ..observe.visibility import visible_vertices as visible_vertices
+from ..tracking.batch import fit_batch as fit_batch
+from ..tracking.batch import scan_track as scan_track
+from ..tracking.em_step import MixtureSettings as MixtureSettings
+from ..tracking.em_step import make_mixture_settings as make_mixture_settings
+from ..tracking.limb_flips import flip_limb_ends as flip_limb_ends
+from ..tracking.people.person_frame import PersonFrame as PersonFrame
+from ..tracking.people.track_people import track_people as track_people
+from ..tracking.recover import TrackedFrame as TrackedFrame
+from ..tracking.track import track_frames as track_frames
+from ..tracking.track_frame import Tracker as Tracker
+from ..tracking.track_frame import start_state as start_state
+from ..tracking.track_frame import track_frame as track_frame
 from .correspondence.find_pairs import Matching as Matching
 from .correspondence.find_pairs import find_pairs as find_pairs
 from .correspondence.nearest_assignment import NearestOnSurface as NearestOnSurface
@@ -10,7 +23,6 @@ from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
-from .correspondence.visibility import visible_vertices as visible_vertices
 from .fit_meshes import MeshFit as MeshFit
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
 from .sequences.sequence_problem import SequenceProblem as SequenceProblem
@@ -35,17 +47,5 @@ from .solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver
 from .strict_priorities import OrderedSolution as OrderedSolution
 from .strict_priorities import priority_step as priority_step
 from .strict_priorities import solve_in_order as solve_in_order
-from .tracking.batch import fit_batch as fit_batch
-from .tracking.batch import scan_track as scan_track
-from .tracking.em_step import MixtureSettings as MixtureSettings
-from .tracking.em_step import make_mixture_settings as make_mixture_settings
-from .tracking.limb_flips import flip_limb_ends as flip_limb_ends
-from .tracking.people.person_frame import PersonFrame as PersonFrame
-from .tracking.people.track_people import track_people as track_people
-from .tracking.recover import TrackedFrame as TrackedFrame
-from .tracking.track import track_frames as track_frames
-from .tracking.track_frame import Tracker as Tracker
-from .tracking.track_frame import start_state as start_state
-from .tracking.track_frame import track_frame as track_frame
 from .uncertainty import Uncertainty as Uncertainty
 from .uncertainty import describe_unobservable as describe_unobservable

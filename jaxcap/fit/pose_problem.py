@@ -4,19 +4,19 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.joint_limits.rotation_vector_boxes import (
+from ..body.pose import Pose
+from ..body.retraction import retract
+from ..body.skeleton import Skeleton, dof_layout
+from ..energy.energy import AbstractEnergy
+from ..limits.rotation_vector_boxes import (
     BoxChart,
     PoseBoxes,
     make_box_chart,
     retract_within,
     transform_normal_equations,
 )
-from ..body.pose import Pose
-from ..body.retraction import retract
-from ..body.skeleton import Skeleton, dof_layout
-from ..energy.energy import AbstractEnergy
 from .frame_equations import frame_equations
-from .linear.dense import DenseMatrix
+from .linear_solvers.dense import DenseMatrix
 from .linearise import linearise
 from .solvers.descent import ConstrainedInfo, StepConstraints
 from .solvers.least_squares_problem import AbstractDenseProblem

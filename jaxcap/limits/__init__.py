@@ -1,4 +1,4 @@
-"""Joint limits learned from motion: samples, voxels, keyframes, and projection of motions."""
+"""Joint limits: ranges, cones, boxes and implicit surfaces; learned from motion; motions projected onto them."""
 
 from ..lazy_imports import attach
 

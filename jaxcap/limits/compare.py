@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from ..arguments import checked
-from .charts import chart_coordinates, find_chart
-from .samples import JointSamples
+from .learning.fit_chart import chart_coordinates, find_chart
+from .learning.samples import JointSamples
 
 
 class SampleDistances(NamedTuple):

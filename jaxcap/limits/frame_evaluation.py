@@ -8,10 +8,10 @@ import jax
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
-from ..body.joint_limits.abstract_limits import AbstractLimits, allowed
-from ..body.joint_limits.implicit_surface import SurfaceLimits, comfort
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
+from .abstract_limits import AbstractLimits, allowed
+from .implicit_surface import SurfaceLimits, comfort
 
 #: number of frames in a batch: more do not fit into the cache
 BATCH = 256

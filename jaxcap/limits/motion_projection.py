@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
-from ..body.joint_limits.abstract_limits import AbstractLimits, allowed
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..geometry import rotation
+from .abstract_limits import AbstractLimits, allowed
 from .frame_evaluation import map_frames, nearest_frames
 
 #: number of rounds, each a smoothing of the corrections and a new projection

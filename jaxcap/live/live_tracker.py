@@ -14,11 +14,11 @@ from ..body.pose import Pose
 from ..depth.stream.cloud_stream import NUM_POINTS, CloudStream
 from ..energy.check_energies import UserTerms
 from ..errors import InputError, user_message
-from ..fit.tracking.online import OnlineTracker
-from ..fit.tracking.track_frame import Tracker, make_tracker
 from ..geometry.camera import Camera
 from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
+from ..tracking.online import OnlineTracker
+from ..tracking.track_frame import Tracker, make_tracker
 from .mailbox import Mailbox
 from .statistics import LiveFrame, LiveStatistics, StatisticsCounter
 

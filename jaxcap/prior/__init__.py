@@ -1,4 +1,4 @@
-"""Learn how likely poses are: Gaussian mixtures of successive joints."""
+"""Priors of poses: Gaussian mixtures of successive joints, as data and learned from motion."""
 
 from ..lazy_imports import attach
 

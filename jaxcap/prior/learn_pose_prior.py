@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.joint_limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
-from ..body.pair_prior import PairPrior, make_pair_prior, successive_pairs
 from ..body.pose import Motion, Pose, concatenate_poses, local_rotation_vectors
 from ..body.skeleton import Skeleton
 from ..geometry.linear import factor_symmetric
+from ..limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes, rotating_joints
 from .gaussian_mixture import MIN_DEVIATION
 from .model_selection import MixtureSelection, select_mixture
+from .pair_prior import PairPrior, make_pair_prior, successive_pairs
 
 #: training poses: a motion, several motions of one skeleton, or poses stacked over frames
 Poses = Motion | Pose | Sequence[Motion]

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
-from ..body.joint_limits.implicit_surface import LimitSurface
-from ..body.joint_limits.primitives import Primitives, radii, signed_distance
 from ..io.system.atomic import atomic_path
+from ..limits.implicit_surface import LimitSurface
+from ..limits.primitives import Primitives, radii, signed_distance
 from .pictures import new_figure
 from .render import INK, draw_surface, rotate_view, set_frame, view_axes
 

@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..geometry.mesh import area_normals
 from .envelopes import assign_bones, default_radii, default_tails
 from .heat import heat_weights
-from .place_human import place_human
+from .place_skeleton import place_human
 
 METHODS = ("automatic", "envelopes", "heat")
 

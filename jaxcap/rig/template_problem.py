@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..fit.linear.dense import DenseMatrix
+from ..fit.linear_solvers.dense import DenseMatrix
 from ..fit.solvers.descent import ConstrainedInfo
 from ..fit.solvers.least_squares_problem import AbstractProblem
 from .template import Person, Template, pose_template, prior_deviations, prior_offset, retract_person

@@ -11,19 +11,19 @@ from command_line import runs
 
 import jaxcap as jc
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.joint_limits.rotation_vector_boxes import make_pose_boxes
-from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import stack_poses
 from jaxcap.cli.adapt.adapt import Adapt
 from jaxcap.cli.adapt.input import RunFiles, check_input
 from jaxcap.cli.adapt.prior import carried_arrays, prior_file, read_priors
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state
-from jaxcap.energy.priors.pair_prior import MahalanobisPrior
+from jaxcap.energy.priors.pair_likelihood import MahalanobisPrior
 from jaxcap.io.archives import archive
 from jaxcap.io.archives.journal import hash_files
 from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import has_prior, load_boxes, load_priors
 from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.limits.rotation_vector_boxes import make_pose_boxes
+from jaxcap.prior.pair_prior import successive_pairs
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,6 @@ from jaxcap.adapt.check_scans import (
 from jaxcap.adapt.evaluate import compare_stages
 from jaxcap.adapt.poses.pose import pairs_of
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
-from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.retraction import difference
 from jaxcap.cli.adapt.adapt import Adapt
@@ -35,6 +34,7 @@ from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, make_scan
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.prior.pair_prior import successive_pairs
 
 _posed = eqx.filter_jit(jc.pose_body)
 

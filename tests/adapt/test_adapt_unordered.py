@@ -26,13 +26,13 @@ from jaxcap.body.pose import stack_poses
 from jaxcap.body.retraction import retract
 from jaxcap.cli.adapt.input import format_explained, warn_of_lost
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
-from jaxcap.fit.tracking import advance
-from jaxcap.fit.tracking.log_posterior import log_posterior
-from jaxcap.fit.tracking.track import track_frames
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
+from jaxcap.tracking import advance
+from jaxcap.tracking.log_posterior import log_posterior
+from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import make_tracker
 
 _posed = eqx.filter_jit(jc.pose_body)
 UNORDERED = AdaptSettings(num_frames=3, proportion_rounds=1, rounds=(1,), unordered=True)

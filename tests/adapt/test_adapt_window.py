@@ -12,7 +12,6 @@ from helpers import chain_body, random_pairs, random_pose
 
 from jaxcap.adapt.objective import PoseTerms, temporal_energy, window_problem
 from jaxcap.adapt.poses.sliding_window import smooth_poses
-from jaxcap.body.joint_limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
 from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.energy.data.pairs import PairDistances
@@ -23,6 +22,7 @@ from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation
 from jaxcap.geometry.stacking import stack_trees
+from jaxcap.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
 
 BODY = chain_body()
 SKELETON, DOFS = BODY.skeleton, BODY.skeleton.num_dofs

@@ -124,7 +124,7 @@ def test_silence_is_broken_by_what_is_done(quick, capsys):
     with heartbeat.periodic_status():
         heartbeat.set_activity("adding up")
         time.sleep(0.4)
-        logging.getLogger("jaxcap.fit.tracking.track").info("searching for frame %d", 7)
+        logging.getLogger("jaxcap.tracking.track").info("searching for frame %d", 7)
         time.sleep(0.4)
         with heartbeat.pause_status():
             time.sleep(0.4)

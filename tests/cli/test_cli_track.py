@@ -18,12 +18,12 @@ from jaxcap.cli import main
 from jaxcap.cli.sources import load_body
 from jaxcap.cli.track import person_shape
 from jaxcap.cli.track import track as track_module
-from jaxcap.fit.tracking.advance import Search
-from jaxcap.fit.tracking.track import track_frames
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion, load_skeleton
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.skeletons.bvh import read_bvh
+from jaxcap.tracking.advance import Search
+from jaxcap.tracking.track import track_frames
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ from PIL import Image
 import jaxcap as jc
 from jaxcap.depth import cloud_of_depths, find_person, make_depth_view
 from jaxcap.errors import InputError, NoPersonError
-from jaxcap.fit.tracking.track import track_frames
 from jaxcap.geometry.camera import look_at, project_points
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.depth.sequence import read_depths
 from jaxcap.metrics import scan_to_surface
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
+from jaxcap.tracking.track import track_frames
 
 BODY = jc.human(resolution="low")
 CAMERA = look_at([0.0, 0.4, 2.6], [0.0, 0.1, 0.0], 160, 120, 60)

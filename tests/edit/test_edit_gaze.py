@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 from jaxcap.body.kinematics import forward_kinematics
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
@@ -14,6 +13,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.edit.gaze import fade_weights, look_at_target
 from jaxcap.edit.gaze_line import gaze_line_of_joint, gaze_line_of_vertices, gaze_shares, human_gaze_line
 from jaxcap.geometry import rotation
+from jaxcap.limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 
 NAMES = ["Hips", "Chest", "Neck", "Neck1", "Head", "Head.end", "LeftArm", "RightArm"]
 CENTRES = [

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
 from jaxcap.body.body import pose_body
-from jaxcap.body.pair_prior import successive_pairs
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik import solve_ik as inverse_kinematics
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
 from jaxcap.edit.ik.solve_ik import POSITION_DEVIATION, SOLVERS, IkOptions, solve_ik
-from jaxcap.fit.linear.cholesky import factorise
+from jaxcap.fit.linear_solvers.cholesky import factorise
 from jaxcap.geometry import rotation
+from jaxcap.prior.pair_prior import successive_pairs
 
 _pose_body = eqx.filter_jit(pose_body)
 

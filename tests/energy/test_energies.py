@@ -9,7 +9,6 @@ from helpers import chain_body, check_energy, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout
@@ -20,6 +19,7 @@ from jaxcap.energy.energy import energies
 from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior, ReferencePrior, RestPrior
 from jaxcap.geometry import rotation
+from jaxcap.limits.ranges_and_cones import Cone, make_joint_ranges
 from tests.kineben import cone_gradient
 
 BODY = chain_body()

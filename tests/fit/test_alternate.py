@@ -6,7 +6,7 @@ import pytest
 from jaxtyping import Array, Float
 
 from jaxcap.fit.alternate import alternate, anneal_problem
-from jaxcap.fit.linear.dense import DenseMatrix
+from jaxcap.fit.linear_solvers.dense import DenseMatrix
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.least_squares_problem import AbstractProblem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.linear.block_arrow import BlockArrow
-from jaxcap.fit.linear.block_banded import BlockBanded
-from jaxcap.fit.linear.structured import damped
+from jaxcap.fit.linear_solvers.block_arrow import BlockArrow
+from jaxcap.fit.linear_solvers.block_banded import BlockBanded
+from jaxcap.fit.linear_solvers.structured import damped
 from jaxcap.fit.solvers.equalities import Equalities
 
 

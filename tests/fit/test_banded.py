@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcap.fit.linear.block_banded import BlockBanded
+from jaxcap.fit.linear_solvers.block_banded import BlockBanded
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 
 SHAPES = [(1, 0, 3), (6, 1, 4), (11, 2, 5), (7, 3, 1), (2, 2, 3)]

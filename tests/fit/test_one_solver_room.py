@@ -1,4 +1,4 @@
-"""Equations are solved in two places: in `jaxcap/fit/solvers` and `jaxcap/fit/linear` what is minimised in steps, and in
+"""Equations are solved in two places: in `jaxcap/fit/solvers` and `jaxcap/fit/linear_solvers` what is minimised in steps, and in
 `jaxcap/geometry/linear.py` what has a closed form."""
 
 import ast

@@ -11,7 +11,6 @@ from helpers import SKINS, chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import pose_body
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import difference, project, retract
 from jaxcap.energy.data.landmarks import BoneLandmarks, VertexLandmarks
@@ -20,7 +19,7 @@ from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.energy import Sum
 from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior, RestPrior
-from jaxcap.fit.linear.dense import DenseMatrix
+from jaxcap.fit.linear_solvers.dense import DenseMatrix
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.descent import ConstrainedInfo
@@ -28,6 +27,7 @@ from jaxcap.fit.solvers.gauss_newton import GaussNewton, damped_step
 from jaxcap.fit.solvers.least_squares_problem import AbstractDenseProblem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.solvers.minimise import minimise
+from jaxcap.limits.ranges_and_cones import Cone, make_joint_ranges
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

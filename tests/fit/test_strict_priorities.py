@@ -12,7 +12,6 @@ from helpers import chain_body, random_pose
 from jaxtyping import Array, Float
 
 from jaxcap.body.body import Body, pose_body
-from jaxcap.body.joint_limits.ranges_and_cones import Cone, make_joint_ranges
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import make_skeleton
@@ -31,6 +30,7 @@ from jaxcap.fit.solvers.hierarchical_least_squares import (
 )
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.fit.strict_priorities import priority_step, solve_in_order
+from jaxcap.limits.ranges_and_cones import Cone, make_joint_ranges
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxcap.geometry import dualquat
+from jaxcap.geometry import dual_quaternions as dualquat
 
 finite = st.floats(-3.0, 3.0)
 triples = st.tuples(finite, finite, finite)

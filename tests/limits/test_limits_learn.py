@@ -9,25 +9,25 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body
-from jaxcap.body.joint_limits.abstract_limits import allowed
-from jaxcap.body.joint_limits.implicit_surface import SurfaceLimits, comfort, missing_joints
-from jaxcap.body.joint_limits.primitives import signed_distance
 from jaxcap.body.pose import Motion, Pose, rest_pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.edit.ik.constraints import Constraint, make_constraints
 from jaxcap.edit.ik.solve_ik import IkOptions, solve_ik
 from jaxcap.errors import InputError
-from jaxcap.limits.boxes import learn_boxes
-from jaxcap.limits.charts import chart_coordinates, find_chart, middle_rotation
+from jaxcap.limits.abstract_limits import allowed
 from jaxcap.limits.compare import compare_samples
 from jaxcap.limits.frame_evaluation import allowed_frames, comfort_frames, nearest_frames, residual_frames
-from jaxcap.limits.learn import learn_limits
-from jaxcap.limits.marker_frames import arm_samples
+from jaxcap.limits.implicit_surface import SurfaceLimits, comfort, missing_joints
+from jaxcap.limits.learning.boxes import learn_boxes
+from jaxcap.limits.learning.fit_chart import chart_coordinates, find_chart, middle_rotation
+from jaxcap.limits.learning.learn_limits import learn_limits
+from jaxcap.limits.learning.marker_frames import arm_samples
+from jaxcap.limits.learning.primitive_matching import match_primitives
+from jaxcap.limits.learning.samples import JointSamples, gather_samples, parse_joints
+from jaxcap.limits.learning.voxels import voxelise
 from jaxcap.limits.motion_projection import project_motion
-from jaxcap.limits.primitive_matching import match_primitives
-from jaxcap.limits.samples import JointSamples, gather_samples, parse_joints
-from jaxcap.limits.voxels import voxelise
+from jaxcap.limits.primitives import signed_distance
 from jaxcap.observe.markers import make_markers
 
 SHOULDER = make_skeleton(

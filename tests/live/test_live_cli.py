@@ -19,12 +19,12 @@ from jaxcap.cli.live import sources
 from jaxcap.cli.live.slots import fill_slots, frame_slots
 from jaxcap.cli.track.frame_records import Results
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.em_step import FrameStatistics
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.live.arrivals import replay
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
+from jaxcap.tracking.em_step import FrameStatistics
 from jaxcap.view.live import follow_run
 
 

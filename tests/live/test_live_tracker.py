@@ -13,14 +13,14 @@ from jaxcap.body.body import pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import advance, online
-from jaxcap.fit.tracking.online import OnlineTracker
-from jaxcap.fit.tracking.track import track_frames
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.live.live_tracker import LiveTracker
 from jaxcap.live.mailbox import Mailbox
 from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.tracking import advance, online
+from jaxcap.tracking.online import OnlineTracker
+from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import make_tracker
 
 BODY = chain_body("linear", rings=8, sides=8)
 TRACKER = make_tracker(BODY, iterations=2)

@@ -10,21 +10,21 @@ from scipy.stats import multivariate_normal
 
 import jaxcap as jc
 from jaxcap.body.body import pose_body
-from jaxcap.body.joint_limits.abstract_limits import allowed
-from jaxcap.body.joint_limits.rotation_vector_boxes import local_rotation_vectors
-from jaxcap.body.pair_prior import (
+from jaxcap.body.skeleton import dof_layout
+from jaxcap.energy.energy import energies
+from jaxcap.geometry import rotation
+from jaxcap.io.archives.npz import load_body_limits
+from jaxcap.io.archives.prior import load_boxes
+from jaxcap.limits.abstract_limits import allowed
+from jaxcap.limits.rotation_vector_boxes import local_rotation_vectors
+from jaxcap.prior.learn_pose_prior import rotation_vectors
+from jaxcap.prior.pair_prior import (
     describe_mismatch,
     log_density,
     mixture_mode,
     pair_vectors,
     successive_pairs,
 )
-from jaxcap.body.skeleton import dof_layout
-from jaxcap.energy.energy import energies
-from jaxcap.geometry import rotation
-from jaxcap.io.archives.npz import load_body_limits
-from jaxcap.io.archives.prior import load_boxes
-from jaxcap.prior.learn_pose_prior import rotation_vectors
 
 BODY = chain_body()
 SKELETON = BODY.skeleton

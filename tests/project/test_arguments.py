@@ -16,8 +16,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 import jaxcap as jc
 from jaxcap.arguments import checked
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking import advance
 from jaxcap.io.meshes.clouds import Scans
+from jaxcap.tracking import advance
 
 
 @pytest.fixture(autouse=True)

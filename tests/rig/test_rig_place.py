@@ -12,7 +12,7 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
-from jaxcap.rig.place_human import UPRIGHT, place_human
+from jaxcap.rig.place_skeleton import UPRIGHT, place_human
 from jaxcap.rig.rig import rig_mesh
 from jaxcap.rig.template import (
     Person,

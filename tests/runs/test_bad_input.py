@@ -13,12 +13,12 @@ from helpers import chain_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.check_cloud import check_cloud, check_cloud_extent
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
 from jaxcap.io.system.lock import run_lock
 from jaxcap.observe.clouds import make_cloud
+from jaxcap.tracking.check_cloud import check_cloud, check_cloud_extent
 
 SKL = """KBSKEL 3
 hips TRANSLATE NULL

@@ -12,7 +12,8 @@ from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
-from jaxcap.fit.tracking.em_step import (
+from jaxcap.observe.clouds import Cloud
+from jaxcap.tracking.em_step import (
     Estimate,
     box_volume,
     data_energy,
@@ -22,7 +23,6 @@ from jaxcap.fit.tracking.em_step import (
     make_mixture_settings,
     uniform_priors,
 )
-from jaxcap.observe.clouds import Cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton

@@ -12,11 +12,11 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.energy.priors.reference_pose import tangent_deviations
-from jaxcap.fit.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import make_cloud
+from jaxcap.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts
+from jaxcap.tracking.track_frame import make_tracker
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON, LAYOUT = BODY.skeleton, dof_layout(BODY.skeleton)

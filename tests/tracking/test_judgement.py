@@ -14,21 +14,21 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import dof_layout
-from jaxcap.fit.correspondence.visibility import visible_vertices
-from jaxcap.fit.judgement.baseline import (
+from jaxcap.geometry.camera import look_at
+from jaxcap.geometry.mesh import sample_surface
+from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.observe.visibility import visible_vertices
+from jaxcap.tracking.judgement.baseline import (
     initial_baseline,
     mark_flagged,
     median_baseline,
     sensor_directions,
     update_baseline,
 )
-from jaxcap.fit.judgement.evidence import _visible_in_camera, gather_evidence
-from jaxcap.fit.judgement.inside import inside_degrees
-from jaxcap.fit.judgement.region_samples import _even_samples, region_name, sample_regions
-from jaxcap.fit.judgement.verdict import judge_evidence
-from jaxcap.geometry.camera import look_at
-from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.tracking.judgement.evidence import _visible_in_camera, gather_evidence
+from jaxcap.tracking.judgement.inside import inside_degrees
+from jaxcap.tracking.judgement.region_samples import _even_samples, region_name, sample_regions
+from jaxcap.tracking.judgement.verdict import judge_evidence
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton

@@ -7,9 +7,9 @@ import pytest
 from command_line import FRAMES, fails, runs, write_inputs
 
 from jaxcap.cli import main
-from jaxcap.fit.tracking import advance
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion
+from jaxcap.tracking import advance
 
 DISTANCE = 1.4
 

@@ -7,7 +7,7 @@ import numpy as np
 import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.energy.priors.gaussian_pose_prior import human_prior
-from jaxcap.fit.tracking.prior_starts import LIMBS, limb_starts, mean_pose
+from jaxcap.tracking.prior_starts import LIMBS, limb_starts, mean_pose
 
 BODY = jc.human(resolution="low", joints="tracking")
 PRIOR = human_prior(BODY.skeleton)

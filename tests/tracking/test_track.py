@@ -14,15 +14,15 @@ from jaxcap.body.skeleton import dof_layout
 from jaxcap.cli.track.frame_records import pack, row_template, unpack
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.errors import InputError
-from jaxcap.fit.judgement.verdict import NO_PERSON
-from jaxcap.fit.tracking import advance, recover
-from jaxcap.fit.tracking.batch import fit_batch, scan_track
-from jaxcap.fit.tracking.track import track, track_frames
-from jaxcap.fit.tracking.track_frame import make_tracker, start_state
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import stack_clouds
 from jaxcap.observe.clouds import Cloud, make_cloud, missing_cloud
+from jaxcap.tracking import advance, recover
+from jaxcap.tracking.batch import fit_batch, scan_track
+from jaxcap.tracking.judgement.verdict import NO_PERSON
+from jaxcap.tracking.track import track, track_frames
+from jaxcap.tracking.track_frame import make_tracker, start_state
 
 POINTS, NOISE, FRAMES, JUNK = 600, 0.003, 6, 3
 TRACES: list[int] = []

@@ -12,13 +12,16 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.errors import InputError
-from jaxcap.fit.judgement.evidence import NUM_DIRECTIONS, _fibonacci_directions, gather_evidence
-from jaxcap.fit.tracking.advance import make_follower
-from jaxcap.fit.tracking.people.exchange import end_contact, try_exchange, with_contacts
-from jaxcap.fit.tracking.people.groups import assign_to_groups, find_groups
-from jaxcap.fit.tracking.people.other_people import shows_others
-from jaxcap.fit.tracking.people.person_frame import CORRECTED, UNDECIDED, UNSURE, absent_person, enter
-from jaxcap.fit.tracking.people.responsibilities import (
+from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
+from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.tracking.advance import make_follower
+from jaxcap.tracking.judgement.evidence import NUM_DIRECTIONS, _fibonacci_directions, gather_evidence
+from jaxcap.tracking.people.exchange import end_contact, try_exchange, with_contacts
+from jaxcap.tracking.people.groups import assign_to_groups, find_groups
+from jaxcap.tracking.people.other_people import shows_others
+from jaxcap.tracking.people.person_frame import CORRECTED, UNDECIDED, UNSURE, absent_person, enter
+from jaxcap.tracking.people.responsibilities import (
     ALONG_DEVIATION,
     NOBODY_DENSITY,
     OUTLIER_DEVIATION,
@@ -27,13 +30,10 @@ from jaxcap.fit.tracking.people.responsibilities import (
     person_weights,
     responsibilities,
 )
-from jaxcap.fit.tracking.people.track_people import track_people
-from jaxcap.fit.tracking.recover import track_first_frame
-from jaxcap.fit.tracking.track import others_sentences, track_frames
-from jaxcap.fit.tracking.track_frame import make_tracker
-from jaxcap.geometry import rotation
-from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.tracking.people.track_people import track_people
+from jaxcap.tracking.recover import track_first_frame
+from jaxcap.tracking.track import others_sentences, track_frames
+from jaxcap.tracking.track_frame import make_tracker
 
 POINTS, NOISE = 600, 0.003
 BODY = human(resolution="low", joints="tracking")

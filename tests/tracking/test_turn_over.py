@@ -7,12 +7,12 @@ from helpers import chain_body
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.fit.tracking.limb_flips import flip_limb_ends, limb_ends
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.scanner.scan import scan_frame
 from jaxcap.scanner.settings import Scanner
+from jaxcap.tracking.limb_flips import flip_limb_ends, limb_ends
+from jaxcap.tracking.track_frame import make_tracker
 
 
 def test_ends_are_hands_feet_and_the_head():

@@ -11,8 +11,8 @@ from jaxcap.adapt.poses.pose import DEPTH_BUFFER_SIZE
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.people.performance import walk_and_wave
-from jaxcap.fit.correspondence.visibility import visible_vertices
 from jaxcap.geometry.camera import is_in_image, look_at, ring_of_cameras
+from jaxcap.observe.visibility import visible_vertices
 
 TOLERANCE = 0.005
 _pose_body = eqx.filter_jit(pose_body)

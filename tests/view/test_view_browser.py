@@ -12,9 +12,9 @@ from helpers import chain_body, random_pose
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.cli.track.frame_records import pack, pose_layout, row_template, row_width
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.meshes.clouds import NO_FACES, Scans
+from jaxcap.tracking.track_frame import make_tracker
 from jaxcap.view.app import serve_contents
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.figures.clouds import DisplayClouds

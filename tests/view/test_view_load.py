@@ -12,7 +12,6 @@ from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.pose import Motion, Pose, stack_poses
 from jaxcap.cli.track.frame_records import pack, pose_layout, row_template, row_width
 from jaxcap.errors import InputError
-from jaxcap.fit.tracking.track_frame import make_tracker
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
 from jaxcap.io.archives.journal import create_journal, read_records, resume_journal
@@ -33,6 +32,7 @@ from jaxcap.markers.subject import make_subject
 from jaxcap.metrics import scan_to_surface
 from jaxcap.observe.markers import make_markers
 from jaxcap.observe.meshes import MeshSequence
+from jaxcap.tracking.track_frame import make_tracker
 from jaxcap.view import live
 from jaxcap.view.contents import Contents, make_take
 from jaxcap.view.figures.clouds import DisplayCloud, DisplayClouds

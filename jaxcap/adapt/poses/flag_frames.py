@@ -7,15 +7,15 @@ from jaxtyping import Array, Float
 
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
-from ...fit.judgement.baseline import median_baseline, sensor_directions
-from ...fit.judgement.evidence import Evidence, gather_evidence
-from ...fit.judgement.region_samples import sample_regions
-from ...fit.judgement.verdict import Judgement, judge_evidence
 from ...geometry.camera import Camera
 from ...geometry.closest import nearest_on_surface
 from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
+from ...tracking.judgement.baseline import median_baseline, sensor_directions
+from ...tracking.judgement.evidence import Evidence, gather_evidence
+from ...tracking.judgement.region_samples import sample_regions
+from ...tracking.judgement.verdict import Judgement, judge_evidence
 from ..task import AdaptState, AdaptTask
 
 #: number of points of a scan with measured distances

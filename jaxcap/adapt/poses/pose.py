@@ -8,19 +8,19 @@ import numpy as np
 
 from ...arguments import checked
 from ...body.body import Body, pose_body
-from ...body.joint_limits.rotation_vector_boxes import PoseBoxes
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...energy.data.pairs import PointPairs
 from ...fit.alternate import alternate
 from ...fit.correspondence.find_pairs import Matching, find_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan, as_scan
-from ...fit.correspondence.visibility import visible_vertices
 from ...fit.pose_problem import PoseProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
+from ...limits.rotation_vector_boxes import PoseBoxes
 from ...observe import Scan
 from ...observe.clouds import Cloud
+from ...observe.visibility import visible_vertices
 from ...parallel import parallel_map
 from ..objective import PoseTerms, mean_squared_distance, pose_problem
 from ..task import AdaptState, AdaptTask

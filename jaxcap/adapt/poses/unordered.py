@@ -14,8 +14,11 @@ from ...body.body import Body, body_height
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, concatenate_poses
 from ...fit.correspondence.part_blocks import make_part_blocks
-from ...fit.tracking.compare_poses import track_from
-from ...fit.tracking.initialise import (
+from ...geometry.attachment import attach_points, attached_positions
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
+from ...tracking.compare_poses import track_from
+from ...tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
     COARSE_VERTICES,
@@ -23,11 +26,8 @@ from ...fit.tracking.initialise import (
     initialise,
     rotated_starts,
 )
-from ...fit.tracking.log_posterior import log_posterior
-from ...fit.tracking.track_frame import Tracker
-from ...geometry.attachment import attach_points, attached_positions
-from ...observe import thin_cloud
-from ...observe.clouds import Cloud
+from ...tracking.log_posterior import log_posterior
+from ...tracking.track_frame import Tracker
 from ..task import AdaptTask, make_task_tracker
 from .similarity import DIRECTIONS, DistanceField, distance_field, rotated_distances
 

@@ -20,13 +20,13 @@ from ...fit.alternate import anneal_problem
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...fit.tracking.advance import FirstSearch
-from ...fit.tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
-from ...fit.tracking.track import track_frames
-from ...fit.tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...geometry.sampling import even_indices
 from ...geometry.stacking import stack_trees
 from ...observe.clouds import Cloud, stack_clouds
+from ...tracking.advance import FirstSearch
+from ...tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
+from ...tracking.track import track_frames
+from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...value_checks import check_at_least
 from .shape_space import ShapeSpace, shape_space_like
 

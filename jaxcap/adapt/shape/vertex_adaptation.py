@@ -20,7 +20,7 @@ from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...energy.data.pairs import PairDistances, PointPairs, corner_directions
-from ...fit.linear.sparse_blocks import BorderedMatrix, SparseBlocks
+from ...fit.linear_solvers.sparse_blocks import BorderedMatrix, SparseBlocks
 from ...fit.linearise import frame_jacobian, vertex_maps
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent

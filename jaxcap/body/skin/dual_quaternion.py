@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...geometry import dualquat, rotation
+from ...geometry import dual_quaternions as dualquat
+from ...geometry import rotation
 from ..geometric_jacobian import descendant_matrix
 from ..kinematics import Transforms
 from ..pose import Pose

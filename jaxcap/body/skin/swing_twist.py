@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
-from ...geometry import dualquat
+from ...geometry import dual_quaternions as dualquat
 from ..geometric_jacobian import descendant_matrix, project_velocities
 from ..joint_swing_twist import decompose_joints
 from ..skeleton import Skeleton

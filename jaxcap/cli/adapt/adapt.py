@@ -11,13 +11,13 @@ from ...adapt.evaluate import Evaluation, compare_stages, quantile, variant_name
 from ...adapt.prepare import make_adapt_task
 from ...adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from ...body.body import Body
-from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
 from ...fit.correspondence.find_pairs import Matching
 from ...io.archives.journal import hash_files
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
 from ...io.system.lock import run_lock
+from ...limits.abstract_limits import AbstractLimits
 from ...report.adaptation import report_adaptation
 from ..console.console import say, warn
 from ..console.options import (

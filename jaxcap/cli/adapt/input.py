@@ -17,12 +17,12 @@ from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
-from ...fit.tracking.check_cloud import check_cloud_extent
 from ...geometry.camera import Camera
 from ...io.archives.prior import Priors
 from ...io.cameras import read_cameras
 from ...io.meshes.clouds import Scans
 from ...observe import Scan
+from ...tracking.check_cloud import check_cloud_extent
 from ..console.console import progress, warn
 from ..motions import load_motion
 from ..sources import Up, up_rotation, upright_camera

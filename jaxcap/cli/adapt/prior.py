@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from ...body.body import Body
-from ...energy.priors.pair_prior import LikelihoodPrior, MahalanobisPrior
+from ...energy.priors.pair_likelihood import LikelihoodPrior, MahalanobisPrior
 from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import Priors, has_prior, load_priors, prior_arrays
 from ..console.console import say

@@ -11,11 +11,11 @@ from ...adapt.objective import Terms
 from ...adapt.task import AdaptState, AdaptTask, Stage
 from ...body.body import Body
 from ...errors import InputError, user_message
-from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.track_frame import make_tracker
 from ...io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ...io.archives.npz import get_array
 from ...io.registry import MOTION_WRITERS
+from ...tracking.recover import TrackedFrame
+from ...tracking.track_frame import make_tracker
 from ..outputs import check_absent
 from ..track.frame_records import pack, row_template, unpack
 from ..track.results import make_writable

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...body.joint_limits.implicit_surface import LimitSurface
 from ...errors import InputError
 from ...io.archives.archive import array_names, load_arrays, read_format_name
 from ...io.archives.checkpoint import FORMAT as CHECKPOINT
@@ -18,6 +17,7 @@ from ...io.meshes.meshes import read_meshes
 from ...io.skeletons.amass import read_amass
 from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
+from ...limits.implicit_surface import LimitSurface
 from ..console.console import say
 from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size
 from .depth import DepthOptions, describe_camera_depth

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.joint_limits.implicit_surface import SurfaceLimits
 from ...io.table import write_json
 from ...limits.frame_evaluation import comfort_frames
+from ...limits.implicit_surface import SurfaceLimits
 from ..console.console import print_table, say
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import InputError, user_message
 from ...limits.compare import compare_samples
-from ...limits.samples import gather_samples, parse_joints
+from ...limits.learning.samples import gather_samples, parse_joints
 from ..console.console import print_table
 from ..console.options import MotionSpec, arg
 from ..motions import load_motion

@@ -6,14 +6,14 @@ from typing import Annotated
 
 import numpy as np
 
-from ...body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits
 from ...errors import InputError, user_message
 from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
-from ...limits.charts import chart_coordinates
-from ...limits.learn import COVERAGE, learn_limits
-from ...limits.marker_frames import arm_samples
-from ...limits.samples import JointSamples, angular_range, gather_samples, parse_joints
+from ...limits.implicit_surface import LimitSurface, SurfaceLimits
+from ...limits.learning.fit_chart import chart_coordinates
+from ...limits.learning.learn_limits import COVERAGE, learn_limits
+from ...limits.learning.marker_frames import arm_samples
+from ...limits.learning.samples import JointSamples, angular_range, gather_samples, parse_joints
 from ..console.console import print_table, say, warn
 from ..console.options import MOTION_FORMATS, Flag, MotionsSpec, OptionalUnit, arg
 from ..motions import load_motion

@@ -5,11 +5,11 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.archives.limits import read_limits
+from ...limits.abstract_limits import AbstractLimits
 from ...limits.frame_evaluation import allowed_frames, residual_frames
 from ...markers.segments.gaps import find_runs
 from ..console.options import arg

@@ -11,13 +11,13 @@ import numpy as np
 
 from ...depth.stream.cloud_stream import NUM_POINTS
 from ...errors import InputError, user_message
-from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.track import unseen_sentences, verdict_sentences
-from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal, create_journal
 from ...io.system.lock import run_lock
 from ...live.live_tracker import LiveTracker, make_live_tracker
 from ...live.statistics import LiveFrame, LiveStatistics
+from ...tracking.recover import TrackedFrame
+from ...tracking.track import unseen_sentences, verdict_sentences
+from ...tracking.track_frame import Tracker
 from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity, write_status
 from ..console.options import BodySpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg

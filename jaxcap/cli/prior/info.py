@@ -7,10 +7,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from ...body.joint_limits.rotation_vector_boxes import PoseBoxes
-from ...body.pair_prior import PairPrior
 from ...io.archives.prior import load_boxes, load_prior, shape_prior_size
+from ...limits.rotation_vector_boxes import PoseBoxes
 from ...prior.covariance_selection import count_zero_couplings
+from ...prior.pair_prior import PairPrior
 from ..console.console import print_table, say
 from ..console.options import arg
 

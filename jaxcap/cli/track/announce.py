@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from ...fit.tracking.advance import Search
+from ...tracking.advance import Search
 from ..console.console import warn
 
 

@@ -12,12 +12,12 @@ from ...depth.clouds import cloud_of_depths
 from ...depth.people import choose_people, find_people
 from ...depth.person import PersonSearch
 from ...errors import InputError, NoPersonError
-from ...fit.tracking.check_cloud import check_cloud
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.archives.journal import read_header
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud, missing_cloud
+from ...tracking.check_cloud import check_cloud
 from ..console.console import warn
 from ..console.heartbeat import set_activity
 from ..depth.sources import DepthSources, choose_frames

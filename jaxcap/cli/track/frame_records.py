@@ -12,12 +12,12 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...fit.judgement.region_samples import sample_regions
-from ...fit.judgement.verdict import UNSEEN, Judgement
-from ...fit.tracking.em_step import FrameStatistics
-from ...fit.tracking.people.person_frame import PersonFrame, frame_template
-from ...fit.tracking.recover import TrackedFrame, reasons_of, unseen_of, verdict_of
-from ...fit.tracking.track_frame import Tracker
+from ...tracking.em_step import FrameStatistics
+from ...tracking.judgement.region_samples import sample_regions
+from ...tracking.judgement.verdict import UNSEEN, Judgement
+from ...tracking.people.person_frame import PersonFrame, frame_template
+from ...tracking.recover import TrackedFrame, reasons_of, unseen_of, verdict_of
+from ...tracking.track_frame import Tracker
 
 #: a frame of one body, or of several people
 Frame = TypeVar("Frame", TrackedFrame, PersonFrame, tuple[PersonFrame, ...])

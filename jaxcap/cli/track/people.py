@@ -10,13 +10,13 @@ from jaxtyping import Float
 
 from ...body.pose import Pose
 from ...errors import InputError
-from ...fit.judgement.region_samples import sample_regions
-from ...fit.tracking.advance import FirstSearch, Search
-from ...fit.tracking.people.person_frame import PersonFrame, absent_person
-from ...fit.tracking.people.track_people import MAX_PEOPLE, track_people
-from ...fit.tracking.track import unseen_sentences, verdict_sentences
-from ...fit.tracking.track_frame import Tracker
 from ...observe.clouds import Cloud
+from ...tracking.advance import FirstSearch, Search
+from ...tracking.judgement.region_samples import sample_regions
+from ...tracking.people.person_frame import PersonFrame, absent_person
+from ...tracking.people.track_people import MAX_PEOPLE, track_people
+from ...tracking.track import unseen_sentences, verdict_sentences
+from ...tracking.track_frame import Tracker
 from ..console.console import say, warn
 from .frame_records import POSE_AT, Results, unpack, unpack_results
 from .results import make_writable, person_folder, write_results

@@ -5,10 +5,10 @@ from pathlib import Path
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...errors import InputError
-from ...fit.tracking.track_frame import Tracker
 from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
+from ...tracking.track_frame import Tracker
 from ..console.console import say
 from ..console.heartbeat import set_activity
 from ..sources import load_body

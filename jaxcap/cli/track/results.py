@@ -11,12 +11,12 @@ import numpy as np
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...fit.tracking.track_frame import Tracker
 from ...io.archives.journal import Journal
 from ...io.archives.npz import save_motion
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
 from ...observe.clouds import Cloud
+from ...tracking.track_frame import Tracker
 from .frame_records import CLOUD_AT, Results, hash_cloud_name
 
 #: the shape of the person, if it was estimated

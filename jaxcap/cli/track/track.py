@@ -9,19 +9,19 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ...body.body import Body
-from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...errors import InputError, user_message
-from ...fit.tracking.advance import FirstSearch
-from ...fit.tracking.em_step import make_mixture_settings
-from ...fit.tracking.people.track_people import MAX_PEOPLE
-from ...fit.tracking.recover import TrackedFrame
-from ...fit.tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
-from ...fit.tracking.track_frame import Tracker, make_tracker
 from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...io.system.lock import run_lock
+from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
+from ...tracking.advance import FirstSearch
+from ...tracking.em_step import make_mixture_settings
+from ...tracking.people.track_people import MAX_PEOPLE
+from ...tracking.recover import TrackedFrame
+from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
+from ...tracking.track_frame import Tracker, make_tracker
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (

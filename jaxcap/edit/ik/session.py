@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...body.body import Body
-from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose, rest_pose
 from ...body.retraction import project
 from ...energy.energy import AbstractEnergy
 from ...energy.priors.reference_pose import RestPrior
+from ...limits.abstract_limits import AbstractLimits
 from .constraints import Constraint, Position, Quaternion, check_constraints, describe_point, make_constraints
 from .point_positions import point_positions
 from .solve_ik import SOLVERS, IkOptions, IkSolution, Solver, solve_ik

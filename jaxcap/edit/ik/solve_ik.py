@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
-from ...body.joint_limits.abstract_limits import AbstractLimits
 from ...body.people.anatomy import rest_deviations
 from ...body.pose import Pose
 from ...body.retraction import project
@@ -24,6 +23,7 @@ from ...fit.solve import solve
 from ...fit.solvers.gauss_newton import GaussNewton
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.strict_priorities import solve_in_order
+from ...limits.abstract_limits import AbstractLimits
 from ...value_checks import check_at_least
 from .constraints import ORIENTATION_OFFSET, Constraints, constrained_body
 

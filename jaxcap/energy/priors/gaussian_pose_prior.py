@@ -9,12 +9,12 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
 from ...assets import asset_path
-from ...body.joint_limits.rotation_vector_boxes import rotating_joints
-from ...body.pair_prior import MAX_FRAME_ANGLE
 from ...body.pose import local_rotation_vectors
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.linear import factor_symmetric, inverse_symmetric
+from ...limits.rotation_vector_boxes import rotating_joints
+from ...prior.pair_prior import MAX_FRAME_ANGLE
 from ..energy import AbstractEnergy
 
 #: file of the prior of people's poses, by `scripts/build_pose_prior.py`

@@ -1,7 +1,7 @@
 """Joint limits: zero inside, a residual that grows outside."""
 
 from ...body.body import Posed
-from ...body.joint_limits.abstract_limits import AbstractLimits
+from ...limits.abstract_limits import AbstractLimits
 from ..energy import AbstractEnergy
 
 

@@ -10,15 +10,15 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import check_fields
 from ...body.body import Body, pose_body
-from ...body.joint_limits.rotation_vector_boxes import BoxChart, PoseBoxes, make_box_chart, retract_within
 from ...body.pose import Pose, rest_pose
 from ...body.retraction import project, retract
 from ...body.symmetry import length_differences
 from ...energy.energy import AbstractEnergy
 from ...energy.stacked import AbstractNeighbourEnergy, AbstractSharedEnergy, join_frame, split_frames
+from ...limits.rotation_vector_boxes import BoxChart, PoseBoxes, make_box_chart, retract_within
 from ..frame_equations import frame_equations
-from ..linear.block_arrow import BlockArrow
-from ..linear.block_banded import BlockBanded
+from ..linear_solvers.block_arrow import BlockArrow
+from ..linear_solvers.block_banded import BlockBanded
 from ..linearise import BodyTangent, body_tangent
 from ..pose_problem import pose_scales
 from ..solvers.descent import ConstrainedInfo, StepConstraints

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.skeleton import dof_layout
 from ...errors import InputError
-from ..linear.cholesky import diagonal_scale
+from ..linear_solvers.cholesky import diagonal_scale
 from ..solvers.implicit import free_unknowns
 from .sequence_problem import SequenceEstimate, SequenceProblem
 from .solve_sequence import SequenceSolution

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..linear.dense import DenseMatrix
-from ..linear.structured import AbstractStructuredMatrix
+from ..linear_solvers.dense import DenseMatrix
+from ..linear_solvers.structured import AbstractStructuredMatrix
 from .equalities import Equalities
 
 #: largest number of rounds

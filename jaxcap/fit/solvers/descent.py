@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
-from ..linear.structured import AbstractStructuredMatrix, damped
+from ..linear_solvers.structured import AbstractStructuredMatrix, damped
 from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
 

@@ -10,7 +10,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from ..linear.cholesky import factorise
+from ..linear_solvers.cholesky import factorise
 from .least_squares_problem import AbstractProblem
 from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
 

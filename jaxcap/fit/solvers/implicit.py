@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
-from ..linear.conjugate_gradients import conjugate_gradients
-from ..linear.structured import damped
+from ..linear_solvers.conjugate_gradients import conjugate_gradients
+from ..linear_solvers.structured import damped
 from .descent import ConstrainedInfo
 from .equalities import Equalities
 from .least_squares_problem import AbstractProblem

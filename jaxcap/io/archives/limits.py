@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...arguments import checked
-from ...body.joint_limits.abstract_limits import AbstractLimits, AllLimits
-from ...body.joint_limits.chart import DIMENSIONS, Chart
-from ...body.joint_limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...limits.abstract_limits import AbstractLimits, AllLimits
+from ...limits.chart import DIMENSIONS, Chart
+from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints
 from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst

@@ -11,12 +11,12 @@ from jaxtyping import Int
 from ...adapt.shape.shape_prior import ShapePrior, prior_edges, uniform_laplacian
 from ...arguments import checked
 from ...body.body import Body
-from ...body.joint_limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes
-from ...body.pair_prior import PairPrior, describe_mismatch, make_pair_prior
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ...geometry.mesh import mesh_edges
+from ...limits.rotation_vector_boxes import PoseBoxes, make_pose_boxes
+from ...prior.pair_prior import PairPrior, describe_mismatch, make_pair_prior
 from ..system.reader_errors import reader_of
 from .archive import load_arrays
 from .npz import (

@@ -15,10 +15,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
-from ...body.joint_limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
-from ...body.joint_limits.ranges_and_cones import JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
+from ...limits.euler_boxes import EulerBox, EulerBoxes, make_euler_boxes
+from ...limits.ranges_and_cones import JointRanges, make_joint_ranges
 from ..system.reader_errors import reader_of
 from ..text import numbered_lines, parse_floats, read_text, shortened
 from .twist_axes import END_SUFFIX, twist_orientations

@@ -17,9 +17,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...arguments import checked
-from ...body.joint_limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
+from ...limits.ranges_and_cones import Cone, JointRanges, make_joint_ranges
 from ..kinds import check_kind
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of

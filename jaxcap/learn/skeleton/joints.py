@@ -18,8 +18,8 @@ from ...body.skin.swing_twist import SwingTwistSkin
 from ...body.symmetry import length_differences
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
-from ...fit.linear.block_arrow import BlockArrow, Unknowns
-from ...fit.linear.block_banded import BlockBanded
+from ...fit.linear_solvers.block_arrow import BlockArrow, Unknowns
+from ...fit.linear_solvers.block_banded import BlockBanded
 from ...fit.linearise import body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities

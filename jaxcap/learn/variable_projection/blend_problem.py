@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.symmetry import bone_length_differences
-from ...fit.linear.block_arrow import BlockArrow, Unknowns
-from ...fit.linear.block_banded import BlockBanded
-from ...fit.linear.cholesky import factorise
+from ...fit.linear_solvers.block_arrow import BlockArrow, Unknowns
+from ...fit.linear_solvers.block_banded import BlockBanded
+from ...fit.linear_solvers.cholesky import factorise
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.least_squares_problem import AbstractProblem

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ...fit.linear.block_arrow import ArrowFactor, BlockArrow, Unknowns
-from ...fit.linear.cholesky import factorise
-from ...fit.linear.conjugate_gradients import conjugate_gradients
-from ...fit.linear.structured import AbstractFactor, AbstractStructuredMatrix
+from ...fit.linear_solvers.block_arrow import ArrowFactor, BlockArrow, Unknowns
+from ...fit.linear_solvers.cholesky import factorise
+from ...fit.linear_solvers.conjugate_gradients import conjugate_gradients
+from ...fit.linear_solvers.structured import AbstractFactor, AbstractStructuredMatrix
 from ...fit.solvers.equalities import Equalities
 from ..skeleton.limbs import BoneState, TreeTopology, bone_derivatives
 

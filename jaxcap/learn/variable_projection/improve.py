@@ -13,7 +13,7 @@ from ...body.pose import Pose
 from ...body.skin import LinearSkin
 from ...body.symmetry import left_right_bones
 from ...fit.alternate import alternate
-from ...fit.linear.block_arrow import Unknowns
+from ...fit.linear_solvers.block_arrow import Unknowns
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.sampling import even_indices
 from ..skeleton.limbs import (

@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from ...body.body import Body, posed_vertices
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
-from ...fit.linear.chebyshev import chebyshev
-from ...fit.linear.conjugate_gradients import conjugate_gradients
+from ...fit.linear_solvers.chebyshev import chebyshev
+from ...fit.linear_solvers.conjugate_gradients import conjugate_gradients
 from ...geometry.laplacian import Conformance, apply_conformance
 from .simplex import gauss_jordan_solve
 

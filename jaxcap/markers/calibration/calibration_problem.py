@@ -14,8 +14,8 @@ from ...body.retraction import retract
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...fit.frame_equations import frame_equations
-from ...fit.linear.block_arrow import BlockArrow, Unknowns
-from ...fit.linear.block_banded import BlockBanded
+from ...fit.linear_solvers.block_arrow import BlockArrow, Unknowns
+from ...fit.linear_solvers.block_banded import BlockBanded
 from ...fit.linearise import BodyTangent, body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities

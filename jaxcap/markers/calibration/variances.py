@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...fit.linear.cholesky import factorise
+from ...fit.linear_solvers.cholesky import factorise
 from .calibration_problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
 from .residuals import linearise_residuals
 from .robust import robust_kernel

@@ -12,7 +12,7 @@ from ...body.retraction import retract
 from ...energy.energy import AbstractEnergy
 from ...fit.alternate import reweighted_least_squares
 from ...fit.frame_equations import frame_equations
-from ...fit.linear.dense import DenseMatrix
+from ...fit.linear_solvers.dense import DenseMatrix
 from ...fit.solvers.descent import ConstrainedInfo
 from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt

@@ -1,1 +1,0 @@
-"""Joint limits: ranges, boxes and implicit surfaces."""

@@ -1,0 +1,1 @@
+"""Learning of joint limits from recorded motions: samples, charts, voxels, and primitives matched between shapes."""

@@ -1,0 +1,110 @@
+"""Samples of joint rotations, with those of the joints that they are coupled to."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...arguments import checked
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+
+#: seconds of a motion in one block that is held out: neighbouring frames are similar
+BLOCK_SECONDS = 10.0
+
+
+class JointSamples(NamedTuple):
+    """Rotations of one joint from rest, frame by frame, and those of the joint that limits it."""
+
+    joint: str
+    kind: str
+    #: unit axes of revolute and universal joints
+    axes: Float[np.ndarray, "2 3"]
+    rotations: Float[np.ndarray, "F 4"]
+    #: samples of one block are close in time
+    blocks: Int[np.ndarray, "F"]
+    parent: "JointSamples | None" = None
+
+    def take(self, frames: np.ndarray) -> "JointSamples":
+        """Select some of the frames, of the parent too."""
+        parent = None if self.parent is None else self.parent.take(frames)
+        return self._replace(rotations=self.rotations[frames], blocks=self.blocks[frames], parent=parent)
+
+
+def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
+    """Parse joints with their parents, `(joint, parent)`, from text such as `LeftArm:LeftForeArm,Head`.
+
+    A chain couples every joint to the one before it. Parents come before their children, each joint once.
+
+    **Raises:** `InputError` where a name is empty, a joint is coupled to two parents, or the coupling has a
+    cycle.
+    """
+    found: dict[str, str | None] = {}
+    for chain in text.split(","):
+        names = [name.strip() for name in chain.split(":")]
+        if not all(names):
+            raise InputError(f"--joints {text}: a joint's name is empty; write 'shoulder:elbow,head'.")
+        for parent, joint in zip([None, *names], names, strict=False):
+            if parent is not None and found.get(joint) not in (None, parent):
+                raise InputError(
+                    f"--joints {text}: '{joint}' is coupled to '{found[joint]}' and to '{parent}'; choose one."
+                )
+            found[joint] = parent or found.get(joint)
+    ordered: list[str] = []
+    while len(ordered) < len(found):
+        ready = [n for n, p in found.items() if n not in ordered and (p is None or p in ordered)]
+        if not ready:
+            raise InputError(f"--joints {text}: the coupling of the joints has a cycle; leave one out.")
+        ordered += ready
+    return tuple((name, found[name]) for name in ordered)
+
+
+@checked
+def gather_samples(
+    motions: Sequence[tuple[Skeleton, Motion]],
+    joint: str,
+    parent: str | None = None,
+    names: Sequence[str] | None = None,
+) -> JointSamples:
+    """Collect the rotations of a joint in all frames of some motions with compatible skeletons.
+
+    `names` are the names of the motions in errors.
+
+    **Raises:** `ValueError` where a joint is missing, does not rotate at all, or is of another kind in
+    another motion.
+    """
+    above = None if parent is None else gather_samples(motions, parent, None, names)
+    kinds, rotations, blocks, start = set(), [], [], 0
+    axes = np.eye(3)[:2]
+    for number, (skeleton, motion) in enumerate(motions):
+        if joint not in skeleton.names:
+            motion_name = f"motion {number + 1}" if names is None else names[number]
+            raise ValueError(
+                f"{motion_name}: there is no joint '{joint}'; it has {', '.join(skeleton.names)}."
+            )
+        j = skeleton.index(joint)
+        kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
+        axes = np.asarray(skeleton.axes[j], float)
+        turned = np.asarray(motion.poses.rotations[:, j], float)
+        rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+        blocks.append(start + (np.arange(len(turned)) / (BLOCK_SECONDS * motion.rate)).astype(int))
+        start = blocks[-1][-1] + 1
+    if len(kinds) > 1:
+        raise ValueError(
+            f"Joint '{joint}' is {' and '.join(sorted(kinds))}; learn from motions of one kind of skeleton."
+        )
+    kind = kinds.pop()
+    if kind in ("fixed", "translate"):
+        raise ValueError(f"Joint '{joint}' is {kind} and does not rotate; name a joint that rotates.")
+    return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above)
+
+
+def angular_range(rotations: Float[np.ndarray, "F 4"]) -> float:
+    """Estimate the angular range of rotations, radians.
+
+    It is the largest angle between any rotation and the one that is farthest from the first.
+    """
+    end = rotations[np.argmin(np.abs(rotations @ rotations[0]))]
+    return float(2 * np.arccos(np.clip(np.abs(rotations @ end).min(), 0.0, 1.0)))

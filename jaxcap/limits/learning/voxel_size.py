@@ -1,0 +1,122 @@
+"""Choice of voxel sizes by cross-validation: the finest that still predict the rest of a capture."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from ...geometry.sampling import even_indices
+
+#: degrees of rotation, tried from the finest
+WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)
+#: widths of a child's voxels and of its parent's keyframes, degrees, tried together
+CHILD_WIDTHS = (2.0, 4.0, 8.0, 12.0, 20.0)
+KEYFRAMES = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0)
+#: largest number of frames that keyframes are chosen on
+MAX_FRAMES = 10000
+#: number of folds of the cross-validation
+FOLDS = 5
+
+
+def choose_voxel_width(
+    coordinates: Float[np.ndarray, "F 3"],
+    dimension: int,
+    blocks: Int[np.ndarray, "F"],
+    min_samples: int,
+    coverage: float,
+) -> float:
+    """Choose the finest voxel width that reaches a share `coverage` in cross-validation over blocks.
+
+    The share is that of held-out samples near samples of the other blocks. The width is in the chart, half
+    of that in rotation. The widest is returned where none reaches the share.
+    """
+    for degrees in WIDTHS:
+        width = np.radians(degrees) / 2
+        shares = [
+            _is_near(
+                coordinates[test],
+                _occupied_voxels(coordinates[train], dimension, width, min_samples),
+                dimension,
+                width,
+            ).mean()
+            for train, test in _folds(blocks)
+        ]
+        if np.mean(shares) >= coverage:
+            return width
+    return np.radians(WIDTHS[-1]) / 2
+
+
+def choose_keyframes(
+    coordinates: Float[np.ndarray, "F 3"],
+    parent_coordinates: Float[np.ndarray, "F 3"],
+    dimensions: tuple[int, int],
+    blocks: Int[np.ndarray, "F"],
+    coverage: float,
+) -> tuple[float, float]:
+    """Choose the widths of a child's voxels and of its parent's keyframes.
+
+    Among the pairs that allow the share `coverage` of held-out frames, it is the one that allows the fewest
+    combinations of children and parents of different frames, which is the tightest. The loosest is returned
+    where none reaches the share.
+    """
+    some = even_indices(len(coordinates), MAX_FRAMES)
+    coordinates, parent_coordinates, blocks = coordinates[some], parent_coordinates[some], blocks[some]
+    best, least = (np.radians(CHILD_WIDTHS[-1]) / 2, np.radians(KEYFRAMES[-1]) / 2), np.inf
+    for key_width in np.radians(KEYFRAMES) / 2:
+        tries = [
+            _coupled_coverage(coordinates, parent_coordinates, train, test, dimensions, key_width)
+            for train, test in _folds(blocks)
+        ]
+        seen, shuffled = (np.mean([one[i] for one in tries], axis=0) for i in range(2))
+        for number, degrees in enumerate(CHILD_WIDTHS):
+            if seen[number] >= coverage and shuffled[number] < least:
+                best, least = (np.radians(degrees) / 2, float(key_width)), shuffled[number]
+    return best
+
+
+def _coupled_coverage(
+    coordinates, parent_coordinates, train, test, dimensions: tuple[int, int], key_width: float
+):
+    """Compute the shares of test frames that are allowed, for each width of the child's voxels.
+
+    The second row is for the same children with the parents of other frames. A child is allowed near
+    training samples with parents within a width of the keyframe's centre.
+    """
+    keys = _occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
+    nearest = np.asarray(KDTree(keys).query(parent_coordinates[test])[1])
+    shuffled = np.random.default_rng(0).permutation(len(test))
+    shares = np.zeros((2, len(CHILD_WIDTHS)))
+    for key in np.unique(nearest):
+        around = np.abs(parent_coordinates[train] - keys[key]).max(1) <= key_width
+        here = nearest == key
+        for number, degrees in enumerate(CHILD_WIDTHS):
+            width = np.radians(degrees) / 2
+            cells = _occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
+            for row, children in enumerate((coordinates[test], coordinates[test][shuffled])):
+                shares[row, number] += _is_near(children[here], cells, dimensions[0], width).sum()
+    return shares / len(test)
+
+
+def _folds(blocks: Int[np.ndarray, "F"]):
+    """Split frames into five folds by blocks, as pairs of training and test indices.
+
+    A capture with fewer blocks is cut into five.
+    """
+    order = np.unique(blocks, return_inverse=True)[1]
+    if order.max() + 1 < FOLDS:
+        order = np.arange(len(blocks)) * FOLDS // len(blocks)
+    held_out = [order % FOLDS == fold for fold in range(FOLDS)]
+    return [(np.flatnonzero(~out), np.flatnonzero(out)) for out in held_out]
+
+
+def _occupied_voxels(coordinates, dimension: int, width: float, min_samples: int) -> np.ndarray:
+    cells, counts = np.unique(np.floor(coordinates[:, :dimension] / width), axis=0, return_counts=True)
+    centres = np.zeros((int((counts >= min_samples).sum()), 3))
+    centres[:, :dimension] = (cells[counts >= min_samples] + 0.5) * width
+    return centres
+
+
+def _is_near(coordinates, centres, dimension: int, width: float) -> np.ndarray:
+    """Test if positions are in a ball around a voxel."""
+    if not len(centres) or not len(coordinates):
+        return np.zeros(len(coordinates), bool)
+    return KDTree(centres).query(coordinates)[0] <= np.sqrt(dimension) * width / 2

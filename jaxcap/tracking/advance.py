@@ -1,0 +1,183 @@
+"""One frame of a tracked sequence: the first one, and each one after it."""
+
+import functools
+import logging
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float
+
+from ..body.pose import Pose
+from ..observe.clouds import Cloud
+from .compare_poses import choose_likeliest, likelier_pose
+from .initialise import coarse_tracker, initialise
+from .judgement.baseline import initial_baseline
+from .judgement.region_samples import RegionSamples, sample_regions
+from .recover import (
+    SearchHistory,
+    TrackedFrame,
+    choose_better,
+    finish_frame,
+    judge_frame,
+    needs_search,
+    reset_velocity,
+    search_frame,
+    track_first_frame,
+    track_frame_jit,
+)
+from .track_frame import Tracker
+
+_LOG = logging.getLogger(__name__)
+#: search for the pose of a first frame: if the start does not explain the cloud, always, never
+FirstSearch = Literal["auto"] | bool
+#: standard deviation at which a pose that a search found is tracked, metres
+FOUND_SIGMA = 0.03
+
+
+class Search(NamedTuple):
+    """A search that is about to begin; the first one of a process compiles for a minute or more."""
+
+    #: number of the frame
+    frame: int
+    #: the faults, as in `TrackedFrame.reasons`; empty for a requested search
+    reasons: tuple[str, ...]
+    #: number of earlier searches
+    num_earlier: int
+
+
+class Follower(NamedTuple):
+    """The constants with which a body is followed from frame to frame."""
+
+    tracker: Tracker
+    surface: RegionSamples
+    #: makes the tracker of searches at its first call
+    coarse: Callable[[], Tracker]
+    #: vertical of the scene
+    up: tuple[float, float, float]
+    #: is called before every search
+    on_search: Callable[[Search], None] | None
+
+    def begin_search(self, number: int, reasons: tuple[str, ...], before: float) -> Tracker:
+        """Begin a search: call `on_search`, and return the tracker of searches."""
+        _LOG.info("searching for a better pose of frame %d", number)
+        if self.on_search is not None:
+            self.on_search(Search(number, reasons, int(before)))
+        return self.coarse()
+
+
+def make_follower(
+    tracker: Tracker,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    on_search: Callable[[Search], None] | None = None,
+) -> Follower:
+    """Make the constants of a run."""
+    coarse = functools.cache(lambda: coarse_tracker(tracker))
+    return Follower(tracker, sample_regions(tracker.body), coarse, up, on_search)
+
+
+def find_first_frame(
+    follower: Follower,
+    cloud: Cloud,
+    pose: Pose,
+    number: int = 0,
+    *,
+    search: FirstSearch = "auto",
+    sigma: float = 0.1,
+    candidates: Sequence[Pose] | None = None,
+    margin: float = 0.0,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Track the first frame from a `pose` near it, or search for it, as `track_frames` describes.
+
+    **Arguments:** `occluders` as in `gather_evidence`.
+    """
+    tracker, surface, frame = follower.tracker, follower.surface, None
+    if search is not True:
+        frame = track_first_frame(tracker, surface, cloud, pose, sigma, occluders)
+    if frame is None or (search == "auto" and frame.verdict != "good"):
+        coarse = follower.begin_search(number, () if frame is None else frame.reasons, 0.0)
+        pose, _ = initialise(tracker, cloud, up=follower.up, coarse=coarse)
+        found = track_first_frame(tracker, surface, cloud, pose, FOUND_SIGMA, occluders)
+        frame = found if frame is None else choose_better(tracker, cloud, found, frame)
+        frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
+    if candidates is not None:
+        reached = frame.state, frame.statistics
+        state, statistics = choose_likeliest(tracker, *reached, candidates, pose, cloud, margin)
+        if state is not frame.state:
+            baseline = initial_baseline(surface, len(cloud.views))
+            searches = SearchHistory(count=frame.searches.count)
+            frame = judge_frame(surface, cloud, state, statistics, baseline, searches, occluders)
+            frame = finish_frame(tracker, frame, pose)
+    return frame
+
+
+def follow_frame(
+    tracker: Tracker,
+    surface: RegionSamples,
+    frame: TrackedFrame,
+    cloud: Cloud,
+    poses: Sequence[Pose] = (),
+    margin: float = 0.0,
+    judge: bool = True,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
+
+    **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`; `occluders` as in
+    `gather_evidence`. Without `judge` the frame keeps the verdict of the frame before it.
+    """
+    before = frame.state.estimate.pose
+    state, statistics = track_frame_jit(tracker, frame.state, cloud)
+    # a lost frame may have led away from the correct pose
+    others = [*([frame.trusted] if frame.lost else []), *poses]
+    if others:
+        state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
+    if frame.lost:
+        state = reset_velocity(tracker, state)
+    if not judge:
+        return TrackedFrame(
+            state.estimate.pose,
+            statistics,
+            frame.lost,
+            frame.judgement,
+            frame.others,
+            state,
+            state.estimate.pose,
+            frame.baseline,
+            frame.searches,
+        )
+    return judge_frame(surface, cloud, state, statistics, frame.baseline, frame.searches, occluders)
+
+
+def advance_frame(
+    follower: Follower,
+    frame: TrackedFrame,
+    cloud: Cloud,
+    number: int,
+    *,
+    candidates: Sequence[Pose] | None = None,
+    margin: float = 0.0,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Track a `cloud` from the `frame` before it: predict, fit, judge, and search where it is not good.
+
+    **Arguments:** `number` of the frame, which seeds its search; `candidates` and `margin` as in `track_frames`;
+    `occluders` as in `gather_evidence`.
+    """
+    tracker, surface = follower.tracker, follower.surface
+    trusted, baseline = frame.trusted, frame.baseline
+    frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
+    if needs_search(frame):
+        coarse = follower.begin_search(number, frame.reasons, frame.searches.count)
+        key = jax.random.key(number)
+        found = search_frame(
+            tracker, surface, coarse, frame, baseline, trusted, cloud, key, follower.up, occluders
+        )
+        if candidates is not None and found.pose is not frame.pose:
+            # the end of a search may be worse than its start
+            likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
+            found = found if likelier is found.pose else frame
+        frame = found
+    return finish_frame(tracker, frame, trusted)

@@ -1,0 +1,236 @@
+"""Expectation conditional maximisation of a pose against a cloud (Kineben, section 3.3.2)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..arguments import check_fields, checked
+from ..body.body import Body, Posed, pose_body
+from ..body.pose import Pose
+from ..energy.data.points import PointToPlane
+from ..energy.data.sufficient_statistics import rigid_moments
+from ..energy.energy import AbstractEnergy, Sum, terms_of
+from ..fit.correspondence.part_blocks import PartBlocks
+from ..fit.correspondence.posterior import Posterior, posterior, update_priors, update_sigma
+from ..fit.correspondence.surface_density import surface_log_density
+from ..fit.pose_problem import PoseProblem
+from ..fit.solvers.descent import NormalDescent
+from ..fit.solvers.minimise import take_step
+from ..observe.clouds import Cloud
+from ..value_checks import as_number, check_at_least, check_positive, check_values, check_within
+
+
+class MixtureSettings(eqx.Module):
+    """Parameters of the mixture model."""
+
+    #: least cosine between a point's normal and that of a matched vertex
+    normal_threshold: Float[Array, ""]
+    #: share of points that no part explains
+    outlier: Float[Array, ""]
+    #: lower bound of the standard deviation, metres
+    smallest_sigma: Float[Array, ""]
+    #: weight of the distance along the surface relative to the one across it; 1 is Kineben's point-to-point
+    #: distance, 0 lets points slide freely
+    tangential_weight: Float[Array, ""]
+    #: constant on the diagonal of the normal equations, per metre and radian squared
+    damping: Float[Array, ""]
+    #: number of most likely parts that a point may match; on a skinned surface adjacent parts move almost
+    #: alike, so that one is enough
+    candidates: int = eqx.field(static=True, default=1)
+    #: estimate the parts' prior shares too, or keep them uniform
+    estimate_priors: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+@checked
+def make_mixture_settings(
+    normal_threshold: float = 0.5,
+    outlier: float = 0.1,
+    smallest_sigma: float = 0.002,
+    tangential_weight: float = 0.05,
+    damping: float = 1.0,
+    candidates: int = 1,
+    estimate_priors: bool = False,
+) -> MixtureSettings:
+    """Make a `MixtureSettings` from plain numbers.
+
+    **Raises:** `InputError` for one that is out of its range.
+    """
+    where = "make_mixture_settings"
+    check_within(where, -1, 1, normal_threshold=normal_threshold)
+    check_values(where, lambda share: (share > 0) & (share < 1), "a share between 0 and 1", outlier=outlier)
+    check_positive(where, "metres", smallest_sigma=smallest_sigma)
+    check_within(where, 0, 1, tangential_weight=tangential_weight)
+    check_at_least(where, 0, damping=damping)
+    check_at_least(where, 1, candidates=candidates)
+    return MixtureSettings(
+        normal_threshold=as_number(normal_threshold),
+        outlier=as_number(outlier),
+        smallest_sigma=as_number(smallest_sigma),
+        tangential_weight=as_number(tangential_weight),
+        damping=as_number(damping),
+        candidates=candidates,
+        estimate_priors=estimate_priors,
+    )
+
+
+class Estimate(eqx.Module):
+    """The estimates of expectation maximisation."""
+
+    pose: Pose
+    #: standard deviation of the points from the surface, metres
+    sigma: Float[Array, ""]
+    #: prior share of each part
+    priors: Float[Array, "K"]
+
+
+class FrameStatistics(eqx.Module):
+    """Statistics of an estimate's fit to a cloud."""
+
+    #: mean log-likelihood of a point in the mixture of parts, per metre^3
+    log_likelihood: Float[Array, ""]
+    #: mean `surface_log_density` of a point, by which poses are compared
+    surface_log_likelihood: Float[Array, ""]
+    #: share of points that no part explains
+    outlier_share: Float[Array, ""]
+    #: mean distance of the explained points from their vertices, metres
+    mean_distance: Float[Array, ""]
+    sigma: Float[Array, ""]
+
+
+def uniform_priors(parts: PartBlocks, dtype=None) -> Float[Array, "K"]:
+    """Make uniform priors over the parts that have vertices (Kineben, eq. 19)."""
+    present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
+    return present / jnp.sum(present)
+
+
+def data_energy(
+    found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential_weight: Float[Array, ""]
+) -> AbstractEnergy:
+    """Compute twice the expected negative log-likelihood (Kineben, eq. 29): `sum p d^2 / sigma^2`.
+
+    The distance across the surface counts fully, the one along it by `tangential_weight`, because a point's nearest
+    vertex is only near its own position on the surface. The second is summed into the moments of each part,
+    whose points move with the part's bone. The first is not, because it depends on the blend of bones in the
+    skin.
+    """
+    weights = (cloud.weights[:, None] * found.weights / sigma**2).reshape(-1)
+    vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
+    points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
+    r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
+    # the inverse of a similarity: its rotation block is a rotation times the scale
+    rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
+    across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential_weight) * weights)
+    return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
+
+
+def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud, volume, estimate: Estimate):
+    """Compute the E-step at an estimate: `(posed, posterior)`."""
+    posed = pose_body(body, estimate.pose)
+    found = posterior(
+        parts,
+        posed.vertices,
+        posed.normals,
+        cloud,
+        estimate.sigma,
+        normal_threshold=mixture.normal_threshold,
+        outlier=mixture.outlier,
+        box_volume=volume,
+        priors=estimate.priors,
+        candidates=mixture.candidates,
+    )
+    return posed, found
+
+
+def em_step(
+    body: Body,
+    parts: PartBlocks,
+    mixture: MixtureSettings,
+    prior: AbstractEnergy,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    estimate: Estimate,
+) -> tuple[Estimate, FrameStatistics]:
+    """Compute the E-step, one Gauss-Newton step on the pose, then the standard deviation and, optionally, the
+    parts' shares (Kineben, section 3.3.2).
+
+    The statistics are those of the E-step.
+    """
+    posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
+    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
+    energy = Sum(terms_of(data) + terms_of(prior))
+    pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
+    differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
+    squared = jnp.sum(differences**2, -1)
+    sigma = renew_sigma(mixture, found, squared, cloud, estimate.sigma)
+    priors = estimate.priors
+    if mixture.estimate_priors:
+        priors = jnp.where(
+            _has_inlier(found, cloud), update_priors(found, cloud.weights, parts.num_parts), priors
+        )
+    return Estimate(pose, sigma, priors), _statistics(
+        parts, mixture, posed, found, cloud, volume, estimate.sigma
+    )
+
+
+def renew_sigma(
+    mixture: MixtureSettings,
+    found: Posterior,
+    squared_distances: Float[Array, "N C"],
+    cloud: Cloud,
+    sigma: Float[Array, ""],
+) -> Float[Array, ""]:
+    """Update the standard deviation within the bound of `mixture`; without a single inlier it keeps its value `sigma`."""
+    renewed = jnp.maximum(update_sigma(found, squared_distances, cloud.weights), mixture.smallest_sigma)
+    return jnp.where(_has_inlier(found, cloud), renewed, sigma)
+
+
+def _has_inlier(found: Posterior, cloud: Cloud) -> Bool[Array, ""]:
+    return jnp.sum(cloud.weights[:, None] * found.weights) > 0
+
+
+def frame_statistics(
+    body: Body,
+    parts: PartBlocks,
+    mixture: MixtureSettings,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    estimate: Estimate,
+) -> FrameStatistics:
+    """Compute the statistics of an estimate's fit to its cloud."""
+    posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
+    return _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma)
+
+
+def _statistics(
+    parts: PartBlocks,
+    mixture: MixtureSettings,
+    posed: Posed,
+    found: Posterior,
+    cloud: Cloud,
+    volume: Float[Array, ""],
+    sigma: Float[Array, ""],
+) -> FrameStatistics:
+    on_surface = surface_log_density(
+        found, parts, posed, cloud, sigma, mixture.outlier, volume, mixture.tangential_weight
+    )
+    total = jnp.maximum(jnp.sum(cloud.weights), jnp.finfo(cloud.weights.dtype).tiny)
+    share = cloud.weights[:, None] * found.weights
+    distances = jnp.sqrt(jnp.where(share > 0, found.squared_distances, 0.0))
+    return FrameStatistics(
+        log_likelihood=jnp.sum(cloud.weights * found.log_density) / total,
+        surface_log_likelihood=jnp.sum(cloud.weights * on_surface) / total,
+        outlier_share=jnp.sum(cloud.weights * found.outlier) / total,
+        mean_distance=jnp.sum(share * distances) / jnp.maximum(jnp.sum(share), jnp.finfo(share.dtype).tiny),
+        sigma=sigma,
+    )
+
+
+def box_volume(cloud: Cloud) -> Float[Array, ""]:
+    """Compute the volume of the box around a cloud, metres^3: the support of the outlier class."""
+    real = (cloud.weights > 0)[:, None]
+    highest = jnp.max(jnp.where(real, cloud.points, -jnp.inf), 0)
+    lowest = jnp.min(jnp.where(real, cloud.points, jnp.inf), 0)
+    return jnp.maximum(jnp.prod(highest - lowest), 1e-6)

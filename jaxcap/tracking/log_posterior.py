@@ -1,0 +1,29 @@
+"""Density of a pose given a cloud, by which poses of one frame are compared."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..body.pose import Pose
+from ..observe.clouds import Cloud
+from .em_step import Estimate, box_volume, frame_statistics, uniform_priors
+from .track_frame import Tracker, penalty
+
+#: standard deviation at which poses are compared, metres
+COMPARISON_SIGMA = 0.02
+
+
+@eqx.filter_jit
+def log_posterior(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
+    """Compute the log-density of a pose for each point of a cloud, up to a constant: the mean log-likelihood of the
+    points minus the `penalty` of the priors.
+
+    The standard deviation is the same for all poses.
+    """
+    sigma = jnp.asarray(COMPARISON_SIGMA, pose.rotations.dtype)
+    estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
+    volume = box_volume(cloud)
+    found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
+    density = found.surface_log_likelihood - penalty(tracker, cloud, pose)
+    # a NaN pose explains nothing
+    return jnp.where(jnp.isfinite(density), density, -jnp.inf)

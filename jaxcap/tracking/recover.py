@@ -1,0 +1,279 @@
+"""Judgement of tracked frames, and search for frames that tracking has lost."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from ..body.pose import Pose, concatenate_poses
+from ..energy.priors.reference_pose import tangent_deviations
+from ..geometry.stacking import stack_trees
+from ..observe import thin_cloud
+from ..observe.clouds import Cloud
+from .em_step import Estimate, FrameStatistics
+from .initialise import (
+    COARSE_POINTS,
+    FINE_SIGMAS,
+    anneal_sorted,
+    perturbed_starts,
+    refine,
+    rotated_starts,
+    subtree_starts,
+)
+from .judgement.baseline import (
+    Baseline,
+    initial_baseline,
+    mark_flagged,
+    sensor_directions,
+    update_baseline,
+)
+from .judgement.evidence import gather_evidence
+from .judgement.region_samples import RegionSamples
+from .judgement.verdict import Judgement, judge_evidence
+from .log_posterior import log_posterior
+from .prior_starts import limb_starts
+from .track_frame import Tracker, TrackState, start_state, track_frame
+
+#: standard deviation at the end of a first frame, metres, and number of rounds to reach it
+FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
+#: pause in frames after a search without success, which doubles from the first number to the second
+MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
+#: share of outliers above which the body is not in the cloud, and the next frame starts at the last good pose
+MAX_OUTLIER_SHARE = 0.5
+#: number of directions in the search for a body that jumped
+NUM_JUMP_DIRECTIONS = 4
+
+track_frame_jit = eqx.filter_jit(track_frame)
+
+
+class SearchHistory(eqx.Module):
+    """The number of searches, and the pause after searches without success."""
+
+    #: frames until the next search is allowed
+    wait: float = 0.0
+    #: length of the pause after the last search
+    length: float = 0.0
+    #: number of searches so far
+    count: float = 0.0
+
+    def advance(self, good: bool) -> "SearchHistory":
+        """Advance by one frame; good frames shorten the pauses again."""
+        return SearchHistory(
+            max(self.wait - 1.0, 0.0), 0.5 * self.length if good else self.length, self.count
+        )
+
+    def extend(self) -> "SearchHistory":
+        """Count a search without success, and double the pause after it."""
+        pause = min(max(2.0 * self.length, MIN_PAUSE), MAX_PAUSE)
+        return SearchHistory(pause, pause, self.count + 1.0)
+
+
+NO_SEARCHES = SearchHistory()
+
+
+class TrackedFrame(eqx.Module):
+    """One frame of a tracked sequence."""
+
+    pose: Pose
+    statistics: FrameStatistics
+    #: the body does not explain the frame, and its pose is unreliable
+    lost: bool
+    #: faults by part, compared with the previous frames
+    judgement: Judgement
+    #: the cloud has another object of a person's size, whose points are outliers
+    others: bool
+    #: start of the next frame; with the three fields below it is sufficient to resume after a stop
+    state: TrackState
+    #: pose of the last frame that was not lost, including this one
+    trusted: Pose
+    #: statistics of the good frames so far
+    baseline: Baseline
+    #: searches so far, including this frame's
+    searches: SearchHistory
+
+    @property
+    def verdict(self) -> str:
+        """`good`, `doubtful` or `lost`."""
+        return verdict_of(self.lost, self.judgement)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The faults and their parts, such as "unexplained points near the left leg"; empty if the frame is
+        good.
+        """
+        return reasons_of(self.lost, self.judgement)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Parts without points, by their joints: their pose is a guess, also in a good frame. Empty for a
+        lost frame.
+        """
+        return unseen_of(self.lost, self.judgement)
+
+
+def verdict_of(lost: bool, judgement: Judgement) -> str:
+    """Return `good`, `doubtful` or `lost`."""
+    return "lost" if lost else judgement.verdict
+
+
+def reasons_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
+    """List the faults of a frame and their parts; a lost frame always has a reason."""
+    if lost and not judgement.reasons:
+        return ("no finite pose",)
+    return judgement.reasons
+
+
+def unseen_of(lost: bool, judgement: Judgement) -> tuple[str, ...]:
+    """List the unobserved parts of the body; none for a lost frame."""
+    return () if lost else judgement.unseen
+
+
+def track_first_frame(
+    tracker: Tracker,
+    surface: RegionSamples,
+    cloud: Cloud,
+    pose: Pose,
+    sigma: float,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Track the first frame from a pose near it.
+
+    The standard deviation falls from `sigma`, over repeated tracking of the same cloud, which uses the
+    function that is compiled anyway. There is no baseline yet, and limits are absolute.
+    """
+    last = min(sigma, FIRST_SIGMA)
+    state = start_state(tracker, pose, sigma)
+    for level in np.geomspace(sigma, last, FIRST_ROUNDS)[:-1]:
+        state, _ = track_frame_jit(tracker, reset_velocity(tracker, state, float(level)), cloud)
+    state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state, last), cloud)
+    baseline = initial_baseline(surface, len(cloud.views))
+    reached = reset_velocity(tracker, state)
+    frame = judge_frame(surface, cloud, reached, statistics, baseline, occluders=occluders)
+    return finish_frame(tracker, frame, pose)
+
+
+def judge_frame(
+    surface: RegionSamples,
+    cloud: Cloud,
+    state: TrackState,
+    statistics: FrameStatistics,
+    baseline: Baseline,
+    searches: SearchHistory = NO_SEARCHES,
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Compare a frame with the `baseline`, and update this if the frame is good; `occluders` as in `gather_evidence`.
+
+    Doubtful frames would gradually make their faults normal. The first frame that is not lost has nothing to
+    be compared with, and updates them.
+    """
+    pose = state.estimate.pose
+    judgement, renewed = _compare(surface, baseline, pose, cloud, occluders)
+    lost = judgement.verdict == "lost" or not _finite(pose)
+    teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
+    renewed = renewed if teaches else mark_flagged(baseline)
+    return TrackedFrame(pose, statistics, lost, judgement, False, state, pose, renewed, searches)
+
+
+@eqx.filter_jit
+def _compare(
+    surface: RegionSamples,
+    baseline: Baseline,
+    pose: Pose,
+    cloud: Cloud,
+    occluders: Float[Array, "O 4"] | None,
+) -> tuple[Judgement, Baseline]:
+    cameras = [view.camera for view in cloud.views]
+    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline), occluders)
+    return judge_evidence(surface, baseline, evidence), update_baseline(baseline, evidence)
+
+
+def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> TrackedFrame:
+    """Determine the start of the next frame: the last trusted pose, `previous`, if the body is not in the
+    cloud.
+    """
+    searches = frame.searches.advance(frame.verdict == "good")
+    pose, state = frame.pose, frame.state
+    if frame.lost:
+        finite = _finite(pose)
+        if not finite or not float(frame.statistics.outlier_share) < MAX_OUTLIER_SHARE:
+            state = start_state(tracker, previous, FIRST_SIGMA)
+        pose = pose if finite else previous
+    trusted = previous if frame.lost else pose
+    return eqx.tree_at(
+        lambda f: (f.pose, f.trusted, f.state, f.searches), frame, (pose, trusted, state, searches)
+    )
+
+
+def needs_search(frame: TrackedFrame) -> bool:
+    """Decide if a frame is to be searched for: it is not good, and no search has just failed."""
+    return frame.verdict != "good" and frame.searches.wait <= 0
+
+
+def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
+    """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
+    before, after = (float(log_posterior(tracker, one.pose, cloud)) for one in (frame, found))
+    return found if after >= before and found.judgement.worst < frame.judgement.worst else frame
+
+
+def search_frame(
+    tracker: Tracker,
+    surface: RegionSamples,
+    coarse: Tracker,
+    frame: TrackedFrame,
+    baseline: Baseline,
+    previous: Pose,
+    cloud: Cloud,
+    key: PRNGKeyArray,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    occluders: Float[Array, "O 4"] | None = None,
+) -> TrackedFrame:
+    """Search for a frame, which was compared with `baseline`, from many starts (Kineben, section 6, "global
+    refinement").
+
+    Starts are neighbours of the frame's own pose and of the last trusted one, `previous`, whole and limb by
+    limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. With the prior of
+    people's poses, starts are also those with limbs at its mean. The
+    result is used if it is likelier and its worst fault is smaller.
+    """
+    failed = eqx.tree_at(lambda f: f.searches, frame, frame.searches.extend())
+    skeleton = tracker.body.skeleton
+    few = thin_cloud(cloud, COARSE_POINTS)
+    if not float(jnp.sum(few.weights)) > 0:
+        return failed
+    wide = tangent_deviations(skeleton, 0.05, 0.5)
+    here = stack_trees([*([frame.pose] if _finite(frame.pose) else []), previous])
+    keys = jax.random.split(key, 3)
+    vertical = jnp.asarray(up, previous.rotations.dtype)
+    starts = [
+        perturbed_starts(skeleton, here, 7, wide, keys[0]),
+        subtree_starts(skeleton, here, 7, wide, keys[1]),
+        rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
+    ]
+    if tracker.pose_prior is not None:
+        starts.append(limb_starts(tracker.pose_prior, skeleton, here))
+    sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
+    poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
+    pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
+    state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
+    state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
+    searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
+    reached = reset_velocity(tracker, state)
+    found = judge_frame(surface, cloud, reached, statistics, baseline, searches, occluders)
+    if choose_better(tracker, cloud, found, frame) is frame:
+        return failed
+    # a better pose that is not good either keeps the pause
+    return found if found.verdict == "good" else eqx.tree_at(lambda f: f.searches, found, failed.searches)
+
+
+def _finite(pose: Pose) -> bool:
+    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
+
+
+def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:
+    """Reset the velocity of a state and optionally set the initial standard deviation of the next frame."""
+    estimate = state.estimate
+    if sigma is not None:
+        level = jnp.asarray(sigma, estimate.sigma.dtype) / tracker.sigma_growth
+        estimate = Estimate(estimate.pose, level, estimate.priors)
+    return TrackState(estimate, jnp.zeros_like(state.change))

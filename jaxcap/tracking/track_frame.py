@@ -1,0 +1,231 @@
+"""Tracking of a body through a sequence of clouds, each frame from the previous one."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..arguments import check_fields, checked
+from ..body.body import Body, pose_body
+from ..body.people.anatomy import rest_deviations
+from ..body.pose import Pose
+from ..body.retraction import difference, retract
+from ..energy.check_energies import UserTerms, sum_user_terms
+from ..energy.data.free_space import FreeSpace
+from ..energy.energy import AbstractEnergy, Sum, terms_of, weighted
+from ..energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from ..energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
+from ..energy.priors.self_collision import SelfCollision, make_self_collision
+from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
+from ..observe.clouds import Cloud
+from ..value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
+from .em_step import (
+    Estimate,
+    FrameStatistics,
+    MixtureSettings,
+    box_volume,
+    em_step,
+    make_mixture_settings,
+    uniform_priors,
+)
+
+#: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
+ITERATIONS, PARTIAL_ITERATIONS = 3, 6
+#: number of points that count as one independent measurement against the prior of people, as the errors of
+#: neighbouring points are alike
+POINTS_PER_MEASUREMENT = 180.0
+#: number of vertices that are tested for free space; their weight relative to the points'; and the standard deviation
+#: of a violation, metres
+NUM_TESTED, FREE_SPACE_WEIGHT, FREE_SPACE_DEVIATION = 1500, 0.8, 0.02
+#: weight of a depth of one standard deviation inside of another part of the body, for each point of a cloud
+COLLISION_WEIGHT = 1e-2
+#: largest initial standard deviation in metres: larger ones are in another unit
+MAX_SIGMA = 5.0
+
+
+class Tracker(eqx.Module):
+    """The constants of a tracked sequence."""
+
+    body: Body
+    parts: PartBlocks
+    mixture: MixtureSettings
+    #: standard deviations of a pose from its prediction, metres and radians
+    motion_deviations: Float[Array, "D"]
+    #: standard deviations of joints from rest in their own frames, for coordinates that a cloud does not
+    #: determine
+    rest_deviations: Float[Array, "J 3"]
+    #: of bodies that are seen in part: the prior of people's poses, and limbs inside of other parts
+    pose_prior: GaussianPrior | None
+    collision: SelfCollision | None
+    #: share of the last change in the prediction of a frame
+    momentum: Float[Array, ""]
+    #: factor on the last frame's sigma at the start of a frame, and its least value in metres
+    sigma_growth: Float[Array, ""]
+    sigma_start: Float[Array, ""]
+    #: further terms, such as `JointLimits`
+    terms: tuple[AbstractEnergy, ...]
+    #: steps of expectation maximisation per frame
+    iterations: int = eqx.field(static=True)
+    #: largest number of vertices that are tested for free space
+    num_tested: int = eqx.field(static=True, default=NUM_TESTED)
+
+    def __check_init__(self):
+        check_fields(self)
+
+
+class TrackState(eqx.Module):
+    """The state passed from frame to frame."""
+
+    estimate: Estimate
+    #: change of the pose over the last frame
+    change: Float[Array, "D"]
+
+
+@checked
+def make_tracker(
+    body: Body,
+    mixture: MixtureSettings | None = None,
+    terms: UserTerms = (),
+    *,
+    motion_deviation: tuple[float, float] = (0.05, 0.3),
+    rest_deviation: float = 1.0,
+    momentum: float = 1.0,
+    sigma_growth: float = 1.5,
+    sigma_start: float = 0.015,
+    iterations: int | None = None,
+    partial: bool = False,
+    num_tested: int = NUM_TESTED,
+) -> Tracker:
+    """Make a `Tracker` for a body.
+
+    **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
+    and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
+    anatomy (`body.people.anatomy`); `partial`, the clouds show a part of the body, as those of one depth camera
+    do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
+    keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
+    `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
+    `num_tested`, the largest number of vertices that are tested for free space; `terms` are further energies, in units of a
+    log-likelihood.
+
+    **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
+    """
+    where = "make_tracker"
+    check_deviations(where, motion_deviation=motion_deviation, rest_deviation=rest_deviation)
+    check_at_least(where, 0, momentum=momentum)
+    check_positive(where, sigma_growth=sigma_growth)
+    check_positive(where, "metres", sigma_start=sigma_start)
+    default = PARTIAL_ITERATIONS if partial else ITERATIONS
+    iterations = default if iterations is None else iterations
+    check_at_least(where, 1, iterations=iterations, num_tested=num_tested)
+    own = sum_user_terms(where, terms, body)
+    bones = body.skin.dominant_bones()
+    return Tracker(
+        body=body,
+        parts=make_part_blocks(bones, body.skeleton.num_joints, body.vertices),
+        mixture=make_mixture_settings() if mixture is None else mixture,
+        motion_deviations=tangent_deviations(body.skeleton, *motion_deviation),
+        rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
+        pose_prior=human_prior(body.skeleton) if partial else None,
+        collision=make_self_collision(body) if partial else None,
+        momentum=as_number(momentum),
+        sigma_growth=as_number(sigma_growth),
+        sigma_start=as_number(sigma_start),
+        terms=() if own is None else terms_of(own),
+        iterations=iterations,
+        num_tested=num_tested,
+    )
+
+
+def replace_body(tracker: Tracker, body: Body) -> Tracker:
+    """Replace the body of a tracker by one of another shape, with the same skeleton and triangles."""
+    parts = make_part_blocks(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
+    collision = None if tracker.collision is None else make_self_collision(body)
+    return eqx.tree_at(
+        lambda t: (t.body, t.parts, t.collision),
+        tracker,
+        (body, parts, collision),
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
+    """Check that an initial standard deviation is in metres: above 0 and at most `MAX_SIGMA`.
+
+    **Raises:** `InputError`.
+    """
+    expected = f"a deviation above 0 and at most {MAX_SIGMA:g} metres"
+    check_values(where, lambda x: (x > 0) & (x <= MAX_SIGMA), expected, sigma=sigma)
+
+
+@checked
+def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
+    """Make the state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
+    check_sigma("start_state", sigma)
+    estimate = Estimate(
+        pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
+    )
+    return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+
+
+def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+    """Return the terms of a frame besides its points."""
+    return (RestPrior(tracker.rest_deviations), *tracker.terms, *partial_terms(tracker, cloud))
+
+
+def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+    """Return the terms that determine unobserved joints: pose prior, self-collision, and free space."""
+    total, terms = jnp.sum(cloud.weights), []
+    if tracker.pose_prior is not None:
+        terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.pose_prior))
+    if tracker.collision is not None:
+        terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
+    if cloud.views:
+        count = len(tracker.body.vertices)
+        rows = jnp.linspace(0, count - 1, min(tracker.num_tested, count)).astype(jnp.int32)
+        weights = jnp.full(len(rows), FREE_SPACE_WEIGHT / len(rows)) * total / len(cloud.views)
+        deviation = jnp.asarray(FREE_SPACE_DEVIATION)
+        terms += [FreeSpace(rows, weights, view, deviation) for view in cloud.views]
+    return tuple(terms)
+
+
+def penalty(tracker: Tracker, cloud: Cloud, pose: Pose) -> Float[Array, ""]:
+    """Compute half the energy of `partial_terms` for each point of the cloud.
+
+    Subtracted from the mean log-likelihood of the points it compares poses by their posterior density.
+    """
+    terms, total = partial_terms(tracker, cloud), jnp.sum(cloud.weights)
+    if not terms:
+        return jnp.zeros((), total.dtype)
+    r = Sum(terms).residual(pose_body(tracker.body, pose))
+    return 0.5 * jnp.sum(r * r) / jnp.maximum(total, 1.0)
+
+
+def predict_pose(tracker: Tracker, state: TrackState) -> Pose:
+    """Predict the pose of the next frame: a share of the last change, once more."""
+    return retract(tracker.body.skeleton, state.estimate.pose, tracker.momentum * state.change)
+
+
+def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
+    """Compute the standard deviation at which the next frame starts, metres."""
+    return jnp.maximum(tracker.sigma_growth * state.estimate.sigma, tracker.sigma_start)
+
+
+@checked
+def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
+    """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
+
+    Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
+    """
+    skeleton, before = tracker.body.skeleton, state.estimate
+    predicted = predict_pose(tracker, state)
+    prior = Sum((PosePrior(predicted, tracker.motion_deviations), *frame_terms(tracker, cloud)))
+    volume = box_volume(cloud)
+    sigma = first_sigma(tracker, state)
+
+    def step(estimate, _):
+        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
+
+    start = Estimate(predicted, sigma, before.priors)
+    estimate, statistics = jax.lax.scan(step, start, length=tracker.iterations)
+    statistics = jax.tree.map(lambda leaf: leaf[-1], statistics)
+    return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
