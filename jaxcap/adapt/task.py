@@ -15,7 +15,7 @@ from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud
 from ..tracking.recover import TrackedFrame
-from ..tracking.track_frame import Tracker, make_tracker
+from ..tracking.track_frame import Tracker, make_tracker, replace_body
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior
@@ -237,5 +237,6 @@ def plan_stages(settings: AdaptSettings) -> list[Stage]:
 
 
 def make_task_tracker(task: AdaptTask, body: Body) -> Tracker:
-    """Make a tracker of the current body with the task's terms."""
-    return make_tracker(body, terms=() if task.terms is None else terms_of(task.terms))
+    """Make a tracker of the current body with the task's terms, and with the template's regions of verdicts."""
+    tracker = make_tracker(task.template, terms=() if task.terms is None else terms_of(task.terms))
+    return replace_body(tracker, body)

@@ -74,7 +74,7 @@ def make_follower(
 ) -> Follower:
     """Make the constants of a run."""
     coarse = functools.cache(lambda: coarse_tracker(tracker))
-    return Follower(tracker, sample_regions(tracker.body), coarse, up, on_search)
+    return Follower(tracker, sample_regions(tracker.body, tracker.regions), coarse, up, on_search)
 
 
 def find_first_frame(

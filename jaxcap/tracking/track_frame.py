@@ -28,6 +28,7 @@ from .em_step import (
     make_mixture_settings,
     uniform_priors,
 )
+from .judgement.region_samples import region_joints
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
 ITERATIONS, PARTIAL_ITERATIONS = 3, 6
@@ -68,6 +69,8 @@ class Tracker(eqx.Module):
     iterations: int = eqx.field(static=True)
     #: largest number of vertices that are tested for free space
     num_tested: int = eqx.field(static=True, default=NUM_TESTED)
+    #: joints of the regions of verdicts
+    regions: tuple[int, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         check_fields(self)
@@ -133,6 +136,7 @@ def make_tracker(
         terms=() if own is None else terms_of(own),
         iterations=iterations,
         num_tested=num_tested,
+        regions=region_joints(body),
     )
 
 

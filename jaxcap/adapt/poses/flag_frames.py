@@ -14,7 +14,7 @@ from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ...tracking.judgement.baseline import median_baseline, sensor_directions
 from ...tracking.judgement.evidence import Evidence, gather_evidence
-from ...tracking.judgement.region_samples import sample_regions
+from ...tracking.judgement.region_samples import region_joints, sample_regions
 from ...tracking.judgement.verdict import Judgement, judge_evidence
 from ..task import AdaptState, AdaptTask
 
@@ -54,7 +54,7 @@ def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> A
 
 def judge_parts(task: AdaptTask, state: AdaptState) -> list[Judgement]:
     """Compare each scanned frame by part with the baseline of all frames."""
-    surface = sample_regions(state.body)
+    surface = sample_regions(state.body, region_joints(task.template))
 
     def gather(sensors: Sequence[Camera] | Float[Array, "D"]) -> list[Evidence]:
         return [gather_evidence(surface, state.motion[n], task.cloud(n), sensors) for n in task.scanned]

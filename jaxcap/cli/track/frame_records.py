@@ -120,4 +120,4 @@ def row_template(tracker: Tracker, like: Pose | None = None, num_cameras: int = 
     samples the body's surface, so call it once.
     """
     pose = rest_pose(tracker.body.skeleton) if like is None else like
-    return frame_template(tracker, sample_regions(tracker.body), pose, num_cameras)
+    return frame_template(tracker, sample_regions(tracker.body, tracker.regions), pose, num_cameras)

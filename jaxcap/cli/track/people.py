@@ -36,7 +36,7 @@ def read_count(people: str) -> int | None:
 def people_template(tracker: Tracker, count: int | None, num_cameras: int) -> tuple[PersonFrame, ...]:
     """Make a frame of all people, with the shapes and types of all frames of a run."""
     size = MAX_PEOPLE if count is None else count
-    return (absent_person(tracker, sample_regions(tracker.body), size, num_cameras),) * size
+    return (absent_person(tracker, sample_regions(tracker.body, tracker.regions), size, num_cameras),) * size
 
 
 def follow_people(

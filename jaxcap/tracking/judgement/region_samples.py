@@ -56,18 +56,20 @@ class RegionSamples(eqx.Module):
     part_parents: tuple[int, ...] = eqx.field(static=True)
 
 
-def sample_regions(body: Body) -> RegionSamples:
+def sample_regions(body: Body, joints: Sequence[int] | None = None) -> RegionSamples:
     """Sample the surface of a body evenly, and divide it into regions: its parts, the smallest joined to
     their parents.
 
     The same body always gives the same samples. Made once, in NumPy.
+
+    **Arguments:** `joints` of `region_joints` of a body with the same skeleton and another shape, so that both
+    have the same regions, and nothing is compiled again for the other shape.
     """
     vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
     corners, shares = _even_samples(vertices, faces)
-    parts = np.asarray(body.skin.dominant_bones())
-    nearest = np.take_along_axis(corners, shares.argmax(1)[:, None], 1)[:, 0]
-    bones = parts[nearest]
-    regions, joints = _regions(body, bones)
+    bones = _sampled_bones(body, corners, shares)
+    joints = _large_parts(body.skeleton, bones) if joints is None else joints
+    regions = _regions(body.skeleton, joints)[bones]
     names = tuple(region_name(body.skeleton.names[joint]) for joint in joints)
     movers = [_moving_joint(body.skeleton, joint) for joint in joints]
     moving = sorted(set(movers))
@@ -166,9 +168,22 @@ def _adjacent_regions(
     return together
 
 
-def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "S"], list[int]]:
-    """Find the region of every sample, and the joint that names each region."""
-    skeleton = body.skeleton
+def region_joints(body: Body) -> tuple[int, ...]:
+    """Find the joint of each region of a body, in increasing order."""
+    corners, shares = _even_samples(np.asarray(body.vertices, float), np.asarray(body.faces))
+    return _large_parts(body.skeleton, _sampled_bones(body, corners, shares))
+
+
+def _sampled_bones(
+    body: Body, corners: Int[np.ndarray, "S 3"], shares: Float[np.ndarray, "S 3"]
+) -> Int[np.ndarray, "S"]:
+    """Find the bone with the largest weight at the nearest corner of each sample."""
+    nearest = np.take_along_axis(corners, shares.argmax(1)[:, None], 1)[:, 0]
+    return np.asarray(body.skin.dominant_bones())[nearest]
+
+
+def _large_parts(skeleton: Skeleton, bones: Int[np.ndarray, "S"]) -> tuple[int, ...]:
+    """Find the joints of the parts that remain after the smallest are joined to their parents."""
     share = np.bincount(bones, minlength=skeleton.num_joints) / len(bones)
     into = np.arange(skeleton.num_joints)
     for joint in np.argsort(-skeleton.depths, kind="stable"):
@@ -176,5 +191,15 @@ def _regions(body: Body, bones: Int[np.ndarray, "S"]) -> tuple[Int[np.ndarray, "
         if share[joint] < MIN_AREA and parent >= 0:
             into[into == joint] = parent
             share[parent] += share[joint]
-    joints, regions = np.unique(into[bones], return_inverse=True)
-    return regions, joints.tolist()
+    return tuple(np.unique(into[bones]).tolist())
+
+
+def _regions(skeleton: Skeleton, joints: Sequence[int]) -> Int[np.ndarray, "J"]:
+    """Find the region of each joint: its own, or that of its nearest ancestor with one; the first without any."""
+    found = np.zeros(skeleton.num_joints, int)
+    for joint in np.argsort(skeleton.depths, kind="stable"):
+        if joint in joints:
+            found[joint] = joints.index(joint)
+        elif skeleton.parents[joint] >= 0:
+            found[joint] = found[skeleton.parents[joint]]
+    return found
