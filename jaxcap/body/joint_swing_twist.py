@@ -5,8 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..geometry import dual_quaternions as dualquat
-from ..geometry import rotation
+from ..geometry import dual_quaternions, rotation
 from .pose import Pose
 from .skeleton import Skeleton
 
@@ -51,5 +50,5 @@ def decompose_motions(
     matrices = rotation.to_matrix(swings)
     shifts = translations + centres - jnp.einsum("...ab,...b->...a", matrices, centres)
     return SwingTwist(
-        dualquat.about_centre(twists, centres), jnp.concatenate([matrices, shifts[..., None]], -1)
+        dual_quaternions.about_centre(twists, centres), jnp.concatenate([matrices, shifts[..., None]], -1)
     )

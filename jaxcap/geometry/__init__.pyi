@@ -1,6 +1,6 @@
 """Geometry on arrays: rotations, meshes, cameras and linear equations."""
 
-from . import dual_quaternions as dualquat
+from . import dual_quaternions as dual_quaternions
 from . import rotation as rotation
 from .attachment import Attachment as Attachment
 from .attachment import attach_points as attach_points

@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxcap.geometry import dual_quaternions as dualquat
+from jaxcap.geometry import dual_quaternions
 
 finite = st.floats(-3.0, 3.0)
 triples = st.tuples(finite, finite, finite)
 
 
-motion = jax.jit(dualquat.from_rigid)
+motion = jax.jit(dual_quaternions.from_rigid)
 
 
 def rigid(w, t):
@@ -23,9 +23,9 @@ def rigid(w, t):
 
 
 multiply, conjugate, normalise = (
-    jax.jit(f) for f in (dualquat.multiply, dualquat.conjugate, dualquat.normalise)
+    jax.jit(f) for f in (dual_quaternions.multiply, dual_quaternions.conjugate, dual_quaternions.normalise)
 )
-apply, about_centre = jax.jit(dualquat.apply), jax.jit(dualquat.about_centre)
+apply, about_centre = jax.jit(dual_quaternions.apply), jax.jit(dual_quaternions.about_centre)
 
 
 @given(triples, triples, triples, triples, triples)
@@ -68,9 +68,14 @@ def test_signs_follow_the_largest_weight(rng):
     weights = jnp.asarray(rng.dirichlet(np.ones(5), size=20))
     flipped = motions * jnp.asarray(rng.choice([-1.0, 1.0], size=(5, 1)))
     points = jnp.asarray(rng.normal(size=(20, 3)))
-    places = [dualquat.apply(dualquat.align(weights, some) @ some, points) for some in (motions, flipped)]
+    places = [
+        dual_quaternions.apply(dual_quaternions.align(weights, some) @ some, points)
+        for some in (motions, flipped)
+    ]
     np.testing.assert_allclose(*places, atol=1e-13)
-    for row, signed in zip(np.asarray(weights), np.asarray(dualquat.align(weights, motions)), strict=True):
+    for row, signed in zip(
+        np.asarray(weights), np.asarray(dual_quaternions.align(weights, motions)), strict=True
+    ):
         leader = np.asarray(motions)[row.argmax(), :4]
         expected = [np.copysign(w, m[:4] @ leader) for w, m in zip(row, np.asarray(motions), strict=True)]
         np.testing.assert_array_equal(signed, expected)
@@ -82,20 +87,22 @@ def test_rates_of_a_motion_that_is_carried_along(rng):
     d = rigid(rng.normal(size=3), rng.normal(size=3))[0]
     x = jnp.asarray(rng.normal(size=3))
     ahead, behind = (multiply(rigid(h * a, h * b)[0], d) for h in (step, -step))
-    rate = dualquat.multiply(dualquat.from_twist(jnp.asarray(np.concatenate([a, b]))), d)
+    rate = dual_quaternions.multiply(dual_quaternions.from_twist(jnp.asarray(np.concatenate([a, b]))), d)
     np.testing.assert_allclose(rate, (ahead - behind) / (2 * step), atol=1e-9)
     # and it moves points along the field
-    moved = jax.jvp(lambda d: dualquat.apply(d, x), (d,), (rate,))
+    moved = jax.jvp(lambda d: dual_quaternions.apply(d, x), (d,), (rate,))
     np.testing.assert_allclose(moved[1], np.cross(a, moved[0]) + b, atol=1e-13)
 
 
 def test_the_closed_form_of_the_pull_back_is_autodiff(rng):
     d, x, m = (jnp.asarray(rng.normal(size=shape)) for shape in ((30, 8), (30, 3), (30, 2, 3)))
-    slopes = jax.vmap(jax.jacfwd(dualquat.apply))(d, x)
-    np.testing.assert_allclose(dualquat.pull_back(d, x, m), jnp.einsum("vra,vak->vrk", m, slopes), atol=1e-11)
+    slopes = jax.vmap(jax.jacfwd(dual_quaternions.apply))(d, x)
+    np.testing.assert_allclose(
+        dual_quaternions.pull_back(d, x, m), jnp.einsum("vra,vak->vrk", m, slopes), atol=1e-11
+    )
 
 
 def test_a_row_without_weights_is_finite():
-    value, slope = jax.value_and_grad(lambda d: dualquat.apply(d, jnp.ones(3)).sum())(jnp.zeros(8))
+    value, slope = jax.value_and_grad(lambda d: dual_quaternions.apply(d, jnp.ones(3)).sum())(jnp.zeros(8))
     assert np.isfinite(value)
     assert np.isfinite(slope).all()

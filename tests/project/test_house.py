@@ -1,12 +1,10 @@
 """The build of the package: folders and files of one idea, docstrings in plain words. `scripts/house.py` prints it."""
 
-import re
 import statistics
 
 import pytest
 
 from scripts.house import (
-    ROOT,
     docstrings,
     files_of_folders,
     lines_of_files,
@@ -42,10 +40,3 @@ def test_docstrings_of_functions_begin_with_a_verb():
 
 def test_docstrings_have_no_private_words():
     assert private_words() == []
-
-
-def test_the_table_of_ideas_names_existing_files():
-    table = (ROOT / "CONTRIBUTING.md").read_text("utf-8").partition("\n## Where the ideas are\n")[2]
-    files = re.findall(r"^\| .+ \| `(.+\.py)` \|$", table.partition("\n## ")[0], re.MULTILINE)
-    assert len(files) >= 20
-    assert [file for file in files if not (ROOT / "jaxcap" / file).is_file()] == []

@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...geometry import dual_quaternions as dualquat
-from ...geometry import rotation
+from ...geometry import dual_quaternions, rotation
 from ..geometric_jacobian import descendant_matrix
 from ..kinematics import Transforms
 from ..pose import Pose
@@ -26,7 +25,9 @@ class DualQuaternionSkin(AbstractSkin):
     def deform(self, vertices, skeleton, pose, transforms):
         del skeleton
         motions = bone_dual_quaternions(pose, transforms)
-        return pose.scale * dualquat.apply(dualquat.align(self.weights, motions) @ motions, vertices)
+        return pose.scale * dual_quaternions.apply(
+            dual_quaternions.align(self.weights, motions) @ motions, vertices
+        )
 
     def dominant_bones(self):
         return jnp.argmax(self.weights, 1)
@@ -51,11 +52,11 @@ class DualQuaternionSkin(AbstractSkin):
         A bone's `d_j` moves with the field of the joints above it at the rate `(a + e b) d_j / 2`.
         """
         motions = bone_dual_quaternions(pose, transforms)
-        weights = dualquat.align(self.weights, motions)
-        pulled = dualquat.pull_back(weights @ motions, vertices, pose.scale * directions)
+        weights = dual_quaternions.align(self.weights, motions)
+        pulled = dual_quaternions.pull_back(weights @ motions, vertices, pose.scale * directions)
         # (J, 6, 8): the rate of each bone's dual quaternion by each unit field
-        fields = dualquat.from_twist(jnp.eye(6, dtype=motions.dtype))
-        units = dualquat.multiply(*jnp.broadcast_arrays(fields, motions[:, None]))
+        fields = dual_quaternions.from_twist(jnp.eye(6, dtype=motions.dtype))
+        units = dual_quaternions.multiply(*jnp.broadcast_arrays(fields, motions[:, None]))
         wrench = jnp.repeat(weights, 6, 1)[:, None] * (pulled @ units.reshape(-1, 8).T)
         twists = jnp.concatenate([rates.angular, rates.linear / pose.scale], 1)
         below = descendant_matrix(skeleton, rates)
@@ -65,4 +66,4 @@ class DualQuaternionSkin(AbstractSkin):
 def bone_dual_quaternions(pose: Pose, transforms: Transforms) -> Float[Array, "J 8"]:
     """Convert the bones' world transforms without the pose's scale to unit dual quaternions."""
     q = rotation.from_matrix(transforms.rotations / pose.scale)
-    return dualquat.from_rigid(q, transforms.translations / pose.scale)
+    return dual_quaternions.from_rigid(q, transforms.translations / pose.scale)

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
-from ...geometry import dual_quaternions as dualquat
+from ...geometry import dual_quaternions
 from ..geometric_jacobian import descendant_matrix, project_velocities
 from ..joint_swing_twist import decompose_joints
 from ..skeleton import Skeleton
@@ -38,7 +38,7 @@ class SwingTwistSkin(AbstractSkin):
     def deform(self, vertices, skeleton, pose, transforms):
         split = decompose_joints(skeleton, pose)
         weights, motions = self._signed_weights(split.twists)
-        twisted = dualquat.apply(weights @ motions, vertices)
+        twisted = dual_quaternions.apply(weights @ motions, vertices)
         swings = self._blend_swings(split.swings)
         beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
@@ -47,8 +47,8 @@ class SwingTwistSkin(AbstractSkin):
     def _signed_weights(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
         """Compute signed weights of all joints' twists and, last, of the identity; and these motions."""
         neutral = 1.0 - jnp.sum(self.twist, 1, keepdims=True)
-        motions = jnp.concatenate([twists, dualquat.identity(twists.dtype)[None]])
-        return dualquat.align(jnp.concatenate([self.twist, neutral], 1), motions), motions
+        motions = jnp.concatenate([twists, dual_quaternions.identity(twists.dtype)[None]])
+        return dual_quaternions.align(jnp.concatenate([self.twist, neutral], 1), motions), motions
 
     def _blend_swings(self, swings: Float[Array, "J 3 4"]) -> Float[Array, "V 3 4"]:
         still = jnp.eye(3, 4, dtype=swings.dtype)
@@ -81,7 +81,7 @@ class SwingTwistSkin(AbstractSkin):
         split = decompose_joints(skeleton, pose)
         weights, motions = self._signed_weights(split.twists)
         blended = weights @ motions
-        twisted = dualquat.apply(blended, vertices)
+        twisted = dual_quaternions.apply(blended, vertices)
         swings = self._blend_swings(split.swings)
         beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
@@ -94,7 +94,7 @@ class SwingTwistSkin(AbstractSkin):
         inner = jnp.einsum("vrb,vbc->vrc", directions, r)
         innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
         joints = np.array(rates.joints)
-        pulled = dualquat.pull_back(blended, vertices, innermost)
+        pulled = dual_quaternions.pull_back(blended, vertices, innermost)
         rows += weights[:, joints][:, None] * (pulled @ rates.twist.T)
         homogeneous = jnp.concatenate([twisted, jnp.ones_like(twisted[:, :1])], 1)
         levers = (inner[..., None] * homogeneous[:, None, None]).reshape(*inner.shape[:2], 12)

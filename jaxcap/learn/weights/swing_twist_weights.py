@@ -284,7 +284,7 @@ def _nearest(columns, gap, scales, real, start=None, groups=None):
 
 
 def _signs(twist, neutral, reals):
-    """Compute signs as in `dualquat.align`: the hemisphere is that of the motion with the largest weight.
+    """Compute signs as in `dual_quaternions.align`: the hemisphere is that of the motion with the largest weight.
 
     Returns the signs of the identity (C, F) and of the children (C, K, F).
     """
@@ -297,7 +297,7 @@ def _signs(twist, neutral, reals):
 
 
 def _move(motion: Float[Array, "C 8 F"], rest: Float[Array, "C 3"]) -> Float[Array, "C 3 F"]:
-    """Apply `dualquat.apply` with frames last."""
+    """Apply `dual_quaternions.apply` with frames last."""
     a0, v0, ae, ve = motion[:, :1], motion[:, 1:4], motion[:, 4:5], motion[:, 5:]
     squared = jnp.sum(motion[:, :4] ** 2, 1, keepdims=True)
     points = jnp.broadcast_to(rest[:, :, None], v0.shape)
