@@ -18,6 +18,7 @@ from ..geometry.camera import Camera
 from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
 from ..tracking.online import OnlineTracker
+from ..tracking.recover import TrackedFrame
 from ..tracking.track_frame import Tracker, make_tracker
 from .mailbox import Mailbox
 from .statistics import LiveFrame, LiveStatistics, StatisticsCounter
@@ -26,6 +27,8 @@ from .statistics import LiveFrame, LiveStatistics, StatisticsCounter
 JUDGE_EVERY = 2
 #: steps of expectation maximisation, and vertices tested for free space, of a live tracker of depth images
 ITERATIONS, NUM_TESTED = 3, 500
+#: while the body is lost, the person is searched for in the whole image every so many frames
+SEARCH_EVERY = 15
 #: a frame: depth images of all cameras in metres, a cloud, or a scan as read from a file
 Observation = Sequence[np.ndarray] | Cloud | Scan
 
@@ -96,6 +99,7 @@ class LiveTracker:
         self._idle = threading.Condition(self._lock)
         self._open = 0
         self._surface: Float[np.ndarray, "N 3"] | None = None
+        self._num_lost = 0
         self._failure: BaseException | None = None
         self._incoming, self._ready = Mailbox[_Incoming](), Mailbox[_Ready]()
         self._threads = [
@@ -241,12 +245,24 @@ class LiveTracker:
                 computed,
                 tracked,
             )
-            body = self._online.tracker.body
-            self._surface = None if tracked.lost else np.asarray(posed_vertices(body, tracked.pose), float)
+            self._surface = self._followed_surface(tracked, ready.cloud)
             self.newest = frame
             if self.on_frame is not None:
                 self.on_frame(frame)
             self._finish(latency=frame.latency)
+
+    def _followed_surface(self, tracked: TrackedFrame, cloud: Cloud) -> Float[np.ndarray, "N 3"] | None:
+        """Return the surface near which the next image shows the person; None if the whole image is to be searched.
+
+        It is that of the body, or, where the body is lost, the person's points in this frame: a search of the whole image
+        takes as long as several frames, so it is repeated only now and then.
+        """
+        if not tracked.lost:
+            self._num_lost = 0
+            return np.asarray(posed_vertices(self._online.tracker.body, tracked.pose), float)
+        self._num_lost += 1
+        points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
+        return None if self._num_lost % SEARCH_EVERY == 0 else points
 
     def _finish(self, latency: float | None = None, dropped: bool = False, failure: str = "") -> None:
         """Count a frame that is done."""

@@ -126,12 +126,13 @@ def follow_frame(
     """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
 
     **Arguments:** `poses`, other candidate poses, and `margin` as in `choose_likeliest`; `occluders` as in
-    `gather_evidence`. Without `judge` the frame keeps the verdict of the frame before it.
+    `gather_evidence`. Without `judge` the frame keeps the verdict of the frame before it, and after a lost frame the last
+    trusted pose is not tried.
     """
     before = frame.state.estimate.pose
     state, statistics = track_frame_jit(tracker, frame.state, cloud)
     # a lost frame may have led away from the correct pose
-    others = [*([frame.trusted] if frame.lost else []), *poses]
+    others = [*([frame.trusted] if frame.lost and judge else []), *poses]
     if others:
         state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
     if frame.lost:

@@ -36,8 +36,8 @@ class OnlineTracker:
     of the search takes the found pose as its start if that explains the frame better. Call `close` at the end.
 
     **Arguments:** `start`, a pose near the first frame, rest where not given; `search`, search for frames that are not good;
-    `sigma` and `up` as in `track_frames`; `judge_every`, judge only each so-many-th frame after a good one. The frames between have
-    the verdict of the frame before.
+    `sigma` and `up` as in `track_frames`; `judge_every`, judge only each so-many-th frame. The frames between have the
+    verdict of the frame before, so that lost frames take no longer than others.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class OnlineTracker:
                 self._begin(True, cloud, frame, self.start)
         else:
             before = self.frame
-            judge = before.verdict != "good" or self.count % self._judge_every == 0
+            judge = self.count % self._judge_every == 0
             frame = follow_frame(self.tracker, self._follower.surface, before, cloud, judge=judge)
             frame = self._use_search(frame, before, cloud)
-            if self.searches_frames and self._search is None and needs_search(frame):
+            if judge and self.searches_frames and self._search is None and needs_search(frame):
                 self._begin(False, cloud, frame, before.trusted, before)
             frame = finish_frame(self.tracker, frame, before.trusted)
         self.frame, self.count = frame, self.count + 1

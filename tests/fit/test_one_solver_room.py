@@ -10,7 +10,7 @@ import pytest
 import jaxcap
 
 PACKAGE = Path(jaxcap.__file__).parent
-ROOMS = (PACKAGE / "fit" / "solvers", PACKAGE / "fit" / "linear")
+ROOMS = (PACKAGE / "fit" / "solvers", PACKAGE / "fit" / "linear_solvers")
 CLOSED = PACKAGE / "geometry" / "linear.py"
 #: what factors or solves by itself
 SOLVES = re.compile(

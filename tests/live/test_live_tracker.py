@@ -14,7 +14,7 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.live.live_tracker import LiveTracker
+from jaxcap.live.live_tracker import SEARCH_EVERY, LiveTracker
 from jaxcap.live.mailbox import Mailbox
 from jaxcap.observe.clouds import Cloud, make_cloud
 from jaxcap.tracking import advance, online
@@ -166,3 +166,20 @@ def test_no_frame_waits_for_a_search(monkeypatch):
     joints = [np.asarray(_pose(BODY, pose).joints) for pose in (frame.pose, pose_at(5.0))]
     assert np.abs(joints[0] - joints[1]).max() < 0.05
     tracking.close()
+
+
+def test_a_lost_body_is_looked_for_near_the_points_of_the_last_image():
+    with LiveTracker(TRACKER, search=False) as live:
+        live.push(CLOUDS[0])
+        assert live.wait(60) and live.newest is not None
+        tracked = live.newest.tracked
+        lost = eqx.tree_at(lambda f: f.lost, tracked, True)
+        points = np.asarray(CLOUDS[1].points)[np.asarray(CLOUDS[1].weights) > 0]
+        for number in range(1, 2 * SEARCH_EVERY + 1):
+            near = live._followed_surface(lost, CLOUDS[1])
+            if number % SEARCH_EVERY == 0:
+                assert near is None
+            else:
+                np.testing.assert_array_equal(near, points)
+        found = live._followed_surface(eqx.tree_at(lambda f: f.lost, tracked, False), CLOUDS[1])
+    np.testing.assert_allclose(found, _pose(BODY, tracked.pose).vertices, atol=1e-6)
