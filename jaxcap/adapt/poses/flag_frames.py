@@ -31,7 +31,7 @@ NO_SCAN = "no usable scan"
 def flag_frames(task: AdaptTask, state: AdaptState, *, final: bool = False) -> AdaptState:
     """Judge the poses of all frames by one rule, and record the `lost` frames and their `reasons`.
 
-    A frame is judged by part (`fit.judgement`) and by its median distance from the body. Both are compared
+    A frame is judged by part (`tracking.judgement`) and by its median distance from the body. Both are compared
     with the baseline of all frames, whatever their order. A `final` motion is also judged by an absolute
     distance.
     """
