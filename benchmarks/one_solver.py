@@ -327,7 +327,7 @@ def main():
     scenes = [scene(body, shared_unknowns(body, modes)["adaptation"], count) for count in counts]
     with jax.enable_x64(False):
         single = [cast((problem, problem.start(poses)), jnp.float32) for problem, poses in scenes]
-        first, least = min_seconds(gauss_newton_step, single)
+        first, least = min_seconds(gauss_newton_step, single, repeats=12)
     shared = scenes[0][0].num_shared
     for count, before, after in zip(counts, first, least, strict=True):
         figures[f"step_of_{count}_s"], figures[f"first_step_of_{count}_s"] = after, before
