@@ -24,7 +24,7 @@ from ..observe.clouds import Cloud, as_cloud
 from ..parallel import parallel_map
 from ..value_checks import check_at_least, check_direction
 from .em_step import Estimate, box_volume, em_step, uniform_priors
-from .prior_starts import limb_starts, mean_pose
+from .prior_starts import mean_pose, prior_starts
 from .track_frame import Tracker, frame_terms, penalty
 
 _LOG = logging.getLogger(__name__)
@@ -262,7 +262,7 @@ def refine(
     skeleton = tracker.body.skeleton
     near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
     if tracker.pose_prior is not None:
-        near = concatenate_poses([near, limb_starts(tracker.pose_prior, skeleton, poses)])
+        near = concatenate_poses([near, *prior_starts(tracker.pose_prior, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
     poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)

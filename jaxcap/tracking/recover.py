@@ -32,7 +32,7 @@ from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
 from .log_posterior import log_posterior
-from .prior_starts import limb_starts
+from .prior_starts import prior_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
@@ -251,7 +251,7 @@ def search_frame(
         rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
     ]
     if tracker.pose_prior is not None:
-        starts.append(limb_starts(tracker.pose_prior, skeleton, here))
+        starts += prior_starts(tracker.pose_prior, skeleton, here)
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
     poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
     pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])

@@ -6,8 +6,9 @@ import numpy as np
 
 import jaxcap as jc
 from jaxcap.body.body import pose_body
+from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.gaussian_pose_prior import human_prior
-from jaxcap.tracking.prior_starts import LIMBS, limb_starts, mean_pose
+from jaxcap.tracking.prior_starts import LIMBS, limb_starts, mean_pose, upright_starts
 
 BODY = jc.human(resolution="low", joints="tracking")
 PRIOR = human_prior(BODY.skeleton)
@@ -36,3 +37,18 @@ def test_each_start_moves_its_limbs_only(rng):
         found = np.asarray(starts.rotations)[2 * number : 2 * number + 2]
         assert np.array_equal(found[:, ~below], np.asarray(turned)[:, ~below])
         assert np.array_equal(found[0, below], mean[below]) and np.array_equal(found[1, below], mean[below])
+
+
+def test_an_upright_start_keeps_chest_head_and_arms_in_place(rng):
+    skeleton = BODY.skeleton
+    tangent = jnp.asarray(0.5 * rng.normal(size=(2, skeleton.num_dofs)), skeleton.centres.dtype)
+    poses = jax.vmap(retract, (None, None, 0))(skeleton, jc.rest_pose(skeleton), tangent)
+    poses = jc.Pose(poses.translations, poses.rotations, jnp.asarray([1.0, 1.2], poses.scale.dtype))
+    starts = upright_starts(PRIOR, skeleton, poses)
+    before, after = (jax.vmap(pose_body, (None, 0))(BODY, stack).joints for stack in (poses, starts))
+    kept = [skeleton.index(name) for name in ("LeftArm", "RightArm", "LeftHand", "RightForeArm", "Head")]
+    np.testing.assert_allclose(after[:, kept], before[:, kept], atol=1e-5)
+    mean = mean_pose(PRIOR, skeleton).rotations
+    legs = [skeleton.index(name) for name in ("LeftUpLeg", "RightUpLeg", "LeftLeg")]
+    np.testing.assert_array_equal(starts.rotations[:, legs], jnp.stack([mean[jnp.asarray(legs)]] * 2))
+    assert np.abs(after - before)[:, legs].max() > 0.05
