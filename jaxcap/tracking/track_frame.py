@@ -67,10 +67,10 @@ class Tracker(eqx.Module):
     terms: tuple[AbstractEnergy, ...]
     #: steps of expectation maximisation per frame
     iterations: int = eqx.field(static=True)
+    #: joints of the regions of verdicts, as of `region_joints`
+    regions: tuple[int, ...] = eqx.field(static=True)
     #: largest number of vertices that are tested for free space
     num_tested: int = eqx.field(static=True, default=NUM_TESTED)
-    #: joints of the regions of verdicts
-    regions: tuple[int, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
         check_fields(self)

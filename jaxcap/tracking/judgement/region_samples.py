@@ -196,10 +196,10 @@ def _large_parts(skeleton: Skeleton, bones: Int[np.ndarray, "S"]) -> tuple[int, 
 
 def _regions(skeleton: Skeleton, joints: Sequence[int]) -> Int[np.ndarray, "J"]:
     """Find the region of each joint: its own, or that of its nearest ancestor with one; the first without any."""
-    found = np.zeros(skeleton.num_joints, int)
-    for joint in np.argsort(skeleton.depths, kind="stable"):
-        if joint in joints:
-            found[joint] = joints.index(joint)
-        elif skeleton.parents[joint] >= 0:
-            found[joint] = found[skeleton.parents[joint]]
-    return found
+    parents = skeleton.parents
+    return np.array(
+        [
+            joints.index(joint) if joint in joints else max(_nearest_ancestor(parents, joint, joints), 0)
+            for joint in range(skeleton.num_joints)
+        ]
+    )
