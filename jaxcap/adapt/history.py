@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..geometry.stacking import stack_trees
+from ..stacking import stack_trees
 from .objective import Terms, mean_squared_distance, motion_energy, pose_energy, symmetry_energy
 from .poses.pair_cache import PairCache, make_pair_cache
 from .shape.reference import shape_prior_of

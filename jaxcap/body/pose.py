@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import check_fields, check_rate, checked
 from ..errors import InputError
 from ..geometry import rotation
-from ..geometry.stacking import concatenate_trees, stack_trees
+from ..stacking import concatenate_trees, stack_trees
 from .skeleton import Skeleton
 
 

@@ -4,14 +4,20 @@ import numpy as np
 from jaxtyping import Float
 
 from ..errors import InputError
-from ..geometry.camera import Camera
+from ..geometry.camera import Camera, check_rectified
 
 #: range of the median depth of an image, metres, and a usual one
 MIN_MEDIAN, MAX_MEDIAN, USUAL_MEDIAN = 0.1, 30.0, 2.0
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
-    """Check that an image has the size of its camera's images. Raises `InputError`."""
+    """Check that an image has the size of its camera's images, without distortion. Raises `InputError`."""
+    check_rectified(camera, where)
+    check_size(camera, image, name, where)
+
+
+def check_size(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
+    """Check that an image has the size of its camera's images, distorted or not. Raises `InputError`."""
     if image.shape != (camera.height, camera.width):
         raise InputError(
             f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..arguments import check_fields, checked
 from ..body.body import Posed
 from ..errors import InputError
-from ..geometry.stacking import stack
+from ..stacking import stack
 from .energy import AbstractEnergy, Sum, Weighted, energy_name, safe_sqrt, terms_of, weighted
 from .priors.temporal import second_difference
 

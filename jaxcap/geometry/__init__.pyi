@@ -9,4 +9,6 @@ from .camera import Camera as Camera
 from .camera import look_at as look_at
 from .camera import ring_of_cameras as ring_of_cameras
 from .camera import unproject as unproject
+from .lens import Lens as Lens
+from .lens import distort as distort
 from .mesh import sample_surface as sample_surface

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ..arguments import as_jax_array, check_fields, checked
 from ..errors import InputError
 from ..value_checks import check_at_least, check_positive, concrete_values
+from .lens import Lens, distort
 
 #: smallest side of an image, pixels; largest number of pixels, above that of any depth camera
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 25_000_000
@@ -20,7 +21,7 @@ ORTHONORMAL_TOLERANCE = 1e-2
 
 
 class Camera(eqx.Module):
-    """A calibrated pinhole camera without distortion.
+    """A calibrated pinhole camera, or one with a lens that distorts its images.
 
     A point `x` of the world, metres, is at `rotation @ x + translation` in the frame of the camera, with x
     to the right, y down and z forward. Pixels are counted from the upper left; the centre of the first one
@@ -36,6 +37,8 @@ class Camera(eqx.Module):
     #: number of columns and of rows, pixels
     width: int = eqx.field(static=True)
     height: int = eqx.field(static=True)
+    #: None if images are not distorted, as those of `make_rectification` and of most depth cameras
+    lens: Lens | None = None
 
     def __check_init__(self):
         check_fields(self)
@@ -67,14 +70,20 @@ def project_points(
     points_in_camera = points @ camera.rotation.T + camera.translation
     depth = points_in_camera[..., 2]
     safe = jnp.where(depth > 0, depth, 1.0)[..., None]
-    return camera.focal * points_in_camera[..., :2] / safe + camera.principal_point, depth
+    rays = points_in_camera[..., :2] / safe
+    rays = rays if camera.lens is None else distort(camera.lens, rays)
+    return camera.focal * rays + camera.principal_point, depth
 
 
 @checked
 def unproject(
     camera: Camera, pixels: Float[Array, "*points 2"], depth: Float[Array, "*points"]
 ) -> Float[Array, "*points 3"]:
-    """Compute the points of the world, metres, from pixels and depths: the inverse of `project`."""
+    """Compute the points of the world, metres, from pixels and depths: the inverse of `project_points`.
+
+    **Raises:** `InputError` if the camera has a lens; rectify its images.
+    """
+    check_rectified(camera)
     across = (pixels - camera.principal_point) / camera.focal * depth[..., None]
     there = jnp.concatenate([across, depth[..., None]], -1)
     return (there - camera.translation) @ camera.rotation
@@ -85,6 +94,24 @@ def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array
     pixels, depth = project_points(camera, points)
     size = jnp.array([camera.width, camera.height])
     return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
+
+
+def check_rectified(camera: Camera, where: str = "") -> None:
+    """Check that the images of a camera are not distorted. Raises `InputError`, which begins with `where`."""
+    if camera.lens is not None:
+        raise InputError(
+            f"{where + ': the' if where else 'The'} lens of the camera distorts its images; rectify them "
+            "(`jc.io.rectify_depths`), and use the cameras that it returns."
+        )
+
+
+def check_no_lenses(cameras: Sequence[Camera], where: str = "Camera") -> None:
+    """Check that no camera has a lens whose distortion would have to be simulated. Raises `InputError`."""
+    for number, camera in enumerate(cameras):
+        if camera.lens is not None:
+            raise InputError(
+                f"{where} {number} has a lens, whose distortion is not simulated; remove its distortion coefficients."
+            )
 
 
 def check_image_size(width: int, height: int, where: str = "") -> None:

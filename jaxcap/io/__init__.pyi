@@ -14,6 +14,7 @@ from .constraints import read_constraints as read_constraints
 from .constraints import write_constraints as write_constraints
 from .depth.images import write_depth_image as write_depth_image
 from .depth.images import write_mask as write_mask
+from .depth.rectify import rectify_depths as rectify_depths
 from .depth.sequence import read_depths as read_depths
 from .gltf.gltf_reader import read_gltf as read_gltf
 from .markers.subject import load_subject as load_subject

@@ -8,7 +8,8 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
-from .depth.intrinsics import camera_of_intrinsics, is_intrinsics
+from .depth.intrinsics import camera_of_intrinsics, is_intrinsics, make_lens
+from .depth.recordings import is_recording, open_recording
 from .kinds import check_kind
 from .system.reader_errors import reader_of
 from .table import write_json
@@ -31,6 +32,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     rows = [
         {name: np.asarray(getattr(camera, name), float).tolist() for name in _ARRAY_SHAPES}
         | {name: getattr(camera, name) for name in _SIZES}
+        | _lens_row(camera)
         for camera in cameras
     ]
     write_json(path, {"format": FORMAT, "version": 1, "cameras": rows})
@@ -43,15 +45,17 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
     The format is `{"cameras": [{"rotation", "translation", "focal", "principal_point", "width", "height"},
     ...]}`. Transforms are from the world to the camera, in metres and pixels; see `Camera`. A single focal
-    length applies to both axes.
+    length applies to both axes. `distortion` and `distortion_model` describe a lens, see `Lens`.
 
-    Intrinsics of one camera as Open3D, RealSense and OpenCV write them are read too: the camera is at the origin and
-    looks along -z, with y up.
+    Intrinsics of one camera as Open3D, RealSense and OpenCV write them are read too, and those in a recording
+    (`.bag`, `.db3`, `.mkv`): the camera is at the origin and looks along -z, with y up.
 
     **Raises:** `InputError` if there is no such file, it is not JSON, or it has no cameras; also if a camera
     lacks a key, or has numbers that are not finite, an invalid rotation or an invalid image size. The message
     gives the number of the camera.
     """
+    if is_recording(path):
+        return [open_recording(path).camera]
     check_kind(path, "cameras", (".json",))
     content = read_json(path)
     if isinstance(content, dict) and is_intrinsics(content):
@@ -86,7 +90,17 @@ def _camera(row: object, where: str) -> Camera:
         )
     if (arrays["focal"] <= 0).any():
         raise InputError(f"{where}: 'focal' is not above zero; give focal lengths in pixels.")
-    return Camera(**arrays, **sizes)
+    lens = make_lens(row.get("distortion", []), str(row.get("distortion_model", "")), where)
+    return Camera(**arrays, **sizes, lens=lens)
+
+
+def _lens_row(camera: Camera) -> dict[str, object]:
+    if camera.lens is None:
+        return {}
+    return {
+        "distortion": np.asarray(camera.lens.coefficients, float).tolist(),
+        "distortion_model": camera.lens.model,
+    }
 
 
 def _numbers(value: object, name: str, shape: tuple[int, ...], where: str) -> np.ndarray:

@@ -55,10 +55,7 @@ UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
     ".7z": ("an archive", _UNPACK),
     ".rar": ("an archive", _UNPACK),
     ".tar": ("an archive", _UNPACK),
-    ".bag": ("a ROS recording", "write its clouds as .ply files"),
-    ".mkv": ("a video", _VIDEO),
     ".mp4": ("a video", _VIDEO),
     ".mov": ("a video", _VIDEO),
     ".avi": ("a video", _VIDEO),
-    ".exr": ("an image", _VIDEO),
 }

@@ -8,6 +8,8 @@ from typing import Any
 from ..errors import InputError
 from .archives.archive import array_lengths, array_names, read_format_name
 from .depth.images import DEPTH_ARRAYS, is_depth_image
+from .depth.open_exr import EXR_SUFFIX
+from .depth.recordings import RECORDING_SUFFIXES
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
@@ -135,6 +137,7 @@ _SUFFIXES = {
     ".txt": "text",
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), "usd"),
     **dict.fromkeys((".off", ".obj", ".ply", ".stl", ".pcd", ".xyz"), "mesh"),
+    **dict.fromkeys((EXR_SUFFIX, *RECORDING_SUFFIXES), "depth"),
     **dict.fromkeys(IMAGE_SUFFIXES, "picture"),
 }
 

@@ -13,7 +13,7 @@ from ..arguments import as_real_array, check_fields, check_metres, checked, desc
 from ..errors import InputError
 from ..geometry.normals import estimate_normals
 from ..geometry.sampling import spatial_order
-from ..geometry.stacking import stack, stack_trees
+from ..stacking import stack, stack_trees
 from .depth_views import DepthView
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from ..arguments import check_metres, checked
 from ..depth.fuse import FusedScan, fuse_cloud, fuse_mesh
 from ..errors import InputError
-from ..geometry.camera import Camera
+from ..geometry.camera import Camera, check_no_lenses
 from ..value_checks import check_faces
 from .noise import apply_errors
 from .ray_casting import make_ray_mesh, render_depth
@@ -37,7 +37,7 @@ def scan_frame(
     Random numbers depend on `seed`, `frame` and the view only, not on earlier scans. A scan is empty if no
     view measures anything.
 
-    **Raises:** `InputError` for a setting out of its range, no cameras, a seed or frame below zero, vertices
+    **Raises:** `InputError` for a setting out of its range, no cameras, a camera with a lens, a seed or frame below zero, vertices
     that cannot be in metres, and triangles of missing vertices.
     """
     check_metres("scan_frame", "vertices", vertices)
@@ -100,6 +100,7 @@ def scan_scene(
     check_scanner(scanner)
     if not cameras:
         raise InputError("There are no cameras to scan with; give at least one.")
+    check_no_lenses(cameras)
     if seed < 0 or frame < 0:
         raise InputError(f"The seed is {seed} and the frame is {frame}; expected both at least 0.")
     for vertices, faces in surfaces:

@@ -8,9 +8,9 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from ..body.pose import Pose, concatenate_poses
 from ..energy.priors.reference_pose import tangent_deviations
-from ..geometry.stacking import stack_trees
 from ..observe import thin_cloud
 from ..observe.clouds import Cloud
+from ..stacking import stack_trees
 from .em_step import Estimate, FrameStatistics
 from .initialise import (
     COARSE_POINTS,

@@ -38,7 +38,7 @@ from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import body_tangent, frame_jacobian, vertex_maps
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import mesh_edges, sample_surface
-from jaxcap.geometry.stacking import stack_trees, unstack_trees
+from jaxcap.stacking import stack_trees, unstack_trees
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))

@@ -16,7 +16,7 @@ from jaxcap.body.symmetry import find_left_right_pairs
 from jaxcap.energy.data.pairs import PairDistances, PointPairs
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.fit.linearise import linearise
-from jaxcap.geometry.stacking import stack_trees
+from jaxcap.stacking import stack_trees
 
 BODY = chain_body("swing_twist")
 PRIOR = RestPrior(jnp.full((BODY.skeleton.num_joints, 3), 0.7))

@@ -23,7 +23,7 @@ from jaxcap.body.symmetry import length_differences
 from jaxcap.energy.data.pairs import PairDistances, num_pairs, pair_directions, pair_positions, stack_pairs
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.mesh import mesh_edges
-from jaxcap.geometry.stacking import stack_trees, unstack_trees
+from jaxcap.stacking import stack_trees, unstack_trees
 
 FRAMES = 3
 BODY = chain_body("linear")

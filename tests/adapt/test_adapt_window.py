@@ -21,8 +21,8 @@ from jaxcap.fit.pose_problem import pose_scales
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.fit.solvers.descent import NormalDescent
 from jaxcap.geometry import rotation
-from jaxcap.geometry.stacking import stack_trees
 from jaxcap.limits.rotation_vector_boxes import PoseBoxes, make_box_chart, make_pose_boxes
+from jaxcap.stacking import stack_trees
 
 BODY = chain_body()
 SKELETON, DOFS = BODY.skeleton, BODY.skeleton.num_dofs

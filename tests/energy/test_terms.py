@@ -19,12 +19,12 @@ from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
 from jaxcap.fit.fit_meshes import fit_meshes
-from jaxcap.geometry.stacking import stack_trees
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
 from jaxcap.markers.subject import marker_positions
 from jaxcap.observe.meshes import MeshSequence
+from jaxcap.stacking import stack_trees
 from jaxcap.tracking.track import track
 from tests.markers_limb import moving, seen_by, truth
 

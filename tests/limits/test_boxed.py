@@ -21,12 +21,12 @@ from jaxcap.fit.correspondence.nearest_assignment import make_scan
 from jaxcap.fit.solvers.bounded_least_squares import solve_bounded
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.geometry.stacking import stack_trees
 from jaxcap.limits.rotation_vector_boxes import (
     make_box_chart,
     retract_within,
     rotating_joints,
 )
+from jaxcap.stacking import stack_trees
 
 SKELETON = chain_skeleton()
 solve, own_of = jax.jit(solve_bounded), eqx.filter_jit(local_rotation_vectors)

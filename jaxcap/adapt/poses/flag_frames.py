@@ -9,9 +9,9 @@ from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...geometry.camera import Camera
 from ...geometry.closest import nearest_on_surface
-from ...geometry.stacking import stack_trees
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
+from ...stacking import stack_trees
 from ...tracking.judgement.baseline import median_baseline, sensor_directions
 from ...tracking.judgement.evidence import Evidence, gather_evidence
 from ...tracking.judgement.region_samples import region_joints, sample_regions

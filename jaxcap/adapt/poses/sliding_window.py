@@ -12,7 +12,7 @@ from ...energy.data.pairs import PointPairs, stack_pairs
 from ...fit.alternate import alternate
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...geometry.stacking import stack_trees, unstack_trees
+from ...stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem
 from .pair_cache import PairCache
 from .pose import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose

@@ -17,7 +17,7 @@ from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import Size
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
-from ...geometry.stacking import stack_trees, unstack_trees
+from ...stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem
 from ..poses.pose import MAX_UPHILL_STEPS, STEP_FACTORS, pairs_of
 

@@ -15,7 +15,7 @@ from ...fit.correspondence.nearest_assignment import IndexedScan
 from ...fit.sequences.sequence_problem import SequenceProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
-from ...geometry.stacking import stack_trees, unstack_trees
+from ...stacking import stack_trees, unstack_trees
 from ..history import append_history
 from ..objective import CoefficientPrior, shared_problem
 from ..poses.pair_cache import PairCache

@@ -21,8 +21,8 @@ from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.sampling import even_indices
-from ...geometry.stacking import stack_trees
 from ...observe.clouds import Cloud, stack_clouds
+from ...stacking import stack_trees
 from ...tracking.advance import FirstSearch
 from ...tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
 from ...tracking.track import track_frames

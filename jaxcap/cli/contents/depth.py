@@ -16,6 +16,8 @@ from ...errors import InputError, user_message
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
+from ...io.depth.recordings import is_recording
+from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
 from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
@@ -37,6 +39,12 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     With the intrinsics of the `camera` of that number print the floor, the background and the people in some frames.
     """
     images = read_depths(source, depth_scale=options.scale)
+    cameras = _cameras(source, options)
+    if cameras and camera < len(cameras):
+        rectified, images = rectify_depths([cameras[camera]], images)
+        if cameras[camera].lens is not None:
+            say("the lens of the camera distorts its images; the following is of the rectified ones")
+        cameras[camera] = rectified[0]
     frame = images[0]
     depth = frame.depths[0]
     measured = depth[depth > 0]
@@ -55,10 +63,9 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     except InputError as error:
         say(user_message(error))
         return "depth"
-    if options.cameras is None:
+    if not cameras:
         say("the intrinsics of the camera (--cameras) are needed to find the floor and the person")
         return "depth"
-    cameras = read_cameras(options.cameras)
     if camera >= len(cameras):
         raise InputError(
             f"{options.cameras}: there are {len(cameras)} cameras; expected one for each folder of images."
@@ -68,6 +75,12 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     frames = {number: images[number] for number in numbers}
     _describe_room(cameras[camera], frames)
     return "depth"
+
+
+def _cameras(source: str | Path, options: DepthOptions) -> list[Camera]:
+    """Read the given cameras, or those of a recording; none if neither is there."""
+    path = source if options.cameras is None and is_recording(source) else options.cameras
+    return [] if path is None else read_cameras(path)
 
 
 def describe_camera_depth(source: str | Path, options: DepthOptions) -> str:

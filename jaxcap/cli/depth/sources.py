@@ -9,6 +9,8 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
+from ...io.depth.recordings import RECORDING_SUFFIXES, is_recording
+from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
 from ...io.lazy_frames import LazyFrames
 from ..console.heartbeat import set_activity
@@ -20,7 +22,7 @@ Cameras = Annotated[
     OptionalFile,
     arg(
         help="Cameras of the depth images, .json: intrinsics as written by Open3D, RealSense or OpenCV, or calibrated cameras "
-        "as written by `jaxcap scan`."
+        "as written by `jaxcap scan`. Recordings (.bag, .db3, .mkv) contain their own."
     ),
 ]
 Masks = Annotated[
@@ -56,8 +58,10 @@ BackgroundChoice = Annotated[
 class DepthSources(NamedTuple):
     """The images of all cameras, read on access."""
 
-    #: y up
+    #: y up, without lenses, as the images
     cameras: list[Camera]
+    #: the same cameras as they recorded
+    recorded: list[Camera]
     images: LazyFrames[DepthFrame]
     #: one source for each camera, as the user named it
     names: tuple[str, ...]
@@ -71,26 +75,36 @@ def open_depth_sources(
     frames: tuple[int | None, int | None] = (None, None),
     up: Up = "y",
 ) -> DepthSources:
-    """Open depth images with their cameras, y up.
+    """Open depth images with their cameras, y up, without the distortion of lenses.
 
-    **Arguments:** `scale`, units of the images in a metre; `frames`, first and last, both included; `up`, the vertical
-    of the cameras' world.
+    **Arguments:** `cameras`, not needed for recordings, which contain them; `scale`, units of the images in a metre; `frames`, first
+    and last, both included; `up`, the vertical of the cameras' world.
 
     **Raises:** `InputError` if there are no cameras, or another number of them than of sequences.
     """
-    if cameras is None:
-        raise InputError(
-            "--depth needs the intrinsics of the camera; give them with --cameras, .json as written by `jaxcap scan`, "
-            "Open3D, RealSense or OpenCV."
-        )
-    known = [upright_camera(camera, up) for camera in read_cameras(cameras)]
+    known = read_depth_cameras(depths, cameras, "--depth", up)
     if len(known) != len(depths):
         raise InputError(
             f"{cameras}: there are {len(known)} cameras, but --depth names {len(depths)} sequences of images; give a "
             "folder, a quoted glob such as 'cam0/*.png', or an .npz for each camera."
         )
     images = read_depths(list(depths), list(masks), *frames, depth_scale=scale)
-    return DepthSources(known, images, tuple(depths))
+    rectified, images = rectify_depths(known, images)
+    return DepthSources(rectified, known, images, tuple(depths))
+
+
+def read_depth_cameras(depths: Sequence[str], cameras: Path | None, option: str, up: Up) -> list[Camera]:
+    """Read the cameras of depth images, y up: those of recordings from these, if there is no file of cameras.
+
+    **Raises:** `InputError`, which names the `option` of the images, if there are no cameras.
+    """
+    if cameras is None and not all(map(is_recording, depths)):
+        raise InputError(
+            f"{option} needs the intrinsics of the camera; give them with --cameras, .json as written by `jaxcap scan`, "
+            f"Open3D, RealSense or OpenCV. Only recordings ({', '.join(RECORDING_SUFFIXES)}) contain them."
+        )
+    paths = depths if cameras is None else [cameras]
+    return [upright_camera(camera, up) for path in paths for camera in read_cameras(path)]
 
 
 def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> list[Background | None]:
@@ -102,8 +116,8 @@ def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> lis
         )
     set_activity("reading the empty frames")
     found: list[Background | None] = []
-    for camera, source in zip(sources.cameras, empty, strict=True):
-        images = read_depths(source, depth_scale=scale)
+    for camera, recorded, source in zip(sources.cameras, sources.recorded, empty, strict=True):
+        _, images = rectify_depths([recorded], read_depths(source, depth_scale=scale))
         depths = [
             images[number].depths[0]
             for number in even_indices(len(images), MAX_FRAMES, nearest=True).tolist()

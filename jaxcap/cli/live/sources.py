@@ -1,8 +1,9 @@
 """The sources of `jaxcap live`: folders that grow, standard input, depth cameras, and recorded frames."""
 
+import functools
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +11,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...geometry.camera import Camera
-from ...io.cameras import read_cameras
+from ...io.depth.recordings import is_recording
+from ...io.depth.rectify import make_rectifier
 from ...io.depth.sequence import DepthFrame, read_depths
 from ...io.lazy_frames import LazyFrames
 from ...io.live.array_stream import read_array_stream
@@ -21,6 +23,7 @@ from ...io.meshes.clouds import read_clouds
 from ...live.live_tracker import Observation
 from ...observe.clouds import Scan
 from ..console.options import Up
+from ..depth.sources import read_depth_cameras
 from ..sources import up_rotation, upright_camera
 
 #: the name of standard input
@@ -50,16 +53,20 @@ def open_source(
 
     **Raises:** `InputError` for a source that does not exist, or cameras that do not fit it.
     """
-    known = [] if cameras is None else [upright_camera(camera, up) for camera in read_cameras(cameras)]
     name = watch[0]
+    is_recorded = all(map(is_recording, watch))
+    known = [] if cameras is None and not is_recorded else read_depth_cameras(watch, cameras, "--watch", up)
+    known, rectify = make_rectifier(known)
     if name in PACKAGES:
         _check_alone(watch, replay_rate)
         device = open_device(name, stop)
-        return Source(device.frames, known or [upright_camera(device.camera, up)], None)
+        if not known:
+            known, rectify = make_rectifier([upright_camera(device.camera, up)])
+        return Source(_rectified(device.frames, rectify), known, None)
     if name == PIPE:
         _check_alone(watch, replay_rate)
         frames = read_array_stream(sys.stdin.buffer, "standard input", depth_scale, stop)
-        return Source(frames, known, None)
+        return Source(_rectified(frames, rectify), known, None)
     if known and len(known) != len(watch):
         raise InputError(
             f"{cameras}: there are {len(known)} cameras, but --watch names {len(watch)} sources; give one for each camera."
@@ -72,7 +79,9 @@ def open_source(
         recorded: LazyFrames[DepthFrame] | LazyFrames[Scan] = (
             read_depths(list(watch), depth_scale=depth_scale) if known else read_clouds(name, unit=unit)
         )
-        return Source(replay(recorded, replay_rate, stop), known, recorded[0])
+        first = recorded[0]
+        sample = rectify(first) if isinstance(first, DepthFrame) else first
+        return Source(_rectified(replay(recorded, replay_rate, stop), rectify), known, sample)
     if not all(Path(one).is_dir() for one in watch):
         raise InputError(
             f"{next(one for one in watch if not Path(one).is_dir())}: this is no folder to watch; make it, or give "
@@ -83,7 +92,17 @@ def open_source(
         if known
         else watch_cloud_folder(name, unit, stop, timeout)
     )
-    return Source(arrivals, known, None)
+    return Source(_rectified(arrivals, rectify), known, None)
+
+
+def _rectified(arrivals: Iterator[Arrival], rectify: Callable[[DepthFrame], DepthFrame]) -> Iterator[Arrival]:
+    """Rectify the depth images of arrivals when they are read."""
+
+    def read(arrival: Arrival) -> DepthFrame | Scan:
+        frame = arrival.read()
+        return rectify(frame) if isinstance(frame, DepthFrame) else frame
+
+    return (arrival._replace(read=functools.partial(read, arrival)) for arrival in arrivals)
 
 
 def _check_alone(watch: Sequence[str], replay_rate: float | None) -> None:

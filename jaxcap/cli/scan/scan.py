@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from ...body.body import Body, pose_body, posed_vertices
 from ...body.pose import Motion, take_poses
 from ...errors import InputError, user_message
-from ...geometry.camera import Camera, check_views, ring_of_cameras
+from ...geometry.camera import Camera, check_no_lenses, check_views, ring_of_cameras
 from ...geometry.sampling import even_indices
 from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
@@ -235,6 +235,7 @@ class Scan:
         else:
             where, cameras = str(self.cameras), read_cameras(self.cameras)
         check_views(cameras, corners, where)
+        check_no_lenses(cameras, f"{where}: camera")
         return cameras
 
     def scan(

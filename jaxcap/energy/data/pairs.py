@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
-from ...geometry.stacking import stack_trees
+from ...stacking import stack_trees
 from ..energy import safe_sqrt
 from .vertices import AbstractVertexEnergy
 

@@ -1,16 +1,30 @@
 """Intrinsics of one camera as other programs write them: Open3D, RealSense and OpenCV."""
 
-from typing import Any
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
 
 from ...errors import InputError
 from ...geometry.camera import Camera, check_image_size
+from ...geometry.lens import NUM_COEFFICIENTS, Lens
 from ..kinds import INTRINSICS_KEYS
 
 #: rotation of a camera without extrinsics, at the origin: it looks along -z, with y up
 FORWARD = np.diag([1.0, -1.0, -1.0])
+#: names of the distortion coefficients, and of their model
+COEFFICIENT_KEYS = ("coeffs", "distortion_coefficients", "dist_coeffs", "distortion")
+MODEL_KEYS = ("distortion_model", "model")
+#: the models by their names in OpenCV, ROS and RealSense, without spaces and in lower case
+LENS_MODELS: dict[str, Literal["brown_conrady", "kannala_brandt"]] = {
+    **dict.fromkeys(
+        ("", "plumbbob", "rationalpolynomial", "brownconrady", "modifiedbrownconrady", "pinhole"),
+        "brown_conrady",
+    ),
+    **dict.fromkeys(("fisheye", "equidistant", "kannalabrandt", "kannalabrandt4"), "kannala_brandt"),
+}
+#: largest coefficient; those of the Azure Kinect reach 5
+MAX_COEFFICIENT = 1000.0
 
 
 def is_intrinsics(content: object) -> bool:
@@ -22,9 +36,10 @@ def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
     """Make a camera from intrinsics, at the origin if the file has no extrinsics.
 
     Known are `intrinsic_matrix` (Open3D, column by column), `fx, fy, ppx, ppy` (RealSense) or `fx, fy, cx, cy`, and
-    `camera_matrix` (OpenCV); with `width` and `height` or `image_width` and `image_height`.
+    `camera_matrix` (OpenCV); with `width` and `height` or `image_width` and `image_height`. Distortion coefficients make
+    the camera's lens.
 
-    **Raises:** `InputError` if a number is missing, or lenses distort images.
+    **Raises:** `InputError` if a number is missing, or the model of the lens is unknown.
     """
     inner = content.get("intrinsic", content)
     matrix = inner.get("intrinsic_matrix", inner.get("camera_matrix"))
@@ -49,19 +64,6 @@ def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
             f"{where}: the intrinsics of the camera are incomplete ({error}); expected focal lengths, the principal point, "
             "and the width and height of images."
         ) from None
-    lens = next(
-        (
-            inner[name]
-            for name in ("coeffs", "distortion_coefficients", "dist_coeffs", "distortion")
-            if name in inner
-        ),
-        [],
-    )
-    lens = lens.get("data", []) if isinstance(lens, dict) else lens
-    if np.any(np.asarray(lens, float) != 0):
-        raise InputError(
-            f"{where}: the lens distorts images; expected depth images without distortion: rectify them, and write zeros."
-        )
     if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0):
         raise InputError(f"{where}: the focal lengths are {numbers[:2]}; expected finite numbers above 0.")
     check_image_size(size[0], size[1], where)
@@ -72,4 +74,46 @@ def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
         jnp.asarray(numbers[2:]),
         size[0],
         size[1],
+        _lens(inner, where),
     )
+
+
+def make_lens(coefficients: object, model: str, where: str) -> Lens | None:
+    """Make the lens of distortion coefficients in OpenCV's order; None if it distorts nothing.
+
+    **Arguments:** `model`, the name of the model as OpenCV, ROS, RealSense or this library write it; empty for Brown and
+    Conrady's.
+
+    **Raises:** `InputError` for other models, and numbers that are not finite or too many.
+    """
+    try:
+        numbers = np.asarray(coefficients, float).reshape(-1)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: the distortion coefficients are no numbers ({error}); write numbers."
+        ) from None
+    if not np.any(numbers != 0):
+        return None
+    name = "".join(letter for letter in model.lower() if letter.isalnum()).removeprefix("distortion")
+    known = LENS_MODELS.get(name)
+    count = 0 if known is None else NUM_COEFFICIENTS[known]
+    # OpenCV's next coefficients are of thin prisms and tilted sensors
+    if known is None or np.any(numbers[count:] != 0):
+        raise InputError(
+            f"{where}: the lens has the distortion model '{model}' with {len(numbers)} coefficients; expected Brown and "
+            "Conrady's with up to 8, or Kannala and Brandt's (fisheye) with 4. Rectify the depth images, and write zeros."
+        )
+    if not (np.abs(numbers) <= MAX_COEFFICIENT).all():
+        raise InputError(
+            f"{where}: the distortion coefficients are {numbers.tolist()}; expected finite numbers of at most {MAX_COEFFICIENT:g}."
+        )
+    padded = np.zeros(count)
+    padded[: len(numbers)] = numbers[:count]
+    return Lens(jnp.asarray(padded), known)
+
+
+def _lens(content: dict[str, Any], where: str) -> Lens | None:
+    found = next((content[name] for name in COEFFICIENT_KEYS if name in content), [])
+    found = found.get("data", []) if isinstance(found, dict) else found
+    model = next((content[name] for name in MODEL_KEYS if isinstance(content.get(name), str)), "")
+    return make_lens(found, model, where)

@@ -17,9 +17,13 @@ from ..meshes.point_files import read_organised_depth
 from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
 from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
+from .open_exr import EXR_SUFFIX, read_exr_depth
+from .recordings import is_recording, open_recording
 
 #: suffix of organised point clouds
 ORGANISED = ".pcd"
+#: suffixes of files with one depth image
+DEPTH_SUFFIXES = (*SUFFIXES, EXR_SUFFIX, ORGANISED)
 #: names of the array of masks in an `.npz`
 _MASK_NAMES = ("mask", "masks")
 
@@ -45,8 +49,9 @@ def read_depths(
 ) -> LazyFrames[DepthFrame]:
     """Open sequences of depth images, one for each camera, with equally many frames.
 
-    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images or of organised .pcd clouds,
-    or an `.npz` with the array `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W); `masks`, if they are known, likewise, as images;
+    **Arguments:** each of the `sources` is a folder or a glob of 16-bit PNG or TIFF images, of OpenEXR images or of organised
+    .pcd clouds, an `.npz` with the array `depth` or `depth_mm` (F, H, W), and optionally `mask` (F, H, W), or a recording of a
+    RealSense or of ROS (`.bag`, `.db3`) or of an Azure Kinect (`.mkv`); `masks`, if they are known, likewise, as images;
     `first` and `last`, both included, count frames from 0; `depth_scale`, the number of the file's units in a metre.
 
     **Raises:** `InputError` if nothing is found, or cameras have different numbers of frames; also, when it is loaded,
@@ -83,6 +88,14 @@ def read_depths(
     return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
 
 
+def read_depth_file(path: Path, depth_scale: float) -> Float[np.ndarray, "H W"]:
+    """Read a file with one depth image by its suffix, metres. Raises `InputError`."""
+    suffix = path.suffix.lower()
+    if suffix == ORGANISED:
+        return read_organised_depth(path)
+    return read_exr_depth(path) if suffix == EXR_SUFFIX else read_depth_image(path, depth_scale)
+
+
 class _Images(NamedTuple):
     """The images of one camera: loads depth and mask of a frame."""
 
@@ -107,12 +120,16 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
     path = Path(source)
     if path.suffix.lower() == ".npz" and not path.is_dir():
         return _stack(path, depth_scale)
-    paths = _image_files(source, (*SUFFIXES, ORGANISED))
+    if is_recording(path) and not path.is_dir():
+        recording = open_recording(path)
+        return _Images(
+            [f"{path}[{frame}]" for frame in range(recording.count)],
+            lambda frame: (recording.load(frame), None),
+        )
+    paths = _image_files(source, DEPTH_SUFFIXES)
 
     def load(frame: int):
-        if paths[frame].suffix.lower() == ORGANISED:
-            return read_organised_depth(paths[frame]), None
-        return read_depth_image(paths[frame], depth_scale), None
+        return read_depth_file(paths[frame], depth_scale), None
 
     return _Images([str(path) for path in paths], load)
 

@@ -62,7 +62,7 @@ def _import(name: str) -> ModuleType:
 
 
 def _open_realsense(rs: Any, stop: threading.Event, resolution: tuple[int, int], rate: int) -> Device:
-    """Start a RealSense camera. Its depth images are rectified."""
+    """Start a RealSense camera. Its depth images are rectified by the camera itself."""
     pipeline, config = rs.pipeline(), rs.config()
     config.enable_stream(rs.stream.depth, *resolution, rs.format.z16, rate)
     profile = pipeline.start(config)

@@ -10,11 +10,9 @@ from typing import NamedTuple
 
 from ...errors import InputError
 from ...observe.clouds import Scan
-from ..depth.images import SUFFIXES, read_depth_image
-from ..depth.sequence import DepthFrame
+from ..depth.sequence import DEPTH_SUFFIXES, DepthFrame, read_depth_file
 from ..meshes.clouds import read_clouds
 from ..meshes.mesh import SUFFIXES as MESH_SUFFIXES
-from ..meshes.point_files import read_organised_depth
 from ..system.paths import natural_sort_key
 from .arrivals import Arrival
 
@@ -26,7 +24,6 @@ FOLDER_CLOCK_SECONDS = 0.05
 MAX_WAIT_SECONDS = 2.0
 #: the last bytes of a complete PNG
 PNG_END = b"IEND\xaeB`\x82"
-ORGANISED = ".pcd"
 
 
 def watch_depth_folders(
@@ -44,15 +41,10 @@ def watch_depth_folders(
     """
 
     def read(paths: Sequence[Path]) -> DepthFrame:
-        depths = tuple(
-            read_organised_depth(path)
-            if path.suffix.lower() == ORGANISED
-            else read_depth_image(path, depth_scale)
-            for path in paths
-        )
+        depths = tuple(read_depth_file(path, depth_scale) for path in paths)
         return DepthFrame(str(paths[0]), depths, (None,) * len(depths))
 
-    return _watch(folders, (*SUFFIXES, ORGANISED), read, stop, timeout)
+    return _watch(folders, DEPTH_SUFFIXES, read, stop, timeout)
 
 
 def watch_cloud_folder(

@@ -12,9 +12,9 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...energy.check_energies import UserTerms, sum_user_terms
-from ...geometry.stacking import concatenate
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
+from ...stacking import concatenate
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body
 from .initial_pose import estimate_initial_poses

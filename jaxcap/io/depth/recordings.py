@@ -1,0 +1,52 @@
+"""Recordings of depth cameras: one file with the images and the intrinsics."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxtyping import Float
+from numpy import ndarray
+
+from ...errors import InputError
+from ...geometry.camera import Camera
+
+#: suffix of each kind of recording: the libraries' name, and the module that reads it
+LIBRARIES = {".bag": "rosbags", ".db3": "rosbags", ".mkv": "av"}
+RECORDING_SUFFIXES = tuple(LIBRARIES)
+
+
+class Recording(NamedTuple):
+    """The depth images of one camera."""
+
+    #: at the origin, looking along -z, with y up
+    camera: Camera
+    count: int
+    #: loads the depth image of a frame, metres, zero where nothing was measured
+    load: Callable[[int], Float[ndarray, "H W"]]
+
+
+def is_recording(path: str | Path) -> bool:
+    """Test by its suffix if a file is a recording of a depth camera."""
+    return Path(path).suffix.lower() in RECORDING_SUFFIXES
+
+
+def open_recording(path: str | Path) -> Recording:
+    """Open a recording: `.bag` or `.db3` of a RealSense or of ROS, or `.mkv` of an Azure Kinect.
+
+    **Raises:** `InputError` if the library that reads it is not installed, or it has no depth images or no intrinsics.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; check the path.")
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".mkv":
+            from .azure_kinect import open_azure_kinect as open_file
+        else:
+            from .ros_recording import open_ros_recording as open_file
+    except ImportError:
+        raise InputError(
+            f"{path}: reading {suffix} needs the library {LIBRARIES[suffix]}, which is not installed; run "
+            "pip install -e '.[recordings]' in a checkout of jaxcap."
+        ) from None
+    return open_file(path)
