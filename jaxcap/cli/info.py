@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from ..io.depth.images import SUFFIXES as IMAGE_SUFFIXES
+from ..io.depth.recordings import RECORDING_SUFFIXES
 from ..io.kinds import identify, wrong_kind_error
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (
@@ -43,7 +44,18 @@ from .sources import is_human_spec, load_body
 #: suffixes of all files that some verb reads
 KNOWN = tuple(
     dict.fromkeys(
-        (*MOTION_READERS, *SKELETON_READERS, *MARKER_READERS, *SUFFIXES, ".cst", ".vj", ".json", ".txt")
+        (
+            *MOTION_READERS,
+            *SKELETON_READERS,
+            *MARKER_READERS,
+            *SUFFIXES,
+            ".cst",
+            ".vj",
+            ".json",
+            ".txt",
+            ".exr",
+            *RECORDING_SUFFIXES,
+        )
     )
 )
 

@@ -44,7 +44,7 @@ def make_rectification(camera: Camera) -> Rectification:
     lens = camera.lens
     if lens is None:
         raise InputError(
-            "The camera has no lens, so that its images need no rectification; use them as they are."
+            "The camera has no lens, and its images need no rectification; use them as they are."
         )
     focal, middle = np.asarray(camera.focal, float), np.asarray(camera.principal_point, float)
     size = np.array([camera.width, camera.height])

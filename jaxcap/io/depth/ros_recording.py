@@ -50,6 +50,14 @@ def open_ros_recording(path: Path) -> Recording:
         raise InputError(
             f"{path}: this cannot be read as a ROS recording ({error}); record it again."
         ) from None
+    try:
+        return _recording(path, reader)
+    except BaseException:
+        reader.close()
+        raise
+
+
+def _recording(path: Path, reader: AnyReader) -> Recording:
     topics = {one.topic: one for one in reader.connections if one.msgcount}
     depths = sorted(
         name for name, one in topics.items() if "depth" in name.lower() and one.msgtype in (IMAGE, COMPRESSED)

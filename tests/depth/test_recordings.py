@@ -1,0 +1,154 @@
+"""Recordings of depth cameras, written byte by byte or by the libraries of their formats, read frame by frame."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import fails, runs
+
+import jaxcap as jc
+from jaxcap.errors import InputError
+from jaxcap.io.cameras import read_cameras
+from jaxcap.io.depth.sequence import read_depths
+from tests.matroska import write_matroska
+
+#: those of the calibration that comes with the tests of the camera's SDK; cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1
+KINECT = (
+    0.510234, 0.500278, 0.493517, 0.493704, 0.436089, 0.068343, 0.004369, 0.773233, 0.147913, 0.020083, 0.0, 0.0, 6.4e-5, -9.0e-5,
+)  # fmt: skip
+UNITS = (1500 + np.arange(320 * 288).reshape(288, 320) % 700 + 7 * np.arange(4)[:, None, None]).astype(
+    np.uint16
+)
+SMALL = (1000 + np.arange(48 * 64).reshape(48, 64) + 9 * np.arange(3)[:, None, None]).astype(np.uint16)
+TOPIC = "/device_0/sensor_0/Depth_0"
+
+
+def kinect_calibration(model: str = "BrownConrady", numbers: tuple[float, ...] = KINECT) -> bytes:
+    inner = {"ModelType": f"CALIBRATION_LensDistortionModel{model}", "ModelParameters": list(numbers)}
+    cameras = [{"Location": "CALIBRATION_CameraLocationD0", "Intrinsics": inner}]
+    return json.dumps({"CalibrationInformation": {"Cameras": cameras}}).encode()
+
+
+def test_a_recording_of_an_azure_kinect(tmp_path):
+    path = tmp_path / "take.mkv"
+    write_matroska(path, UNITS, kinect_calibration())
+    (camera,) = read_cameras(path)
+    # half the sensor's pixels, cropped by 96 columns and 90 rows, counted from the centre of the first pixel
+    np.testing.assert_allclose(camera.focal, [512 * KINECT[2], 512 * KINECT[3]], rtol=1e-6)
+    np.testing.assert_allclose(
+        camera.principal_point, [512 * KINECT[0] - 96.5, 512 * KINECT[1] - 90.5], rtol=1e-6
+    )
+    assert (camera.width, camera.height) == (320, 288)
+    assert camera.lens is not None
+    np.testing.assert_allclose(
+        camera.lens.coefficients, [*KINECT[4:6], -9.0e-5, 6.4e-5, *KINECT[6:10]], rtol=1e-5
+    )
+    images = read_depths(path)
+    assert len(images) == 4
+    for frame in (0, 1, 3, 2, 2):
+        np.testing.assert_allclose(1000 * images[frame].depths[0], UNITS[frame], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"calibration": None}, "has no calibration"),
+        ({"calibration": b"{}"}, "no intrinsics of the depth camera"),
+        ({"calibration": kinect_calibration("Rational6KT")}, "which only prototypes"),
+        ({"calibration": kinect_calibration(numbers=(np.inf, *KINECT[1:]))}, "not finite"),
+        ({"calibration": kinect_calibration(), "name": "COLOR"}, "no track of depth"),
+    ],
+)
+def test_incomplete_recordings_of_an_azure_kinect_are_refused(options, message, tmp_path):
+    write_matroska(tmp_path / "take.mkv", UNITS[:1], **options)
+    with pytest.raises(InputError, match=message):
+        read_depths(tmp_path / "take.mkv")
+
+
+def write_bag(path, with_info: bool = True, encoding: str = "mono16") -> None:
+    """Write the topics of librealsense, with the bytes that it appends to images."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    header = types["std_msgs/msg/Header"](0, stamp, "")
+    region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    k = np.array([60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1.0])
+    with Writer(path) as writer:
+
+        def add(topic: str, kind: str, message, time: int, more: bytes = b"") -> None:
+            connection = next((one for one in writer.connections if one.topic == topic), None)
+            connection = connection or writer.add_connection(topic, kind, typestore=store)
+            writer.write(connection, time, bytes(store.serialize_ros1(message, kind)) + more)
+
+        units = types["std_msgs/msg/Float32"](0.0005)
+        add("/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/Float32", units, 1)
+        if with_info:
+            info = types["sensor_msgs/msg/CameraInfo"](
+                header, 48, 64, "Brown Conrady", np.zeros(5), k, np.zeros(9), np.zeros(12), 0, 0, region
+            )
+            add(f"{TOPIC}/info/camera_info", "sensor_msgs/msg/CameraInfo", info, 1)
+        for number, units in enumerate(SMALL):
+            data = units.view(np.uint8).reshape(-1)
+            image = types["sensor_msgs/msg/Image"](header, 48, 64, encoding, 0, 128, data)
+            # two images with one time
+            add(f"{TOPIC}/image/data", "sensor_msgs/msg/Image", image, 10 + number // 2, b"o\x12\x03:")
+
+
+def test_a_recording_of_a_realsense(tmp_path):
+    write_bag(tmp_path / "take.bag")
+    (camera,) = read_cameras(tmp_path / "take.bag")
+    np.testing.assert_allclose(camera.focal, [60.0, 61.0])
+    np.testing.assert_allclose(camera.principal_point, [31.5, 23.5])
+    assert camera.lens is None
+    images = read_depths(tmp_path / "take.bag")
+    assert len(images) == 3
+    for frame in (1, 2, 0):
+        np.testing.assert_allclose(images[frame].depths[0], 0.0005 * SMALL[frame], rtol=1e-6)
+
+
+def test_recordings_without_intrinsics_and_of_other_pixels_are_refused(tmp_path):
+    write_bag(tmp_path / "take.bag", with_info=False)
+    with pytest.raises(InputError, match="no intrinsics of the depth camera"):
+        read_depths(tmp_path / "take.bag")
+    write_bag(tmp_path / "colour.bag", encoding="rgb8")
+    with pytest.raises(InputError, match="encoding rgb8"):
+        read_depths(tmp_path / "colour.bag")[0]
+    for suffix in (".bag", ".mkv"):
+        (tmp_path / f"broken{suffix}").write_bytes(b"no recording")
+        with pytest.raises(InputError, match="cannot be read as a"):
+            read_depths(tmp_path / f"broken{suffix}")
+        with pytest.raises(InputError, match="there is no such file"):
+            read_cameras(tmp_path / f"missing{suffix}")
+
+
+def test_depths_of_renderers(tmp_path):
+    open_exr = pytest.importorskip("OpenEXR")
+    depth = np.linspace(1.0, 3.0, 48 * 64, dtype=np.float32).reshape(48, 64)
+    depth[0, 0] = 1e10
+
+    def write(name: str, channels: dict) -> None:
+        open_exr.File({"type": open_exr.scanlineimage}, channels).write(str(tmp_path / name))
+
+    write("z.exr", {"ViewLayer.Depth.Z": depth})
+    found = jc.io.read_depths(tmp_path / "z.exr")[0].depths[0]
+    np.testing.assert_allclose(found, np.where(depth < 1e3, depth, 0.0))
+    write("grey.exr", {"R": depth, "G": depth, "B": depth})
+    assert jc.io.read_depths(tmp_path / "grey.exr")[0].depths[0][1, 1] == pytest.approx(float(depth[1, 1]))
+    write("colour.exr", {"R": depth, "G": 0.5 * depth, "B": depth})
+    with pytest.raises(InputError, match="expected one of depths"):
+        jc.io.read_depths(tmp_path / "colour.exr")[0]
+    (tmp_path / "broken.exr").write_bytes(b"no image")
+    with pytest.raises(InputError, match=r"broken\.exr"):
+        jc.io.read_depths(tmp_path / "broken.exr")[0]
+
+
+def test_the_command_line_takes_the_cameras_of_recordings(tmp_path, capsys):
+    write_matroska(tmp_path / "take.mkv", UNITS, kinect_calibration())
+    printed = runs(capsys, "info", tmp_path / "take.mkv")
+    assert "the lens of the camera distorts its images" in printed and "4 depth images" in printed
+    np.savez(tmp_path / "depth.npz", depth=SMALL)
+    message = fails(capsys, "track", "human", "--depth", tmp_path / "depth.npz", "-o", tmp_path / "out")
+    assert "needs the intrinsics of the camera" in message and ".mkv" in message
