@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 from command_line import fails, runs
+from matroska import write_matroska
 
 import jaxcap as jc
 from jaxcap.errors import InputError
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.depth.sequence import read_depths
-from tests.matroska import write_matroska
 
 #: those of the calibration that comes with the tests of the camera's SDK; cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1
 KINECT = (
