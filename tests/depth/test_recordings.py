@@ -149,6 +149,7 @@ def test_the_command_line_takes_the_cameras_of_recordings(tmp_path, capsys):
     write_matroska(tmp_path / "take.mkv", UNITS, kinect_calibration())
     printed = runs(capsys, "info", tmp_path / "take.mkv")
     assert "the lens of the camera distorts its images" in printed and "4 depth images" in printed
+    assert f"track human --depth {tmp_path / 'take.mkv'} -o tracked" in printed
     np.savez(tmp_path / "depth.npz", depth=SMALL)
     message = fails(capsys, "track", "human", "--depth", tmp_path / "depth.npz", "-o", tmp_path / "out")
     assert "needs the intrinsics of the camera" in message and ".mkv" in message

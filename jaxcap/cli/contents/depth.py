@@ -38,6 +38,7 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
 
     With the intrinsics of the `camera` of that number print the floor, the background and the people in some frames.
     """
+    kind = "depth recording" if is_recording(source) else "depth"
     images = read_depths(source, depth_scale=options.scale)
     cameras = _cameras(source, options)
     if cameras and camera < len(cameras):
@@ -62,10 +63,10 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
         check_depth_scale(depth, "the first image")
     except InputError as error:
         say(user_message(error))
-        return "depth"
+        return kind
     if not cameras:
         say("the intrinsics of the camera (--cameras) are needed to find the floor and the person")
-        return "depth"
+        return kind
     if camera >= len(cameras):
         raise InputError(
             f"{options.cameras}: there are {len(cameras)} cameras; expected one for each folder of images."
@@ -74,7 +75,7 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     numbers = even_indices(len(images), MAX_EXAMINED, nearest=True).tolist()
     frames = {number: images[number] for number in numbers}
     _describe_room(cameras[camera], frames)
-    return "depth"
+    return kind
 
 
 def _cameras(source: str | Path, options: DepthOptions) -> list[Camera]:

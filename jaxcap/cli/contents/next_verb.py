@@ -51,6 +51,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "cloud": (("track human {file} -o tracked", "fits a body"),),
     "depth": _DEPTH,
     "folder of depth": _DEPTH,
+    "depth recording": (
+        ("track human --depth {file} -o tracked", "fits a body"),
+        ("view --depth {file}", "shows how the person is found"),
+    ),
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
     "skl": (("rig MESH -o body.npz --skeleton {file}", "binds a mesh to it"),),
     "cst": (("track MESH CLOUDS -o tracked --limits {file}", "enforces these limits"),),
