@@ -8,8 +8,10 @@ from command_line import fails, runs
 from matroska import write_matroska
 
 import jaxcap as jc
+from jaxcap.cli.scan.rate import find_rate
 from jaxcap.errors import InputError
 from jaxcap.io.cameras import read_cameras
+from jaxcap.io.depth.recordings import open_recording, recorded_rate
 from jaxcap.io.depth.sequence import read_depths
 
 #: those of the calibration that comes with the tests of the camera's SDK; cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1
@@ -143,6 +145,18 @@ def test_depths_of_renderers(tmp_path):
     (tmp_path / "broken.exr").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"broken\.exr"):
         jc.io.read_depths(tmp_path / "broken.exr")[0]
+
+
+def test_the_rate_of_a_recording_is_that_of_most_of_its_frames(tmp_path):
+    write_matroska(tmp_path / "take.mkv", UNITS, kinect_calibration())
+    recording = open_recording(tmp_path / "take.mkv")
+    np.testing.assert_allclose(recording.times, [0.0, 0.033, 0.067, 0.1])
+    assert recorded_rate(recording) == 30.0
+    dropped = recording._replace(times=np.array([0.0, 0.033, 0.067, 0.1, 0.3, 0.333]))
+    assert recorded_rate(dropped) == pytest.approx(30.0, abs=0.1)
+    assert recorded_rate(recording._replace(times=np.zeros(1))) is None
+    found = find_rate(None, (), (str(tmp_path / "take.mkv"),))
+    assert found.frames == 30.0 and found.file == tmp_path / "take.mkv"
 
 
 def test_the_command_line_takes_the_cameras_of_recordings(tmp_path, capsys):

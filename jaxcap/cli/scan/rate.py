@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from ...errors import InputError
+from ...io.depth.recordings import is_recording, open_recording, recorded_rate
 from ...io.kinds import identify
 from ...io.text import check_rate, read_json
 from ..console.console import say
@@ -18,7 +19,7 @@ ScanRate = Annotated[
     arg(
         metavar="RATE",
         help_behavior_hint="",
-        help=f"Frames per second. Default: the rate in {HEADER} in the folder of the clouds, else {DEFAULT_RATE:g}.",
+        help=f"Frames per second. Default: the rate in {HEADER} in the folder of the clouds or of a recording, else {DEFAULT_RATE:g}.",
     ),
 ]
 
@@ -33,7 +34,8 @@ class Rate(NamedTuple):
 def find_rate(requested: float | None, clouds: Sequence[str], images: Sequence[str] = ()) -> Rate:
     """Return the given rate, or else that of the scans, or else the default.
 
-    The scanner's file is in the folder of the clouds, or next to the folder of each camera's depth `images`.
+    The scanner's file is in the folder of the clouds, or next to the folder of each camera's depth `images`. Recordings
+    contain the times of their images.
 
     **Raises:** `InputError` if the rate next to the clouds is invalid, or there are several.
     """
@@ -41,6 +43,9 @@ def find_rate(requested: float | None, clouds: Sequence[str], images: Sequence[s
         return Rate(requested)
     folders = dict.fromkeys([*map(_folder_of, clouds), *(_folder_of(one).parent for one in images)])
     found = [rate for folder in folders if (rate := _read_rate(folder / HEADER)) is not None]
+    for path in map(Path, filter(is_recording, images)):
+        recorded = recorded_rate(open_recording(path))
+        found += [] if recorded is None else [Rate(recorded, path)]
     other = next((rate for rate in found if rate.frames != found[0].frames), None)
     if other is not None:
         raise InputError(

@@ -62,7 +62,9 @@ def open_azure_kinect(path: Path) -> Recording:
         raise InputError(f"{path}: the recording is damaged ({error}); record it again.") from None
     if not times:
         raise InputError(f"{path}: the track of depth has no images; record it again.")
-    return Recording(camera, len(times), _Frames(path, container, track, times))
+    return Recording(
+        camera, np.array(times) * float(track.time_base or 0.001), _Frames(path, container, track, times)
+    )
 
 
 class _Frames:

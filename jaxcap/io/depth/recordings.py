@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -20,9 +21,23 @@ class Recording(NamedTuple):
 
     #: at the origin, looking along -z, with y up
     camera: Camera
-    count: int
+    #: the time of each image, seconds
+    times: Float[ndarray, "F"]
     #: loads the depth image of a frame, metres, zero where nothing was measured
     load: Callable[[int], Float[ndarray, "H W"]]
+
+
+def recorded_rate(recording: Recording) -> float | None:
+    """Compute the frames per second of a recording; None if it has fewer than two, or their times do not increase.
+
+    It is that of most frames: where some were dropped, their neighbours are farther apart.
+    """
+    steps = np.diff(recording.times)
+    steps = steps[steps > 0]
+    if not len(steps):
+        return None
+    usual = steps[steps < 1.5 * np.median(steps)]
+    return round(1.0 / float(usual.mean()), 2)
 
 
 def is_recording(path: str | Path) -> bool:

@@ -73,7 +73,7 @@ def _recording(path: Path, reader: AnyReader) -> Recording:
         )
     frames = _Frames(path, reader, topics[depths[0]], _units(reader, topics, depths[0]))
     camera = camera_of_intrinsics(_intrinsics(reader, topics[info], depths[0]), str(path))
-    return Recording(camera, len(frames.times), frames)
+    return Recording(camera, 1e-9 * np.array(frames.times), frames)
 
 
 class _Frames:

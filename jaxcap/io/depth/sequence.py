@@ -123,7 +123,7 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
     if is_recording(path) and not path.is_dir():
         recording = open_recording(path)
         return _Images(
-            [f"{path}[{frame}]" for frame in range(recording.count)],
+            [f"{path}[{frame}]" for frame in range(len(recording.times))],
             lambda frame: (recording.load(frame), None),
         )
     paths = _image_files(source, DEPTH_SUFFIXES)
