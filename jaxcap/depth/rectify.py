@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..geometry.lens import Lens, distort
+from ..geometry.lens import Lens, distort, largest_radius
 
 #: largest tangent of the angle between a rectified ray and the optical axis, 75 degrees
 MAX_TANGENT = 3.7
@@ -48,7 +48,7 @@ def make_rectification(camera: Camera) -> Rectification:
         )
     focal, middle = np.asarray(camera.focal, float), np.asarray(camera.principal_point, float)
     size = np.array([camera.width, camera.height])
-    largest = _largest_radius(lens)
+    largest = float(largest_radius(lens))
     axis = np.linspace(-MAX_TANGENT, MAX_TANGENT, NUM_RAYS)
     rays = np.stack(np.meshgrid(axis, axis), -1)
     seen = _is_seen(lens, rays, focal, middle, size, largest)
@@ -57,11 +57,14 @@ def make_rectification(camera: Camera) -> Rectification:
             f"The lens with the coefficients {np.asarray(lens.coefficients).tolist()} shows nothing in its image; check the "
             "calibration."
         )
-    bounds = np.stack([rays[seen].min(0), rays[seen].max(0)])
+    # rays of the border are between those of the grid
+    step = axis[1] - axis[0]
+    bounds = np.stack([rays[seen].min(0) - step, rays[seen].max(0) + step])
     # not more than the limit of growth, on both sides of the principal point
     reach = 0.5 * MAX_GROWTH * size / focal
     low, high = np.clip(bounds, -reach, reach) * focal
     low, high = np.floor(low), np.ceil(high)
+    low, high = _crop(lens, low, high, focal, middle, size, largest)
     wide, tall = (int(n) for n in high - low + 1)
     there = np.stack(np.meshgrid(np.arange(wide), np.arange(tall)), -1) + low
     rays = there / focal
@@ -107,10 +110,17 @@ def _is_seen(
     return inside & (np.linalg.norm(rays, axis=-1) < largest)
 
 
-def _largest_radius(lens: Lens) -> float:
-    """Find the tangent of the angle up to which the distorted radius grows with the radius."""
-    radii = np.linspace(0.0, 1.5 * MAX_TANGENT, 4 * NUM_RAYS)
-    along = Lens(lens.coefficients.at[2:4].set(0.0), lens.model) if lens.model == "brown_conrady" else lens
-    bent = np.asarray(distort(along, jnp.asarray(np.stack([radii, np.zeros_like(radii)], -1))), float)[:, 0]
-    falling = np.flatnonzero(np.diff(bent) <= 0)
-    return float(radii[falling[0]]) if len(falling) else float(radii[-1])
+def _crop(
+    lens: Lens,
+    low: np.ndarray,
+    high: np.ndarray,
+    focal: np.ndarray,
+    middle: np.ndarray,
+    size: np.ndarray,
+    largest: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Narrow a range of pixels to those of rays within the recorded image."""
+    columns, rows = np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1)
+    seen = _is_seen(lens, np.stack(np.meshgrid(columns, rows), -1) / focal, focal, middle, size, largest)
+    across, down = columns[seen.any(0)], rows[seen.any(1)]
+    return np.array([across[0], down[0]]), np.array([across[-1], down[-1]])

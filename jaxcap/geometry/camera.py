@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 from ..arguments import as_jax_array, check_fields, checked
 from ..errors import InputError
 from ..value_checks import check_at_least, check_positive, concrete_values
-from .lens import Lens, distort
+from .lens import Lens, distort, largest_radius
 
 #: smallest side of an image, pixels; largest number of pixels, above that of any depth camera
 MIN_SIDE_PIXELS, MAX_PIXELS = 8, 25_000_000
@@ -65,7 +65,8 @@ def project_points(
 ) -> tuple[Float[Array, "*points 2"], Float[Array, "*points"]]:
     """Project points of the world to pixels `(column, row)` and depths along the optical axis, metres.
 
-    Where a depth is not above zero the point is behind the camera, and its pixel has no meaning.
+    Where a depth is not above zero the point is behind the camera, and its pixel has no meaning; nor has that of a ray
+    beyond the range of the camera's lens (`largest_radius`).
     """
     points_in_camera = points @ camera.rotation.T + camera.translation
     depth = points_in_camera[..., 2]
@@ -93,7 +94,13 @@ def is_in_image(camera: Camera, points: Float[Array, "*points 3"]) -> Bool[Array
     """Test which points lie in front of the camera and within its image, occluded or not."""
     pixels, depth = project_points(camera, points)
     size = jnp.array([camera.width, camera.height])
-    return (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
+    inside = (depth > 0) & jnp.all((pixels >= -0.5) & (pixels < size - 0.5), -1)
+    if camera.lens is None:
+        return inside
+    # a lens maps rays far from its axis back into the image
+    plain, _ = project_points(eqx.tree_at(lambda c: c.lens, camera, None), points)
+    radius = jnp.linalg.norm((plain - camera.principal_point) / camera.focal, axis=-1)
+    return inside & (radius < largest_radius(camera.lens))
 
 
 def check_rectified(camera: Camera, where: str = "") -> None:

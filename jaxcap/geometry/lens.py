@@ -11,6 +11,8 @@ from ..errors import InputError
 
 #: coefficients of each model, in OpenCV's order
 NUM_COEFFICIENTS = {"brown_conrady": 8, "kannala_brandt": 4}
+#: largest tangent of an angle to the optical axis, and number of them, by which the range of a lens is found
+MAX_RADIUS, NUM_RADII = 5.5, 2401
 
 
 class Lens(eqx.Module):
@@ -56,3 +58,12 @@ def _angle_ratio(c: Float[Array, "4"], squared: Float[Array, "*rays 1"]) -> Floa
     s = angle**2
     bent = angle * (1 + s * (c[0] + s * (c[1] + s * (c[2] + s * c[3]))))
     return jnp.where(squared > 1e-12, bent / jnp.sqrt(safe), 1.0)
+
+
+def largest_radius(lens: Lens) -> Float[Array, ""]:
+    """Find the tangent of the angle up to which the distorted radius grows with the radius: rays beyond have no pixel."""
+    radii = jnp.linspace(0.0, MAX_RADIUS, NUM_RADII)
+    along = Lens(lens.coefficients.at[2:4].set(0.0), lens.model) if lens.model == "brown_conrady" else lens
+    bent = distort(along, jnp.stack([radii, jnp.zeros_like(radii)], -1))[:, 0]
+    falling = jnp.diff(bent) <= 0
+    return jnp.where(falling.any(), radii[jnp.argmax(falling)], MAX_RADIUS)

@@ -15,11 +15,11 @@ def _number(code: str, value: int) -> bytes:
 
 
 def write_matroska(
-    path: Path, depths: np.ndarray, calibration: bytes | None, fourcc: bytes = b"b16g", name: str = "DEPTH"
+    path: Path, depths: np.ndarray, calibration: bytes | None, name: str = "DEPTH", dropped: int | None = None
 ) -> None:
-    """Write depths `(F, H, W)`, 16 bits in millimetres, at 30 frames per second."""
+    """Write depths `(F, H, W)`, 16 bits in millimetres, at 30 frames per second; one is missing before the `dropped` one."""
     _, height, width = depths.shape
-    bitmap = struct.pack("<IiiHH4sIiiII", 40, width, height, 1, 16, fourcc, 2 * width * height, 0, 0, 0, 0)
+    bitmap = struct.pack("<IiiHH4sIiiII", 40, width, height, 1, 16, b"b16g", 2 * width * height, 0, 0, 0, 0)
     head = _element("1A45DFA3", _element("4282", b"matroska") + _number("4287", 4) + _number("4285", 2))
     info = _element(
         "1549A966", _number("2AD7B1", 1_000_000) + _element("4D80", b"test") + _element("5741", b"test")
@@ -41,5 +41,6 @@ def write_matroska(
         parts.append(_element("1941A469", _element("61A7", file)))
     for number, depth in enumerate(depths):
         block = b"\x81" + struct.pack(">hB", 0, 0x80) + depth.astype(">u2").tobytes()
-        parts.append(_element("1F43B675", _number("E7", round(number * 1000 / 30)) + _element("A3", block)))
+        late = number + (dropped is not None and number >= dropped)
+        parts.append(_element("1F43B675", _number("E7", round(late * 1000 / 30)) + _element("A3", block)))
     path.write_bytes(head + _element("18538067", b"".join(parts)))

@@ -11,8 +11,8 @@ import pytest
 import jaxcap as jc
 from jaxcap.depth.rectify import make_rectification, rectify_depth, rectify_mask
 from jaxcap.errors import InputError
-from jaxcap.geometry.camera import Camera, look_at, project_points, unproject
-from jaxcap.geometry.lens import Lens, distort
+from jaxcap.geometry.camera import Camera, is_in_image, look_at, project_points, unproject
+from jaxcap.geometry.lens import Lens, distort, largest_radius
 from jaxcap.io.cameras import read_cameras, write_cameras
 from jaxcap.io.depth.rectify import rectify_depths
 from jaxcap.io.depth.sequence import read_depths
@@ -115,6 +115,26 @@ def test_a_point_is_projected_through_the_lens_and_only_rectified_images_are_bac
         jc.scanner.scan_scene(jc.scanner.Scanner(), [camera], [(np.eye(3), np.array([[0, 1, 2]]))])
 
 
+def test_a_lens_of_nearly_zero_keeps_the_image():
+    for focal, pixels in ((600.0, (321.7, 238.2)), (2000.0, (300.0, 250.0))):
+        lens = Lens(jnp.array([1e-7] + 7 * [0.0]))
+        camera = Camera(jnp.eye(3), jnp.zeros(3), jnp.full(2, focal), jnp.array(pixels), 640, 480, lens)
+        rectified = make_rectification(camera).camera
+        assert abs(rectified.width - 640) <= 1 and abs(rectified.height - 480) <= 1
+        np.testing.assert_allclose(rectified.principal_point, pixels, atol=1)
+
+
+def test_rays_that_the_lens_folds_are_in_no_image():
+    lens = Lens(jnp.array([-0.35] + 7 * [0.0]))
+    camera = Camera(jnp.eye(3), jnp.zeros(3), jnp.full(2, 500.0), jnp.array([319.5, 239.5]), 640, 480, lens)
+    points = jnp.array([[0.3, 0.0, 1.0], [1.5, 0.0, 1.0]])
+    # the radius r (1 - 0.35 r²) is largest at 1 / sqrt(1.05)
+    assert 0.97 < float(largest_radius(lens)) < 0.98
+    pixels, _ = project_points(camera, points)
+    assert 0 < float(pixels[1, 0]) < 640
+    np.testing.assert_array_equal(jax.jit(is_in_image)(camera, points), [True, False])
+
+
 def test_lenses_are_read_and_written_and_their_images_rectified(tmp_path):
     content = {
         "width": 160,
@@ -149,9 +169,34 @@ def test_lenses_are_read_and_written_and_their_images_rectified(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("changed", "model", "coefficients"),
+    [
+        ({"coeffs": [0, 0, 0, 0], "distortion_model": "equidistant"}, "kannala_brandt", [0, 0, 0, 0]),
+        ({"coeffs": [0, 0, 0, 0, 0], "model": 4}, None, None),
+        ({"coeffs": [0, 0, 0, 0], "model": "Kannala Brandt4"}, None, None),
+        ({"dist_coeff": [0.1, 0.2]}, "brown_conrady", [0.1, 0.2, 0, 0, 0, 0, 0, 0]),
+        ({"distortion": {"k1": 0.1, "k3": 0.3, "p2": 0.4}}, "brown_conrady", [0.1, 0, 0, 0.4, 0.3, 0, 0, 0]),
+        ({"k1": 0.1}, "brown_conrady", [0.1, 0, 0, 0, 0, 0, 0, 0]),
+        ({"dist_coeffs": [0.1, 0.2, 0.3, 0.4], "fisheye_model": 1}, "kannala_brandt", [0.1, 0.2, 0.3, 0.4]),
+    ],
+)
+def test_lenses_of_other_programs(changed, model, coefficients, tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(
+        json.dumps({"width": 64, "height": 48, "fx": 52, "fy": 52, "ppx": 31, "ppy": 23} | changed)
+    )
+    (camera,) = read_cameras(path)
+    assert (None if camera.lens is None else camera.lens.model) == model
+    if camera.lens is not None:
+        np.testing.assert_allclose(camera.lens.coefficients, coefficients)
+
+
+@pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"model": "Inverse Brown Conrady"}, "distortion model 'Inverse Brown Conrady'"),
+        ({"model": 2}, "distortion model 'inverse_brown_conrady'"),
+        ({"coeffs": {"a": 1}}, "neither 'data' nor k1"),
         ({"model": "fisheye"}, "with 5 coefficients; expected Brown"),
         ({"coeffs": [0.1, "x"]}, "are no numbers"),
         ({"coeffs": [1e9]}, "at most 1000"),

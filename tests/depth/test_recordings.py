@@ -1,11 +1,14 @@
 """Recordings of depth cameras, written byte by byte or by the libraries of their formats, read frame by frame."""
 
+import io
 import json
+import struct
 
 import numpy as np
 import pytest
 from command_line import fails, runs
 from matroska import write_matroska
+from PIL import Image
 
 import jaxcap as jc
 from jaxcap.cli.scan.rate import find_rate
@@ -67,8 +70,17 @@ def test_incomplete_recordings_of_an_azure_kinect_are_refused(options, message, 
         read_depths(tmp_path / "take.mkv")
 
 
-def write_bag(path, with_info: bool = True, encoding: str = "mono16") -> None:
-    """Write the topics of librealsense, with the bytes that it appends to images."""
+def write_bag(
+    path,
+    topic: str = f"{TOPIC}/image/data",
+    info: str = f"{TOPIC}/info/camera_info",
+    encoding: str = "mono16",
+    units: float | None = 0.0005,
+    more: bytes = b"o\x12\x03:",
+    connections: int = 1,
+    compressed: tuple[str, bytes] | None = None,
+) -> None:
+    """Write images as librealsense or ROS do; librealsense appends bytes to them."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -78,25 +90,55 @@ def write_bag(path, with_info: bool = True, encoding: str = "mono16") -> None:
     header = types["std_msgs/msg/Header"](0, stamp, "")
     region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     k = np.array([60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1.0])
+    p = np.array([50.0, 0, 30.5, 0, 0, 51.0, 22.5, 0, 0, 0, 1.0, 0])
+    d = np.array([0.1, 0, 0, 0, 0]) if "rect" in topic else np.zeros(5)
     with Writer(path) as writer:
 
-        def add(topic: str, kind: str, message, time: int, more: bytes = b"") -> None:
-            connection = next((one for one in writer.connections if one.topic == topic), None)
-            connection = connection or writer.add_connection(topic, kind, typestore=store)
-            writer.write(connection, time, bytes(store.serialize_ros1(message, kind)) + more)
+        def add(
+            name: str, kind: str, messages: list, times: list[int], more: bytes = b"", parts: int = 1
+        ) -> None:
+            open_ones = [
+                writer.add_connection(
+                    name,
+                    f"sensor_msgs/msg/{kind}" if "/" not in kind else kind,
+                    typestore=store,
+                    callerid=str(i),
+                )
+                for i in range(parts)
+            ]
+            for number, (message, time) in enumerate(zip(messages, times, strict=True)):
+                one = open_ones[number % parts]
+                writer.write(one, time, bytes(store.serialize_ros1(message, one.msgtype)) + more)
 
-        units = types["std_msgs/msg/Float32"](0.0005)
-        add("/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/Float32", units, 1)
-        if with_info:
-            info = types["sensor_msgs/msg/CameraInfo"](
-                header, 48, 64, "Brown Conrady", np.zeros(5), k, np.zeros(9), np.zeros(12), 0, 0, region
+        if units is not None:
+            message = types["std_msgs/msg/Float32"](units)
+            add("/device_0/sensor_0/option/Depth_Units/value", "std_msgs/msg/Float32", [message], [1])
+        if info:
+            message = types["sensor_msgs/msg/CameraInfo"](
+                header,
+                48,
+                64,
+                "plumb_bob",
+                d,
+                k,
+                np.zeros(9),
+                p if "rect" in topic else np.zeros(12),
+                0,
+                0,
+                region,
             )
-            add(f"{TOPIC}/info/camera_info", "sensor_msgs/msg/CameraInfo", info, 1)
-        for number, units in enumerate(SMALL):
-            data = units.view(np.uint8).reshape(-1)
-            image = types["sensor_msgs/msg/Image"](header, 48, 64, encoding, 0, 128, data)
-            # two images with one time
-            add(f"{TOPIC}/image/data", "sensor_msgs/msg/Image", image, 10 + number // 2, b"o\x12\x03:")
+            add(info, "CameraInfo", [message], [1])
+        if compressed is not None:
+            kind, data = compressed
+            message = types["sensor_msgs/msg/CompressedImage"](header, kind, np.frombuffer(data, np.uint8))
+            add(topic, "CompressedImage", [message], [10])
+            return
+        images = [
+            types["sensor_msgs/msg/Image"](header, 48, 64, encoding, 0, 128, depth.view(np.uint8).reshape(-1))
+            for depth in SMALL
+        ]
+        # two images with one time
+        add(topic, "Image", images, [10, 10, 40], more, connections)
 
 
 def test_a_recording_of_a_realsense(tmp_path):
@@ -112,7 +154,7 @@ def test_a_recording_of_a_realsense(tmp_path):
 
 
 def test_recordings_without_intrinsics_and_of_other_pixels_are_refused(tmp_path):
-    write_bag(tmp_path / "take.bag", with_info=False)
+    write_bag(tmp_path / "take.bag", info="")
     with pytest.raises(InputError, match="no intrinsics of the depth camera"):
         read_depths(tmp_path / "take.bag")
     write_bag(tmp_path / "colour.bag", encoding="rgb8")
@@ -124,6 +166,67 @@ def test_recordings_without_intrinsics_and_of_other_pixels_are_refused(tmp_path)
             read_depths(tmp_path / f"broken{suffix}")
         with pytest.raises(InputError, match="there is no such file"):
             read_cameras(tmp_path / f"missing{suffix}")
+
+
+def compress(units: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(units).save(file, format="PNG")
+    return file.getvalue()
+
+
+def test_recordings_of_ros(tmp_path):
+    ros = {"info": "/camera/depth/camera_info", "units": None, "more": b""}
+    # images of two publishers of one topic, in units of `depth_scale`
+    write_bag(tmp_path / "raw.bag", "/camera/depth/image_raw", encoding="16UC1", connections=2, **ros)
+    images = read_depths(tmp_path / "raw.bag", depth_scale=4000.0)
+    found = np.stack([frame.depths[0] for frame in images])
+    np.testing.assert_allclose(found, SMALL / 4000.0)
+    # rectified images have the projection's intrinsics and no lens, compressed or not
+    packed = ("16UC1; compressedDepth png", bytes(12) + compress(SMALL[0]))
+    for name in ("image_rect_raw", "image_rect/compressedDepth"):
+        more = {"compressed": packed} if "compressed" in name else {}
+        write_bag(tmp_path / "rect.bag", f"/camera/depth/{name}", encoding="16UC1", **ros, **more)
+        (camera,) = read_cameras(tmp_path / "rect.bag")
+        np.testing.assert_allclose([*camera.focal, *camera.principal_point], [50.0, 51.0, 30.5, 22.5])
+        assert camera.lens is None
+        np.testing.assert_allclose(read_depths(tmp_path / "rect.bag")[0].depths[0], SMALL[0] / 1000.0)
+        (tmp_path / "rect.bag").unlink()
+
+
+def test_quantised_inverse_depths_of_ros(tmp_path):
+    a, b, depth = 5000.0, -20.0, np.linspace(1.0, 4.0, 48 * 64).reshape(48, 64)
+    units = np.round(a / depth + b).astype(np.uint16)
+    data = struct.pack("<iff", 0, a, b) + compress(units)
+    ros = {"info": "/camera/depth/camera_info", "units": None, "more": b""}
+    write_bag(
+        tmp_path / "take.bag",
+        "/camera/depth/image/compressedDepth",
+        compressed=("32FC1; compressedDepth png", data),
+        **ros,
+    )
+    np.testing.assert_allclose(read_depths(tmp_path / "take.bag")[0].depths[0], depth, atol=0.003)
+    colours = np.zeros((48, 64, 3), np.uint8)
+    write_bag(
+        tmp_path / "colour.bag",
+        "/camera/depth/image/compressedDepth",
+        compressed=("png", compress(colours)),
+        **ros,
+    )
+    with pytest.raises(InputError, match="no depths of 16 bits"):
+        read_depths(tmp_path / "colour.bag")[0]
+
+
+def test_damaged_images_and_images_of_other_times_are_sentences(tmp_path):
+    write_bag(tmp_path / "take.bag")
+    data = (tmp_path / "take.bag").read_bytes()
+    broken = data.replace(b"\x06\x00\x00\x00mono16", b"\xff\xff\xff\x00mono16")
+    (tmp_path / "broken.bag").write_bytes(broken)
+    with pytest.raises(InputError, match=r"broken\.bag\[0\]: the image"):
+        read_depths(tmp_path / "broken.bag")[0]
+    write_matroska(tmp_path / "a.mkv", UNITS, kinect_calibration())
+    write_matroska(tmp_path / "b.mkv", UNITS, kinect_calibration(), dropped=2)
+    with pytest.raises(InputError, match=r"a\.mkv\[2\]: the cameras took this image 0\.03"):
+        read_depths([tmp_path / "a.mkv", tmp_path / "b.mkv"])
 
 
 def test_depths_of_renderers(tmp_path):

@@ -14,6 +14,8 @@ from .folder import HEADER
 
 #: default rate, frames per second
 DEFAULT_RATE = 30.0
+#: relative difference of rates that are the same, as clocks of cameras measure them
+SAME_RATE = 0.02
 ScanRate = Annotated[
     float | None,
     arg(
@@ -46,7 +48,7 @@ def find_rate(requested: float | None, clouds: Sequence[str], images: Sequence[s
     for path in map(Path, filter(is_recording, images)):
         recorded = recorded_rate(open_recording(path))
         found += [] if recorded is None else [Rate(recorded, path)]
-    other = next((rate for rate in found if rate.frames != found[0].frames), None)
+    other = next((r for r in found if abs(r.frames - found[0].frames) > SAME_RATE * found[0].frames), None)
     if other is not None:
         raise InputError(
             f"{other.file}: the rate of these scans is {other.frames:g}, and that of {found[0].file} is {found[0].frames:g} "

@@ -80,12 +80,18 @@ class _Frames:
                 if frame != self.next:
                     self.container.seek(self.times[frame], stream=self.track)
                     self.decoded = self.container.decode(self.track)
-                image = next(one for one in self.decoded if one.pts == self.times[frame])
-            except (FFmpegError, StopIteration) as error:
+                image = next(one for one in self.decoded if one.pts == self.times[frame]).to_ndarray()
+            except (FFmpegError, StopIteration, ValueError) as error:
                 self.next = -1
-                raise InputError(f"{self.path}: image {frame} cannot be decoded ({error}).") from None
+                raise InputError(
+                    f"{self.path}[{frame}]: the image cannot be decoded ({error}); record it again."
+                ) from None
             self.next = frame + 1
-            return image.to_ndarray() / UNITS
+            if image.ndim != 2 or image.dtype != np.uint16:
+                raise InputError(
+                    f"{self.path}[{frame}]: the image has no depths of 16 bits; record it again."
+                )
+            return image / UNITS
 
 
 def _camera(calibration: bytes, size: tuple[int, int], where: str) -> Camera:

@@ -13,7 +13,10 @@ from ..kinds import INTRINSICS_KEYS
 #: rotation of a camera without extrinsics, at the origin: it looks along -z, with y up
 FORWARD = np.diag([1.0, -1.0, -1.0])
 #: names of the distortion coefficients, and of their model
-COEFFICIENT_KEYS = ("coeffs", "distortion_coefficients", "dist_coeffs", "distortion")
+COEFFICIENT_KEYS = (
+    "coeffs", "distortion_coefficients", "dist_coeffs", "dist_coeff", "distortion", "dist", "D",
+)  # fmt: skip
+COEFFICIENT_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 MODEL_KEYS = ("distortion_model", "model")
 #: the models by their names in OpenCV, ROS and RealSense, without spaces and in lower case
 LENS_MODELS: dict[str, Literal["brown_conrady", "kannala_brandt"]] = {
@@ -23,6 +26,10 @@ LENS_MODELS: dict[str, Literal["brown_conrady", "kannala_brandt"]] = {
     ),
     **dict.fromkeys(("fisheye", "equidistant", "kannalabrandt", "kannalabrandt4"), "kannala_brandt"),
 }
+#: RealSense's models by their numbers
+REALSENSE_MODELS = (
+    "none", "modified_brown_conrady", "inverse_brown_conrady", "ftheta", "brown_conrady", "kannala_brandt4",
+)  # fmt: skip
 #: largest coefficient; those of the Azure Kinect reach 5
 MAX_COEFFICIENT = 1000.0
 
@@ -92,10 +99,14 @@ def make_lens(coefficients: object, model: str, where: str) -> Lens | None:
         raise InputError(
             f"{where}: the distortion coefficients are no numbers ({error}); write numbers."
         ) from None
-    if not np.any(numbers != 0):
-        return None
     name = "".join(letter for letter in model.lower() if letter.isalnum()).removeprefix("distortion")
     known = LENS_MODELS.get(name)
+    # a fisheye lens with zeros is the ideal one, which is no pinhole; RealSense writes zeros for images without distortion
+    is_ideal = known == "kannala_brandt" and len(numbers) >= 4 and not name.endswith("4")
+    if not np.any(numbers != 0) and not is_ideal:
+        return None
+    if name == "modifiedbrownconrady" and np.any(numbers[2:4] != 0):
+        known = None
     count = 0 if known is None else NUM_COEFFICIENTS[known]
     # OpenCV's next coefficients are of thin prisms and tilted sensors
     if known is None or np.any(numbers[count:] != 0):
@@ -113,7 +124,17 @@ def make_lens(coefficients: object, model: str, where: str) -> Lens | None:
 
 
 def _lens(content: dict[str, Any], where: str) -> Lens | None:
-    found = next((content[name] for name in COEFFICIENT_KEYS if name in content), [])
-    found = found.get("data", []) if isinstance(found, dict) else found
-    model = next((content[name] for name in MODEL_KEYS if isinstance(content.get(name), str)), "")
-    return make_lens(found, model, where)
+    found = next((content[name] for name in COEFFICIENT_KEYS if name in content), content)
+    if isinstance(found, dict):
+        named = [float(found.get(name, 0.0)) for name in COEFFICIENT_NAMES]
+        if found is not content and "data" not in found and not set(found) & set(COEFFICIENT_NAMES):
+            raise InputError(
+                f"{where}: the distortion has neither 'data' nor {', '.join(COEFFICIENT_NAMES)}; write the coefficients as a list."
+            )
+        found = found.get("data", named)
+    model = next((content[name] for name in MODEL_KEYS if name in content), "")
+    if isinstance(model, int):
+        model = REALSENSE_MODELS[model] if 0 <= model < len(REALSENSE_MODELS) else str(model)
+    if content.get("fisheye_model"):
+        model = "fisheye"
+    return make_lens(found, str(model), where)

@@ -37,7 +37,8 @@ def read_exr_depth(path: str | Path) -> Float[np.ndarray, "H W"]:
         raise InputError(f"{path}: there is no such file; check the path.")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+            parts = [file.channels(number) for number in range(len(file.parts))]
+            channels = {name: np.asarray(one.pixels) for part in parts for name, one in part.items()}
     except Exception as error:  # a parser of another library: whatever it raises is a fault of the file
         raise InputError(f"{path}: the image cannot be read: {error}.") from None
     depth = _depth_channel(channels)

@@ -1,5 +1,6 @@
 """Recordings of RealSense cameras and of ROS (.bag, .db3), by rosbags."""
 
+import contextlib
 import io
 import struct
 import threading
@@ -13,7 +14,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from ...errors import InputError
-from ...geometry.camera import MAX_PIXELS
+from ...geometry.camera import MAX_PIXELS, check_image_size
 from .images import depths_in_metres
 from .intrinsics import camera_of_intrinsics
 from .recordings import Recording
@@ -25,8 +26,6 @@ IMAGE, COMPRESSED, CAMERA_INFO = (
 ENCODINGS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 #: first bytes of a PNG
 PNG = b"\x89PNG"
-#: units of depth in a metre where the recording does not have them, as ROS prescribes
-UNITS = 1000.0
 
 
 class _Image(NamedTuple):
@@ -38,8 +37,10 @@ class _Image(NamedTuple):
     data: bytes
 
 
-def open_ros_recording(path: Path) -> Recording:
-    """Open a recording of a RealSense camera (librealsense) or of ROS 1 or 2, with its first topic of depth images.
+def open_ros_recording(path: Path, units: float) -> Recording:
+    """Open a recording of a RealSense camera (librealsense) or of ROS 1 or 2, with one topic of depth images.
+
+    **Arguments:** `units`, the number of the images' units in a metre, where the recording does not have it.
 
     **Raises:** `InputError` if the file is damaged, or has no depth images or no intrinsics of their camera.
     """
@@ -51,16 +52,29 @@ def open_ros_recording(path: Path) -> Recording:
             f"{path}: this cannot be read as a ROS recording ({error}); record it again."
         ) from None
     try:
-        return _recording(path, reader)
-    except BaseException:
-        reader.close()
+        return _recording(path, reader, units)
+    except InputError:
+        _close(reader)
         raise
+    except Exception as error:  # a parser of another library: whatever it raises is a fault of the file
+        _close(reader)
+        raise InputError(f"{path}: the recording is damaged ({error}); record it again.") from None
 
 
-def _recording(path: Path, reader: AnyReader) -> Recording:
-    topics = {one.topic: one for one in reader.connections if one.msgcount}
+def _close(reader: AnyReader) -> None:
+    with contextlib.suppress(AnyReaderError):
+        reader.close()
+
+
+def _recording(path: Path, reader: AnyReader, units: float) -> Recording:
+    topics: dict[str, list[Any]] = {}
+    for one in reader.connections:
+        if one.msgcount:
+            topics.setdefault(one.topic, []).append(one)
     depths = sorted(
-        name for name, one in topics.items() if "depth" in name.lower() and one.msgtype in (IMAGE, COMPRESSED)
+        name
+        for name, (one, *_) in topics.items()
+        if "depth" in name.lower() and one.msgtype in (IMAGE, COMPRESSED)
     )
     if not depths:
         raise InputError(
@@ -71,38 +85,66 @@ def _recording(path: Path, reader: AnyReader) -> Recording:
         raise InputError(
             f"{path}: the recording has no intrinsics of the depth camera ({depths[0]}); record its camera_info too."
         )
-    frames = _Frames(path, reader, topics[depths[0]], _units(reader, topics, depths[0]))
     camera = camera_of_intrinsics(_intrinsics(reader, topics[info], depths[0]), str(path))
+    frames = _Frames(path, reader, topics[depths[0]], _units(reader, topics, depths[0], units))
     return Recording(camera, 1e-9 * np.array(frames.times), frames)
 
 
 class _Frames:
     """Loads the images of a topic by their times."""
 
-    def __init__(self, path: Path, reader: AnyReader, connection: Any, units: float):
-        self.path, self.reader, self.connection, self.units = path, reader, connection, units
+    def __init__(self, path: Path, reader: AnyReader, connections: list[Any], units: float):
+        self.path, self.reader, self.connections, self.units = path, reader, connections, units
         self.lock = threading.Lock()
-        weakref.finalize(self, reader.close)
-        self.times = [time for _, time, _ in reader.messages([connection])]
+        weakref.finalize(self, _close, reader)
+        self.times = [time for _, time, _ in reader.messages(connections)]
 
     def __call__(self, frame: int) -> Float[np.ndarray, "H W"]:
         where = f"{self.path}[{frame}]"
-        with self.lock:
-            time = self.times[frame]
-            # several messages can have one time: count those before
-            skipped = frame - self.times.index(time)
-            found = [raw for _, _, raw in self.reader.messages([self.connection], start=time, stop=time + 1)]
-        raw = bytes(found[skipped])
-        if self.connection.msgtype == COMPRESSED:
-            return depths_in_metres(_decompress(raw, where), self.units)
-        return depths_in_metres(_pixels(self._parse(raw), where), self.units)
+        time = self.times[frame]
+        # several messages can have one time: count those before
+        skipped = frame - self.times.index(time)
+        try:
+            with self.lock:
+                found = list(self.reader.messages(self.connections, start=time, stop=time + 1))
+                connection, _, raw = found[skipped]
+                if connection.msgtype == COMPRESSED:
+                    return self._decompress(bytes(raw), where)
+                return depths_in_metres(_pixels(self._parse(bytes(raw)), where), self.units)
+        except InputError:
+            raise
+        except Exception as error:  # a parser of another library: whatever it raises is a fault of the file
+            raise InputError(f"{where}: the image cannot be read ({error}); record it again.") from None
 
     def _parse(self, raw: bytes) -> _Image:
         if self.reader.is2:
-            image: Any = self.reader.deserialize(raw, self.connection.msgtype)
+            image: Any = self.reader.deserialize(raw, IMAGE)
             fields = image.height, image.width, image.encoding, bool(image.is_bigendian), image.step
             return _Image(*fields, bytes(image.data))
         return _parse_ros1(raw)
+
+    def _decompress(self, raw: bytes, where: str) -> Float[np.ndarray, "H W"]:
+        """Decompress as ROS's `compressed_depth_image_transport` compresses."""
+        from PIL import Image
+
+        message: Any = self.reader.deserialize(raw, COMPRESSED)
+        data = bytes(message.data)
+        start = data.find(PNG)
+        if start < 0:
+            raise InputError(
+                f"{where}: the image is not compressed as PNG; record depth images without compression."
+            )
+        with Image.open(io.BytesIO(data[start:])) as opened:
+            check_image_size(opened.width, opened.height, where)
+            image = np.array(opened)
+        if image.ndim != 2 or image.dtype.kind not in "iu" or image.dtype.itemsize < 2:
+            raise InputError(f"{where}: the compressed image has no depths of 16 bits; record depth images.")
+        if message.format.startswith("32FC1"):
+            # numbers of the quantised inverse depth, after the number of the format
+            a, b = struct.unpack_from("<ff", data, 4)
+            apart = image.astype(float) - b
+            return depths_in_metres(np.where(apart > 0, a / np.where(apart > 0, apart, 1.0), 0.0), 1.0)
+        return depths_in_metres(image, self.units)
 
 
 def _parse_ros1(raw: bytes) -> _Image:
@@ -135,53 +177,47 @@ def _pixels(image: _Image, where: str) -> np.ndarray:
     return np.ascontiguousarray(rows[:, :width]).view(kind)
 
 
-def _decompress(raw: bytes, where: str) -> np.ndarray:
-    from PIL import Image
-
-    start = raw.find(PNG)
-    if start < 0:
-        raise InputError(
-            f"{where}: the image is not compressed as PNG; record depth images without compression."
-        )
-    try:
-        with Image.open(io.BytesIO(raw[start:])) as image:
-            return np.array(image)
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{where}: the image cannot be read: {error}.") from None
+def _topic_of_images(depth: str) -> str:
+    """Return the name of a topic without that of its compression."""
+    return depth.removesuffix("/compressedDepth").removesuffix("/compressed")
 
 
-def _info_topic(depth: str, topics: dict[str, Any]) -> str | None:
+def _info_topic(depth: str, topics: dict[str, list[Any]]) -> str | None:
     """Find the topic of the intrinsics of a topic of images, by the names of librealsense and of ROS."""
-    base = depth.removesuffix("/compressedDepth")
-    parent = base.rsplit("/", 1)[0]
+    parent = _topic_of_images(depth).rsplit("/", 1)[0]
     names = (f"{parent}/camera_info", f"{parent.rsplit('/', 1)[0]}/info/camera_info")
-    return next((one for one in names if one in topics and topics[one].msgtype == CAMERA_INFO), None)
+    return next((one for one in names if one in topics and topics[one][0].msgtype == CAMERA_INFO), None)
 
 
-def _intrinsics(reader: AnyReader, connection: Any, depth: str) -> dict[str, Any]:
-    """Read intrinsics, with the names of OpenCV; ROS gives rectified images (`image_rect`) those of `P`."""
-    message: Any = _first(reader, connection)
-    k = np.asarray(message.K if hasattr(message, "K") else message.k, float)
-    d = np.asarray(message.D if hasattr(message, "D") else message.d, float)
+def _intrinsics(reader: AnyReader, connections: list[Any], depth: str) -> dict[str, Any]:
+    """Read intrinsics, with the names of OpenCV: those of `P` without a lens for rectified images (`image_rect`)."""
+    message: Any = _first(reader, connections)
+
+    def numbers(name: str) -> np.ndarray:
+        return np.asarray(
+            getattr(message, name) if hasattr(message, name) else getattr(message, name.lower()), float
+        )
+
+    rectified = "rect" in _topic_of_images(depth).rsplit("/", 1)[-1]
+    projection = numbers("P").reshape(3, 4)[:, :3]
+    # librealsense writes no projection
+    matrix = projection if rectified and projection[0, 0] > 0 else numbers("K").reshape(3, 3)
     return {
-        "camera_matrix": k.reshape(3, 3).tolist(),
-        "distortion_coefficients": [] if "rect" in depth.rsplit("/", 1)[-1] else d.tolist(),
+        "camera_matrix": matrix.tolist(),
+        "distortion_coefficients": [] if rectified else numbers("D").tolist(),
         "distortion_model": message.distortion_model,
         "width": int(message.width),
         "height": int(message.height),
     }
 
 
-def _units(reader: AnyReader, topics: dict[str, Any], depth: str) -> float:
+def _units(reader: AnyReader, topics: dict[str, list[Any]], depth: str, default: float) -> float:
     """Read the units of depth in a metre, which librealsense writes."""
     sensor = "/".join(depth.split("/")[:3])
     name = f"{sensor}/option/Depth_Units/value"
-    return UNITS if name not in topics else 1.0 / float(_first(reader, topics[name]).data)
+    return default if name not in topics else 1.0 / float(_first(reader, topics[name]).data)
 
 
-def _first(reader: AnyReader, connection: Any) -> Any:
-    _, _, raw = next(iter(reader.messages([connection])))
-    try:
-        return reader.deserialize(raw, connection.msgtype)
-    except AnyReaderError as error:
-        raise InputError(f"{connection.topic}: the message cannot be read ({error}).") from None
+def _first(reader: AnyReader, connections: list[Any]) -> Any:
+    connection, _, raw = next(iter(reader.messages(connections)))
+    return reader.deserialize(raw, connection.msgtype)

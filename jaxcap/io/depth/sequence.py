@@ -73,6 +73,7 @@ def read_depths(
                 f"{names[0]}: this sequence has {len(names)} images, but {cameras[0].names[0]} has {count}; "
                 "give as many images of each camera."
             )
+    _check_simultaneous(cameras)
     chosen = select_range(list(range(count)), first, last, cameras[0].names[0])
 
     def load(number: int) -> DepthFrame:
@@ -101,6 +102,25 @@ class _Images(NamedTuple):
 
     names: list[str]
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]]
+    #: the time of each, seconds, if it is known
+    times: Float[np.ndarray, "F"] | None = None
+
+
+def _check_simultaneous(cameras: Sequence[_Images]) -> None:
+    """Check that frames of recordings with as many images were taken at one time: none has dropped another one.
+
+    **Raises:** `InputError` for the first frame that is not.
+    """
+    times = [camera.times - camera.times[0] for camera in cameras if camera.times is not None]
+    for other in times[1:]:
+        apart = np.abs(other - times[0])
+        steps = np.diff(times[0])
+        late = np.flatnonzero(apart > 0.5 * np.median(steps)) if len(steps) else []
+        if len(late):
+            raise InputError(
+                f"{cameras[0].names[late[0]]}: the cameras took this image {apart[late[0]]:.3f} s apart, counted from the first "
+                "ones; a camera has dropped images. Cut the recordings there, or give images that were taken at one time."
+            )
 
 
 def _check_mask(mask: Bool[np.ndarray, "h w"], path: Path, depth: Float[np.ndarray, "H W"], of: str) -> None:
@@ -121,10 +141,11 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
     if path.suffix.lower() == ".npz" and not path.is_dir():
         return _stack(path, depth_scale)
     if is_recording(path) and not path.is_dir():
-        recording = open_recording(path)
+        recording = open_recording(path, depth_scale)
         return _Images(
             [f"{path}[{frame}]" for frame in range(len(recording.times))],
             lambda frame: (recording.load(frame), None),
+            recording.times,
         )
     paths = _image_files(source, DEPTH_SUFFIXES)
 
