@@ -13,6 +13,7 @@ from ..arguments import checked
 from ..body.body import Body, take_vertices
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
+from ..compiled import forget_many_compiled
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
@@ -287,6 +288,8 @@ def _settled(state: LearnState, stage: _Stage) -> bool:
 
 
 def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
+    # each number of joints has its own compiled functions
+    forget_many_compiled()
     poses, targets = state.motion.poses, stage.meshes.vertices
     # the first update on a mesh needs more sweeps
     far = far or not _has(state, stage, "weights")
