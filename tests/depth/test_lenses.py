@@ -51,7 +51,7 @@ def test_rays_are_distorted_as_opencv_documents():
 
 
 def distorted(lens: Lens, scene: RayMesh) -> tuple[Camera, np.ndarray]:
-    """What a camera with the lens records: each pixel takes the nearest one of a wide picture without a lens."""
+    """Simulate the recorded image: each pixel takes the nearest pixel of a wide image without a lens."""
     wide = dataclasses.replace(
         CAMERA,
         width=WIDTH + 2 * MORE,

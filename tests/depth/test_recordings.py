@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -191,6 +192,18 @@ def test_recordings_of_ros(tmp_path):
         assert camera.lens is None
         np.testing.assert_allclose(read_depths(tmp_path / "rect.bag")[0].depths[0], SMALL[0] / 1000.0)
         (tmp_path / "rect.bag").unlink()
+
+
+def test_several_topics_of_depth_images_are_refused(tmp_path):
+    from jaxcap.io.depth.ros_recording import COMPRESSED, IMAGE, choose_topic
+
+    one = SimpleNamespace(msgtype=IMAGE)
+    topics = {"/a/depth/image": [one], "/b/depth/image": [SimpleNamespace(msgtype=COMPRESSED)]}
+    assert choose_topic({"/a/depth/image": [one]}, tmp_path) == "/a/depth/image"
+    with pytest.raises(
+        InputError, match=r"several topics of depth images \(/a/depth/image, /b/depth/image\)"
+    ):
+        choose_topic(topics, tmp_path)
 
 
 def test_quantised_inverse_depths_of_ros(tmp_path):

@@ -11,7 +11,7 @@ from numpy import ndarray
 from ...errors import InputError
 from ...geometry.camera import Camera
 
-#: suffix of each kind of recording: the libraries' name, and the module that reads it
+#: the library that reads each kind of recording, by its suffix
 LIBRARIES = {".bag": "rosbags", ".db3": "rosbags", ".mkv": "av"}
 RECORDING_SUFFIXES = tuple(LIBRARIES)
 
@@ -30,7 +30,7 @@ class Recording(NamedTuple):
 def recorded_rate(recording: Recording) -> float | None:
     """Compute the frames per second of a recording; None if it has fewer than two, or their times do not increase.
 
-    It is that of most frames: where some were dropped, their neighbours are farther apart.
+    Intervals that are much longer than the median, in which images were dropped, do not count.
     """
     steps = np.diff(recording.times)
     steps = steps[steps > 0]

@@ -71,6 +71,19 @@ def _recording(path: Path, reader: AnyReader, units: float) -> Recording:
     for one in reader.connections:
         if one.msgcount:
             topics.setdefault(one.topic, []).append(one)
+    depth = choose_topic(topics, path)
+    info = _info_topic(depth, topics)
+    if info is None:
+        raise InputError(
+            f"{path}: the recording has no intrinsics of the depth camera ({depth}); record its camera_info too."
+        )
+    camera = camera_of_intrinsics(_intrinsics(reader, topics[info], depth), str(path))
+    frames = _Frames(path, reader, topics[depth], _units(reader, topics, depth, units))
+    return Recording(camera, 1e-9 * np.array(frames.times), frames)
+
+
+def choose_topic(topics: dict[str, list[Any]], path: Path) -> str:
+    """Choose the topic of depth images by its name and type. Raises `InputError` if there is none, or several."""
     depths = sorted(
         name
         for name, (one, *_) in topics.items()
@@ -80,14 +93,12 @@ def _recording(path: Path, reader: AnyReader, units: float) -> Recording:
         raise InputError(
             f"{path}: the recording has no depth images; it has {', '.join(sorted(topics)[:8])}."
         )
-    info = _info_topic(depths[0], topics)
-    if info is None:
+    if len(depths) > 1:
         raise InputError(
-            f"{path}: the recording has no intrinsics of the depth camera ({depths[0]}); record its camera_info too."
+            f"{path}: the recording has several topics of depth images ({', '.join(depths)}); write one of them, with its "
+            "camera_info, to another recording."
         )
-    camera = camera_of_intrinsics(_intrinsics(reader, topics[info], depths[0]), str(path))
-    frames = _Frames(path, reader, topics[depths[0]], _units(reader, topics, depths[0], units))
-    return Recording(camera, 1e-9 * np.array(frames.times), frames)
+    return depths[0]
 
 
 class _Frames:
@@ -142,8 +153,10 @@ class _Frames:
         if message.format.startswith("32FC1"):
             # numbers of the quantised inverse depth, after the number of the format
             a, b = struct.unpack_from("<ff", data, 4)
-            apart = image.astype(float) - b
-            return depths_in_metres(np.where(apart > 0, a / np.where(apart > 0, apart, 1.0), 0.0), 1.0)
+            denominator = image.astype(float) - b
+            return depths_in_metres(
+                np.where(denominator > 0, a / np.where(denominator > 0, denominator, 1.0), 0.0), 1.0
+            )
         return depths_in_metres(image, self.units)
 
 

@@ -113,12 +113,12 @@ def _check_simultaneous(cameras: Sequence[_Images]) -> None:
     """
     times = [camera.times - camera.times[0] for camera in cameras if camera.times is not None]
     for other in times[1:]:
-        apart = np.abs(other - times[0])
+        difference = np.abs(other - times[0])
         steps = np.diff(times[0])
-        late = np.flatnonzero(apart > 0.5 * np.median(steps)) if len(steps) else []
-        if len(late):
+        dropped = np.flatnonzero(difference > 0.5 * np.median(steps)) if len(steps) else []
+        if len(dropped):
             raise InputError(
-                f"{cameras[0].names[late[0]]}: the cameras took this image {apart[late[0]]:.3f} s apart, counted from the first "
+                f"{cameras[0].names[dropped[0]]}: the cameras took this image {difference[dropped[0]]:.3f} s apart, counted from the first "
                 "ones; a camera has dropped images. Cut the recordings there, or give images that were taken at one time."
             )
 
