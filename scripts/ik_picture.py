@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import jaxcap as jc
-from benchmarks._browser import launch_browser, open_page, project_to_page, wait_for_node
+from benchmarks.view._browser import launch_browser, open_page, project_to_page, wait_for_node
 from jaxcap.edit.ik import session as ik
 from jaxcap.view.ik.window import IkWindow, serve_ik
 from jaxcap.view.windows.serve import address, close_server, open_server

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._depth import FOCAL, depth_frames, fit_frames
 from benchmarks._scenes import shared_folder, takes_of
-from benchmarks._stereo import ARM, descendants, simulate_arm
-from benchmarks.limits_track import (
+from benchmarks.limits._depth import FOCAL, depth_frames, fit_frames
+from benchmarks.limits._stereo import ARM, descendants, simulate_arm
+from benchmarks.limits.limits_track import (
     LIMITED_JOINTS,
     TAKES,
     arm_pairs,

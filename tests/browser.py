@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from benchmarks._browser import GEOMETRY, find_chromium, launch_browser, open_page
-from benchmarks._browser import wait_for_node as wait_for_node
+from benchmarks.view._browser import GEOMETRY, find_chromium, launch_browser, open_page
+from benchmarks.view._browser import wait_for_node as wait_for_node
 
 #: small, as every pixel is drawn by the processor; the controls take a third of it
 SIZE = (960, 480)

@@ -17,7 +17,7 @@ from scripts.house import (
 MOST_FILES, MOST_LINES, MEDIAN = 15, 400, 120
 
 
-@pytest.mark.parametrize("top", ["jaxcap", "tests"])
+@pytest.mark.parametrize("top", ["jaxcap", "tests", "benchmarks", "scripts"])
 def test_a_folder_holds_one_idea(top):
     assert {name: count for name, count in files_of_folders(top).items() if count > MOST_FILES} == {}
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from command_line import fails
 
-from benchmarks._fuzz_damage import damage
-from benchmarks._fuzz_nasty import bomb, nasty_files
-from benchmarks._fuzz_read import FAULTS, outcome
-from benchmarks._fuzz_scenes import gltf, gltf_bytes
-from benchmarks._fuzz_seeds import FORMATS, make_seeds
+from benchmarks.files._fuzz_damage import damage
+from benchmarks.files._fuzz_nasty import bomb, nasty_files
+from benchmarks.files._fuzz_read import FAULTS, outcome
+from benchmarks.files._fuzz_scenes import gltf, gltf_bytes
+from benchmarks.files._fuzz_seeds import FORMATS, make_seeds
 from jaxcap.cli.console.errors import report_errors
 from jaxcap.errors import InputError, is_user_error
 from jaxcap.geometry.camera import look_at

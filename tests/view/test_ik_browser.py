@@ -11,8 +11,8 @@ from browser import chromium, vertices, wait_for_node
 from PIL import Image
 
 import jaxcap as jc
-from benchmarks._browser import project_to_page as on_page
-from benchmarks._browser import wait_for_camera
+from benchmarks.view._browser import project_to_page as on_page
+from benchmarks.view._browser import wait_for_camera
 from jaxcap.edit.ik import session as ik
 from jaxcap.edit.ik.solve_ik import SOLVERS
 from jaxcap.view.ik.controls import SOLVERS as LABELS

@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from benchmarks._browser import find_chromium
-from benchmarks._exchange import Case, chain, make_truth
-from benchmarks._programs.run import in_blender, validate
-from benchmarks.exchange import check_blender, check_three, check_usd, check_validator, compare, prepare_case
+from benchmarks.files._exchange import Case, chain, make_truth
+from benchmarks.files._programs.run import in_blender, validate
+from benchmarks.files.exchange import (
+    check_blender,
+    check_three,
+    check_usd,
+    check_validator,
+    compare,
+    prepare_case,
+)
 from benchmarks.report import missed_limits
+from benchmarks.view._browser import find_chromium
 from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.skin import swing_twist_from
 
