@@ -59,10 +59,10 @@ class Fit:
 
     def run(self) -> None:
         check_npz(self.out, self.overwrite)
-        check_rate(self.rate)
+        check_rate_option(self.rate)
         body, _ = load_body(self.body, unit=self.unit)
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
-        check_size(body, sequence, self.meshes[0])
+        check_mesh_size(body, sequence, self.meshes[0])
         terms = read_terms(
             body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
         )
@@ -91,13 +91,13 @@ def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool
     return rows[0].shape == rows[1].shape and bool((rows[0] == rows[1]).all())
 
 
-def check_rate(rate: float | None) -> None:
+def check_rate_option(rate: float | None) -> None:
     """Check a rate. Raises `InputError` if it is not positive and finite."""
     if rate is not None and not 0 < rate < np.inf:
         raise InputError(f"--rate is {rate:g}; it must be above 0 meshes per second.")
 
 
-def check_size(body: Body, sequence: MeshSequence, where: str) -> None:
+def check_mesh_size(body: Body, sequence: MeshSequence, where: str) -> None:
     """Check that meshes were read in the right unit. Raises `InputError`."""
     there = float(np.median(np.ptp(np.asarray(sequence.vertices, float), axis=1).max(1)))
     here = float(np.ptp(np.asarray(body.vertices, float), axis=0).max())

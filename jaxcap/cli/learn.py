@@ -29,7 +29,7 @@ from .console.console import say, warn
 from .console.heartbeat import set_activity
 from .console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg
 from .console.rounds import RoundProgress
-from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate
+from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate_option
 from .motions import load_skeleton
 from .outputs import check_npz, check_parent, is_run_complete, make_folder
 from .scoring import mesh_hashes, print_scores, score_motion
@@ -150,7 +150,7 @@ class Learn:
         for name, (value, fine, what) in wrong.items():
             if not fine:
                 raise InputError(f"{name} is {value:g}; it must be {what}.")
-        check_rate(self.rate)
+        check_rate_option(self.rate)
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.pairs is not None and not self.symmetry:

@@ -9,7 +9,7 @@ import tyro
 
 from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
-from ..io.meshes.mesh import check_mesh, check_size, read_mesh
+from ..io.meshes.mesh import check_body_size, check_mesh, read_mesh
 from ..rig.rig import rig_mesh
 from .console.console import say
 from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
@@ -47,7 +47,7 @@ class Rig:
         mesh = read_mesh(self.mesh, self.unit)
         check_mesh(mesh, self.mesh)
         vertices = mesh.vertices @ up_rotation(self.up).T
-        check_size(float(np.ptp(vertices, axis=0).max()), self.mesh, self.unit)
+        check_body_size(float(np.ptp(vertices, axis=0).max()), self.mesh, self.unit)
         skeleton = None
         if self.skeleton is not None:
             skeleton = upright_skeleton(load_skeleton(self.skeleton, self.unit), self.up)

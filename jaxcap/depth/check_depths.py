@@ -13,10 +13,10 @@ MIN_MEDIAN, MAX_MEDIAN, USUAL_MEDIAN = 0.1, 30.0, 2.0
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
     """Check that an image has the size of its camera's images, without distortion. Raises `InputError`."""
     check_rectified(camera, where)
-    check_size(camera, image, name, where)
+    check_image_size(camera, image, name, where)
 
 
-def check_size(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
+def check_image_size(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
     """Check that an image has the size of its camera's images, distorted or not. Raises `InputError`."""
     if image.shape != (camera.height, camera.width):
         raise InputError(

@@ -26,7 +26,7 @@ from .markers.c3d import read_c3d_file, write_c3d
 from .markers.marker_file import BODY_SIZE_RANGE, MarkerFile, check_marker_extent, select_subject
 from .markers.marker_table import read_marker_table, write_marker_table
 from .markers.trc import read_trc, write_trc
-from .meshes.mesh import SUFFIXES, check_mesh, check_size, read_mesh
+from .meshes.mesh import SUFFIXES, check_body_size, check_mesh, read_mesh
 from .skeletons.amass import is_amass, read_amass, write_amass
 from .skeletons.amc import read_amc
 from .skeletons.asf import read_asf
@@ -213,7 +213,7 @@ def read_body(
         )
     mesh = read_mesh(file, unit)
     check_mesh(mesh, path)
-    check_size(float((mesh.vertices.max(0) - mesh.vertices.min(0)).max()), path, unit)
+    check_body_size(float((mesh.vertices.max(0) - mesh.vertices.min(0)).max()), path, unit)
     tree = read_skeleton(skeleton, unit)
     bones = read_vj(parts, tree, len(mesh.vertices))
     return Body(tree, RigidSkin(jnp.asarray(bones)), jnp.asarray(mesh.vertices), jnp.asarray(mesh.faces))

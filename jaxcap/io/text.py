@@ -109,7 +109,7 @@ def shortened(word: str) -> str:
     return word if len(word) <= 60 else f"{word[:40]}...{word[-10:]}"
 
 
-def check_rate(rate: float, where: str) -> float:
+def check_frame_rate(rate: float, where: str) -> float:
     """Check a frame rate and return it. Raises `InputError`, which begins with `where`."""
     if not RATE_RANGE[0] <= rate <= RATE_RANGE[1]:
         raise InputError(

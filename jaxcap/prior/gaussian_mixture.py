@@ -91,7 +91,9 @@ def log_joint(mixture: GaussianMixture, samples: Float[np.ndarray, "N D"]) -> Fl
     return (weights + scales)[None] - 0.5 * np.einsum("kni,kni->nk", offsets, offsets)
 
 
-def log_density(mixture: GaussianMixture, samples: Float[np.ndarray, "N D"]) -> Float[np.ndarray, "N"]:
+def mixture_log_density(
+    mixture: GaussianMixture, samples: Float[np.ndarray, "N D"]
+) -> Float[np.ndarray, "N"]:
     """Compute the logarithm of the mixture density at each sample (Adaptation, eq. 4.1)."""
     return np.asarray(logsumexp(log_joint(mixture, samples), axis=1))
 

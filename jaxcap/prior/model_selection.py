@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .covariance_selection import threshold_couplings
-from .gaussian_mixture import MIN_DEVIATION, GaussianMixture, fit_mixture, log_density
+from .gaussian_mixture import MIN_DEVIATION, GaussianMixture, fit_mixture, mixture_log_density
 
 #: thresholds of partial correlation below which couplings are removed, from none to all
 THRESHOLDS = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.01)
@@ -99,6 +99,7 @@ def _cross_validate(
         out = folds == fold
         mixture = fit_mixture(samples[~out], num_components, min_deviation=min_deviation, seed=seed).mixture
         totals += [
-            log_density(threshold_couplings(mixture, limit), samples[out]).sum() for limit in THRESHOLDS
+            mixture_log_density(threshold_couplings(mixture, limit), samples[out]).sum()
+            for limit in THRESHOLDS
         ]
     return totals / len(samples)

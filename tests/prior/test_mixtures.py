@@ -12,7 +12,7 @@ from jaxcap.prior.gaussian_mixture import (
     GaussianMixture,
     fit_mixture,
     kmeans_labels,
-    log_density,
+    mixture_log_density,
 )
 from jaxcap.prior.model_selection import THRESHOLDS, cross_validation_folds, select_mixture
 
@@ -48,7 +48,7 @@ def test_density_is_that_of_scipy(rng):
     samples, weights, means, covariances = clusters(rng, 3, 50, apart=0.7)
     mixture = GaussianMixture(weights, means, np.linalg.inv(covariances))
     normals = [multivariate_normal(m, c).pdf(samples) for m, c in zip(means, covariances, strict=True)]
-    np.testing.assert_allclose(log_density(mixture, samples), np.log(weights @ normals), atol=1e-11)
+    np.testing.assert_allclose(mixture_log_density(mixture, samples), np.log(weights @ normals), atol=1e-11)
 
 
 def degenerate(rng, kind: int, samples: int) -> np.ndarray:
@@ -91,7 +91,7 @@ def test_likelihood_never_falls_and_precisions_are_positive_definite(kind, sampl
     # no component is narrower than the floor
     assert np.linalg.eigvalsh(mixture.precisions).max() <= (1 + 1e-6) / MIN_DEVIATION**2
     np.linalg.cholesky(zeroed.precisions)
-    assert np.isfinite(log_density(zeroed, x)).all()
+    assert np.isfinite(mixture_log_density(zeroed, x)).all()
 
 
 def test_a_start_where_all_samples_are_the_same():
@@ -128,7 +128,7 @@ def test_zeroing_keeps_couplings_that_are_there_and_gains_likelihood(rng):
         test = rng.multivariate_normal(np.zeros(6), covariance, size=2000)
         whole = fit_mixture(x, 1).mixture
         zeroed = threshold_couplings(whole, 0.4)
-        gains.append(log_density(zeroed, test).mean() - log_density(whole, test).mean())
+        gains.append(mixture_log_density(zeroed, test).mean() - mixture_log_density(whole, test).mean())
     assert np.mean(gains) > 0.05
     chosen = select_mixture(x, max_components=2)
     assert chosen.threshold > 0

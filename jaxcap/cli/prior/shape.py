@@ -12,7 +12,7 @@ from ...errors import InputError, user_message
 from ...fit.fit_meshes import fit_meshes
 from ...io.meshes.meshes import read_named_meshes
 from ..console.console import say, warn
-from ..fit import check_size, same_triangles
+from ..fit import check_mesh_size, same_triangles
 
 #: more meshes of one body add little, and a file grows with every one
 MOST_MESHES = 30
@@ -25,7 +25,7 @@ def learn_shape(body: Body, meshes: Sequence[str], unit: str) -> ShapePrior:
     **Raises:** `InputError` if a file is invalid, or the meshes are not of the body.
     """
     sequence, names = read_named_meshes(meshes, unit)
-    check_size(body, sequence, meshes[0])
+    check_mesh_size(body, sequence, meshes[0])
     try:
         fit = fit_meshes(body, sequence)
     except ValueError as error:

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 from ...errors import InputError
 from ...io.depth.recordings import is_recording, open_recording, recorded_rate
 from ...io.kinds import identify
-from ...io.text import check_rate, read_json
+from ...io.text import check_frame_rate, read_json
 from ..console.console import say
 from ..console.options import arg
 from .folder import HEADER
@@ -79,7 +79,7 @@ def _read_rate(path: Path) -> Rate | None:
             f"{path}: the rate of the scans is {rate!r:.40}; expected a number; correct it, or give --rate."
         )
     try:
-        return Rate(check_rate(float(rate), str(path)), path)
+        return Rate(check_frame_rate(float(rate), str(path)), path)
     except OverflowError:
         raise InputError(
             f"{path}: the rate of the scans has too many digits; write a shorter number, or give --rate."

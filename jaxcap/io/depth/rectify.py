@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from ...arguments import checked
-from ...depth.check_depths import check_size
+from ...depth.check_depths import check_image_size
 from ...depth.rectify import make_rectification, rectify_depth, rectify_mask
 from ...errors import InputError
 from ...geometry.camera import Camera
@@ -42,7 +42,7 @@ def make_rectifier(cameras: Sequence[Camera]) -> tuple[list[Camera], Callable[[D
         for i, (camera, one) in enumerate(zip(cameras, made, strict=True)):
             if one is None:
                 continue
-            check_size(camera, depths[i], "image", frame.name)
+            check_image_size(camera, depths[i], "image", frame.name)
             depths[i] = rectify_depth(one, depths[i])
             mask = masks[i]
             masks[i] = None if mask is None else rectify_mask(one, mask)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
 from ...units import UNIT_NAMES, likely_units, unit_scale
-from ..text import MAX_NUMBER, check_rate
+from ..text import MAX_NUMBER, check_frame_rate
 
 #: bounds in metres of the longest side of the markers of one frame
 BODY_SIZE_RANGE = (0.2, 5.0)
@@ -204,7 +204,7 @@ def make_marker_file(
         raise InputError(
             f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
         )
-    check_rate(rate, str(where))
+    check_frame_rate(rate, str(where))
     # `check_marker_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"

@@ -18,7 +18,7 @@ from ...observe.markers import MarkerFrames
 from ...units import unit_scale
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
-from ..text import check_rate, parse_floats, read_text, shortened
+from ..text import check_frame_rate, parse_floats, read_text, shortened
 from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, shift_from_origin
 from .trc import parse_positions
 
@@ -134,7 +134,7 @@ def _rows(path: Path, text: str) -> tuple[float | None, list[tuple[int, list[str
         match = _RATE_LINE.fullmatch(_collapse_blanks(line)) if len(line) <= LONGEST_NAME else None
         if match:
             (rate,) = parse_floats([match[2]], f"{path}:{i + 1}", "the rate")
-            check_rate(rate, f"{path}:{i + 1}")
+            check_frame_rate(rate, f"{path}:{i + 1}")
         elif line.strip() and not line.lstrip().startswith("# "):
             start = i
             break

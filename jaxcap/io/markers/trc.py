@@ -15,7 +15,7 @@ from ...observe.markers import MarkerFrames
 from ...units import UNITS, unit_scale
 from ..system.atomic import write_text
 from ..system.reader_errors import reader_of
-from ..text import check_rate, parse_floats, parse_int, read_text, shortened
+from ..text import check_frame_rate, parse_floats, parse_int, read_text, shortened
 from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, parse_unit, shift_from_origin
 
 #: cells that are allowed in a file of any size
@@ -176,7 +176,7 @@ def _read_head(path: Path, lines: list[str]) -> _TrcHeader:
         )
     rate = parse_floats([values["DataRate"]], f"{path}:3", "DataRate")[0] if "DataRate" in values else 0.0
     if rate:
-        check_rate(rate, f"{path}:3")
+        check_frame_rate(rate, f"{path}:3")
     cells = lines[3].split("\t")
     if "\t" in lines[3]:
         # every third cell; a marker without a name leaves its cell empty

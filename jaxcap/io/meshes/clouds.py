@@ -19,7 +19,7 @@ from ..system.atomic import atomic_path
 from ..system.paths import find_files, order_files, select_range
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER
-from .mesh import check_faces, check_points, read_mesh
+from .mesh import check_face_indices, check_points, read_mesh
 
 _ARRAYS = ("points", "vertices", "normals", "offsets", "faces")
 #: the faces of a cloud
@@ -148,7 +148,7 @@ def _arrays(path: Path, first: int | None, last: int | None, metres: float) -> S
             )
         # the same for all frames, so checked against the frame with the fewest points
         least = points.shape[1] if offsets is None else np.diff(offsets).min(initial=len(points))
-        check_faces(faces, int(least), path)
+        check_face_indices(faces, int(least), path)
     count = len(points) if offsets is None else len(offsets) - 1
     if count > max(len(points), 1):
         raise InputError(

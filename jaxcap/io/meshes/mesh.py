@@ -61,7 +61,7 @@ def read_mesh(path: str | Path, unit: str | float = "m") -> Mesh:
         suffix, _read_trimesh
     )
     vertices, faces, normals = reader(path)
-    check_faces(faces, len(vertices), path)
+    check_face_indices(faces, len(vertices), path)
     if normals is not None:
         normals = unit_normals(normals)
     vertices = vertices * metres
@@ -124,7 +124,7 @@ def check_points(points: np.ndarray, where: str | Path) -> None:
         )
 
 
-def check_faces(faces: np.ndarray, count: int, where: str | Path) -> None:
+def check_face_indices(faces: np.ndarray, count: int, where: str | Path) -> None:
     """Check that faces refer to `count` vertices only. Raises `InputError`."""
     if faces.size and not (faces.min() >= 0 and faces.max() < count):
         row = int(np.argmax((faces < 0).any(1) | (faces >= count).any(1)))
@@ -161,7 +161,7 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
         )
 
 
-def check_size(extent: float, where: str | Path, unit: str | float = "m") -> None:
+def check_body_size(extent: float, where: str | Path, unit: str | float = "m") -> None:
     """Check that a body or its cloud, `extent` metres along its longest side, is between 0.3 and 3 m.
 
     `unit` is the one that the file was read in; the message suggests a likely one.

@@ -16,7 +16,7 @@ from ..archives.npz import save_arrays
 from ..kinds import wrong_arrays_error
 from ..system.paths import find_files
 from ..system.reader_errors import reader_of
-from ..text import check_rate, shortened
+from ..text import check_frame_rate, shortened
 from .mesh import check_points, read_mesh
 
 FORMAT = "jaxcap meshes"
@@ -163,7 +163,7 @@ def _arrays(path: Path) -> _File:
         raise InputError(
             f"{path}: the rate has the shape {rate.shape} and the type {rate.dtype}; expected one number above 0."
         )
-    rate = None if rate is None else check_rate(rate.item(), str(path))
+    rate = None if rate is None else check_frame_rate(rate.item(), str(path))
     return _File(names, vertices.astype(float), faces.astype(np.int64), rate)
 
 

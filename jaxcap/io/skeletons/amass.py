@@ -25,7 +25,7 @@ from ..archives.npz import get_array, skeleton_arrays, skeleton_of
 from ..skinned.skinned import check_motion
 from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
-from ..text import check_rate
+from ..text import check_frame_rate
 
 #: from a y-up to a z-up world
 _Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
@@ -215,4 +215,4 @@ def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
         raise InputError(
             f"{path}: the frame rate has the shape {found.shape} and the type {found.dtype}; expected a number above zero."
         )
-    return check_rate(float(found.reshape(-1)[0]), str(path))
+    return check_frame_rate(float(found.reshape(-1)[0]), str(path))

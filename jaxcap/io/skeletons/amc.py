@@ -13,7 +13,7 @@ from ...body.pose import Motion, Pose
 from ...errors import InputError
 from ..system.reader_errors import reader_of
 from ..text import (
-    check_rate,
+    check_frame_rate,
     numbered_lines,
     parse_float_table,
     parse_floats,
@@ -157,5 +157,5 @@ def _motion(values: dict[str, np.ndarray], asf: Asf, radians_per_unit: float, ra
                 translations[:, joint, "xyz".index(dof[1])] = numbers[:, i] * asf.metres
     return Motion(
         Pose(jnp.asarray(translations), jnp.asarray(rotations), jnp.ones(frames)),
-        check_rate(rate, "the rate"),
+        check_frame_rate(rate, "the rate"),
     )

@@ -15,7 +15,7 @@ from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import LinearSkin
 from ...errors import InputError, user_message
 from ...geometry.linear import inverse
-from ..text import MAX_NUMBER, check_rate
+from ..text import MAX_NUMBER, check_frame_rate
 from .skinned_surface import SkinnedSurface
 
 #: largest relative error of a scale of one
@@ -115,7 +115,7 @@ def make_skinned_motion(
         )
     bones[:, :, :3] /= scale[:, None, None, None]
     check_rotations(path, bones[:, :, :3, :3])
-    check_rate(rate, str(path))
+    check_frame_rate(rate, str(path))
     centres, count = np.array(skeleton.centres, float), len(bones)
     translations, rotations = np.zeros((count, len(centres), 3)), np.zeros((count, len(centres), 4))
     for joint, parent in enumerate(skeleton.parents):

@@ -14,7 +14,7 @@ from ...body.pose import Motion
 from ...errors import InputError
 from ..archives.archive import MAX_EXPANSION, MIN_MEMORY_LIMIT
 from ..gltf.gltf_document import missing_skin_error
-from ..meshes.mesh import check_faces, check_points
+from ..meshes.mesh import check_face_indices, check_points
 from ..meshes.meshes import triangulate
 from ..skinned.bind_pose import (
     FileJoints,
@@ -28,7 +28,7 @@ from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn
 from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, normalise_weights
 from ..system.inside import is_inside, outside_folder_error
 from ..system.reader_errors import reader_of
-from ..text import MAX_NUMBER, check_rate
+from ..text import MAX_NUMBER, check_frame_rate
 from .usd import SUFFIXES as WRITTEN
 from .usd_child import check_usd
 from .usd_text import check_text, parse_error
@@ -200,11 +200,11 @@ class _Skinned:
 
         animation = self.query.GetAnimQuery()
         times = list(animation.GetJointTransformTimeSamples()) if animation else []
-        rate = check_rate(float(self.stage.GetFramesPerSecond()), f"{self.path}: framesPerSecond")
+        rate = check_frame_rate(float(self.stage.GetFramesPerSecond()), f"{self.path}: framesPerSecond")
         if not times:
             return np.zeros((0, 1, 4, 4)), rate
         codes = float(self.stage.GetTimeCodesPerSecond())
-        step = check_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
+        step = check_frame_rate(codes, f"{self.path}: timeCodesPerSecond") / rate
         if not np.isfinite([times[0], times[-1]]).all():
             raise InputError(f"{self.path}: the times of the animation are not finite; export it again.")
         self.reserve_memory((times[-1] - times[0]) / step * joints * 3 * 16, "the animation")
@@ -283,7 +283,7 @@ class _Skinned:
         counts = np.array(mesh.GetFaceVertexCountsAttr().Get(first) or (), int)
         corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(first) or (), int)
         faces = triangulate(counts, corners, where)
-        check_faces(faces, len(vertices), where)
+        check_face_indices(faces, len(vertices), where)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             faces = faces[:, ::-1]
         return SkinnedSurface(vertices, faces, normalise_weights(weights, where))

@@ -7,7 +7,7 @@ import trimesh
 from jaxcap.errors import InputError
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.io.meshes.clouds import read_clouds
-from jaxcap.io.meshes.mesh import Mesh, check_mesh, check_size, read_mesh, write_mesh
+from jaxcap.io.meshes.mesh import Mesh, check_body_size, check_mesh, read_mesh, write_mesh
 
 OFF = (
     "OFF\n# a comment\n4 3 0\n0 0 0\n1 0 0 # here too\n0 1e0 0\n\n0 0 1\n3 0 2 1\n3 0 1 3 255 0 0\n3 0 3 2\n"
@@ -156,9 +156,9 @@ def test_what_cannot_be_a_body_is_told(mesh):
     ],
 )
 def test_a_size_no_body_has_names_the_likely_unit(extent, unit, said):
-    check_size(1.75, "a")
+    check_body_size(1.75, "a")
     with pytest.raises(InputError, match=said):
-        check_size(extent, "a", unit)
+        check_body_size(extent, "a", unit)
 
 
 @pytest.fixture
@@ -301,5 +301,5 @@ def test_clouds_from_arrays(tmp_path, rng, mesh):
 def test_the_crane(shared):
     scans = read_clouds(shared / "data" / "meshes" / "crane.npz")
     assert len(scans) == 175
-    check_size(np.ptp(scans[0].points, 0).max(), scans.names[0])
+    check_body_size(np.ptp(scans[0].points, 0).max(), scans.names[0])
     np.testing.assert_allclose(np.linalg.norm(scans[3].normals, axis=1), 1.0)
