@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxcap.body.body import Body
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.observe.clouds import Cloud
-from jaxcap.rig.rig import rig_mesh
+from jaxcap.rigging.rig_mesh import rig_mesh
 
 #: he stands upright in the first frame, arms off the body
 RIGGED_FRAME = 0

@@ -19,7 +19,7 @@ from . import report as report
 from . import scanner as scanner
 from . import view as view
 from .adapt.adapt_body import adapt_body as adapt_body
-from .adapt.poses.pose import fit_pose as fit_pose
+from .adapt.poses.fit_frame import fit_pose as fit_pose
 from .adapt.prepare import make_adapt_task as make_adapt_task
 from .body.body import Body as Body
 from .body.body import pose_body as pose_body
@@ -70,7 +70,7 @@ from .observe.clouds import make_cloud as make_cloud
 from .observe.markers import MarkerFrames as MarkerFrames
 from .observe.markers import make_markers as make_markers
 from .observe.meshes import MeshSequence as MeshSequence
-from .rig.rig import rig_mesh as rig_mesh
+from .rigging.rig_mesh import rig_mesh as rig_mesh
 from .tracking.initialise import initialise as initialise
 from .tracking.track import track as track
 from .tracking.track_frame import make_tracker as make_tracker

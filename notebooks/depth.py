@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.metrics import joint_errors
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import scan_scene

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.limits.learning.fit_chart import chart_coordinates
 from jaxcap.report.limit_pictures import draw_limits
 from jaxcap.report.motion_strip import draw_strip

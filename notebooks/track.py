@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.metrics import joint_errors
 from jaxcap.report.plots import (
     AMBER,

@@ -8,12 +8,13 @@ import re
 import statistics
 import sys
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = frozenset((ROOT / "scripts" / "verbs.txt").read_text("utf-8").split())
 #: words that no other library uses so, outside of code in backticks
-PRIVATE = re.compile(r"\b(told|tells|beside|hangs|hang on|at hand|as it were|such as it is)\b", re.IGNORECASE)
+PRIVATE = re.compile(r"\b(told|tells?|beside|hangs|hang on|at hand|as it were|such as it is)\b", re.IGNORECASE)
 CODE = re.compile(r"`[^`]*`")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -70,9 +71,28 @@ def without_verb() -> tuple[list[str], int]:
     )
 
 
+def help_texts() -> Iterator[tuple[str, str]]:
+    """Yield the place and the text of the help of every option: the string after a field, or `help=`."""
+    for file in package_files():
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                for field, after in pairwise(node.body):
+                    if isinstance(field, ast.AnnAssign) and isinstance(after, ast.Expr):
+                        yield f"{name_of(file)}:{after.lineno}", "".join(strings_of(after))
+            elif isinstance(node, ast.keyword) and node.arg == "help":
+                yield f"{name_of(file)}:{node.value.lineno}", "".join(strings_of(node))
+
+
+def strings_of(node: ast.AST) -> list[str]:
+    """List the string constants below a node."""
+    constants = (each.value for each in ast.walk(node) if isinstance(each, ast.Constant))
+    return [value for value in constants if isinstance(value, str)]
+
+
 def private_words() -> list[str]:
-    """List the docstrings with private words, and the words."""
-    found = ((place, PRIVATE.findall(CODE.sub("", text))) for place, _, text in docstrings())
+    """List the docstrings and help texts with private words, and the words."""
+    texts = [*((place, text) for place, _, text in docstrings()), *help_texts()]
+    found = ((place, PRIVATE.findall(CODE.sub("", text))) for place, text in texts)
     return [f"{place}: {', '.join(words)}" for place, words in found if words]
 
 
@@ -99,7 +119,7 @@ def main() -> None:
         f"largest folder: {largest}, {folders[largest]} files\n"
         f"public names: {', '.join(f'{count} in {name}' for name, count in public_names().items())}\n"
         f"docstrings of functions that begin with a verb: {1 - len(verbless) / functions:.1%} of {functions}\n"
-        f"docstrings with private words: {len(private_words())}\n"
+        f"docstrings and help texts with private words: {len(private_words())}\n"
     )
     wrong = [*verbless, *private_words()]
     sys.stdout.writelines(f"  {place}\n" for place in wrong)

@@ -10,7 +10,7 @@ import pytest
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.cli import main
 from jaxcap.cli.console import heartbeat
 from jaxcap.cli.console.groups import JAXCAP

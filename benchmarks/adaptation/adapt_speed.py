@@ -23,7 +23,7 @@ from benchmarks.adaptation.adapt_people import ACTORS, TAKES, first_pose, make_a
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import PoseTerms
-from jaxcap.adapt.poses.pose import fit_pose
+from jaxcap.adapt.poses.fit_frame import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import plan_stages
 from jaxcap.body.people.anatomy import rest_deviations

@@ -25,7 +25,7 @@ from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.depth.depth_rooms import heading, turned
 from benchmarks.report import finish, progress
 from jaxcap.body.body import posed_vertices
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.depth.stream.cloud_stream import NUM_POINTS, CloudStream
 from jaxcap.geometry.camera import Camera, look_at
 from jaxcap.live.live_tracker import ITERATIONS, JUDGE_EVERY

@@ -11,7 +11,7 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks.report import finish, progress
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.retraction import retract
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.fit.linearise import linearise

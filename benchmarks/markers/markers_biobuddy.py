@@ -14,10 +14,10 @@ from benchmarks.report import Timer, finish, progress
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.rotation_centres.estimate_joint import CentreMethod, find_joint
 from jaxcap.markers.rotation_centres.joint import Joint
-from jaxcap.markers.segments.marker_partition import find_partition
+from jaxcap.markers.segments.find_segments import find_partition
 from jaxcap.markers.segments.relative_motion import relative_motion
-from jaxcap.markers.segments.rigid_segments import Segments, make_segments
 from jaxcap.markers.segments.segment_frames import SegmentFrames, fit_segment_frames
+from jaxcap.markers.segments.segment_sets import Segments, make_segments
 
 TRIALS = ("static", "right_hip", "right_knee")
 PELVIS = ("LASIS", "RASIS", "LPSIS", "RPSIS")

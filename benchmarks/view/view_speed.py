@@ -29,7 +29,7 @@ import jaxcap as jc
 from benchmarks.report import finish, progress
 from benchmarks.view._browser import ANGLES, GEOMETRY, RENDERER, launch_browser, open_page, wait_for_node
 from jaxcap.body.body import posed_vertices
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.io.archives.npz import save_body, save_motion
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,16 +16,16 @@ from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..tracking.compare_poses import likelier_pose
 from ..tracking.limb_flips import flip_limb_ends
 from ..tracking.track import track_frames
+from .adapt_round import adapt_round
 from .history import append_history
 from .objective import balancing_weight, motion_energy
+from .poses.fit_frame import fit_task_poses
 from .poses.flag_frames import flag_frames
 from .poses.pair_cache import make_pair_cache
-from .poses.pose import fit_task_poses
 from .poses.select_frames import select_evenly
 from .poses.sliding_window import smooth_windows
 from .poses.unordered import find_poses
 from .shape.actor_size import fit_size
-from .shape.adapt_round import adapt_round
 from .task import AdaptState, AdaptTask, Stage, make_task_tracker, plan_stages
 
 _LOG = logging.getLogger(__name__)

@@ -10,13 +10,13 @@ import numpy as np
 from ..body.body import pose_body
 from ..body.kinematics import forward_kinematics, joint_positions
 from ..body.people.human import human
-from ..body.people.performance import walk_and_wave
+from ..body.people.walk_and_wave import walk_and_wave
 from ..body.pose import Motion
 from ..errors import InputError
 from ..geometry.camera import ring_of_cameras
 from ..io.meshes.clouds import save_clouds
 from ..io.system.atomic import atomic_path, write_text
-from ..io.system.lock import run_lock
+from ..io.system.run_lock import run_lock
 from ..metrics import distance_summary, joint_errors, scan_to_surface
 from ..observe.clouds import make_cloud
 from ..report.distance_pictures import FrameView, draw_views

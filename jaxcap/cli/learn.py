@@ -18,7 +18,7 @@ from ..io.archives.journal import hash_file
 from ..io.archives.npz import get_array, save_body, save_motion
 from ..io.meshes.meshes import read_named_meshes
 from ..io.skinned.clip import split_clip
-from ..io.system.lock import run_lock
+from ..io.system.run_lock import run_lock
 from ..learn.check_meshes import check_meshes
 from ..learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ..learn.parts.check_parts import check_learned

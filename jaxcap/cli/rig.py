@@ -10,7 +10,7 @@ import tyro
 from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
 from ..io.meshes.mesh import check_body_size, check_mesh, read_mesh
-from ..rig.rig import rig_mesh
+from ..rigging.rig_mesh import rig_mesh
 from .console.console import say
 from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
 from .motions import load_skeleton

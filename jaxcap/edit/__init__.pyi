@@ -28,9 +28,9 @@ from .linear_blend.convert import linear_motion as linear_motion
 from .linear_blend.convert import linear_pose as linear_pose
 from .linear_blend.convert import to_linear_blend as to_linear_blend
 from .linear_blend.influences import limit_influences as limit_influences
-from .matching.match import match_joints as match_joints
-from .matching.matches import JointMatches as JointMatches
-from .matching.matches import UnmatchedJoints as UnmatchedJoints
+from .matching.joint_matches import JointMatches as JointMatches
+from .matching.joint_matches import UnmatchedJoints as UnmatchedJoints
+from .matching.match_joints import match_joints as match_joints
 from .mirror_motion import mirror as mirror
 from .retargeting.plan import RetargetPlan as RetargetPlan
 from .retargeting.plan import plan_retarget as plan_retarget

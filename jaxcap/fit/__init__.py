@@ -1,4 +1,4 @@
-"""Fitting of bodies: least-squares problems, correspondence, tracking."""
+"""Fitting of bodies: problems of one or many frames, solvers, correspondences of points and surfaces."""
 
 from ..lazy_imports import attach
 

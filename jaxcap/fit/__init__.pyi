@@ -21,7 +21,7 @@ from .correspondence.nearest_assignment import NearestVertex as NearestVertex
 from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
 from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_part_blocks as make_part_blocks
-from .correspondence.posterior import posterior as posterior
+from .correspondence.part_posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
@@ -39,8 +39,8 @@ from .sequences.unknowns import ShapeCoefficients as ShapeCoefficients
 from .sequences.unknowns import Size as Size
 from .sequences.unknowns import SkinningWeights as SkinningWeights
 from .solve import Solution as Solution
-from .solvers.flat import FlatProblem as FlatProblem
-from .solvers.flat import flat_problem as flat_problem
+from .solvers.flat_problem import FlatProblem as FlatProblem
+from .solvers.flat_problem import flat_problem as flat_problem
 from .solvers.gauss_newton import GaussNewton as GaussNewton
 from .solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver

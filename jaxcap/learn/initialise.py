@@ -13,7 +13,7 @@ from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ..body.symmetry import symmetrise
 from ..geometry.procrustes import group_moments
 from ..observe.meshes import MeshSequence
-from ..rig.rig import rig_mesh
+from ..rigging.rig_mesh import rig_mesh
 from .parts.find_parts import find_parts
 from .parts.surface_graph import make_surface_graph, membership
 from .skeleton.joint_tree import find_joint_tree, pose_parts

@@ -27,14 +27,14 @@ from .initialise import (
     initialise_from_skeleton,
 )
 from .joint_exchange.exchange_joints import exchange_joints
-from .joint_exchange.skeleton_edit import EditedBody
+from .joint_exchange.insert_and_remove import EditedBody
 from .objective import objective
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
-from .variable_projection.improve import optimise_all_vertices
-from .variable_projection.rounds import VERTICES, improve_linear_skin
+from .variable_projection.learning_rounds import VERTICES, improve_linear_skin
+from .variable_projection.solve_blend_problem import optimise_all_vertices
 from .weights.improve_weights import improve_weights
 from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices
 

@@ -19,11 +19,11 @@ from .motion.inverse_kinematics import MarkerSolution as MarkerSolution
 from .motion.inverse_kinematics import solve_markers as solve_markers
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
+from .segments.find_segments import find_partition as find_partition
 from .segments.gaps import join_pieces as join_pieces
-from .segments.marker_partition import find_partition as find_partition
 from .segments.merge_takes import merge_takes as merge_takes
-from .segments.rigid_segments import Segments as Segments
-from .segments.rigid_segments import make_segments as make_segments
+from .segments.segment_sets import Segments as Segments
+from .segments.segment_sets import make_segments as make_segments
 from .subject import Subject as Subject
 from .subject import make_subject as make_subject
 from .subject import marker_body as marker_body

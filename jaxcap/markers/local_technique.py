@@ -13,9 +13,9 @@ from ..body.skeleton import Skeleton
 from ..observe.markers import MarkerFrames
 from .rotation_centres.estimate_joint import CentreMethod
 from .rotation_centres.joint import Joint
+from .segments.find_segments import apply_corrections, find_partition
 from .segments.gaps import is_static
-from .segments.marker_partition import apply_corrections, find_partition
-from .segments.rigid_segments import Segments
+from .segments.segment_sets import Segments
 from .segments.swaps import correct_swaps
 from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
 from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones

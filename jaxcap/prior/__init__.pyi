@@ -1,4 +1,4 @@
-"""Priors of poses: Gaussian mixtures of successive joints, as data and learned from motion."""
+"""Priors of poses: Gaussian mixtures of joints and their parents, as data and learned from motion."""
 
 from ..energy.priors.pair_likelihood import LikelihoodPrior as LikelihoodPrior
 from ..energy.priors.pair_likelihood import MahalanobisPrior as MahalanobisPrior

@@ -24,7 +24,7 @@ _local_rotation_vectors = eqx.filter_jit(jax.vmap(local_rotation_vectors, (None,
 
 
 class LearnedPair(NamedTuple):
-    """A pair of successive joints, the one nearer to the root first, and its selected mixture."""
+    """A joint and its parent, the parent first, and their selected mixture."""
 
     pair: tuple[str, str]
     selection: MixtureSelection
@@ -39,7 +39,7 @@ def learn_pair_prior(
     min_deviation: float = MIN_DEVIATION,
     seed: int = 0,
 ) -> PairPrior:
-    """Fit a Gaussian mixture over the rotations of each pair of successive joints.
+    """Fit a Gaussian mixture over the rotations of each joint and its parent.
 
     Each mixture has the number of components, 1 to `max_components`, that best predicts left-out poses (Adaptation,
     section 4.1.1 and eq. 4.1).
@@ -47,7 +47,7 @@ def learn_pair_prior(
     **Arguments:** `min_deviation` is the least standard deviation of a component in any direction, radians. It is the
     only regularisation of a joint that never moved.
 
-    **Raises:** `ValueError` if no two successive joints rotate, if there are fewer than 4 poses, if poses
+    **Raises:** `ValueError` if no joint rotates whose parent rotates, if there are fewer than 4 poses, if poses
     have another number of joints, or if one is not finite.
     """
     return build_pair_prior(
@@ -70,7 +70,9 @@ def learn_pairs(
     vectors = rotation_vectors(skeleton, poses)
     pairs = successive_pairs(skeleton)
     if not pairs:
-        raise ValueError("The skeleton has no pair of successive joints that rotate; expected at least one.")
+        raise ValueError(
+            "The skeleton has no joint that rotates with a parent that rotates; expected at least one."
+        )
     learned = []
     for above, below in progress(pairs, len(pairs)):
         both = np.concatenate([vectors[:, skeleton.index(name)] for name in (above, below)], 1)

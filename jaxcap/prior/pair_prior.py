@@ -1,4 +1,4 @@
-"""Prior of the joint distribution of two successive joints' rotations: a Gaussian mixture for each pair.
+"""Prior of the joint distribution of the rotations of a joint and its parent: a Gaussian mixture for each pair.
 
 Whole poses have too many dimensions to be learned, but a pair of neighbouring joints has only six
 (Adaptation, section 4.1.1).

@@ -8,11 +8,11 @@ from ..body.pose import Pose
 from ..body.retraction import difference
 from ..observe.clouds import Cloud
 from .em_step import FrameStatistics
-from .log_posterior import log_posterior
+from .pose_log_density import pose_log_density
 from .recover import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, start_state
 
-#: a pose with a `log_posterior` below the best by more than this is not improved
+#: a pose with a `pose_log_density` below the best by more than this is not improved
 MAX_DEFICIT = 0.3
 
 _change = eqx.filter_jit(difference)
@@ -21,13 +21,13 @@ _change = eqx.filter_jit(difference)
 def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
     """Track a frame from a nearby pose, by the tracker's own steps; never to a less likely pose.
 
-    Returns the result of `track_frame`, and the `log_posterior` of the pose.
+    Returns the result of `track_frame`, and the `pose_log_density` of the pose.
     """
     state, statistics = track_frame_jit(
         tracker, reset_velocity(tracker, start_state(tracker, pose), 0.0), cloud
     )
     state = reset_velocity(tracker, state)
-    before, after = (float(log_posterior(tracker, p, cloud)) for p in (pose, state.estimate.pose))
+    before, after = (float(pose_log_density(tracker, p, cloud)) for p in (pose, state.estimate.pose))
     if after >= before:
         return state, statistics, after
     return eqx.tree_at(lambda s: s.estimate.pose, state, pose), statistics, before
@@ -45,13 +45,13 @@ def choose_likeliest(
     """Choose between the tracked pose of a frame and some other `poses`, unchanged and improved.
 
     **Arguments:** `previous` is the pose of the previous frame, from which the body has moved; `margin` the
-    `log_posterior` by which another pose has to be better.
+    `pose_log_density` by which another pose has to be better.
 
     The state and the statistics are the same objects if no other pose is better.
     """
-    best = float(log_posterior(tracker, state.estimate.pose, cloud)) + margin
+    best = float(pose_log_density(tracker, state.estimate.pose, cloud)) + margin
     for pose in poses:
-        if float(log_posterior(tracker, pose, cloud)) < best - MAX_DEFICIT:
+        if float(pose_log_density(tracker, pose, cloud)) < best - MAX_DEFICIT:
             continue
         found, measured, likelihood = track_from(tracker, pose, cloud)
         if likelihood > best:
@@ -62,5 +62,5 @@ def choose_likeliest(
 
 def likelier_pose(tracker: Tracker, first: Pose, second: Pose, cloud: Cloud) -> Pose:
     """Choose the likelier of two poses of a frame; the first where they are equal."""
-    likelihoods = [float(log_posterior(tracker, pose, cloud)) for pose in (first, second)]
+    likelihoods = [float(pose_log_density(tracker, pose, cloud)) for pose in (first, second)]
     return first if likelihoods[0] >= likelihoods[1] else second

@@ -11,7 +11,7 @@ from ..energy.data.points import PointToPlane
 from ..energy.data.sufficient_statistics import rigid_moments
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..fit.correspondence.part_blocks import PartBlocks
-from ..fit.correspondence.posterior import Posterior, posterior, update_priors, update_sigma
+from ..fit.correspondence.part_posterior import Posterior, posterior, update_priors, update_sigma
 from ..fit.correspondence.surface_density import surface_log_density
 from ..fit.pose_problem import PoseProblem
 from ..fit.solvers.descent import NormalDescent

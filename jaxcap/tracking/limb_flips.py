@@ -17,7 +17,7 @@ from ..geometry import rotation
 from ..observe import thin_cloud
 from ..observe.clouds import Cloud
 from .initialise import FINE_POINTS, anneal_each
-from .log_posterior import COMPARISON_SIGMA
+from .pose_log_density import COMPARISON_SIGMA
 from .track_frame import Tracker
 
 #: standard deviations that fall from half the width of a hand, metres: larger ones flip a hand back

@@ -14,7 +14,7 @@ from .check_cloud import check_cloud
 from .compare_poses import track_from
 from .initialise import initialise
 from .judgement.baseline import initial_baseline
-from .log_posterior import log_posterior
+from .pose_log_density import pose_log_density
 from .recover import (
     SearchHistory,
     TrackedFrame,
@@ -100,7 +100,7 @@ class OnlineTracker:
         frame = sample.track(cloud)
         lost = eqx.tree_at(lambda f: f.lost, frame, True)
         follow_frame(self.tracker, self._follower.surface, lost, cloud)
-        log_posterior(self.tracker, frame.pose, cloud)
+        pose_log_density(self.tracker, frame.pose, cloud)
         sample.close()
 
     def close(self) -> None:
@@ -146,7 +146,7 @@ class OnlineTracker:
         found, self._search = self._search.result(), None
         state, statistics, likelihood = track_from(self.tracker, found.pose, cloud)
         count = frame.searches.count + 1.0
-        if likelihood <= float(log_posterior(self.tracker, frame.pose, cloud)):
+        if likelihood <= float(pose_log_density(self.tracker, frame.pose, cloud)):
             searches = found.searches if not self._is_first_search else frame.searches.extend()
             return eqx.tree_at(lambda f: f.searches, frame, searches)
         # a first search follows a wrong pose, and so does its baseline

@@ -31,7 +31,7 @@ from .judgement.baseline import (
 from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
-from .log_posterior import log_posterior
+from .pose_log_density import pose_log_density
 from .prior_starts import prior_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame
 
@@ -212,7 +212,7 @@ def needs_search(frame: TrackedFrame) -> bool:
 
 def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
     """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
-    before, after = (float(log_posterior(tracker, one.pose, cloud)) for one in (frame, found))
+    before, after = (float(pose_log_density(tracker, one.pose, cloud)) for one in (frame, found))
     return found if after >= before and found.judgement.worst < frame.judgement.worst else frame
 
 

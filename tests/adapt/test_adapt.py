@@ -10,6 +10,7 @@ from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
+from jaxcap.adapt.adapt_round import gauss_newton_step
 from jaxcap.adapt.objective import (
     CoefficientPrior,
     PoseTerms,
@@ -17,15 +18,14 @@ from jaxcap.adapt.objective import (
     shared_problem,
     temporal_energy,
 )
-from jaxcap.adapt.poses.pose import fit_pose, pairs_of
+from jaxcap.adapt.poses.fit_frame import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.adapt.shape.actor_size import fit_size, scale_body
-from jaxcap.adapt.shape.adapt_round import gauss_newton_step
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes
 from jaxcap.body.symmetry import find_left_right_pairs

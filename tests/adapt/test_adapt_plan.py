@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxcap.adapt.shape.adapt_round import shape_weight
+from jaxcap.adapt.adapt_round import shape_weight
 from jaxcap.adapt.task import AdaptSettings, Stage, plan_stages
 
 

@@ -6,7 +6,7 @@ import pytest
 from adapt_scene import make_scene, task_of
 
 from jaxcap.adapt.objective import PoseTerms
-from jaxcap.adapt.poses.pose import fit_pose
+from jaxcap.adapt.poses.fit_frame import fit_pose
 from jaxcap.body.retraction import retract
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
 

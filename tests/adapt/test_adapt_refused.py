@@ -22,7 +22,7 @@ from jaxcap.adapt.check_scans import (
     person_sized_groups,
 )
 from jaxcap.adapt.evaluate import compare_stages
-from jaxcap.adapt.poses.pose import pairs_of
+from jaxcap.adapt.poses.fit_frame import pairs_of
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.retraction import difference

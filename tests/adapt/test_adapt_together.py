@@ -11,9 +11,9 @@ from adapt_scene import make_scene, task_of
 from helpers import chain_body, random_pairs, random_pose
 
 import jaxcap as jc
+from jaxcap.adapt.adapt_round import adapt_round, gauss_newton_step
 from jaxcap.adapt.objective import PAIRS_PER_MEASUREMENT, CoefficientPrior, PoseTerms, shared_problem
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
-from jaxcap.adapt.shape.adapt_round import adapt_round, gauss_newton_step
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape, adapt_together
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage

@@ -30,7 +30,7 @@ from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.tracking import advance
-from jaxcap.tracking.log_posterior import log_posterior
+from jaxcap.tracking.pose_log_density import pose_log_density
 from jaxcap.tracking.track import track_frames
 from jaxcap.tracking.track_frame import make_tracker
 
@@ -135,11 +135,15 @@ def test_a_frame_keeps_its_pose_where_the_one_before_leads_elsewhere(mixed, monk
     monkeypatch.setattr(advance, "search_frame", lambda tracker, surface, coarse, frame, *more: frame)
     task, actor, poses = mixed
     tracker, clouds = make_tracker(actor), [task.cloud(n) for n in task.scanned]
-    before = [float(log_posterior(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)]
+    before = [
+        float(pose_log_density(tracker, pose, cloud)) for pose, cloud in zip(poses, clouds, strict=True)
+    ]
 
     def likelihoods(known):
         frames = track_frames(tracker, clouds, poses[0], sigma=0.03, candidates=known)
-        return [float(log_posterior(tracker, f.pose, cloud)) for f, cloud in zip(frames, clouds, strict=True)]
+        return [
+            float(pose_log_density(tracker, f.pose, cloud)) for f, cloud in zip(frames, clouds, strict=True)
+        ]
 
     assert np.min(np.subtract(likelihoods(None), before)) < -0.3
     assert np.min(np.subtract(likelihoods(lambda number: poses[number : number + 2]), before)) >= 0.0
@@ -160,7 +164,7 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
     *steps, (found, _) = find_poses(task, actor, first, is_known=False)
     tracker = make_tracker(actor)
     for n in task.scanned[1:]:
-        assert found.likelihoods[n] > float(log_posterior(tracker, poses[0], task.cloud(n)))
+        assert found.likelihoods[n] > float(pose_log_density(tracker, poses[0], task.cloud(n)))
     halfway, done = steps[3]
     *_, (again, _) = find_poses(task, actor, first | halfway.poses, is_known=False, num_done=done)
     assert again.likelihoods == found.likelihoods
@@ -170,7 +174,7 @@ def test_poses_without_an_order_are_found_and_kept(mixed, monkeypatch):
     *_, (second, _) = find_poses(task, actor, dict(enumerate(poses)) | {4: far}, is_known=True)
     assert set(searched) == {(24,)}
     for n in task.scanned:
-        assert second.likelihoods[n] >= float(log_posterior(tracker, poses[n], task.cloud(n)))
+        assert second.likelihoods[n] >= float(pose_log_density(tracker, poses[n], task.cloud(n)))
 
 
 def test_nothing_in_a_plan_without_order_couples_frames(mixed):

@@ -16,8 +16,8 @@ from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, 
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
 from jaxcap.body.decimate import reduce_body
-from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.attachment import attach_points, attached_positions
 from jaxcap.geometry.mesh import sample_surface

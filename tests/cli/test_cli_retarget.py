@@ -18,7 +18,7 @@ from jaxcap.io.skeletons.joint_names import read_joint_names
 
 
 def test_retarget_brings_feet_to_the_floor_and_hands_together(capsys, tmp_path):
-    from jaxcap.body.people.performance import walk_and_wave
+    from jaxcap.body.people.walk_and_wave import walk_and_wave
 
     tall = jc.human(resolution="low", height=1.9)
     jc.save_motion(tmp_path / "tall.npz", walk_and_wave(tall.skeleton, 0.4, 10.0), tall.skeleton)

@@ -9,7 +9,7 @@ from command_line import fails, runs, tree
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.pose import Motion
 from jaxcap.cli import main
 from jaxcap.cli.adapt.adapt import Adapt

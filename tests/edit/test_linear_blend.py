@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
 from jaxcap.body.people.sample import sample_poses
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.pose import Pose, rest_pose, stack_poses
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, swing_twist_from
 from jaxcap.edit.linear_blend.convert import linear_motion, linear_pose, to_linear_blend

@@ -10,9 +10,9 @@ from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
+from jaxcap.edit.matching.joint_matches import UnmatchedJoints
 from jaxcap.edit.matching.limbs import find_limbs
-from jaxcap.edit.matching.match import match_joints
-from jaxcap.edit.matching.matches import UnmatchedJoints
+from jaxcap.edit.matching.match_joints import match_joints
 from jaxcap.edit.matching.names import parse_joint_name
 from jaxcap.edit.matching.person_joints import identify_joints
 from jaxcap.edit.matching.upright_pose import joint_transforms

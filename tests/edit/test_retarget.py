@@ -9,7 +9,7 @@ import pytest
 from jaxcap.body.body import pose_body
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.pose import Motion, rest_pose, stack_poses
 from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import make_skeleton

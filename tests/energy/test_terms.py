@@ -10,10 +10,10 @@ from helpers import chain_body, check_energy, random_pose
 from jaxtyping import Array, Float, Int
 
 import jaxcap as jc
+from jaxcap.adapt.adapt_round import adapt_round
 from jaxcap.adapt.objective import PoseTerms
+from jaxcap.adapt.poses.fit_frame import fit_pose
 from jaxcap.adapt.poses.pair_cache import make_pair_cache
-from jaxcap.adapt.poses.pose import fit_pose
-from jaxcap.adapt.shape.adapt_round import adapt_round
 from jaxcap.adapt.task import AdaptSettings, AdaptState, Stage
 from jaxcap.energy.data.floor import make_floor
 from jaxcap.errors import InputError

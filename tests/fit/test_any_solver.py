@@ -18,7 +18,7 @@ from jaxcap.fit.sequences.sequence_problem import SequenceProblem
 from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.flat import flat_problem
+from jaxcap.fit.solvers.flat_problem import flat_problem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 
 with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):

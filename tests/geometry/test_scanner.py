@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.depth.back_projection import camera_rays
 from jaxcap.depth.fuse import fuse_cloud, grid_faces
 from jaxcap.errors import InputError

@@ -12,7 +12,7 @@ import pytest
 from jaxcap.errors import InputError
 from jaxcap.io.meshes.colours import read_colours
 from jaxcap.io.meshes.mesh import read_mesh
-from jaxcap.io.system.inside import read_inside
+from jaxcap.io.system.confined_paths import read_inside
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 SECRET = b"not for you"

@@ -13,11 +13,11 @@ from alone import ALONE
 from jaxcap.errors import InputError
 from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.system.atomic import atomic_path, write_text
-from jaxcap.io.system.lock import run_lock
+from jaxcap.io.system.run_lock import run_lock
 
 HOLD = f"""{ALONE}
 import time
-from jaxcap.io.system.lock import run_lock
+from jaxcap.io.system.run_lock import run_lock
 with run_lock(*sys.argv[1:]):
     print("locked", flush=True)
     time.sleep(60)

@@ -12,9 +12,9 @@ from jaxcap.body.skin import LinearSkin, SwingTwistSkin
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.joint_exchange.exchange_joints import exchange_joints, has_exchangeable_joints
-from jaxcap.learn.joint_exchange.joint_insertion import find_splits
-from jaxcap.learn.joint_exchange.joint_removal import find_removals
-from jaxcap.learn.joint_exchange.skeleton_edit import Split, insert_joint, remove_joint
+from jaxcap.learn.joint_exchange.insert_and_remove import Split, insert_joint, remove_joint
+from jaxcap.learn.joint_exchange.insertion_candidates import find_splits
+from jaxcap.learn.joint_exchange.removal_candidates import find_removals
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.state import LearnState

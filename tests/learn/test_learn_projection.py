@@ -21,7 +21,11 @@ from jaxcap.learn.skeleton.limbs import (
 )
 from jaxcap.learn.skeleton.reparent import bone_motions
 from jaxcap.learn.variable_projection.blend_problem import Blend, BlendProblem, optimise_blend
-from jaxcap.learn.variable_projection.improve import improve_body, optimise_all_vertices, sample_vertices
+from jaxcap.learn.variable_projection.solve_blend_problem import (
+    improve_body,
+    optimise_all_vertices,
+    sample_vertices,
+)
 from jaxcap.learn.weights.improve_weights import improve_weights
 from jaxcap.learn.weights.rest_vertices import solve_rest_vertices
 from jaxcap.observe.meshes import MeshSequence

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms, mean_squared_distance, temporal_energy
-from jaxcap.adapt.poses.pose import fit_pose, pairs_of
+from jaxcap.adapt.poses.fit_frame import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
 from jaxcap.body.pose import local_rotation_vectors
 from jaxcap.body.retraction import project, retract

@@ -5,13 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.markers.rotation_centres.axis_sara import find_hinge
+from jaxcap.markers.rotation_centres.centre_precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.estimate_joint import CENTRE_METHODS, find_joint
 from jaxcap.markers.rotation_centres.gamage import concentric_centre
-from jaxcap.markers.rotation_centres.precision import arc_bound, swept_arc
 from jaxcap.markers.rotation_centres.sphere import density_weights, fit_circle, fit_sphere
 from jaxcap.markers.segments.relative_motion import relative_motion
-from jaxcap.markers.segments.rigid_segments import make_segments
 from jaxcap.markers.segments.segment_frames import fit_segment_frames
+from jaxcap.markers.segments.segment_sets import make_segments
 from tests.markers_scene import puppet
 
 PAIR = ((-1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.25)), (0, (0.0, 0.0, 0.0), (0.05, 0.0, -0.25)))

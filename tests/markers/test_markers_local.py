@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxcap.markers.local_technique import fit_local
-from jaxcap.markers.segments.marker_partition import find_partition
-from jaxcap.markers.segments.rigid_segments import make_segments
+from jaxcap.markers.segments.find_segments import find_partition
+from jaxcap.markers.segments.segment_sets import make_segments
 from jaxcap.markers.skeleton.lengths import estimate_bone_lengths, joint_trajectories
 from jaxcap.markers.skeleton.segment_tree import find_segment_tree
 from jaxcap.markers.subject import marker_positions

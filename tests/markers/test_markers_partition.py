@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.errors import InputError
 from jaxcap.io.markers.marker_corrections import read_corrections, write_corrections
-from jaxcap.markers.segments.marker_partition import apply_corrections, find_partition
+from jaxcap.markers.segments.find_segments import apply_corrections, find_partition
 from jaxcap.markers.segments.maximal_cliques import maximal_cliques
 from jaxcap.markers.segments.pair_distances import pair_distance_ranges
-from jaxcap.markers.segments.rigid_segments import make_segments
+from jaxcap.markers.segments.segment_sets import make_segments
 from jaxcap.markers.segments.swaps import correct_swaps
 from tests.markers_scene import puppet
 

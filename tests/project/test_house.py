@@ -38,5 +38,5 @@ def test_docstrings_of_functions_begin_with_a_verb():
     assert len(verbless) <= 0.02 * functions, verbless
 
 
-def test_docstrings_have_no_private_words():
+def test_docstrings_and_help_have_no_private_words():
     assert private_words() == []

@@ -91,8 +91,8 @@ def messages(names, folder):
     fields = [field(axis, 4 * number, 7, 1) for number, axis in enumerate("xyz")]
     body = names["body"]
     posed = np.asarray(jc.pose_body(body, jc.rest_pose(body.skeleton)).vertices, np.float32)
-    # a fourth number for each point, and one point that the sensor has not measured
-    table = np.concatenate([posed, np.zeros((len(posed), 1), np.float32)], 1)
+    # along the optical axes, with a fourth number for each point, and one point that the sensor has not measured
+    table = np.concatenate([posed * np.float32([1, -1, -1]), np.zeros((len(posed), 1), np.float32)], 1)
     table[0] = np.nan
     data = np.frombuffer(table.tobytes(), np.uint8)
     message = cloud(header, 1, len(table), fields, False, 16, 16 * len(table), data, False)

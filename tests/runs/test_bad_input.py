@@ -16,7 +16,7 @@ from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.gltf.gltf_document import read_gltf_json
 from jaxcap.io.skeletons.bvh import read_bvh, write_bvh
-from jaxcap.io.system.lock import run_lock
+from jaxcap.io.system.run_lock import run_lock
 from jaxcap.observe.clouds import make_cloud
 from jaxcap.tracking.check_cloud import check_cloud, check_cloud_extent
 

@@ -9,7 +9,7 @@ from command_line import fails, runs
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.skeletons.bvh import read_bvh
 from jaxcap.report.distance_pictures import FrameView, draw_views

@@ -26,8 +26,8 @@ from jaxcap.tracking.judgement.baseline import (
     update_baseline,
 )
 from jaxcap.tracking.judgement.evidence import _visible_in_camera, gather_evidence
-from jaxcap.tracking.judgement.inside import inside_degrees
 from jaxcap.tracking.judgement.region_samples import _even_samples, region_name, sample_regions
+from jaxcap.tracking.judgement.self_penetration import inside_degrees
 from jaxcap.tracking.judgement.verdict import judge_evidence
 
 BODY = human(resolution="low", joints="tracking")

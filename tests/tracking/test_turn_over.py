@@ -6,7 +6,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.body.kinematics import joint_paths
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.scanner.scan import scan_frame

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxcap.adapt.poses.pose import DEPTH_BUFFER_SIZE
+from jaxcap.adapt.poses.fit_frame import DEPTH_BUFFER_SIZE
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.geometry.camera import is_in_image, look_at, ring_of_cameras
 from jaxcap.observe.visibility import visible_vertices
 

@@ -12,7 +12,7 @@ from ...energy.data.pairs import PointPairs
 from ...fit.correspondence.nearest_assignment import IndexedScan
 from ...parallel import parallel_map
 from ..task import AdaptTask
-from .pose import pairs_of
+from .fit_frame import pairs_of
 
 AnyScan = TypeVar("AnyScan")
 

@@ -14,8 +14,8 @@ from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem
+from .fit_frame import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose
 from .pair_cache import PairCache
-from .pose import MAX_UPHILL_STEPS, STEP_FACTORS, clamp_pose
 
 #: number of frames of a window, and number of frames by which it advances
 WINDOW_FRAMES, STRIDE = 11, 5

@@ -26,7 +26,7 @@ from ...tracking.initialise import (
     initialise,
     rotated_starts,
 )
-from ...tracking.log_posterior import log_posterior
+from ...tracking.pose_log_density import pose_log_density
 from ...tracking.track_frame import Tracker
 from ..task import AdaptTask, make_task_tracker
 from .similarity import DIRECTIONS, DistanceField, distance_field, rotated_distances
@@ -122,7 +122,7 @@ class _Search:
         self.shapes = {frame: distance_field(self.cloud(frame), height) for frame in task.scanned}
 
     def likelihood(self, frame: int, pose: Pose) -> float:
-        return float(log_posterior(self.tracker, pose, self.cloud(frame)))
+        return float(pose_log_density(self.tracker, pose, self.cloud(frame)))
 
     def refine(self, frame: int, pose: Pose) -> tuple[Pose, float]:
         """Refine a nearby pose by the tracker."""

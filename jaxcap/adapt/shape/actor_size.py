@@ -19,7 +19,7 @@ from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.camera import Camera
 from ...stacking import stack_trees, unstack_trees
 from ..objective import PoseTerms, window_problem
-from ..poses.pose import MAX_UPHILL_STEPS, STEP_FACTORS, pairs_of
+from ..poses.fit_frame import MAX_UPHILL_STEPS, STEP_FACTORS, pairs_of
 
 #: limits of an actor's size relative to the template
 MIN_SIZE, MAX_SIZE = 0.5, 2.0

@@ -16,7 +16,7 @@ from ...fit.correspondence.find_pairs import Matching
 from ...io.archives.journal import hash_files
 from ...io.meshes.clouds import Scans, read_clouds
 from ...io.registry import write_motion
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...report.adaptation import report_adaptation
 from ..console.console import say, warn
@@ -82,7 +82,8 @@ class Adapt:
     start: OptionalFile = None
     """Motion with its first frame near the pose of the first scan. Default: search for the pose of the first scan."""
     prior: OptionalFile = None
-    """Pose prior from `jaxcap prior learn`, in addition to the anatomical prior. The joint ranges in its file are
+    """Pose prior from `jaxcap prior learn`, in addition to the built-in prior, which prefers rotations near rest relative
+    to the range of each joint. The joint ranges in its file are
     hard limits; a shape prior in its file constrains the vertices. Default: the prior in the file of BODY; `none`
     uses no such prior."""
     prior_form: PriorForm = "nearest"

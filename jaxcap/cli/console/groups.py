@@ -6,7 +6,7 @@ MARKERS = VerbGroup(
     "Optical markers: calibrate a subject, solve its motion",
     """Optical markers: inspect a file of markers, calibrate a subject from takes, solve its motion in trials.
 
-Results are in metres.""",
+Results are in metres; TRC and C3D files are in millimetres. The axes of the files are kept unless --up is given.""",
     {
         "info": Verb("markers.info.Info", "Describe a file of markers"),
         "fit": Verb("markers.fit.Fit", "Calibrate a subject from its takes"),
@@ -29,7 +29,7 @@ Angles are in degrees.""",
 
 PRIOR = VerbGroup(
     "Pose priors: learn and inspect them",
-    """Pose priors: learn from motions how probable the rotations of joints are, for each pair of successive joints.
+    """Pose priors: learn from motions how probable the rotations of joints are, for each joint with its parent.
 
 Angles are in degrees.""",
     {
@@ -43,7 +43,7 @@ EDIT = VerbGroup(
     """Edit motions: retarget, cut, join, loop, resample or mirror them, change the gaze, or reduce them to keys.
 A raw scan can also be animated, with the body that is fitted to it.
 
-Results are in metres and have y up.""",
+Lengths are in metres, and in centimetres in BVH files.""",
     {
         "retarget": Verb("edit.retarget.Retarget", "Transfer a motion to another body or skeleton"),
         "gaze": Verb("edit.gaze.Gaze", "Make a person look at a point or in a direction"),
@@ -59,9 +59,10 @@ Results are in metres and have y up.""",
 
 JAXCAP = VerbGroup(
     "Fit articulated bodies to captures",
-    """Fit articulated bodies to point clouds, meshes and markers.
+    """Fit articulated bodies to point clouds, depth images, meshes and markers.
 
-Results are in metres and have y up. The first run of a verb compiles its functions, and caches them in a folder of
+Results are in metres and have y up. Exceptions: BVH files are in centimetres, TRC and C3D files in millimetres, and
+AMASS files have z up. The first run of a verb compiles its functions, and caches them in a folder of
 the user for later runs. The environment variable JAXCAP_CACHE names another folder; --no-cache disables the cache.""",
     {
         "demo": Verb("demo.Demo", "Pose, scan and track the embedded human, as a first test"),

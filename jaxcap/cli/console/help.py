@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterator
 
 #: groups in order, with their options; any other option is a setting of the verb itself
-BASICS, INPUT, OUTPUT, KINEBEN = "Basics", "Input", "Output", "Kineben files"
+BASICS, INPUT, OUTPUT, KINEBEN = "Basics", "Input", "Output", "Separate skeleton files"
 GROUPS: dict[str, tuple[str, ...]] = {
     BASICS: ("out", "resume", "overwrite", "help"),
     INPUT: (

@@ -68,7 +68,7 @@ class Convert:
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
     """Up axis of a motion in AMASS format. Default: z."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
-    """Vertices of --body to write as markers, in addition to the joints: numbers, NAME=NUMBER, or a text file of
+    """Vertices of --body to write as markers, in addition to the joints (not a number of vertices): numbers, NAME=NUMBER, or a text file of
     names and numbers."""
     tolerance: float = TOLERANCE
     """Largest error of the surface in a .glb or USD, metres, for a body without linear blend skinning. Virtual bones

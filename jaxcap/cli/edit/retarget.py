@@ -12,7 +12,7 @@ from ...body.body import Body
 from ...body.kinematics import joint_paths
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...edit.matching.matches import UnmatchedJoints
+from ...edit.matching.joint_matches import UnmatchedJoints
 from ...edit.retargeting.plan import UP, plan_retarget
 from ...edit.retargeting.point_pairs import match_points
 from ...edit.retargeting.retarget import retarget

@@ -12,7 +12,7 @@ import numpy as np
 from ...depth.stream.cloud_stream import NUM_POINTS
 from ...errors import InputError, user_message
 from ...io.archives.journal import Journal, create_journal
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...live.live_tracker import LiveTracker, make_live_tracker
 from ...live.statistics import LiveFrame, LiveStatistics
 from ...tracking.recover import TrackedFrame

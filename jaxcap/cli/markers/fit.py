@@ -11,7 +11,7 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.markers.marker_corrections import read_corrections, write_corrections
 from ...io.markers.subject import save_subject
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.local_technique import LocalFit, fit_local
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
@@ -25,7 +25,7 @@ from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit
 from ..motions import load_skeleton
 from ..outputs import check_npz, make_folder
 from ..terms import FloorHeight, read_terms
-from .found import describe_strays, print_bones, print_joints, print_segments
+from .result_tables import describe_strays, print_bones, print_joints, print_segments
 from .takes import (
     Files,
     OptionalFolder,

@@ -12,7 +12,7 @@ from ...errors import InputError
 from ...io.archives.journal import hash_file, hash_files
 from ...io.markers.subject import load_subject
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...markers.motion.gap_filling import fill_gaps
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.subject import Subject, marker_body
@@ -23,8 +23,8 @@ from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalUnit, Up, arg
 from ..outputs import check_parent, is_run_complete, make_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .found import describe_strays
-from .solved import read_solved, write_solved
+from .result_tables import describe_strays
+from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,

@@ -17,7 +17,7 @@ from ..console.options import arg
 
 @dataclass
 class Info:
-    """Describe a prior: the Gaussians and modes of each pair of joints, the range of each joint, and the number of
+    """Describe a prior: the number of Gaussians of each pair of joints and of the maxima of their sum, the range of each joint, and the number of
     meshes of the shape prior."""
 
     file: tyro.conf.Positional[Annotated[Path, arg(metavar="FILE")]]

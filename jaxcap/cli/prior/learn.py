@@ -32,7 +32,7 @@ MAX_SINE = 0.05
 
 @dataclass
 class Learn:
-    """Learn a pose prior from motions: a mixture of Gaussians for each pair of successive joints, and the range of
+    """Learn a pose prior from motions: a mixture of Gaussians for each joint with its parent, and the range of
     each joint.
 
     The number of Gaussians is the one that best predicts held-out motion. --meshes adds a prior of the shape around
@@ -61,7 +61,8 @@ class Learn:
     min_deviation: Annotated[float, arg(metavar="DEGREES")] = 2.0
     """Smallest standard deviation of a Gaussian in any direction, degrees."""
     margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Margin added at both ends of the range of each joint, degrees. Joints cannot leave this range. Give a margin if
+    """Margin added at both ends of the range of each joint, degrees. In `jaxcap adapt` joints cannot
+    leave this range; other verbs do not use it. Give a margin if
     the motions have few poses, which may not show the whole range."""
     seed: int = 0
     """Seed of the random initial values."""

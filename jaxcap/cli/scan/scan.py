@@ -17,7 +17,7 @@ from ...geometry.sampling import even_indices
 from ...io.archives.npz import save_motion
 from ...io.cameras import read_cameras, write_cameras
 from ...io.meshes.ply import write_ply
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...scanner.rooms import Room, make_room
 from ...scanner.scan import sample_dropped_views, scan_frame, scan_scene
 from ...scanner.sensors import SENSORS
@@ -69,7 +69,8 @@ class Scan:
     """Calibrated cameras, .json as written by this verb, instead of the arc of cameras. The file then determines the
     image size and the field of view."""
     sensor: Annotated[
-        Literal["kinect-v1", "azure-kinect", "realsense-d435"] | None, arg(help_behavior_hint="")
+        Literal["kinect-v1", "azure-kinect", "realsense-d435"] | None,
+        arg(metavar="{kinect-v1,azure-kinect,realsense-d435}", help_behavior_hint=""),
     ] = None
     """Depth camera whose image size, field of view and published errors are used, instead of --resolution,
     --field-of-view and the options from --noise to --max-grazing-angle."""

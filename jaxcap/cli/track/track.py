@@ -13,7 +13,7 @@ from ...errors import InputError, user_message
 from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
-from ...io.system.lock import run_lock
+from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
 from ...tracking.advance import FirstSearch

@@ -1,4 +1,4 @@
-"""Thinning of a cloud by what its points tell: flat surface keeps few points, curved surface such as a forearm keeps many."""
+"""Thinning of a cloud by the curvature of its surface: flat surface keeps few points, curved surface such as a forearm keeps many."""
 
 from typing import NamedTuple
 

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...body.skeleton import Skeleton
+from .name_table import Table
 from .names import Side, normalise_name
 from .person_joints import PersonJoints
-from .table import Table
 
 SIDES: tuple[Side, Side] = ("left", "right")
 #: a joint nearer than this share of the length to the end of an upper arm or thigh belongs to the next joint

@@ -23,8 +23,8 @@ from ...geometry import rotation
 from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
-from ..matching.match import SIDES, match_joints
-from ..matching.matches import JointMatches
+from ..matching.joint_matches import JointMatches
+from ..matching.match_joints import SIDES, match_joints
 from ..matching.person_joints import far_end
 from ..matching.upright_pose import joint_transforms
 from .hinges import hinge_axis, rest_hinge_axis, twist_between

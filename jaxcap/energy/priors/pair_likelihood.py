@@ -1,4 +1,4 @@
-"""Priors of the joint distribution of successive joints' rotations, as learned from data."""
+"""Priors of the joint distribution of the rotations of a joint and its parent, as learned from data."""
 
 import jax
 import jax.numpy as jnp

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from ...body.body import Posed
 from ...observe.clouds import Cloud
 from .part_blocks import PartBlocks
-from .posterior import MIN_OUTLIER, Posterior
+from .part_posterior import MIN_OUTLIER, Posterior
 
 
 def surface_log_density(

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields
 from ...errors import InputError
-from .flat import flat_problem
+from .flat_problem import flat_problem
 from .least_squares_problem import AbstractProblem
 
 #: length of the energy history if the number of steps is not given

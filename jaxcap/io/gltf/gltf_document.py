@@ -7,7 +7,7 @@ from typing import Any
 
 from ...errors import InputError
 from ..skinned.clip import clip_names
-from ..system.inside import read_inside
+from ..system.confined_paths import read_inside
 from ..text import parse_json, read_json
 from .gltf_parts import Part
 from .gltf_scene import chunks

@@ -18,7 +18,7 @@ from ...units import BODY_SIZE, UNIT_NAMES, likely_units, unit_scale
 from ..gltf.gltf_scene import check_scene
 from ..kinds import wrong_kind_error
 from ..system.atomic import atomic_path, write_text
-from ..system.inside import InsideResolver
+from ..system.confined_paths import InsideResolver
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER
 from .obj import read_obj, write_obj

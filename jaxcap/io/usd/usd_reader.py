@@ -26,7 +26,7 @@ from ..skinned.bind_pose import (
 )
 from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES, warn_of_unread_content
 from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, normalise_weights
-from ..system.inside import is_inside, outside_folder_error
+from ..system.confined_paths import is_inside, outside_folder_error
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, check_frame_rate
 from .usd import SUFFIXES as WRITTEN

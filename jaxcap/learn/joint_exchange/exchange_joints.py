@@ -15,9 +15,9 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ..state import LearnState
-from .joint_insertion import find_splits
-from .joint_removal import find_removals
-from .skeleton_edit import EditedBody, Removal, Split, insert_joint, remove_joint
+from .insert_and_remove import EditedBody, Removal, Split, insert_joint, remove_joint
+from .insertion_candidates import find_splits
+from .removal_candidates import find_removals
 
 #: the share of a removal's cost that remains after all else has adapted
 LASTING_COST_SHARE = 0.1

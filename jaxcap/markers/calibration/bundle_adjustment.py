@@ -17,7 +17,7 @@ from ...body.pose import Pose
 from ...body.retraction import retract
 from ...fit.alternate import minimise_reweighted
 from ...fit.linear_solvers.block_banded import BlockBanded
-from ...fit.linear_solvers.precision import in_float64
+from ...fit.linear_solvers.float64 import in_float64
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..subject import Subject
 from .calibration_parameters import shared_parameters

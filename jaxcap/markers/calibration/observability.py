@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose
-from ...fit.linear_solvers.precision import in_float64
+from ...fit.linear_solvers.float64 import in_float64
 from ..subject import Subject
 from .calibration_parameters import centre_jacobian, equal_length_constraints
 from .calibration_problem import CalibrationEstimate, CalibrationProblem

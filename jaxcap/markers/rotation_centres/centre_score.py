@@ -6,6 +6,7 @@ import numpy as np
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
+from .centre_precision import independent_frame_fraction
 from .estimator_parts import (
     MAX_REWEIGHTINGS,
     CentreEstimate,
@@ -13,7 +14,6 @@ from .estimator_parts import (
     iterate_until_converged,
     prior_weight,
 )
-from .precision import independent_frame_fraction
 
 
 class _ScoreState(NamedTuple):

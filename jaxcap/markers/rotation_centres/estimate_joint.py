@@ -8,11 +8,11 @@ import numpy as np
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
 from .axis_sara import Hinge, find_hinge
+from .centre_precision import arc_bound, principal_deviations, swept_arc
 from .centre_score import score_centre
 from .estimator_parts import CentreEstimate
 from .gamage import gamage_centre
 from .joint import Joint
-from .precision import arc_bound, principal_deviations, swept_arc
 from .sphere import sphere_centre
 
 #: `sphere` is the paper's method, `score` Ehrig's symmetrical one, `gamage` the closed form for common

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
+from .centre_precision import independent_frame_fraction
 from .estimator_parts import (
     MAX_REWEIGHTINGS,
     MIN_PRIOR_WEIGHT,
@@ -15,7 +16,6 @@ from .estimator_parts import (
     iterate_until_converged,
     prior_weight,
 )
-from .precision import independent_frame_fraction
 
 
 class _ConcentricState(NamedTuple):

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.sampling import even_indices
-from .rigid_segments import Segments
 from .segment_frames import SegmentFrames
+from .segment_sets import Segments
 
 #: number of frames that a joint is estimated from, evenly over the known ones
 MAX_FRAMES = 600

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
 from ..rotation_centres.estimator_parts import geman_mcclure_weights
-from .rigid_segments import Segments
+from .segment_sets import Segments
 
 #: maximal number of iterations for the shape of a segment
 MAX_ITERATIONS = 8

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..rotation_centres.joint import Joint
-from .rigid_segments import Segments
 from .segment_frames import SegmentFrames, fit_segment_frames, two_marker_frames
+from .segment_sets import Segments
 
 #: weight of a joint against a marker when a frame is fitted
 VIRTUAL_MARKER_WEIGHT = 0.5

@@ -12,8 +12,8 @@ from ..rotation_centres.estimate_joint import CentreMethod, find_joint
 from ..rotation_centres.hinge_centres import align_hinge_centres
 from ..rotation_centres.joint import Joint
 from ..segments.relative_motion import RelativeMotion, relative_motion
-from ..segments.rigid_segments import Segments
 from ..segments.segment_frames import fit_segment_frames
+from ..segments.segment_sets import Segments
 from ..segments.virtual_markers import AugmentedMarkers, add_virtual_markers, assume_hinge
 
 #: cost per metre between a centre and the nearest marker of either segment, against a metre of residual: two

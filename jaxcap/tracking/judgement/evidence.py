@@ -12,8 +12,8 @@ from ...body.body import pose_body
 from ...body.pose import Pose
 from ...geometry.camera import Camera, is_in_image, project_points
 from ...observe.clouds import Cloud
-from .inside import inside_degrees
 from .region_samples import MIN_DISTANCE, STRIDE, RegionSamples
+from .self_penetration import inside_degrees
 
 #: points sampled from a cloud
 NUM_POINTS = 1536

@@ -12,7 +12,7 @@ from ...body.people.anatomy import BODY_REGIONS
 from ...body.skeleton import Skeleton
 from ...geometry.mesh import area_normals, unit_vectors
 from ...geometry.sampling import spatial_order
-from .inside import inside_degrees
+from .self_penetration import inside_degrees
 
 #: samples of a surface, about 4 cm from each other on a person
 NUM_SAMPLES = 1536

@@ -14,7 +14,7 @@ from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import FirstSearch, Follower, find_first_frame
 from ..initialise import rotated_starts
-from ..log_posterior import log_posterior
+from ..pose_log_density import pose_log_density
 from ..recover import TrackedFrame, choose_better
 from .exchange import is_same_body
 from .groups import MIN_SIZE, assign_to_groups, find_groups
@@ -225,7 +225,7 @@ def _by_fit(
                 searched.add((g, k))
             pose = frame.pose if pose is None else pose
             frames[g, k] = frame
-            scores[g, column] = float(log_posterior(follower.tracker, frame.pose, newcomer.cloud))
+            scores[g, column] = float(pose_log_density(follower.tracker, frame.pose, newcomer.cloud))
     lowest = np.where(np.isfinite(scores), scores, -1e6)
     chosen = [(int(g), absent[column]) for g, column in zip(*linear_sum_assignment(-lowest), strict=True)]
     for g, k in chosen:

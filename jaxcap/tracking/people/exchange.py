@@ -13,7 +13,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import Follower
-from ..log_posterior import log_posterior
+from ..pose_log_density import pose_log_density
 from ..recover import TrackedFrame, track_first_frame
 from .person_frame import APART, CORRECTED, NEAR, UNDECIDED, UNSURE, PersonFrame
 
@@ -126,7 +126,7 @@ def try_exchange(
 
 
 def _density(follower: Follower, pose: Pose, cloud: Cloud) -> float:
-    return float(log_posterior(follower.tracker, pose, cloud))
+    return float(pose_log_density(follower.tracker, pose, cloud))
 
 
 def is_same_body(one: Body, other: Body) -> bool:

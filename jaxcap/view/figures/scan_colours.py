@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from ...body.body import Body
 from ...fit.correspondence.part_blocks import PartBlocks, make_part_blocks
-from ...fit.correspondence.posterior import posterior
+from ...fit.correspondence.part_posterior import posterior
 from ...geometry.closest import nearest_on_surface
 from ...geometry.mesh import vertex_normals
 from ...geometry.normals import estimate_normals

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError

@@ -22,7 +22,7 @@ from benchmarks.files.exchange import (
 )
 from benchmarks.report import missed_limits
 from benchmarks.view._browser import find_chromium
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.skin import swing_twist_from
 
 PROGRAMS = Path(os.environ.get("JAXCAP_PROGRAMS") or Path.home() / ".cache" / "jaxcap" / "programs")

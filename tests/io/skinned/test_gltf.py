@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body, pose_body
 from jaxcap.body.people.human import human
-from jaxcap.body.people.performance import walk_and_wave
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.edit.linear_blend.influences import limit_influences
 from jaxcap.errors import InputError

@@ -7,12 +7,8 @@ from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import user_message
-from .matches import JointMatches, UnmatchedJoints, initial_name_table
-from .names import Side
-from .pairing import SIDES, follow_twist_joints, pair_equal_names, pair_joints
-from .person_joints import PersonJoints, identify_joints
-from .sides import UnknownSides, swap_sides, toes_point_backward
-from .table import (
+from .joint_matches import JointMatches, UnmatchedJoints, initial_name_table
+from .name_table import (
     Table,
     initial_pairs,
     known_limb_sides,
@@ -21,6 +17,10 @@ from .table import (
     make_table,
     override_roles,
 )
+from .names import Side
+from .pairing import SIDES, follow_twist_joints, pair_equal_names, pair_joints
+from .person_joints import PersonJoints, identify_joints
+from .sides import UnknownSides, swap_sides, toes_point_backward
 from .upright_pose import find_upright_pose
 
 #: least number of matched joints

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Motion
 from ..joint_exchange.exchange_joints import exchange_joints
-from ..joint_exchange.skeleton_edit import EditedBody
+from ..joint_exchange.insert_and_remove import EditedBody
 from ..state import LearnState
-from .improve import improve_body
+from .solve_blend_problem import improve_body
 
 #: the number of vertices from which bones are learned
 VERTICES = 2000

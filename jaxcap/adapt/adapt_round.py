@@ -7,25 +7,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...body.body import Body
-from ...body.pose import Motion, Pose, stack_poses
-from ...body.shape_modes import ShapeModes, joint_modes
-from ...energy.data.pairs import stack_pairs
-from ...fit.correspondence.nearest_assignment import IndexedScan
-from ...fit.sequences.sequence_problem import SequenceProblem
-from ...fit.solvers.descent import NormalDescent
-from ...fit.solvers.minimise import take_step
-from ...stacking import stack_trees, unstack_trees
-from ..history import append_history
-from ..objective import CoefficientPrior, shared_problem
-from ..poses.pair_cache import PairCache
-from ..poses.pose import clamp_pose, fit_task_poses
-from ..poses.select_frames import spread_frames
-from ..task import AdaptSettings, AdaptState, AdaptTask, Stage
-from .joint_regressor import make_joint_regressor, regress_joints
-from .reference import reference_body, shape_prior_of
-from .shape_space import ShapeSpace, fit_coefficients, make_person
-from .vertex_adaptation import adapt_shape, adapt_together
+from ..body.body import Body
+from ..body.pose import Motion, Pose, stack_poses
+from ..body.shape_modes import ShapeModes, joint_modes
+from ..energy.data.pairs import stack_pairs
+from ..fit.correspondence.nearest_assignment import IndexedScan
+from ..fit.sequences.sequence_problem import SequenceProblem
+from ..fit.solvers.descent import NormalDescent
+from ..fit.solvers.minimise import take_step
+from ..stacking import stack_trees, unstack_trees
+from .history import append_history
+from .objective import CoefficientPrior, shared_problem
+from .poses.fit_frame import clamp_pose, fit_task_poses
+from .poses.pair_cache import PairCache
+from .poses.select_frames import spread_frames
+from .shape.joint_regressor import make_joint_regressor, regress_joints
+from .shape.reference import reference_body, shape_prior_of
+from .shape.shape_space import ShapeSpace, fit_coefficients, make_person
+from .shape.vertex_adaptation import adapt_shape, adapt_together
+from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 
 #: weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides

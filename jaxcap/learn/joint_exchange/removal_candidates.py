@@ -7,7 +7,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_children
 from .blend_fit import blend_grams, fit_blends, neighbouring_bones
-from .skeleton_edit import Removal
+from .insert_and_remove import Removal
 
 #: weight of a bone from which a vertex counts
 TOUCHED = 0.02

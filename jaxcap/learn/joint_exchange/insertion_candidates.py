@@ -11,7 +11,7 @@ from ...geometry.procrustes import group_moments, rigid_motions
 from ..parts.surface_graph import SurfaceGraph, boundary_edges, cut_patches, make_surface_graph, membership
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_new_bone
 from .blend_fit import blend_grams, fit_blends, neighbouring_bones
-from .skeleton_edit import Split
+from .insert_and_remove import Split
 
 #: patches evaluated as seeds of a bone, and the number of seeds that are refined
 PATCHES, SEEDS = 256, 12

@@ -12,9 +12,9 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
-from jaxcap.rig.place_skeleton import UPRIGHT, place_human
-from jaxcap.rig.rig import rig_mesh
-from jaxcap.rig.template import (
+from jaxcap.rigging.place_skeleton import UPRIGHT, place_human
+from jaxcap.rigging.rig_mesh import rig_mesh
+from jaxcap.rigging.template import (
     Person,
     average_build,
     build_body,
@@ -23,7 +23,7 @@ from jaxcap.rig.template import (
     prior_deviations,
     retract_person,
 )
-from jaxcap.rig.template_problem import TemplateProblem
+from jaxcap.rigging.template_problem import TemplateProblem
 
 ARMS = ("LeftArm", "LeftForeArm", "RightArm", "RightForeArm")
 #: joints deep inside the trunk, which the surface shows least

@@ -8,9 +8,9 @@ import trimesh
 
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
-from jaxcap.rig.envelopes import assign_bones, bone_distances, default_radii, default_tails
-from jaxcap.rig.heat import heat_weights, prune_weights, smooth_weights, surface_operators
-from jaxcap.rig.rig import rig_mesh
+from jaxcap.rigging.envelopes import assign_bones, bone_distances, default_radii, default_tails
+from jaxcap.rigging.heat import heat_weights, prune_weights, smooth_weights, surface_operators
+from jaxcap.rigging.rig_mesh import rig_mesh
 
 
 def chain(kind: str = "ball"):

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from ...arguments import checked
 from .maximal_cliques import maximal_cliques
 from .pair_distances import TRIMMED_FRACTION, median_distances, pair_distance_ranges
-from .rigid_segments import Segments, make_segments
+from .segment_sets import Segments, make_segments
 
 #: description cost of a segment of 1, 2, 3 or more markers, against a marker's squared deviation in units of
 #: the usual one: a lone marker explains nothing, so it costs as much as a pair

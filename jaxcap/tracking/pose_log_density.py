@@ -14,7 +14,7 @@ COMPARISON_SIGMA = 0.02
 
 
 @eqx.filter_jit
-def log_posterior(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
+def pose_log_density(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array, ""]:
     """Compute the log-density of a pose for each point of a cloud, up to a constant: the mean log-likelihood of the
     points minus the `penalty` of the priors.
 
