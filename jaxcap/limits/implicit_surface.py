@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
@@ -12,6 +13,7 @@ from .abstract_limits import AbstractLimits
 from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
+from .rest_directions import bone_angle, bone_direction
 
 
 class LimitSurface(eqx.Module):
@@ -43,6 +45,8 @@ class LimitSurface(eqx.Module):
     counts: Float[Array, "V N"]
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
+    #: unit direction of the joint's bone at rest, world; zero where it is not known
+    bone: Float[Array, "3"] = eqx.field(default_factory=lambda: jnp.zeros(3))
 
     def __check_init__(self):
         check_fields(self)
@@ -139,3 +143,17 @@ def missing_joints(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]
     """List the joints that the limits name and the skeleton lacks."""
     named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
     return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))
+
+
+def rest_difference(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, float]:
+    """Find the joint whose bone at rest differs most from that of the motions that the limits were learned from.
+
+    Returns its name and the angle, radians. Rotations are relative to the rest pose, so limits are valid for one rest
+    pose only.
+    """
+    angles = {
+        surface.joint: bone_angle(np.asarray(surface.bone, float), bone_direction(skeleton, surface.joint))
+        for surface in limits.surfaces
+    }
+    joint = max(angles, key=angles.__getitem__)
+    return joint, angles[joint]

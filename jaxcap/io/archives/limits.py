@@ -11,7 +11,8 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...limits.abstract_limits import AbstractLimits, AllLimits
 from ...limits.chart import DIMENSIONS, Chart
-from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints
+from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints, rest_difference
+from ...limits.rest_directions import MAX_REST_ANGLE
 from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst
@@ -32,6 +33,7 @@ _ARRAY_SHAPES: dict[str, tuple[int | None, ...]] = {
     "stiffness": (),
     "counts": (None, None),
     "densities": (None,),
+    "bone": (3,),
 }
 
 
@@ -66,8 +68,8 @@ def load_limits(path: str | Path) -> SurfaceLimits:
 def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
     """Read joint limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
-    **Raises:** `InputError` if the suffix is unknown, the file is invalid, or the limits are for joints that
-    the skeleton lacks.
+    **Raises:** `InputError` if the suffix is unknown, the file is invalid, the limits are for joints that the
+    skeleton lacks, or they were learned with another rest pose.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -78,6 +80,13 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
             raise InputError(
                 f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
                 f"{', '.join(skeleton.names)}; learn limits from motions of this skeleton."
+            )
+        joint, angle = rest_difference(limits, skeleton)
+        if angle > MAX_REST_ANGLE:
+            raise InputError(
+                f"{path}: these limits are for another rest pose: the bone of '{joint}' differs by "
+                f"{np.degrees(angle):.0f} degrees at rest; transfer the motions to this skeleton with "
+                "`jaxcap edit retarget`, and learn the limits from the results."
             )
         return limits
     if suffix == ".cst":

@@ -70,7 +70,7 @@ def learn_surface(
             coordinates, chart.dimension, samples.blocks, min_samples, coverage
         )
         voxels = voxelise(coordinates, chart.dimension, width, min_samples)
-        return _uncoupled_surface(samples.joint, chart, coordinates, voxels, width)
+        return _uncoupled_surface(samples, chart, coordinates, voxels, width)
     parent_chart = find_chart(samples.parent)
     parents = chart_coordinates(parent_chart, samples.parent.rotations)
     width, key_width = (voxel or 0.0) / 2, (keyframe or 0.0) / 2
@@ -102,13 +102,16 @@ def learn_surface(
         # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
         counts=jnp.asarray(_distribute_counts(counts, matched)),
         densities=jnp.zeros(0),
+        bone=jnp.asarray(samples.bone),
     )
     return _with_densities(surface, coordinates, parents)
 
 
-def _uncoupled_surface(joint: str, chart: Chart, coordinates, voxels: Voxels, width: float) -> LimitSurface:
+def _uncoupled_surface(
+    samples: JointSamples, chart: Chart, coordinates, voxels: Voxels, width: float
+) -> LimitSurface:
     surface = LimitSurface(
-        joint=joint,
+        joint=samples.joint,
         parent=None,
         chart=chart,
         parent_chart=None,
@@ -121,6 +124,7 @@ def _uncoupled_surface(joint: str, chart: Chart, coordinates, voxels: Voxels, wi
         stiffness=jnp.asarray(STIFFNESS),
         counts=jnp.asarray(voxels.counts[None]),
         densities=jnp.zeros(0),
+        bone=jnp.asarray(samples.bone),
     )
     return _with_densities(surface, coordinates, None)
 

@@ -10,6 +10,7 @@ from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ..rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
 
 #: seconds of a motion in one block that is held out: neighbouring frames are similar
 BLOCK_SECONDS = 10.0
@@ -26,6 +27,8 @@ class JointSamples(NamedTuple):
     #: samples of one block are close in time
     blocks: Int[np.ndarray, "F"]
     parent: "JointSamples | None" = None
+    #: unit direction of the joint's bone at rest, world; zero where it is not known
+    bone: Float[np.ndarray, "3"] = np.zeros(3)
 
     def take(self, frames: np.ndarray) -> "JointSamples":
         """Select some of the frames, of the parent too."""
@@ -73,20 +76,28 @@ def gather_samples(
     `names` are the names of the motions in errors.
 
     **Raises:** `ValueError` where a joint is missing, does not rotate at all, or is of another kind in
-    another motion.
+    another motion, or where the rest poses of the motions differ.
     """
     above = None if parent is None else gather_samples(motions, parent, None, names)
     kinds, rotations, blocks, start = set(), [], [], 0
-    axes = np.eye(3)[:2]
+    axes, bone = np.eye(3)[:2], np.zeros(3)
     for number, (skeleton, motion) in enumerate(motions):
+        motion_name = f"motion {number + 1}" if names is None else names[number]
         if joint not in skeleton.names:
-            motion_name = f"motion {number + 1}" if names is None else names[number]
             raise ValueError(
                 f"{motion_name}: there is no joint '{joint}'; it has {', '.join(skeleton.names)}."
             )
         j = skeleton.index(joint)
         kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
         axes = np.asarray(skeleton.axes[j], float)
+        here = bone_direction(skeleton, joint)
+        differs = bone_angle(bone, here)
+        if differs > MAX_REST_ANGLE:
+            raise ValueError(
+                f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
+                f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
+            )
+        bone = here
         turned = np.asarray(motion.poses.rotations[:, j], float)
         rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
         blocks.append(start + (np.arange(len(turned)) / (BLOCK_SECONDS * motion.rate)).astype(int))
@@ -98,7 +109,7 @@ def gather_samples(
     kind = kinds.pop()
     if kind in ("fixed", "translate"):
         raise ValueError(f"Joint '{joint}' is {kind} and does not rotate; name a joint that rotates.")
-    return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above)
+    return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above, bone)
 
 
 def angular_range(rotations: Float[np.ndarray, "F 4"]) -> float:
