@@ -14,7 +14,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = frozenset((ROOT / "scripts" / "verbs.txt").read_text("utf-8").split())
 #: words that no other library uses so, outside of code in backticks
-PRIVATE = re.compile(r"\b(told|tells?|beside|hangs|hang on|at hand|as it were|such as it is)\b", re.IGNORECASE)
+PRIVATE = re.compile(
+    r"\b(told|tells?|beside|hangs|hang on|at hand|as it were|such as it is)\b", re.IGNORECASE
+)
 CODE = re.compile(r"`[^`]*`")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

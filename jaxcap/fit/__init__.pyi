@@ -24,6 +24,8 @@ from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.part_posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
+from .flat_problem import flat_problem as flat_problem
+from .pose_problem import PoseProblem as PoseProblem
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
 from .sequences.sequence_problem import SequenceProblem as SequenceProblem
 from .sequences.solve_sequence import SequenceSolution as SequenceSolution
@@ -39,11 +41,10 @@ from .sequences.unknowns import ShapeCoefficients as ShapeCoefficients
 from .sequences.unknowns import Size as Size
 from .sequences.unknowns import SkinningWeights as SkinningWeights
 from .solve import Solution as Solution
-from .solvers.flat_problem import FlatProblem as FlatProblem
-from .solvers.flat_problem import flat_problem as flat_problem
 from .solvers.gauss_newton import GaussNewton as GaussNewton
 from .solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .solvers.minimise import AbstractManifoldSolver as AbstractManifoldSolver
+from .solvers.single_chart import FlatProblem as FlatProblem
 from .strict_priorities import OrderedSolution as OrderedSolution
 from .strict_priorities import priority_step as priority_step
 from .strict_priorities import solve_in_order as solve_in_order

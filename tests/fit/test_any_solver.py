@@ -10,15 +10,16 @@ import pytest
 from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
+from jaxcap.body.pose import Motion
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.errors import InputError
+from jaxcap.fit.flat_problem import flat_problem
 from jaxcap.fit.pose_problem import PoseProblem
 from jaxcap.fit.sequences.sequence_problem import SequenceProblem
 from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
-from jaxcap.fit.solvers.flat_problem import flat_problem
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 
 with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):
@@ -112,6 +113,20 @@ def test_a_sequence_is_solved_by_another_solver(scene):
     )
     assert float(theirs.energy) == pytest.approx(float(ours.energy), rel=1e-9)
     np.testing.assert_allclose(theirs.values["size"], ours.values["size"], atol=1e-6)
+
+
+def test_a_flat_sequence_starts_from_a_motion(scene):
+    energy, start, _ = scene
+    problem = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()})
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    ours = solve_sequence(problem, poses, LevenbergMarquardt(rtol=0.0, atol=1e-12))
+    flat = flat_problem(problem, Motion(poses, 30.0))
+    assert flat.value(flat.start) == flat_problem(problem, poses).value(flat.start)
+    solver = jaxopt.LBFGS(flat.value, maxiter=300, tol=1e-12)
+    found = flat.to_manifold(eqx.filter_jit(solver.run)(flat.start).params)
+    np.testing.assert_allclose(found.values["size"], ours.values["size"], atol=1e-4)
+    with pytest.raises(InputError, match="1 in `times`"):
+        flat_problem(problem, jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), start))
 
 
 def test_what_is_no_solver_is_told(scene):

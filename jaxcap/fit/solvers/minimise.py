@@ -11,8 +11,8 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields
 from ...errors import InputError
-from .flat_problem import flat_problem
 from .least_squares_problem import AbstractProblem
+from .single_chart import FlatProblem
 
 #: length of the energy history if the number of steps is not given
 HISTORY_LENGTH = 256
@@ -126,7 +126,7 @@ def _minimise_flat(problem: AbstractProblem, start: Any, solver: Any, max_steps:
     squares, charts = isinstance(solver, optx.AbstractLeastSquaresSolver), min(NUM_CHARTS, max_steps)
 
     def in_chart(y, _):
-        flat = flat_problem(problem, y)
+        flat = FlatProblem(problem, y)
         run: Any = optx.least_squares if squares else optx.minimise
         function = (lambda d, flat: flat.residual(d)) if squares else (lambda d, flat: flat.value(d))
         found = run(function, solver, flat.start, args=flat, max_steps=max_steps // charts, throw=False)

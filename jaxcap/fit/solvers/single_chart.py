@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ...arguments import checked
 from .least_squares_problem import AbstractProblem
 
 
@@ -45,13 +44,3 @@ class FlatProblem(eqx.Module):
     def recentred(self, d: Float[Array, "N"]) -> "FlatProblem":
         """Make the chart about another point."""
         return FlatProblem(self.problem, self.to_manifold(d))
-
-
-@checked
-def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
-    """Make a problem flat about a start, for solvers such as those of jaxopt and optax.
-
-    They minimise `flat.value` from `flat.start`, and `flat.to_manifold` maps their result to poses, where
-    `flat` is the returned `FlatProblem`.
-    """
-    return FlatProblem(problem, start)
