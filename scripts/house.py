@@ -11,6 +11,10 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = frozenset((ROOT / "scripts" / "verbs.txt").read_text("utf-8").split())
 #: words that no other library uses so, outside of code in backticks
@@ -98,6 +102,37 @@ def private_words() -> list[str]:
     return [f"{place}: {', '.join(words)}" for place, words in found if words]
 
 
+def import_circles() -> list[list[str]]:
+    """List the groups of files of the package that import each other, imports within functions included."""
+    files = {name_of(file).removesuffix(".py").removesuffix("/__init__"): file for file in package_files()}
+    numbers = {name: number for number, name in enumerate(files)}
+    arrows = [
+        (numbers[name], numbers[other])
+        for name, file in files.items()
+        for other in imported_by(name, file)
+        if other in numbers and other != name
+    ]
+    rows, columns = np.array(arrows).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), (len(files), len(files)))
+    _, labels = connected_components(graph, connection="strong")
+    groups = (
+        [name for name, label in zip(files, labels, strict=True) if label == one]
+        for one in range(labels.max() + 1)
+    )
+    return [group for group in groups if len(group) > 1]
+
+
+def imported_by(name: str, file: Path) -> Iterator[str]:
+    """Yield the files that a file imports, and the members of packages that may be files."""
+    package = name if file.name == "__init__.py" else name.rpartition("/")[0]
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            above = package.split("/")[: len(package.split("/")) - node.level + 1]
+            target = "/".join([*above, *(node.module or "").split(".")]).rstrip("/")
+            yield target
+            yield from (f"{target}/{alias.name}" for alias in node.names)
+
+
 def public_names() -> dict[str, int]:
     """Count the public names of each namespace."""
     import jaxcap as jc
@@ -123,7 +158,9 @@ def main() -> None:
         f"docstrings of functions that begin with a verb: {1 - len(verbless) / functions:.1%} of {functions}\n"
         f"docstrings and help texts with private words: {len(private_words())}\n"
     )
-    wrong = [*verbless, *private_words()]
+    circles = [", ".join(group) for group in import_circles()]
+    sys.stdout.write(f"circles of imports: {len(circles)}\n")
+    wrong = [*verbless, *private_words(), *circles]
     sys.stdout.writelines(f"  {place}\n" for place in wrong)
     if "--check" in sys.argv[1:] and wrong:
         raise SystemExit(1)

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from ..io.depth.images import SUFFIXES as IMAGE_SUFFIXES
-from ..io.depth.recordings import RECORDING_SUFFIXES
+from ..io.depth.recording import RECORDING_SUFFIXES
 from ..io.kinds import identify, wrong_kind_error
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (

@@ -9,7 +9,8 @@ from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
 from .depth.intrinsics import camera_of_intrinsics, is_intrinsics, make_lens
-from .depth.recordings import is_recording, open_recording
+from .depth.recording import is_recording
+from .depth.recordings import open_recording
 from .kinds import check_kind
 from .system.reader_errors import reader_of
 from .table import write_json

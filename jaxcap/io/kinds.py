@@ -9,7 +9,7 @@ from ..errors import InputError
 from .archives.archive import array_lengths, array_names, read_format_name
 from .depth.images import DEPTH_ARRAYS, is_depth_image
 from .depth.open_exr import EXR_SUFFIX
-from .depth.recordings import RECORDING_SUFFIXES
+from .depth.recording import RECORDING_SUFFIXES
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin

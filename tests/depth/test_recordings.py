@@ -15,7 +15,8 @@ import jaxcap as jc
 from jaxcap.cli.scan.rate import find_rate
 from jaxcap.errors import InputError
 from jaxcap.io.cameras import read_cameras
-from jaxcap.io.depth.recordings import open_recording, recorded_rate
+from jaxcap.io.depth.recording import recorded_rate
+from jaxcap.io.depth.recordings import open_recording
 from jaxcap.io.depth.sequence import read_depths
 
 #: those of the calibration that comes with the tests of the camera's SDK; cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1

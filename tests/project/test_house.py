@@ -7,6 +7,7 @@ import pytest
 from scripts.house import (
     docstrings,
     files_of_folders,
+    import_circles,
     lines_of_files,
     package_files,
     private_words,
@@ -36,6 +37,10 @@ def test_docstrings_of_functions_begin_with_a_verb():
     verbless, functions = without_verb()
     assert functions > 2000
     assert len(verbless) <= 0.02 * functions, verbless
+
+
+def test_no_file_imports_itself_through_others():
+    assert import_circles() == []
 
 
 def test_docstrings_and_help_have_no_private_words():

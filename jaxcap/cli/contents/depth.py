@@ -16,7 +16,7 @@ from ...errors import InputError, user_message
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
-from ...io.depth.recordings import is_recording
+from ...io.depth.recording import is_recording
 from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
 from ..console.console import pluralise, say

@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.cameras import read_cameras
-from ...io.depth.recordings import RECORDING_SUFFIXES, is_recording
+from ...io.depth.recording import RECORDING_SUFFIXES, is_recording
 from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
 from ...io.lazy_frames import LazyFrames

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...geometry.camera import Camera
-from ...io.depth.recordings import is_recording
+from ...io.depth.recording import is_recording
 from ...io.depth.rectify import make_rectifier
 from ...io.depth.sequence import DepthFrame, read_depths
 from ...io.lazy_frames import LazyFrames

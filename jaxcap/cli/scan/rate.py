@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from ...errors import InputError
-from ...io.depth.recordings import is_recording, open_recording, recorded_rate
+from ...io.depth.recording import is_recording, recorded_rate
+from ...io.depth.recordings import open_recording
 from ...io.kinds import identify
 from ...io.text import check_frame_rate, read_json
 from ..console.console import say

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from ...geometry.lens import Lens
 from .intrinsics import FORWARD
-from .recordings import Recording
+from .recording import Recording
 
 #: names of the track of depth and of the attached calibration
 DEPTH_TRACK, CALIBRATION = "DEPTH", "calibration.json"

@@ -17,7 +17,7 @@ from ...errors import InputError
 from ...geometry.camera import MAX_PIXELS, check_image_size
 from .images import depths_in_metres
 from .intrinsics import camera_of_intrinsics
-from .recordings import Recording
+from .recording import Recording
 
 IMAGE, COMPRESSED, CAMERA_INFO = (
     "sensor_msgs/msg/" + name for name in ("Image", "CompressedImage", "CameraInfo")

@@ -18,7 +18,8 @@ from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
 from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
 from .open_exr import EXR_SUFFIX, read_exr_depth
-from .recordings import is_recording, open_recording
+from .recording import is_recording
+from .recordings import open_recording
 
 #: suffix of organised point clouds
 ORGANISED = ".pcd"
