@@ -24,7 +24,7 @@ from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.part_posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
-from .flat_problem import flat_problem as flat_problem
+from .flat_problems import flat_problem as flat_problem
 from .pose_problem import PoseProblem as PoseProblem
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
 from .sequences.sequence_problem import SequenceProblem as SequenceProblem

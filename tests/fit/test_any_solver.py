@@ -14,7 +14,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.errors import InputError
-from jaxcap.fit.flat_problem import flat_problem
+from jaxcap.fit.flat_problems import flat_problem
 from jaxcap.fit.pose_problem import PoseProblem
 from jaxcap.fit.sequences.sequence_problem import SequenceProblem
 from jaxcap.fit.sequences.solve_sequence import solve_sequence
