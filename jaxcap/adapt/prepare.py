@@ -17,6 +17,8 @@ from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud, CloudFrames
+from ..observe.planes import Plane
+from ..observe.room import ClearedClouds, find_room
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import shape_space_like
@@ -39,6 +41,7 @@ def make_adapt_task(
     mesh: Callable[[int], IndexedScan] | None = None,
     terms: UserTerms = (),
     full_body: Body | None = None,
+    planes: Sequence[Plane] | None = None,
 ) -> AdaptTask:
     """Make the task of `adapt_body`.
 
@@ -49,7 +52,8 @@ def make_adapt_task(
     `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
     None; `pose_prior`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
     energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
-    act in all stages; `full_body`, the body that the template was reduced from; the others as in `AdaptTask`. The
+    act in all stages; `full_body`, the body that the template was reduced from; `planes`, floors and walls
+    whose points are removed: by default those of the first cloud (`jc.observe.find_room`); the others as in `AdaptTask`. The
     order of the scans in time is detected from some of them, unless `settings.unordered` is given.
 
     **Raises:** `InputError` if no frame has a cloud, a setting is out of its range, or `settings` are
@@ -64,8 +68,9 @@ def make_adapt_task(
     skeleton = template.skeleton
     prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), template.vertices.dtype))
     missing = tuple(missing)
+    scanned = sorted(set(range(len(clouds))) - set(missing))
+    clouds = ClearedClouds(clouds, find_room(clouds[scanned[0]]) if planes is None else planes)
     if settings.unordered is None:
-        scanned = sorted(set(range(len(clouds))) - set(missing))
         settings = settings._replace(
             unordered=is_unordered(clouds.__getitem__, scanned, float(body_height(template)))
         )

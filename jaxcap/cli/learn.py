@@ -27,7 +27,7 @@ from ..report.learned import report_learning
 from ..report.scores import Scores
 from .console.console import say, warn
 from .console.heartbeat import set_activity
-from .console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg
+from .console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg, check_ranges
 from .console.rounds import RoundProgress
 from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate_option
 from .motions import load_skeleton
@@ -141,15 +141,13 @@ class Learn:
 
     def check(self) -> None:
         """Check that options are in range and compatible. Raises `InputError`."""
-        wrong = {
+        ranges = {
             "--joints": (self.joints, self.joints is None or self.joints >= 1, "at least 1"),
             "--alpha": (self.alpha, 0 <= self.alpha < np.inf, "at least 0"),
             "--rounds": (self.rounds, self.rounds >= 1, "at least 1"),
             "--hold-out": (self.hold_out, self.hold_out is None or self.hold_out >= 2, "at least 2"),
         }
-        for name, (value, fine, what) in wrong.items():
-            if not fine:
-                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        check_ranges(ranges)
         check_rate_option(self.rate)
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")

@@ -1,5 +1,6 @@
 """Loading of bodies and clouds from command line arguments."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -25,7 +26,10 @@ from ..limits.abstract_limits import AbstractLimits
 from ..limits.ranges_and_cones import JointRanges
 from ..observe import Scan
 from ..observe.clouds import Cloud, make_cloud
+from ..observe.planes import Plane
+from ..observe.room import describe_room, find_room, in_room, remove_planes
 from ..tracking.check_cloud import check_cloud_extent
+from .console.console import say
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
@@ -108,14 +112,24 @@ class Clouds(LazyFrames[Cloud]):
         self._scans, self._body = scans, body
         self._up: Up = up
 
-    def mesh(self, frame: int) -> IndexedScan:
-        """Load a frame with its triangles, if it has any."""
+    def find_room(self, frame: int, keep: bool) -> tuple[Plane, ...]:
+        """Find and print the floors and walls of a frame that are removed from all frames; none if they are kept."""
+        cloud = self[frame]
+        planes = () if keep else find_room(cloud)
+        if planes:
+            say(f"removed from the scans: {describe_room(cloud, planes)}; --keep-planes keeps it")
+        return planes
+
+    def mesh(self, frame: int, planes: Sequence[Plane] = ()) -> IndexedScan:
+        """Load a frame with its triangles, if it has any, without those on planes."""
         scan, turn = self._scans[frame], up_rotation(self._up)
         cloud = _cloud_of(scan, self._body, self._up)
         if scan.normals is None or not len(scan.faces):
-            return make_scan(cloud)
+            return make_scan(remove_planes(cloud, planes))
+        points, normals = scan.points @ turn.T, scan.normals @ turn.T
+        faces = scan.faces[~in_room(points, normals, planes)[scan.faces].all(1)]
         try:
-            return make_mesh_scan(scan.points @ turn.T, scan.normals @ turn.T, scan.faces)
+            return make_mesh_scan(points, normals, faces)
         except ValueError as error:
             raise InputError(f"{scan.name}: {user_message(error)}") from None
 

@@ -8,8 +8,4 @@ from .people import find_people as find_people
 from .person import PersonSearch as PersonSearch
 from .person import find_person as find_person
 from .person import search_person as search_person
-from .planes import Plane as Plane
-from .planes import find_floor as find_floor
-from .planes import find_planes as find_planes
-from .planes import refine_plane as refine_plane
 from .views import make_depth_view as make_depth_view

@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_opening, maximum_filter
 
 from ..geometry.camera import Camera
+from ..observe.planes import Plane, find_planes, on_planes
 from .back_projection import world_points
 from .candidates import OTHER, is_piece, list_candidates
-from .planes import Plane, find_planes, on_planes
 from .surfaces import connect_pixels, search_step
 
 #: share of a connected surface that has to move, so that all of it may be a person

@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, Int
 from ..arguments import checked
 from ..errors import NoPersonError
 from ..geometry.camera import Camera
+from ..observe.planes import Plane, find_planes, on_planes
 from .back_projection import world_points
 from .background import Background, is_background
 from .candidates import PERSON, PIECE, Candidate, choose_person, list_candidates
 from .check_depths import check_depth_scale, check_image_size_of
-from .planes import Plane, find_planes, on_planes
 from .surfaces import CONTINUITY, connect_pixels, search_step
 
 

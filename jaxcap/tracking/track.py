@@ -15,6 +15,8 @@ from ..energy.check_energies import UserTerms
 from ..errors import InputError
 from ..observe import Scan
 from ..observe.clouds import Cloud, CloudFrames, as_cloud
+from ..observe.planes import Plane
+from ..observe.room import without_room
 from ..value_checks import check_direction
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
@@ -40,6 +42,7 @@ def track_frames(
     on_search: Callable[[Search], None] | None = None,
     candidates: Callable[[int], Sequence[Pose]] | None = None,
     margin: float = 0.0,
+    planes: Sequence[Plane] | None = None,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yield each frame as soon as it is done.
 
@@ -49,7 +52,8 @@ def track_frames(
     frame (Kineben's sigma0); `up` is the vertical of the scene; `first` is the number of the first cloud, so
     that a resumed run searches as an uninterrupted one; `on_search` is called before every search;
     `candidates(number)` gives other candidate poses of a frame: the frame keeps the likeliest, and leaves the
-    tracked pose only for one with a mean log-likelihood better by more than `margin`.
+    tracked pose only for one with a mean log-likelihood better by more than `margin`; `planes`, floors and walls whose points
+    are removed: by default those of the first cloud (`jc.observe.find_room`), none for an empty list.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
     sensor, compared with the baseline of the previous frames. A frame that is not good is searched for
@@ -62,7 +66,9 @@ def track_frames(
     """
     check_sigma("track_frames", sigma)
     check_direction("track_frames", up=up)
-    return _track_frames(tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin)
+    return _track_frames(
+        tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin, planes
+    )
 
 
 def _track_frames(
@@ -76,6 +82,7 @@ def _track_frames(
     on_search: Callable[[Search], None] | None,
     candidates: Callable[[int], Sequence[Pose]] | None,
     margin: float,
+    planes: Sequence[Plane] | None,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
     follower = make_follower(tracker, up, on_search)
@@ -83,7 +90,7 @@ def _track_frames(
     # where the first frame with a person starts
     pose = rest_pose(tracker.body.skeleton) if start is None else start
     pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
-    for number, cloud in enumerate(iterate_clouds(clouds), first):
+    for number, cloud in enumerate(without_room(iterate_clouds(clouds), planes), first):
         if cloud.missing:
             frame = missing_frame(tracker, follower.surface, cloud, frame, pose)
             yield frame
@@ -121,7 +128,8 @@ def track(
     same body; `search`, `sigma` and `up` as in `track_frames`; `terms`, further energies in units of a
     log-likelihood, such as `make_floor(body)`, where no tracker is given. A warning names lost or doubtful
     frames, with their faults, parts of the body without points, and frames that show another person;
-    `track_frames` gives the verdict on each frame.
+    `track_frames` gives the verdict on each frame. The points of floors and walls
+    in the first cloud are removed from all clouds.
 
     **Raises:** `InputError` for a cloud with fewer points than the pose has parameters, or in another unit.
     """

@@ -6,16 +6,14 @@ from depth_room import CAMERA, LOW, VERTICES, see
 
 from jaxcap.depth import (
     estimate_background,
-    find_floor,
     find_person,
-    find_planes,
-    refine_plane,
     search_person,
 )
 from jaxcap.depth.back_projection import world_points
 from jaxcap.depth.background import MIN_FRAMES, MIN_TOLERANCE, farthest_depths, is_background
 from jaxcap.depth.candidates import PERSON, TOO_LARGE
 from jaxcap.errors import InputError, NoPersonError
+from jaxcap.observe import find_floor, find_planes, refine_plane
 
 #: where a person walks, metres
 STEPS = np.linspace(-0.5, 0.7, 12)

@@ -22,6 +22,7 @@ from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud, stack_clouds
+from ...observe.room import without_room
 from ...stacking import stack_trees
 from ...tracking.advance import FirstSearch
 from ...tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
@@ -62,7 +63,7 @@ def estimate_shape(
     **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
     """
     check_at_least("estimate_shape", 1, num_frames=num_frames)
-    clouds = [cloud for cloud in clouds if not cloud.missing]
+    clouds = list(without_room((cloud for cloud in clouds if not cloud.missing), None))
     if not clouds:
         raise InputError("estimate_shape: there are no clouds of a person; expected at least one.")
     space = _find_space(tracker, space)

@@ -1,6 +1,7 @@
 """`jaxcap adapt`: adapt a template body to the actor in a sequence of scans."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -25,11 +26,13 @@ from ..console.options import (
     BodySpec,
     CloudsSpec,
     Flag,
+    KeepPlanes,
     OptionalCount,
     OptionalFile,
     Unit,
     Up,
     arg,
+    check_ranges,
     clouds_words,
 )
 from ..console.rounds import RoundProgress
@@ -47,6 +50,7 @@ from .input import (
     check_scan_cameras,
     first_pose,
     format_explained,
+    is_none_or_nonnegative,
     load_cameras,
     warn_of_lost,
     warn_of_unusable,
@@ -121,6 +125,7 @@ class Adapt:
     similar scans. Default: determined from the scans, unless --ordered is given."""
     ordered: Flag = False
     """The scans are ordered in time, even if successive scans are not similar."""
+    keep_planes: KeepPlanes = False
     adapt_every: Annotated[int, arg(metavar="N")] = 0
     """Adapt during tracking: after every N frames, up to frame 10 N. Use this for motions that the template alone
     cannot track. 0 tracks all frames before the first adaptation."""
@@ -275,7 +280,7 @@ class Adapt:
 
     def check(self) -> None:
         """Check that options are in range and results can be written. Raises `InputError`."""
-        wrong = {
+        ranges = {
             "--frames": (self.frames, self.frames >= 2, "at least 2"),
             "--adapt-every": (self.adapt_every, self.adapt_every >= 0, "at least 0"),
             "--joint-deviation": (
@@ -290,8 +295,8 @@ class Adapt:
                 0 <= self.tangential_weight <= 1,
                 "between 0 and 1",
             ),
-            "--smoothness": (self.smoothness, _is_none_or_nonnegative(self.smoothness), "at least 0"),
-            "--pose-weight": (self.pose_weight, _is_none_or_nonnegative(self.pose_weight), "at least 0"),
+            "--smoothness": (self.smoothness, is_none_or_nonnegative(self.smoothness), "at least 0"),
+            "--pose-weight": (self.pose_weight, is_none_or_nonnegative(self.pose_weight), "at least 0"),
             "--shape-weight": (
                 min(self.shape_weight),
                 0 < min(self.shape_weight) <= max(self.shape_weight) < np.inf,
@@ -300,9 +305,7 @@ class Adapt:
             "--report-every": (self.report_every, self.report_every >= 1, "at least 1"),
             "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
         }
-        for name, (value, fine, what) in wrong.items():
-            if not fine:
-                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        check_ranges(ranges)
         if self.unordered and self.ordered:
             raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
         if self.ignore_occlusion and self.cameras is None:
@@ -337,6 +340,7 @@ class Adapt:
             aperture=cameras if self.ignore_occlusion else (),
         )
         clouds = Clouds(scans, body, self.up)
+        planes = clouds.find_room(there[0], self.keep_planes)
         return make_adapt_task(
             body,
             clouds,
@@ -359,7 +363,8 @@ class Adapt:
             boxes=None if priors is None else priors.boxes,
             shape_prior=None if priors is None else priors.shape,
             terms=files.terms,
-            mesh=clouds.mesh if self.assignment == "surface" else None,
+            mesh=partial(clouds.mesh, planes=planes) if self.assignment == "surface" else None,
+            planes=planes,
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
 
@@ -380,6 +385,7 @@ class Adapt:
             "limit_weight",
             "unordered",
             "ordered",
+            "keep_planes",
             "smoothness",
             "pose_weight",
             "unit",
@@ -392,7 +398,3 @@ class Adapt:
         plain = {name: getattr(self, name) for name in names}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}
-
-
-def _is_none_or_nonnegative(weight: float | None) -> bool:
-    return weight is None or 0 <= weight < np.inf

@@ -160,3 +160,8 @@ def first_pose(path: Path | None, skeleton: Skeleton) -> Pose | None:
     for line in plan.matches.warnings:
         warn(f"{path}: {line}")
     return retarget(motion.slice(slice(1)), of, skeleton, plan=plan)[0]
+
+
+def is_none_or_nonnegative(weight: float | None) -> bool:
+    """Test if the weight of a term is in range, or not given."""
+    return weight is None or 0 <= weight < np.inf

@@ -1,11 +1,12 @@
 """Types of options that several verbs share, with their metavariables."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from ...errors import InputError
 from ..sources import BODY_FORMATS as BODY_FORMATS
 from ..sources import Up as Up
 
@@ -57,6 +58,14 @@ OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 OptionalUnit = Annotated[str | None, arg(metavar="UNIT", help_behavior_hint="")]
 Unit = Annotated[str, arg(metavar="UNIT")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
+KeepPlanes = Annotated[
+    bool,
+    arg(
+        help_behavior_hint="",
+        help="Keep the points of floors and walls. By default those that the first cloud shows are removed from all "
+        "clouds.",
+    ),
+]
 
 
 def clouds_words(clouds: Sequence[str]) -> str:
@@ -64,3 +73,10 @@ def clouds_words(clouds: Sequence[str]) -> str:
     if len(clouds) <= 1:
         return "".join(clouds)
     return f"{clouds[0]} ... {clouds[-1]} ({len(clouds)} files)"
+
+
+def check_ranges(options: Mapping[str, tuple[float | None, bool, str]]) -> None:
+    """Check options, each by its value, whether the value is in range, and the range in words. Raises `InputError`."""
+    for name, (value, is_in_range, words) in options.items():
+        if not is_in_range:
+            raise InputError(f"{name} is {value:g}; it must be {words}.")

@@ -11,7 +11,6 @@ from ...depth.background import Background, estimate_background, farthest_depths
 from ...depth.candidates import PERSON, PIECE, join_candidates
 from ...depth.check_depths import check_depth_scale, check_image_size_of
 from ...depth.person import search_person
-from ...depth.planes import find_floor, find_planes, refine_plane
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
@@ -19,6 +18,7 @@ from ...io.cameras import read_cameras
 from ...io.depth.recording import is_recording
 from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
+from ...observe.planes import find_floor, find_planes, refine_plane
 from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ...body.pose import Pose
 from ...errors import InputError
 from ...observe.clouds import Cloud
+from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch, Search
 from ...tracking.judgement.region_samples import sample_regions
 from ...tracking.people.person_frame import PersonFrame, absent_person
@@ -50,6 +51,7 @@ def follow_people(
     sigma: float,
     first: int,
     announce: Callable[[Search, str], None],
+    planes: Sequence[Plane],
 ) -> Iterator[tuple[PersonFrame, ...]]:
     """Track all people after the `last` frame; people who have not been seen yet are those of the template."""
     start = last
@@ -64,6 +66,7 @@ def follow_people(
         sigma=sigma,
         first=first,
         on_search=lambda person, search: announce(search, f" of person {person + 1} in"),
+        planes=planes,
     )
     for people in frames:
         yield people + template[len(people) :]

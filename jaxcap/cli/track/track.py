@@ -1,7 +1,7 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,6 +16,8 @@ from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
+from ...observe.planes import Plane
+from ...observe.room import describe_room, find_room
 from ...tracking.advance import FirstSearch
 from ...tracking.em_step import make_mixture_settings
 from ...tracking.people.track_people import MAX_PEOPLE
@@ -29,12 +31,14 @@ from ..console.options import (
     CloudsSpec,
     DepthSpec,
     Flag,
+    KeepPlanes,
     OptionalCount,
     Skl,
     Unit,
     Up,
     Vj,
     arg,
+    check_ranges,
 )
 from ..console.timed import timed
 from ..depth.sources import (
@@ -102,9 +106,10 @@ class Track:
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
+    keep_planes: KeepPlanes = False
     people: People = None
     """Track several people in the same clouds: their largest number, or `auto` to find it. The clouds must not contain
-    floors or walls. The results of each person are written to a folder of its own, person_1 and so on."""
+    furniture. The results of each person are written to a folder of its own, person_1 and so on."""
     fit_shape: Flag = False
     """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it.
     BODY must have the joints of the embedded human, as `human` does."""
@@ -158,10 +163,13 @@ class Track:
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
         check_some_person(clouds, begun)
+        planes = () if self.keep_planes else find_room(begun)
         make_writable(self.out)
         print_rate(rate)
         for doubt in doubts:
             warn(doubt)
+        if planes:
+            say(f"removed from the clouds: {describe_room(begun, planes)}; --keep-planes keeps it")
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
             if self.fit_shape:
@@ -173,9 +181,9 @@ class Track:
                 BACKGROUND_KEY: images,
             }
             if self.people is None:
-                self.track(journal, tracker, clouds, rate, header, others)
+                self.track(journal, tracker, clouds, rate, header, others, planes)
             else:
-                self.track_people(journal, tracker, clouds, rate, header, read_count(self.people))
+                self.track_people(journal, tracker, clouds, rate, header, read_count(self.people), planes)
 
     def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
         """Open the clouds, or the depth images with their backgrounds.
@@ -209,6 +217,7 @@ class Track:
         rate: Rate,
         header: dict[str, object],
         others: set[int],
+        planes: Sequence[Plane],
     ) -> None:
         """Track all frames that the journal at `path` lacks, and write the results, while the lock excludes other
         runs in the folder. `others` has the frames that show a second person, once they are read."""
@@ -217,7 +226,9 @@ class Track:
         with self.open_journal(path, header, row_width(template)) as journal:
             check_same_clouds(journal, clouds.names)
             last = None if journal.last is None else unpack(template, journal.last)[0]
-            self.track_remaining(self.steps(tracker, clouds, journal.count, last, others), clouds, journal)
+            self.track_remaining(
+                self.steps(tracker, clouds, journal.count, last, others, planes), clouds, journal
+            )
         set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
@@ -247,6 +258,7 @@ class Track:
         rate: Rate,
         header: dict[str, object],
         count: int | None,
+        planes: Sequence[Plane],
     ) -> None:
         """Track several people as `track` does one body; `count` is None if their number is to be found."""
         template = people_template(tracker, count, len(self.depth))
@@ -263,6 +275,7 @@ class Track:
                 sigma=self.sigma0,
                 first=journal.count,
                 announce=make_announcer(),
+                planes=planes,
             )
             self.track_remaining(timed(frames), clouds, journal)
         set_activity("writing the results")
@@ -277,7 +290,7 @@ class Track:
 
     def check(self) -> None:
         """Check that options are in range. Raises `InputError`."""
-        wrong = {
+        ranges = {
             "--normal-angle": (
                 self.normal_angle,
                 0 < self.normal_angle <= 180,
@@ -289,9 +302,7 @@ class Track:
             "--iterations": (self.iterations, self.iterations is None or self.iterations >= 1, "at least 1"),
             "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
         }
-        for name, (value, fine, what) in wrong.items():
-            if not fine:
-                raise InputError(f"{name} is {value:g}; it must be {what}.")
+        check_ranges(ranges)
         if not (self.clouds or self.depth):
             raise InputError("No clouds were given; give CLOUDS, or depth images with --depth.")
         if self.clouds and self.depth:
@@ -331,6 +342,7 @@ class Track:
             "estimate_priors",
             "initialise",
             "partial",
+            "keep_planes",
             "fit_shape",
             "background",
             "people",
@@ -371,6 +383,7 @@ class Track:
         begin: int,
         last: TrackedFrame | None,
         others: set[int],
+        planes: Sequence[Plane],
     ) -> Iterator[tuple[TrackedFrame, float]]:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
         frames = track_frames(
@@ -381,6 +394,7 @@ class Track:
             sigma=self.sigma0,
             first=begin,
             on_search=make_announcer(),
+            planes=planes,
         )
         for number, (frame, seconds) in enumerate(timed(frames), begin):
             yield dataclasses.replace(frame, others=frame.others or number in others), seconds

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...geometry.camera import Camera
+from ...observe.planes import PLANE_DISTANCE, Plane
 from ..back_projection import camera_rays
-from ..planes import PLANE_DISTANCE, Plane
 
 
 class ImageBox(NamedTuple):

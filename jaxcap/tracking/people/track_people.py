@@ -10,6 +10,8 @@ from ...body.pose import Pose
 from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud
+from ...observe.planes import Plane
+from ...observe.room import without_room
 from ...value_checks import check_at_least, check_direction
 from ..advance import FirstSearch, Follower, Search, find_first_frame, make_follower
 from ..check_cloud import check_cloud
@@ -35,6 +37,7 @@ def track_people(
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     first: int = 0,
     on_search: Callable[[int, Search], None] | None = None,
+    planes: Sequence[Plane] | None = None,
 ) -> Iterator[tuple[PersonFrame, ...]]:
     """Track several people in a stream of clouds; yield the frame of each person as soon as all are done.
 
@@ -70,7 +73,8 @@ def track_people(
     known = next((len(one.contacts) for one in start or () if isinstance(one, PersonFrame)), MAX_PEOPLE)
     size = count or (given if poses and given else known)
     followers = _make_followers([trackers] * size if alike else list(trackers), up, on_search)
-    return _track_people(followers, clouds, start, search, sigma, first, grows=count is None and not poses)
+    cleared = without_room(iterate_clouds(clouds), planes)
+    return _track_people(followers, cleared, start, search, sigma, first, grows=count is None and not poses)
 
 
 def _make_followers(
@@ -91,7 +95,7 @@ def _make_followers(
 
 def _track_people(
     followers: Sequence[Follower],
-    clouds: Iterable[Cloud | Scan] | Cloud,
+    clouds: Iterable[Cloud],
     start: Sequence[Pose] | Sequence[PersonFrame] | None,
     search: FirstSearch,
     sigma: float,
@@ -100,7 +104,7 @@ def _track_people(
 ) -> Iterator[tuple[PersonFrame, ...]]:
     """Track as `track_people` does, after its checks; if the number of people `grows`, only those seen are yielded."""
     people: list[PersonFrame] = []
-    for number, cloud in enumerate(iterate_clouds(clouds), first):
+    for number, cloud in enumerate(clouds, first):
         if not cloud.missing:
             check_cloud(followers[0].tracker.body, cloud, f"cloud {number}")
         poses = None

@@ -12,9 +12,9 @@ from ...depth.back_projection import world_points
 from ...depth.background import Background
 from ...depth.candidates import PERSON, PIECE, Candidate, join_candidates
 from ...depth.person import search_person
-from ...depth.planes import find_floor
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
+from ...observe.planes import find_floor
 from .clouds import sample_rows
 
 MEASURED, PLANES, BACKGROUND = "measured points", "floors and walls", "background"

@@ -1,5 +1,6 @@
-"""Floors and walls in the points of a depth image."""
+"""Floors and walls in points of a room."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ PLANE_DISTANCE, MIN_PLANE_SHARE = 0.03, 0.12
 NUM_PLANES, NUM_TRIALS = 4, 200
 #: largest share of points behind a wall, or below a floor
 MAX_BEHIND = 0.05
+#: share of the points on a plane that have its normal, and the largest angle between the two, degrees
+MIN_ALIGNED_SHARE, MAX_NORMAL_ANGLE = 0.5, 30.0
 #: largest angle between the normal of a floor and the vertical, degrees
 MAX_FLOOR_TILT = 35.0
 
@@ -28,15 +31,34 @@ class Plane(NamedTuple):
 
 
 @checked
-def find_planes(points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]) -> list[Plane]:
+def find_planes(
+    points: Float[np.ndarray, "N 3"],
+    eye: Float[np.ndarray, "3"] | None = None,
+    *,
+    normals: Float[np.ndarray, "N 3"] | None = None,
+    min_share: float = MIN_PLANE_SHARE,
+) -> list[Plane]:
     """Find floors and walls by random sample consensus: wide planes with many points and few points behind them.
 
-    **Arguments:** `eye`, the position of the camera, metres.
+    **Arguments:** `eye`, the position of the camera, metres; without it the side with more points is the front.
+    `normals` of the points, if they are known: most points of a floor or wall have its normal, and those of a person do
+    not. `min_share`, the least share of all points on a plane.
     """
-    rng, left, found = np.random.default_rng(0), points, []
+    candidates = []
+    for plane in _densest_planes(points, min_share):
+        on = on_planes([plane], points)
+        flat = normals is None or np.mean(is_aligned(normals[on], plane)) > MIN_ALIGNED_SHARE
+        if flat and _is_wide(points[on]):
+            candidates.append(_towards(plane, points, eye))
+    return [plane for plane in candidates if _is_last(plane, points, [] if normals is None else candidates)]
+
+
+def _densest_planes(points: Float[np.ndarray, "N 3"], min_share: float) -> Iterator[Plane]:
+    """Yield the planes with the most points, each among the points that are not on the planes before."""
+    rng, left = np.random.default_rng(0), points
     for _ in range(NUM_PLANES):
         if len(left) < 100:
-            break
+            return
         triples = left[rng.integers(len(left), size=(NUM_TRIALS, 3))]
         normals = area_normals(triples)
         lengths = np.linalg.norm(normals, axis=1)
@@ -46,17 +68,34 @@ def find_planes(points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"]) -
         few = left[:: max(1, len(left) // 2000)]
         shares = np.mean(np.abs(few @ normals.T - offsets) < PLANE_DISTANCE, 0)
         best = int(np.argmax(shares))
-        if shares[best] * len(left) < MIN_PLANE_SHARE * len(points):
-            break
-        side = float(np.sign(eye @ normals[best] - offsets[best]))
-        plane = Plane(side * normals[best], side * float(offsets[best]))
-        on = on_planes([plane], points)
-        # nothing is behind a wall or below a floor, but much is behind a plane through a person
-        behind = float(np.mean(points @ plane.normal - plane.offset < -2 * PLANE_DISTANCE))
-        if behind < MAX_BEHIND and _is_wide(points[on]):
-            found.append(plane)
+        if shares[best] * len(left) < min_share * len(points):
+            return
+        plane = Plane(normals[best], float(offsets[best]))
+        yield plane
         left = left[~on_planes([plane], left)]
-    return found
+
+
+def _is_last(plane: Plane, points: Float[np.ndarray, "N 3"], others: list[Plane]) -> bool:
+    """Test that few points are behind a plane, as behind a wall or below a floor; much is behind a plane through a
+    person. Points on other planes do not count: a floor may go on behind a wall."""
+    behind = points @ plane.normal - plane.offset < -2 * PLANE_DISTANCE
+    return (
+        float(np.mean(behind & ~on_planes([one for one in others if one is not plane], points))) < MAX_BEHIND
+    )
+
+
+def _towards(plane: Plane, points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"] | None) -> Plane:
+    """Turn the normal of a plane to the camera, or to the side with more points."""
+    heights = (points if eye is None else eye[None]) @ plane.normal - plane.offset
+    front = np.sum(heights > 2 * PLANE_DISTANCE) >= np.sum(heights < -2 * PLANE_DISTANCE)
+    if eye is not None:
+        front = heights[0] > 0
+    return plane if front else Plane(-plane.normal, -plane.offset)
+
+
+def is_aligned(normals: Float[np.ndarray, "N 3"], plane: Plane) -> Bool[np.ndarray, "N"]:
+    """Test which normals are those of a plane, with either sign."""
+    return np.abs(normals @ plane.normal) > np.cos(np.radians(MAX_NORMAL_ANGLE))
 
 
 def on_planes(planes: list[Plane], points: Float[np.ndarray, "*points 3"]) -> Bool[np.ndarray, "*points"]:

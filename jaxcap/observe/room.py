@@ -1,0 +1,118 @@
+"""Floors and walls in point clouds of a room, found once and removed from every frame."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import overload
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..arguments import checked
+from .clouds import Cloud, ordered_cloud
+from .planes import PLANE_DISTANCE, Plane, find_planes, is_aligned, refine_plane
+
+#: least share of the points of a cloud on a floor or wall: fewer points do not mislead a fit
+MIN_ROOM_SHARE = 0.05
+
+
+@checked
+def find_room(cloud: Cloud) -> tuple[Plane, ...]:
+    """Find floors and walls in one cloud: wide planes with many points that have the normal of the plane.
+
+    Clouds of depth images have none, because their floors and walls are removed when the person is found.
+    """
+    if cloud.missing or cloud.views:
+        return ()
+    points, normals, _ = _arrays(cloud)
+    known = normals[np.any(normals != 0, axis=1)]
+    found = find_planes(
+        points, normals=normals if len(known) == len(points) else None, min_share=MIN_ROOM_SHARE
+    )
+    planes: list[Plane] = []
+    for plane in (refine_plane(plane, points) for plane in found):
+        if not any(_is_same(plane, other) for other in planes):
+            planes.append(plane)
+    return tuple(planes)
+
+
+def _is_same(one: Plane, other: Plane) -> bool:
+    """Test if two planes are one surface that was found twice because of its noise."""
+    return bool(one.normal @ other.normal > 0.98 and abs(one.offset - other.offset) < 4 * PLANE_DISTANCE)
+
+
+@checked
+def remove_planes(cloud: Cloud, planes: Sequence[Plane]) -> Cloud:
+    """Remove the points on planes, and behind them; a cloud of which nothing would be left is returned unchanged.
+
+    Points farther from a plane than its noise that have another normal stay, such as those of a foot on the floor.
+    """
+    if not planes or cloud.missing:
+        return cloud
+    points, normals, weights = _arrays(cloud)
+    kept = ~in_room(points, normals, planes)
+    if kept.all() or not kept.any():
+        return cloud
+    return ordered_cloud(points[kept], normals[kept], weights[kept])
+
+
+def in_room(
+    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], planes: Sequence[Plane]
+) -> Bool[np.ndarray, "N"]:
+    """Test which points are on a plane, or behind it.
+
+    Points within three standard deviations of its own points are on it, and farther ones, up to `PLANE_DISTANCE`, if they
+    have its normal or none: others may be of a foot.
+    """
+    found = np.zeros(len(points), bool)
+    for plane in planes:
+        heights = points @ plane.normal - plane.offset
+        flat = is_aligned(normals, plane) | ~np.any(normals != 0, axis=1)
+        near = np.abs(heights) < PLANE_DISTANCE
+        deviation = 1.4826 * np.median(np.abs(heights[near])) if near.any() else 0.0
+        found |= (heights < -PLANE_DISTANCE) | (near & (flat | (np.abs(heights) < 3 * deviation)))
+    return found
+
+
+def without_room(clouds: Iterable[Cloud], planes: Sequence[Plane] | None) -> Iterator[Cloud]:
+    """Yield clouds without the points on `planes`; None takes the floors and walls of the first cloud."""
+    for cloud in clouds:
+        if planes is None and not cloud.missing:
+            planes = find_room(cloud)
+        yield remove_planes(cloud, planes or ())
+
+
+class ClearedClouds(Sequence[Cloud]):
+    """A lazy sequence of clouds without the points on planes."""
+
+    def __init__(self, clouds: Sequence[Cloud], planes: Sequence[Plane]):
+        self._clouds, self._planes = clouds, planes
+
+    def __len__(self) -> int:
+        return len(self._clouds)
+
+    @overload
+    def __getitem__(self, index: int) -> Cloud: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Cloud]: ...
+    def __getitem__(self, index):
+        if isinstance(index, slice):
+            return [self[frame] for frame in range(len(self))[index]]
+        return remove_planes(self._clouds[index], self._planes)
+
+
+def describe_room(cloud: Cloud, planes: Sequence[Plane], up: Sequence[float] = (0.0, 1.0, 0.0)) -> str:
+    """Describe the planes of a cloud: kinds and share of the points; without a full stop."""
+    points, normals, _ = _arrays(cloud)
+    share = float(np.mean(in_room(points, normals, planes)))
+    floors = sum(abs(float(plane.normal @ np.asarray(up))) > np.cos(np.radians(35.0)) for plane in planes)
+    names = {"floor or ceiling": floors, "wall": len(planes) - floors}
+    named = " and ".join(
+        f"a {name}" if count == 1 else f"{count} {name}s" for name, count in names.items() if count
+    )
+    return f"{named} with {100 * share:.0f} % of the points of the first cloud"
+
+
+def _arrays(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points, normals and weights without padding, in the precision of the cloud."""
+    weights = np.asarray(cloud.weights)
+    real = weights > 0
+    return np.asarray(cloud.points)[real], np.asarray(cloud.normals)[real], weights[real]
