@@ -6,6 +6,8 @@ from .kinematics import Transforms as Transforms
 from .people.sample import sample_poses as sample_poses
 from .retraction import difference as difference
 from .retraction import project as project
+from .shape_modes import ShapeModes as ShapeModes
+from .skeleton import dof_layout as dof_layout
 from .skin import AbstractSkin as AbstractSkin
 from .skin import RigidSkin as RigidSkin
 from .skin import swing_twist_from as swing_twist_from

@@ -18,12 +18,15 @@ from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
 from .priors.gaussian_pose_prior import GaussianPrior as GaussianPrior
 from .priors.gaussian_pose_prior import human_prior as human_prior
 from .priors.reference_pose import PosePrior as PosePrior
+from .priors.reference_pose import ReferencePrior as ReferencePrior
 from .priors.reference_pose import tangent_deviations as tangent_deviations
 from .priors.self_collision import SelfCollision as SelfCollision
 from .priors.self_collision import make_self_collision as make_self_collision
 from .priors.symmetry import BoneSymmetry as BoneSymmetry
 from .priors.temporal import SecondDifference as SecondDifference
 from .stacked import AbstractNeighbourEnergy as AbstractNeighbourEnergy
+from .stacked import AbstractSharedEnergy as AbstractSharedEnergy
+from .stacked import NormalPrior as NormalPrior
 from .stacked import SmoothRotations as SmoothRotations
 from .stacked import Stacked as Stacked
 from .stacked import stack_energies as stack_energies

@@ -18,6 +18,9 @@ class AbstractEnergy(eqx.Module):
     weighted by a number (`3.0 * a`, which triples `E`).
     """
 
+    #: an array of NumPy times an energy is refused here, and not multiplied element by element
+    __array_ufunc__ = None
+
     def __check_init__(self):
         check_fields(self)
 

@@ -3,7 +3,10 @@
 from typing import Any
 
 from ..arguments import checked
-from ..body.pose import Motion
+from ..body.pose import Motion, Pose
+from ..energy.check_energies import check_energy_arrays
+from ..errors import InputError
+from .pose_problem import PoseProblem
 from .sequences.check_sequence import check_sequence
 from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from .solvers.least_squares_problem import AbstractProblem
@@ -20,8 +23,18 @@ def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
     **Arguments:** `start` is a pose for a `PoseProblem`. For a `SequenceProblem` it is an estimate, or poses stacked
     over frames, with shared unknowns starting at the unchanged body, as in `solve_sequence`.
 
-    **Raises:** `InputError` for a sequence with inconsistent frames.
+    **Raises:** `InputError` for a sequence with inconsistent frames, for a problem with bounds or equal bone lengths, which
+    a flat problem does not have, and for an energy with arrays that do not fit the body.
     """
+    constraint = problem.describe_constraints()
+    if constraint is not None:
+        raise InputError(
+            f"flat_problem: the problem has {constraint}, which a flat problem would ignore; use LevenbergMarquardt()."
+        )
+    if isinstance(problem, PoseProblem):
+        if not isinstance(start, Pose) or start.scale.ndim:
+            raise InputError("flat_problem: `start` is not the pose of one frame, as a PoseProblem needs.")
+        check_energy_arrays(problem.energy, problem.body)
     if isinstance(problem, SequenceProblem) and not isinstance(start, SequenceEstimate):
         poses = start.poses if isinstance(start, Motion) else start
         check_sequence(problem, poses)

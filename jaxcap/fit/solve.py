@@ -10,7 +10,10 @@ from ..body.pose import Pose
 from ..body.retraction import project
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, energies
+from ..errors import InputError
+from ..value_checks import check_at_least
 from .pose_problem import PoseProblem
+from .precision import with_precision
 from .solvers.implicit import implicit_minimum, is_trustworthy
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import AnySolver
@@ -54,7 +57,15 @@ def solve(
     **Raises:** `InputError` for an object that is not a solver, and for an energy with inconsistent arrays or
     with indices of vertices or joints that the body does not have.
     """
+    check_at_least("solve", 1, max_steps=max_steps)
+    if start.scale.ndim:
+        raise InputError(
+            f"solve: `start` has {start.scale.shape[0]} frames; expected the pose of one frame. Many frames are solved by "
+            "jax.lax.map, or by solve_sequence."
+        )
     check_energy_arrays(energy, body)
+    # data may have another precision than the body
+    energy, start = with_precision((energy, start), body.vertices.dtype)
     problem = PoseProblem(energy, body)
     solver = LevenbergMarquardt() if solver is None else solver
     with explain_errors(energy, body, start):

@@ -1,6 +1,7 @@
 """Uncertainty of a solution: covariance, and unobservable directions."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -12,16 +13,17 @@ from ..body.skeleton import Skeleton, dof_layout
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy
 from .pose_problem import PoseProblem
+from .sequences.uncertainty import mask_unobservable, outer, unit_diagonal_scale
 
 
 class Uncertainty(eqx.Module):
     """First-order uncertainty from the normal matrix `J^T J` at a solution, in tangents of `retract`."""
 
-    #: `variance * (J^T J)^+`, metres and radians squared; without unobservable directions
+    #: metres and radians squared; an unobservable component has an infinite variance, and its covariances are NaN
     covariance: Float[Array, "D D"]
-    #: curvatures of the energy along `directions`, in scaled units, rising
+    #: eigenvalues of `J^T J` on a unit diagonal, rising
     curvatures: Float[Array, "D"]
-    #: columns are directions in tangent space, in scaled units
+    #: columns are orthonormal directions in tangent space, in scaled units; the first ones span those of the first curvatures
     directions: Float[Array, "D D"]
     #: mask of the directions that the energy does not determine
     unobservable: Bool[Array, "D"]
@@ -34,25 +36,35 @@ def uncertainty(
     """Compute the first-order uncertainty of a solved pose.
 
     **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as
-    `|r|^2 / (R - D)`. A direction counts as unobservable where its curvature is below `tolerance` times the
-    largest; where not given that is D times the machine's precision, the rounding error of a curvature of
-    zero.
+    `|r|^2 / (R - D)`. A direction counts as unobservable where its curvature, on a unit diagonal, is below
+    `tolerance` times the largest; where not given that is D times the machine's precision, the rounding error of a
+    curvature of zero.
     """
     check_energy_arrays(energy, body)
     problem = PoseProblem(energy, body)
     with explain_errors(energy, body, pose):
         residual, jacobian = problem.linearise(pose)
     scales = problem.scales()
-    scaled = jacobian * scales
     if variance is None:
         variance = residual @ residual / max(residual.shape[0] - scales.shape[0], 1)
-    curvatures, directions = jnp.linalg.eigh(scaled.T @ scaled)
     if tolerance is None:
         tolerance = scales.shape[0] * float(jnp.finfo(residual.dtype).eps)
+    return Uncertainty(*_covariance(jacobian, scales, variance, tolerance))
+
+
+@eqx.filter_jit
+@jax.default_matmul_precision("highest")
+def _covariance(jacobian: Float[Array, "R D"], scales: Float[Array, "D"], variance, tolerance):
+    matrix = (jacobian * scales).T @ (jacobian * scales)
+    # precise and vague information have curvatures that differ by more than the precision
+    unit = unit_diagonal_scale(jnp.diagonal(matrix), tolerance)
+    curvatures, directions = jnp.linalg.eigh(matrix * outer(unit))
     unobservable = curvatures <= tolerance * curvatures[-1]
-    inverse = jnp.where(unobservable, 0.0, 1.0 / jnp.where(unobservable, 1.0, curvatures))
-    spread = scales[:, None] * directions
-    return Uncertainty(variance * (spread * inverse) @ spread.T, curvatures, directions, unobservable)
+    inverse = 1.0 / jnp.where(unobservable, tolerance, curvatures)
+    covariance = (directions * inverse) @ directions.T
+    covariance, _ = mask_unobservable(covariance, jnp.ones(len(scales), bool), tolerance)
+    spanned = jnp.linalg.qr(unit[:, None] * directions)[0]
+    return variance * covariance * outer(unit * scales), curvatures, spanned, unobservable
 
 
 @checked

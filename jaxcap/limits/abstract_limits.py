@@ -3,6 +3,7 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -12,6 +13,8 @@ from ..body.skeleton import Skeleton
 
 #: largest residual of an allowed joint, about radians
 TOLERANCE = 1e-6
+#: largest number of turns in which several limits are projected onto
+TURNS = 20
 
 
 class AbstractLimits(eqx.Module):
@@ -47,7 +50,7 @@ def allowed(limits: AbstractLimits, skeleton: Skeleton, pose: Pose) -> Bool[Arra
 
 
 class AllLimits(AbstractLimits):
-    """A combination of several limits; the nearest pose is projected onto one after the other."""
+    """A combination of several limits; poses are projected onto one after the other, in turn until all hold."""
 
     parts: tuple[AbstractLimits, ...]
 
@@ -58,6 +61,14 @@ class AllLimits(AbstractLimits):
         return jnp.concatenate([part.residual_joints(skeleton) for part in self.parts])
 
     def project(self, skeleton: Skeleton, pose: Pose):
-        for part in self.parts:
-            pose = part.project(skeleton, pose)
-        return pose
+        def is_outside(state) -> Bool[Array, ""]:
+            turn, pose = state
+            return (turn < TURNS) & ~jnp.all(jnp.abs(self.residual(skeleton, pose)) <= TOLERANCE)
+
+        def into_all(state):
+            turn, pose = state
+            for part in self.parts:
+                pose = part.project(skeleton, pose)
+            return turn + 1, pose
+
+        return jax.lax.while_loop(is_outside, into_all, (0, pose))[1] if self.parts else pose

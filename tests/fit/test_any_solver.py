@@ -1,5 +1,8 @@
 """Other programs' solvers as independent checks of a minimum: optimistix by `solver=`, jaxopt and optax through a flat problem."""
 
+import contextlib
+import logging
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -26,6 +29,23 @@ with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):
     import jaxopt
 
 BODY = chain_body()
+
+
+@contextlib.contextmanager
+def count_compiled():
+    """The messages of JAX about programs that are compiled meanwhile."""
+    found, handler = [], logging.Handler()
+    handler.emit = lambda record: (
+        found.append(record.getMessage()) if "Compiling" in record.getMessage() else None
+    )
+    logger = logging.getLogger("jax")
+    logger.addHandler(handler)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(handler)
+
+
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
 
 
@@ -133,3 +153,44 @@ def test_what_is_no_solver_is_told(scene):
     energy, start, _ = scene
     with pytest.raises((InputError, TypeError), match="Newton"):
         solve(energy, BODY, start, optx.Newton(**TIGHT))
+
+
+def test_flat_problems_refuse_what_they_would_ignore(scene):
+    energy, start, _ = scene
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    bounded = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size(0.9, 1.02)})
+    with pytest.raises(InputError, match="bounds of the unknown 'size', which a flat problem would ignore"):
+        flat_problem(bounded, poses)
+    beyond = VertexLandmarks(jnp.array([99999]), jnp.zeros((1, 3)), jnp.ones(1))
+    with pytest.raises(InputError, match="`vertices` has 99999"):
+        flat_problem(PoseProblem(beyond, BODY), start)
+    with pytest.raises(InputError, match="not the pose of one frame"):
+        flat_problem(PoseProblem(energy, BODY), poses)
+
+
+def test_a_sequence_is_compiled_once(scene):
+    energy, start, _ = scene
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    problem = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()})
+    solve_sequence(problem, poses)
+    with jax.log_compiles(), count_compiled() as compiled:
+        solve_sequence(eqx.tree_at(lambda p: p.times, problem, jnp.ones(1)), poses)
+    assert compiled == []
+
+
+def test_stacked_starts_and_no_steps_are_refused(scene):
+    energy, start, _ = scene
+    with pytest.raises(InputError, match="`start` has 1 frames"):
+        solve(energy, BODY, jax.tree.map(lambda leaf: leaf[None], start))
+    with pytest.raises(InputError, match="`max_steps` is 0"):
+        solve(energy, BODY, start, max_steps=0)
+
+
+def test_data_of_another_precision_are_converted(scene):
+    energy, start, known = scene
+    single = jax.tree.map(
+        lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf, energy
+    )
+    found = solve(single, BODY, start)
+    assert found.pose.rotations.dtype == BODY.vertices.dtype
+    assert energy_of(energy, found.pose) == pytest.approx(energy_of(energy, known.pose), rel=1e-4)

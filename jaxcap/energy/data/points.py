@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ...body.body import Posed
-from ..energy import safe_sqrt
+from ..energy import mask_unweighted, safe_sqrt
 from .vertices import AbstractVertexEnergy, axis_directions
 
 
@@ -20,7 +20,7 @@ class PointToPoint(AbstractVertexEnergy):
     weights: Float[Array, "C"]
 
     def residual(self, posed):
-        differences = posed.vertices[self.vertices] - self.points
+        differences = mask_unweighted(self.weights, posed.vertices[self.vertices] - self.points)
         return (safe_sqrt(self.weights)[:, None] * differences).reshape(-1)
 
     def vertex_jacobian(self, posed: Posed):
@@ -40,8 +40,11 @@ class PointToPlane(AbstractVertexEnergy):
 
     def residual(self, posed):
         differences = posed.vertices[self.vertices] - self.points
-        return safe_sqrt(self.weights) * jnp.sum(self.normals * differences, -1)
+        return safe_sqrt(self.weights) * jnp.sum(
+            mask_unweighted(self.weights, self.normals * differences), -1
+        )
 
     def vertex_jacobian(self, posed: Posed):
         del posed
-        return self.vertices, (safe_sqrt(self.weights)[:, None] * self.normals)[:, None]
+        normals = mask_unweighted(self.weights, self.normals)
+        return self.vertices, (safe_sqrt(self.weights)[:, None] * normals)[:, None]

@@ -3,14 +3,15 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose
-from ..solvers.implicit import implicit_minimum, is_trustworthy
+from ...value_checks import check_at_least
+from ..precision import with_precision
+from ..solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ..solvers.levenberg_marquardt import LevenbergMarquardt
 from ..solvers.minimise import AnySolver
 from .check_sequence import check_sequence
@@ -57,16 +58,15 @@ def solve_sequence(
     """
     # data may have another precision than the body
     dtype = problem.body.vertices.dtype
-    problem, start = jax.tree.map(
-        lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, start)
-    )
+    problem, start = with_precision((problem, start), dtype)
     poses = start if isinstance(start, Pose) else start.poses
     check_sequence(problem, poses)
+    check_at_least("solve_sequence", 1, max_steps=max_steps)
     solver = LevenbergMarquardt() if solver is None else solver
     start = start if isinstance(start, SequenceEstimate) else problem.start(poses)
     found = implicit_minimum(problem, problem.project_feasible(start), solver, max_steps, _project_poses)
     trustworthy = is_trustworthy(problem, found)
-    estimate, energy = found.y, 2.0 * problem.value(found.y)
+    estimate, energy = found.y, energy_at(problem, found.y)
     return SequenceSolution(
         problem.body_at(estimate.values),
         estimate.poses,

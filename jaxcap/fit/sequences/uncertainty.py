@@ -96,7 +96,7 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     free = free_unknowns(info)
     arrow = arrow.restricted(free)
     # on a unit diagonal, undetermined coordinates get the smallest resolvable curvature
-    x, s = (_diagonal_scale(part, tolerance) for part in arrow.diagonal())
+    x, s = (unit_diagonal_scale(part, tolerance) for part in arrow.diagonal())
     arrow = arrow.rescaled(x, s)
     arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
     factor = arrow.frames.factorise()
@@ -112,16 +112,16 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     poses = factor.inverse_diagonal_blocks() + jnp.einsum(
         "fis,st,fjt->fij", follow, shared, follow, precision="highest"
     )
-    poses, still = _mask_unobservable(poses, free[0], tolerance)
-    shared, _ = _mask_unobservable(shared, free[1], tolerance)
-    poses = variance * poses * _outer(x * units[0])
+    poses, still = mask_unobservable(poses, free[0], tolerance)
+    shared, _ = mask_unobservable(shared, free[1], tolerance)
+    poses = variance * poses * outer(x * units[0])
     if problem.boxes is not None:
         turn = problem.charts(y.poses).basis
         poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
-    return poses, variance * shared * _outer(s * units[1]), directions, unobservable, still
+    return poses, variance * shared * outer(s * units[1]), directions, unobservable, still
 
 
-def _diagonal_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
+def unit_diagonal_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:
     """Compute the scale to a unit diagonal, except for curvatures below the rounding error of the largest."""
     largest = jnp.max(diagonal, initial=0.0)
     return diagonal_scale(jnp.where(diagonal > tolerance**2 * largest, diagonal, largest))
@@ -144,7 +144,7 @@ def _constrained_eigh(matrix: Float[Array, "S S"], rows: Float[Array, "C S"]):
     return values, directions, values > beyond / 2
 
 
-def _mask_unobservable(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
+def mask_unobservable(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F N"], tolerance):
     """Set infinite variances for unobservable coordinates, and zero for those that are not free."""
     variances = jnp.diagonal(covariance, axis1=-2, axis2=-1)
     unseen = free & (variances > MAX_VARIANCE_SHARE / tolerance)
@@ -154,7 +154,7 @@ def _mask_unobservable(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F
     return jnp.where(free[..., :, None] & free[..., None, :], covariance, 0.0), unseen
 
 
-def _outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:
+def outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:
     return scale[..., :, None] * scale[..., None, :]
 
 

@@ -41,6 +41,13 @@ def implicit_minimum(
     return eqx.tree_at(lambda m: m.y, rest, y, is_leaf=lambda x: x is None)
 
 
+@eqx.filter_jit
+def energy_at(problem: AbstractProblem, y: Any) -> Float[Array, ""]:
+    """Compute `|r|^2` at `y`."""
+    return 2.0 * problem.value(y)
+
+
+@eqx.filter_jit
 def is_trustworthy(problem: AbstractProblem, found: Minimum) -> Bool[Array, ""]:
     """Test if derivatives by the implicit function theorem hold at a minimum.
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...body.pose import Pose
-from ...fit.solvers.implicit import implicit_minimum, is_trustworthy
+from ...fit.solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import AnySolver
 from ..subject import Subject
@@ -51,7 +51,7 @@ def solve_calibration(
         problem.subject(found.y),
         found.y.poses,
         found.y,
-        2.0 * problem.value(found.y),
+        energy_at(problem, found.y),
         found.history,
         found.num_steps,
         found.result,
