@@ -14,7 +14,7 @@ from ..body.skeleton import Skeleton
 #: largest residual of an allowed joint, about radians
 TOLERANCE = 1e-6
 #: largest number of turns in which several limits are projected onto
-TURNS = 20
+TURNS = 100
 
 
 class AbstractLimits(eqx.Module):

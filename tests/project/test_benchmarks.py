@@ -59,6 +59,24 @@ def test_track_cmu(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_rooms_clutter(checkout, shared, tmp_path):
+    options = (
+        "--takes",
+        "02_05",
+        "--builds",
+        "small_woman",
+        "--frames",
+        "5",
+        "--picture",
+        str(tmp_path / "rooms.png"),
+    )
+    line = run(checkout, "rooms_clutter", *options)
+    assert meets(line, "floor_ratio", "wall_ratio", "both_ratio", "both_lost")
+    assert (tmp_path / "rooms.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_people_many(checkout, shared, tmp_path):
     options = ("--scenarios", "handshake", "--frames", "6", "--picture", str(tmp_path / "people.png"))
     line = run(checkout, "people_many", *options)
