@@ -118,6 +118,7 @@ class DofLayout(NamedTuple):
     names: tuple[str, ...]
 
 
+@checked
 def dof_layout(skeleton: Skeleton) -> DofLayout:
     """Create the layout of a tangent vector: joint by joint, translations before rotations."""
     total = skeleton.num_dofs
