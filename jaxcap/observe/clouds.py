@@ -11,10 +11,10 @@ from jaxtyping import Array, Float, Int
 
 from ..arguments import as_real_array, check_fields, check_metres, checked, describe
 from ..errors import InputError
-from ..geometry.normals import estimate_normals
 from ..geometry.sampling import spatial_order
 from ..stacking import stack, stack_trees
 from .depth_views import DepthView
+from .planes import estimate_cloud_normals
 
 #: largest distance of a cloud's median from the origin, metres: float32 resolves half a millimetre there
 MAX_DISTANCE = 1e4
@@ -78,7 +78,9 @@ def make_cloud(points, normals=None, weights=None, *, name: str = "the cloud") -
         )
     check_metres("make_cloud", "points" if name == "the cloud" else name, points)
     check_coordinates(points, name)
-    normals = estimate_normals(points) if normals is None else as_real_array("make_cloud", "normals", normals)
+    normals = (
+        estimate_cloud_normals(points) if normals is None else as_real_array("make_cloud", "normals", normals)
+    )
     weights = np.ones(len(points)) if weights is None else as_real_array("make_cloud", "weights", weights)
     if normals.shape != points.shape or weights.shape != points.shape[:1]:
         raise InputError(

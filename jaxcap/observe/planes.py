@@ -1,6 +1,6 @@
 """Floors and walls in points of a room."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -8,11 +8,18 @@ from jaxtyping import Bool, Float
 
 from ..arguments import checked
 from ..geometry.mesh import area_normals
+from ..geometry.normals import estimate_normals
 
 #: distance of points that belong to a plane, and share of all points that makes a plane floor or wall
 PLANE_DISTANCE, MIN_PLANE_SHARE = 0.03, 0.12
+#: the same for a cloud: fewer points do not mislead a fit
+MIN_ROOM_SHARE = 0.1
 #: number of planes that are looked for, and of tried triples of points for each
 NUM_PLANES, NUM_TRIALS = 4, 200
+#: the same where normals are known, and the least cosine between them and the normal of the plane
+NUM_CHECKED_TRIALS, MIN_CORNER_COSINE = 2000, 0.8
+#: least width of a plane, or its least length if it is narrower, metres
+MIN_WIDTH, MIN_LENGTH = 0.8, 1.5
 #: largest share of points behind a wall, or below a floor
 MAX_BEHIND = 0.05
 #: share of the points on a plane that have its normal, and the largest angle between the two, degrees
@@ -45,34 +52,44 @@ def find_planes(
     not. `min_share`, the least share of all points on a plane.
     """
     candidates = []
-    for plane in _densest_planes(points, min_share):
+    for plane in _densest_planes(points, normals, min_share):
         on = on_planes([plane], points)
         flat = normals is None or np.mean(is_aligned(normals[on], plane)) > MIN_ALIGNED_SHARE
-        if flat and _is_wide(points[on]):
+        if flat and _is_wide(points[on], of_cloud=normals is not None):
             candidates.append(_towards(plane, points, eye))
     return [plane for plane in candidates if _is_last(plane, points, [] if normals is None else candidates)]
 
 
-def _densest_planes(points: Float[np.ndarray, "N 3"], min_share: float) -> Iterator[Plane]:
+def _densest_planes(
+    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"] | None, min_share: float
+) -> Iterator[Plane]:
     """Yield the planes with the most points, each among the points that are not on the planes before."""
-    rng, left = np.random.default_rng(0), points
+    rng, left = np.random.default_rng(0), np.arange(len(points))
     for _ in range(NUM_PLANES):
         if len(left) < 100:
             return
-        triples = left[rng.integers(len(left), size=(NUM_TRIALS, 3))]
-        normals = area_normals(triples)
-        lengths = np.linalg.norm(normals, axis=1)
+        triples = left[
+            rng.integers(len(left), size=(NUM_TRIALS if normals is None else NUM_CHECKED_TRIALS, 3))
+        ]
+        across = area_normals(points[triples])
+        lengths = np.linalg.norm(across, axis=1)
         good = lengths > 1e-6
-        normals, corners = normals[good] / lengths[good, None], triples[good, 0]
-        offsets = np.sum(normals * corners, 1)
-        few = left[:: max(1, len(left) // 2000)]
-        shares = np.mean(np.abs(few @ normals.T - offsets) < PLANE_DISTANCE, 0)
+        across, triples = across[good] / lengths[good, None], triples[good]
+        if normals is not None:
+            # three points of one plane have its normal
+            likely = (np.abs(np.einsum("tka,ta->tk", normals[triples], across)) > MIN_CORNER_COSINE).all(1)
+            across, triples = across[likely], triples[likely]
+        if not len(triples):
+            return
+        offsets = np.sum(across * points[triples[:, 0]], 1)
+        few = points[left[:: max(1, len(left) // 2000)]]
+        shares = np.mean(np.abs(few @ across.T - offsets) < PLANE_DISTANCE, 0)
         best = int(np.argmax(shares))
         if shares[best] * len(left) < min_share * len(points):
             return
-        plane = Plane(normals[best], float(offsets[best]))
+        plane = Plane(across[best], float(offsets[best]))
         yield plane
-        left = left[~on_planes([plane], left)]
+        left = left[~on_planes([plane], points[left])]
 
 
 def _is_last(plane: Plane, points: Float[np.ndarray, "N 3"], others: list[Plane]) -> bool:
@@ -133,7 +150,40 @@ def refine_plane(plane: Plane, points: Float[np.ndarray, "N 3"]) -> Plane:
     return Plane(normal, float(normal @ middle))
 
 
-def _is_wide(points: Float[np.ndarray, "N 3"]) -> bool:
-    """Test if points extend farther than a person's back."""
+def _is_wide(points: Float[np.ndarray, "N 3"], of_cloud: bool) -> bool:
+    """Test if points extend farther than a person's back; in a cloud, which may show a person from all sides, in two
+    directions."""
     low, high = np.quantile(points, [0.05, 0.95], axis=0)
-    return bool(np.sort(high - low)[1] > 0.8 or np.sort(high - low)[2] > 1.5)
+    _, width, length = np.sort(high - low)
+    return bool(width > MIN_WIDTH or (length > MIN_LENGTH and not of_cloud))
+
+
+def in_room(
+    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], planes: Iterable[Plane]
+) -> Bool[np.ndarray, "N"]:
+    """Test which points are on a plane, or behind it.
+
+    Points within three standard deviations of its own points are on it, and farther ones, up to `PLANE_DISTANCE`, if they
+    have its normal or none: others may be of a foot.
+    """
+    found = np.zeros(len(points), bool)
+    for plane in planes:
+        heights = points @ plane.normal - plane.offset
+        flat = is_aligned(normals, plane) | ~np.any(normals != 0, axis=1)
+        near = np.abs(heights) < PLANE_DISTANCE
+        deviation = 1.4826 * np.median(np.abs(heights[near])) if near.any() else 0.0
+        found |= (heights < -PLANE_DISTANCE) | (near & (flat | (np.abs(heights) < 3 * deviation)))
+    return found
+
+
+def estimate_cloud_normals(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Estimate the normals of a cloud as `estimate_normals` does, those of floors and walls apart from the others.
+
+    Signs are propagated from point to point, and would spread from a floor to the feet on it.
+    """
+    normals = estimate_normals(points)
+    planes = find_planes(points, normals=normals, min_share=MIN_ROOM_SHARE)
+    others = ~in_room(points, normals, planes)
+    if planes and others.any():
+        normals[others] = estimate_normals(points[others])
+    return normals

@@ -4,14 +4,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import overload
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from ..arguments import checked
 from .clouds import Cloud, ordered_cloud
-from .planes import PLANE_DISTANCE, Plane, find_planes, is_aligned, refine_plane
-
-#: least share of the points of a cloud on a floor or wall: fewer points do not mislead a fit
-MIN_ROOM_SHARE = 0.05
+from .planes import MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room, refine_plane
 
 
 @checked
@@ -52,24 +48,6 @@ def remove_planes(cloud: Cloud, planes: Sequence[Plane]) -> Cloud:
     if kept.all() or not kept.any():
         return cloud
     return ordered_cloud(points[kept], normals[kept], weights[kept])
-
-
-def in_room(
-    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], planes: Sequence[Plane]
-) -> Bool[np.ndarray, "N"]:
-    """Test which points are on a plane, or behind it.
-
-    Points within three standard deviations of its own points are on it, and farther ones, up to `PLANE_DISTANCE`, if they
-    have its normal or none: others may be of a foot.
-    """
-    found = np.zeros(len(points), bool)
-    for plane in planes:
-        heights = points @ plane.normal - plane.offset
-        flat = is_aligned(normals, plane) | ~np.any(normals != 0, axis=1)
-        near = np.abs(heights) < PLANE_DISTANCE
-        deviation = 1.4826 * np.median(np.abs(heights[near])) if near.any() else 0.0
-        found |= (heights < -PLANE_DISTANCE) | (near & (flat | (np.abs(heights) < 3 * deviation)))
-    return found
 
 
 def without_room(clouds: Iterable[Cloud], planes: Sequence[Plane] | None) -> Iterator[Cloud]:

@@ -104,3 +104,20 @@ def test_a_person_on_a_floor_is_tracked_as_without_it():
     assert [frame.verdict for frame in found] == ["good"] * 3
     ours, theirs = (jc.pose_body(BODY, frames[-1].pose).joints for frames in (found, clean))
     assert float(jnp.linalg.norm(ours - theirs, axis=1).max()) < 5e-3
+
+
+def test_estimated_normals_point_out_of_a_person_on_a_floor(scene):
+    body, floor, _ = scene
+    cloud = jc.make_cloud(np.concatenate([body[0], floor[0]]))
+    left = jc.observe.remove_planes(cloud, jc.observe.find_room(cloud))
+    points, normals = (np.asarray(x)[np.asarray(left.weights) > 0] for x in (left.points, left.normals))
+    nearest = np.array([np.argmin(np.linalg.norm(body[0] - point, axis=1)) for point in points])
+    agree = np.sum(normals * body[1][nearest], axis=1) > 0
+    alone = jc.make_cloud(body[0])
+    real = np.asarray(alone.weights) > 0
+    order = np.array(
+        [np.argmin(np.linalg.norm(body[0] - point, axis=1)) for point in np.asarray(alone.points)[real]]
+    )
+    expected = np.sum(np.asarray(alone.normals)[real] * body[1][order], axis=1) > 0
+    # as often as without a floor
+    assert agree.mean() > expected.mean() - 0.02
