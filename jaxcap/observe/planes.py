@@ -18,12 +18,14 @@ MIN_ROOM_SHARE = 0.1
 NUM_PLANES, NUM_TRIALS = 4, 200
 #: the same where normals are known, and the least cosine between them and the normal of the plane
 NUM_CHECKED_TRIALS, MIN_CORNER_COSINE = 2000, 0.8
-#: least width of a plane, or its least length if it is narrower, metres
-MIN_WIDTH, MIN_LENGTH = 0.8, 1.5
+#: least width of a plane in an image, or its least length if it is narrower, and least width in a cloud, metres
+MIN_WIDTH, MIN_LENGTH, MIN_CLOUD_WIDTH = 0.8, 1.5, 1.2
 #: largest share of points behind a wall, or below a floor
 MAX_BEHIND = 0.05
 #: share of the points on a plane that have its normal, and the largest angle between the two, degrees
 MIN_ALIGNED_SHARE, MAX_NORMAL_ANGLE = 0.5, 30.0
+#: least share of the rectangle around a floor or wall that its points fill
+MIN_FILLED_SHARE = 0.6
 #: largest angle between the normal of a floor and the vertical, degrees
 MAX_FLOOR_TILT = 35.0
 
@@ -48,13 +50,17 @@ def find_planes(
     """Find floors and walls by random sample consensus: wide planes with many points and few points behind them.
 
     **Arguments:** `eye`, the position of the camera, metres; without it the side with more points is the front.
-    `normals` of the points, if they are known: most points of a floor or wall have its normal, and those of a person do
+    `normals` of the points, if they are known, zero for single ones that are not: most points of a floor or wall have its normal, and those of a person do
     not. `min_share`, the least share of all points on a plane.
     """
     candidates = []
     for plane in _densest_planes(points, normals, min_share):
         on = on_planes([plane], points)
-        flat = normals is None or np.mean(is_aligned(normals[on], plane)) > MIN_ALIGNED_SHARE
+        flat = normals is None or (
+            np.sum(is_aligned(normals[on], plane))
+            > MIN_ALIGNED_SHARE * np.sum(np.any(normals[on] != 0, axis=1))
+            and filled_share(points[on], plane.normal) > MIN_FILLED_SHARE
+        )
         if flat and _is_wide(points[on], of_cloud=normals is not None):
             candidates.append(_towards(plane, points, eye))
     return [plane for plane in candidates if _is_last(plane, points, [] if normals is None else candidates)]
@@ -150,12 +156,28 @@ def refine_plane(plane: Plane, points: Float[np.ndarray, "N 3"]) -> Plane:
     return Plane(normal, float(normal @ middle))
 
 
+def filled_share(points: Float[np.ndarray, "N 3"], normal: Float[np.ndarray, "3"]) -> float:
+    """Compute the share of a rectangle around points on a plane that they fill, in cells that should have five points.
+
+    A floor fills most of it, and a person with raised arms does not.
+    """
+    across = np.linalg.svd(normal[None])[2][1:]
+    flat = (points - points.mean(0)) @ across.T
+    # along the longest direction of the points
+    flat = flat @ np.linalg.svd(flat - flat.mean(0), full_matrices=False)[2].T
+    low, high = np.quantile(flat, [0.02, 0.98], axis=0)
+    flat = flat[((flat >= low) & (flat <= high)).all(1)]
+    counts = np.maximum(((high - low) / np.sqrt(5 * np.prod(high - low) / max(len(flat), 1))).astype(int), 1)
+    cells = np.minimum(((flat - low) / (high - low) * counts).astype(int), counts - 1)
+    return len(np.unique(cells, axis=0)) / float(np.prod(counts))
+
+
 def _is_wide(points: Float[np.ndarray, "N 3"], of_cloud: bool) -> bool:
     """Test if points extend farther than a person's back; in a cloud, which may show a person from all sides, in two
     directions."""
     low, high = np.quantile(points, [0.05, 0.95], axis=0)
     _, width, length = np.sort(high - low)
-    return bool(width > MIN_WIDTH or (length > MIN_LENGTH and not of_cloud))
+    return bool(width > MIN_CLOUD_WIDTH if of_cloud else width > MIN_WIDTH or length > MIN_LENGTH)
 
 
 def in_room(

@@ -14,15 +14,13 @@ from .planes import MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room,
 def find_room(cloud: Cloud) -> tuple[Plane, ...]:
     """Find floors and walls in one cloud: wide planes with many points that have the normal of the plane.
 
-    Clouds of depth images have none, because their floors and walls are removed when the person is found.
+    Clouds of depth images have none, because their floors and walls are removed when the person is found. In clouds without
+    normals none are found.
     """
     if cloud.missing or cloud.views:
         return ()
     points, normals, _ = _arrays(cloud)
-    known = normals[np.any(normals != 0, axis=1)]
-    found = find_planes(
-        points, normals=normals if len(known) == len(points) else None, min_share=MIN_ROOM_SHARE
-    )
+    found = find_planes(points, normals=normals, min_share=MIN_ROOM_SHARE)
     planes: list[Plane] = []
     for plane in (refine_plane(plane, points) for plane in found):
         if not any(_is_same(plane, other) for other in planes):

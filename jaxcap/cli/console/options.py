@@ -75,7 +75,7 @@ def clouds_words(clouds: Sequence[str]) -> str:
     return f"{clouds[0]} ... {clouds[-1]} ({len(clouds)} files)"
 
 
-def check_ranges(options: Mapping[str, tuple[float | None, bool, str]]) -> None:
+def check_ranges(options: Mapping[str, tuple[int | float | None, bool, str]]) -> None:
     """Check options, each by its value, whether the value is in range, and the range in words. Raises `InputError`."""
     for name, (value, is_in_range, words) in options.items():
         if not is_in_range:
