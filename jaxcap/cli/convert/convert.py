@@ -43,7 +43,8 @@ class Convert:
 
     A motion is written as .bvh or .npz, and its joint centres as .trc, .c3d or .csv. A body is written with its skin
     as .glb, .usda, .usdc or .usdz, together with its motion if SOURCE or --motion contains one. `human` is also
-    written as a body .npz; for all other bodies, this needs --as body. A skeleton is written as .skl."""
+    written as a body .npz; for all other bodies, this needs --as body. A skeleton is written as .skl, a mesh as .off,
+    .obj, .ply or .stl, and markers as .c3d, .trc or .csv."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
     """A motion, body, skeleton, mesh or markers, in any format that is read. `character.glb:Walk` selects one of
