@@ -19,7 +19,13 @@ from jaxcap.fit.strict_priorities import priority_step
 from jaxcap.geometry.normals import estimate_normals
 from jaxcap.limits.abstract_limits import allowed
 from jaxcap.limits.implicit_surface import SurfaceLimits
-from jaxcap.tracking.em_step import Estimate, box_volume, data_energy, e_step, uniform_priors
+from jaxcap.tracking.expectation_maximisation.em_step import (
+    Estimate,
+    box_volume,
+    data_energy,
+    e_step,
+    uniform_priors,
+)
 
 #: pixels, of 640 x 480
 FOCAL, CENTRE = 525.0, (320.0, 240.0)

@@ -41,7 +41,7 @@ from benchmarks._scenes import (
 from benchmarks.report import finish, progress
 from benchmarks.tracking._estep import brute_force_posterior, part_members
 from jaxcap.metrics import joint_errors
-from jaxcap.tracking.em_step import box_volume
+from jaxcap.tracking.expectation_maximisation.em_step import box_volume
 
 TAKE, FRAMES = "02_05", 150
 #: deviation at which E-steps are compared: the one that tracking this noise settles at, metres

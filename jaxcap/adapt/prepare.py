@@ -17,8 +17,8 @@ from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud, CloudFrames
+from ..observe.floors_and_walls import ClearedClouds, find_room
 from ..observe.planes import Plane
-from ..observe.room import ClearedClouds, find_room
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
 from .shape.shape_space import shape_space_like

@@ -26,8 +26,8 @@ from ..limits.abstract_limits import AbstractLimits
 from ..limits.ranges_and_cones import JointRanges
 from ..observe import Scan
 from ..observe.clouds import Cloud, make_cloud
+from ..observe.floors_and_walls import describe_room, find_room, remove_planes
 from ..observe.planes import Plane, in_room
-from ..observe.room import describe_room, find_room, remove_planes
 from ..tracking.check_cloud import check_cloud_extent
 from .console.console import say
 

@@ -4,8 +4,9 @@ from ..energy.data.pairs import pair_positions as pair_positions
 from ..observe.visibility import visible_vertices as visible_vertices
 from ..tracking.batch import fit_batch as fit_batch
 from ..tracking.batch import scan_track as scan_track
-from ..tracking.em_step import MixtureSettings as MixtureSettings
-from ..tracking.em_step import make_mixture_settings as make_mixture_settings
+from ..tracking.expectation_maximisation.e_step import posterior as posterior
+from ..tracking.expectation_maximisation.em_step import MixtureSettings as MixtureSettings
+from ..tracking.expectation_maximisation.em_step import make_mixture_settings as make_mixture_settings
 from ..tracking.limb_flips import flip_limb_ends as flip_limb_ends
 from ..tracking.people.person_frame import PersonFrame as PersonFrame
 from ..tracking.people.track_people import track_people as track_people
@@ -21,7 +22,6 @@ from .correspondence.nearest_assignment import NearestVertex as NearestVertex
 from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
 from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_part_blocks as make_part_blocks
-from .correspondence.part_posterior import posterior as posterior
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
 from .flat_problems import flat_problem as flat_problem

@@ -108,7 +108,7 @@ def _is_last(plane: Plane, points: Float[np.ndarray, "N 3"], others: list[Plane]
 
 
 def _towards(plane: Plane, points: Float[np.ndarray, "N 3"], eye: Float[np.ndarray, "3"] | None) -> Plane:
-    """Turn the normal of a plane to the camera, or to the side with more points."""
+    """Choose the sign of a plane: its normal points to the camera, or to the side with more points."""
     heights = (points if eye is None else eye[None]) @ plane.normal - plane.offset
     front = np.sum(heights > 2 * PLANE_DISTANCE) >= np.sum(heights < -2 * PLANE_DISTANCE)
     if eye is not None:

@@ -12,7 +12,7 @@ from ..body.pose import Motion, Pose
 from ..errors import InputError
 from ..observe import Scan, stack_clouds
 from ..observe.clouds import Cloud
-from .em_step import FrameStatistics
+from .expectation_maximisation.em_step import FrameStatistics
 from .track_frame import Tracker, TrackState, check_sigma, start_state, track_frame
 
 

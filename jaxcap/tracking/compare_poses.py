@@ -7,8 +7,8 @@ import equinox as eqx
 from ..body.pose import Pose
 from ..body.retraction import difference
 from ..observe.clouds import Cloud
-from .em_step import FrameStatistics
-from .pose_log_density import pose_log_density
+from .expectation_maximisation.em_step import FrameStatistics
+from .expectation_maximisation.pose_log_density import pose_log_density
 from .recover import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, start_state
 

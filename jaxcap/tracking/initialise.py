@@ -23,7 +23,7 @@ from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
 from ..parallel import parallel_map
 from ..value_checks import check_at_least, check_direction
-from .em_step import Estimate, box_volume, em_step, uniform_priors
+from .expectation_maximisation.em_step import Estimate, box_volume, em_step, uniform_priors
 from .prior_starts import mean_pose, prior_starts
 from .track_frame import Tracker, frame_terms, penalty
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
-from .em_step import FrameStatistics
+from .expectation_maximisation.em_step import FrameStatistics
 from .judgement.baseline import initial_baseline
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import nothing_to_judge

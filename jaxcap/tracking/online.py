@@ -12,9 +12,9 @@ from ..value_checks import check_at_least, check_direction
 from .advance import FOUND_SIGMA, follow_frame, make_follower
 from .check_cloud import check_cloud
 from .compare_poses import track_from
+from .expectation_maximisation.pose_log_density import pose_log_density
 from .initialise import initialise
 from .judgement.baseline import initial_baseline
-from .pose_log_density import pose_log_density
 from .recover import (
     SearchHistory,
     TrackedFrame,

@@ -11,7 +11,8 @@ from ..energy.priors.reference_pose import tangent_deviations
 from ..observe import thin_cloud
 from ..observe.clouds import Cloud
 from ..stacking import stack_trees
-from .em_step import Estimate, FrameStatistics
+from .expectation_maximisation.em_step import Estimate, FrameStatistics
+from .expectation_maximisation.pose_log_density import pose_log_density
 from .initialise import (
     COARSE_POINTS,
     FINE_SIGMAS,
@@ -31,7 +32,6 @@ from .judgement.baseline import (
 from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
-from .pose_log_density import pose_log_density
 from .prior_starts import prior_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame
 

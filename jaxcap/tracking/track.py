@@ -15,8 +15,8 @@ from ..energy.check_energies import UserTerms
 from ..errors import InputError
 from ..observe import Scan
 from ..observe.clouds import Cloud, CloudFrames, as_cloud
+from ..observe.floors_and_walls import without_room
 from ..observe.planes import Plane
-from ..observe.room import without_room
 from ..value_checks import check_direction
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud

@@ -19,7 +19,7 @@ from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
 from ..observe.clouds import Cloud
 from ..value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
-from .em_step import (
+from .expectation_maximisation.em_step import (
     Estimate,
     FrameStatistics,
     MixtureSettings,

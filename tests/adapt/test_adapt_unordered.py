@@ -30,7 +30,7 @@ from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.tracking import advance
-from jaxcap.tracking.pose_log_density import pose_log_density
+from jaxcap.tracking.expectation_maximisation.pose_log_density import pose_log_density
 from jaxcap.tracking.track import track_frames
 from jaxcap.tracking.track_frame import make_tracker
 

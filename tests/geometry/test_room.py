@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.observe.room import ClearedClouds, describe_room, without_room
+from jaxcap.observe.floors_and_walls import ClearedClouds, describe_room, without_room
 
 BODY = jc.human(resolution="low", joints="tracking")
 FLOOR = -0.82

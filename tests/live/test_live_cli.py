@@ -24,7 +24,7 @@ from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.live.arrivals import replay
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
-from jaxcap.tracking.em_step import FrameStatistics
+from jaxcap.tracking.expectation_maximisation.em_step import FrameStatistics
 from jaxcap.view.live import follow_run
 
 

@@ -13,7 +13,7 @@ from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
 from jaxcap.observe.clouds import Cloud
-from jaxcap.tracking.em_step import (
+from jaxcap.tracking.expectation_maximisation.em_step import (
     Estimate,
     box_volume,
     data_energy,

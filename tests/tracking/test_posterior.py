@@ -10,11 +10,16 @@ from scipy.spatial import cKDTree
 from jaxcap.fit.correspondence import nearest as nearest_module
 from jaxcap.fit.correspondence.nearest import nearest_vertices
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
-from jaxcap.fit.correspondence.part_posterior import log_likelihood, posterior, update_priors, update_sigma
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import vertex_normals
 from jaxcap.geometry.sampling import spatial_order
 from jaxcap.observe.clouds import Cloud
+from jaxcap.tracking.expectation_maximisation.e_step import (
+    log_likelihood,
+    posterior,
+    update_priors,
+    update_sigma,
+)
 
 SETTINGS = {"normal_threshold": 0.4, "outlier": 0.1, "box_volume": 8.0}
 NUM_PARTS = 6

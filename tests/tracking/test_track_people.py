@@ -21,7 +21,7 @@ from jaxcap.tracking.people.exchange import end_contact, try_exchange, with_cont
 from jaxcap.tracking.people.groups import assign_to_groups, find_groups
 from jaxcap.tracking.people.other_people import shows_others
 from jaxcap.tracking.people.person_frame import CORRECTED, UNDECIDED, UNSURE, absent_person, enter
-from jaxcap.tracking.people.responsibilities import (
+from jaxcap.tracking.people.point_shares import (
     ALONG_DEVIATION,
     NOBODY_DENSITY,
     OUTLIER_DEVIATION,

@@ -18,6 +18,7 @@ from ...geometry.attachment import attach_points, attached_positions
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ...tracking.compare_poses import track_from
+from ...tracking.expectation_maximisation.pose_log_density import pose_log_density
 from ...tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
@@ -26,7 +27,6 @@ from ...tracking.initialise import (
     initialise,
     rotated_starts,
 )
-from ...tracking.pose_log_density import pose_log_density
 from ...tracking.track_frame import Tracker
 from ..task import AdaptTask, make_task_tracker
 from .similarity import DIRECTIONS, DistanceField, distance_field, rotated_distances

@@ -22,10 +22,16 @@ from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud, stack_clouds
-from ...observe.room import without_room
+from ...observe.floors_and_walls import without_room
 from ...stacking import stack_trees
 from ...tracking.advance import FirstSearch
-from ...tracking.em_step import Estimate, box_volume, e_step, renew_sigma, uniform_priors
+from ...tracking.expectation_maximisation.em_step import (
+    Estimate,
+    box_volume,
+    e_step,
+    renew_sigma,
+    uniform_priors,
+)
 from ...tracking.track import track_frames
 from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...value_checks import check_at_least

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
-from ...tracking.em_step import FrameStatistics
+from ...tracking.expectation_maximisation.em_step import FrameStatistics
 from ...tracking.judgement.region_samples import sample_regions
 from ...tracking.judgement.verdict import UNSEEN, Judgement
 from ...tracking.people.person_frame import PersonFrame, frame_template

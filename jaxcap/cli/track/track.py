@@ -16,10 +16,10 @@ from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
+from ...observe.floors_and_walls import describe_room, find_room
 from ...observe.planes import Plane
-from ...observe.room import describe_room, find_room
 from ...tracking.advance import FirstSearch
-from ...tracking.em_step import make_mixture_settings
+from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.people.track_people import MAX_PEOPLE
 from ...tracking.recover import TrackedFrame
 from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences

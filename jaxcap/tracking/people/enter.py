@@ -13,8 +13,8 @@ from ...body.body import pose_body
 from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import FirstSearch, Follower, find_first_frame
+from ..expectation_maximisation.pose_log_density import pose_log_density
 from ..initialise import rotated_starts
-from ..pose_log_density import pose_log_density
 from ..recover import TrackedFrame, choose_better
 from .exchange import is_same_body
 from .groups import MIN_SIZE, assign_to_groups, find_groups

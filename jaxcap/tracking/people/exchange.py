@@ -13,7 +13,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import Follower
-from ..pose_log_density import pose_log_density
+from ..expectation_maximisation.pose_log_density import pose_log_density
 from ..recover import TrackedFrame, track_first_frame
 from .person_frame import APART, CORRECTED, NEAR, UNDECIDED, UNSURE, PersonFrame
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...body.pose import Pose, rest_pose
-from ..em_step import FrameStatistics
+from ..expectation_maximisation.em_step import FrameStatistics
 from ..judgement.baseline import initial_baseline
 from ..judgement.region_samples import RegionSamples
 from ..judgement.verdict import Judgement

@@ -16,7 +16,7 @@ from ..recover import track_frame_jit
 from ..track_frame import first_sigma, predict_pose
 from .exchange import end_contact, update_contacts
 from .person_frame import PersonFrame, has_points, leave, present_people, stay
-from .responsibilities import (
+from .point_shares import (
     PersonDensity,
     is_nobodys,
     person_density,

@@ -10,8 +10,8 @@ from ...body.pose import Pose
 from ...errors import InputError
 from ...observe import Scan
 from ...observe.clouds import Cloud
+from ...observe.floors_and_walls import without_room
 from ...observe.planes import Plane
-from ...observe.room import without_room
 from ...value_checks import check_at_least, check_direction
 from ..advance import FirstSearch, Follower, Search, find_first_frame, make_follower
 from ..check_cloud import check_cloud

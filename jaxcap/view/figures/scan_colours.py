@@ -10,13 +10,13 @@ from scipy.spatial import KDTree
 
 from ...body.body import Body
 from ...fit.correspondence.part_blocks import PartBlocks, make_part_blocks
-from ...fit.correspondence.part_posterior import posterior
 from ...geometry.closest import nearest_on_surface
 from ...geometry.mesh import vertex_normals
 from ...geometry.normals import estimate_normals
 from ...observe.clouds import Cloud, ordered_cloud, unit_normals
 from ...report.pictures import HEAT_COLOURS
 from ...report.render import distinct_colours
+from ...tracking.expectation_maximisation.e_step import posterior
 from .clouds import DisplayCloud, sample_rows
 
 #: number of colours of a heat map: bands that a viewer can distinguish

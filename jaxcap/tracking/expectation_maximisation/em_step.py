@@ -4,20 +4,20 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..arguments import check_fields, checked
-from ..body.body import Body, Posed, pose_body
-from ..body.pose import Pose
-from ..energy.data.points import PointToPlane
-from ..energy.data.sufficient_statistics import rigid_moments
-from ..energy.energy import AbstractEnergy, Sum, terms_of
-from ..fit.correspondence.part_blocks import PartBlocks
-from ..fit.correspondence.part_posterior import Posterior, posterior, update_priors, update_sigma
-from ..fit.correspondence.surface_density import surface_log_density
-from ..fit.pose_problem import PoseProblem
-from ..fit.solvers.descent import NormalDescent
-from ..fit.solvers.minimise import take_step
-from ..observe.clouds import Cloud
-from ..value_checks import as_number, check_at_least, check_positive, check_values, check_within
+from ...arguments import check_fields, checked
+from ...body.body import Body, Posed, pose_body
+from ...body.pose import Pose
+from ...energy.data.points import PointToPlane
+from ...energy.data.sufficient_statistics import rigid_moments
+from ...energy.energy import AbstractEnergy, Sum, terms_of
+from ...fit.correspondence.part_blocks import PartBlocks
+from ...fit.pose_problem import PoseProblem
+from ...fit.solvers.descent import NormalDescent
+from ...fit.solvers.minimise import take_step
+from ...observe.clouds import Cloud
+from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
+from .e_step import Posterior, posterior, update_priors, update_sigma
+from .surface_density import surface_log_density
 
 
 class MixtureSettings(eqx.Module):

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...body.body import Posed
+from ...fit.correspondence.part_blocks import PartBlocks
 from ...observe.clouds import Cloud
-from .part_blocks import PartBlocks
-from .part_posterior import MIN_OUTLIER, Posterior
+from .e_step import MIN_OUTLIER, Posterior
 
 
 def surface_log_density(

@@ -7,9 +7,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import pose_body
 from ...body.pose import Pose
-from ...fit.correspondence.surface_density import matched_log_density
 from ...observe.clouds import Cloud
-from ..em_step import Estimate, box_volume, e_step, uniform_priors
+from ..expectation_maximisation.em_step import Estimate, box_volume, e_step, uniform_priors
+from ..expectation_maximisation.surface_density import matched_log_density
 from ..judgement.region_samples import RegionSamples
 from ..track_frame import Tracker
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
+from ...fit.correspondence.nearest import nearest_vertices
+from ...fit.correspondence.part_blocks import PartBlocks
 from ...observe.clouds import Cloud
-from .nearest import nearest_vertices
-from .part_blocks import PartBlocks
 
 #: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without which a point
 #: with no compatible vertex would have no posterior.

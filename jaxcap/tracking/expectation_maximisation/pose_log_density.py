@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..body.pose import Pose
-from ..observe.clouds import Cloud
+from ...body.pose import Pose
+from ...observe.clouds import Cloud
+from ..track_frame import Tracker, penalty
 from .em_step import Estimate, box_volume, frame_statistics, uniform_priors
-from .track_frame import Tracker, penalty
 
 #: standard deviation at which poses are compared, metres
 COMPARISON_SIGMA = 0.02
