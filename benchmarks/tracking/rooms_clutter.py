@@ -5,7 +5,7 @@
 
 A floor has 30 % of the points of a cloud, a wall behind the person 30 %, with the noise of the other points. The embedded
 human and a small woman, each tracked with a coarser mesh of the same build, perform CMU's takes. Floor and wall do not
-move, and nothing is told of them. `--keep-planes` tracks the clouds as they are. Run it from the root of the checkout.
+move. The tracker gets no data about them. `--keep-planes` tracks the clouds as they are. Run it from the root of the checkout.
 """
 
 import argparse

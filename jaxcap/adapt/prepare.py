@@ -17,7 +17,7 @@ from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud, CloudFrames
-from ..observe.floors_and_walls import ClearedClouds, find_room
+from ..observe.floors_and_walls import find_room, remove_planes
 from ..observe.planes import Plane
 from .poses.similarity import is_unordered
 from .shape.shape_prior import ShapePrior
@@ -69,11 +69,13 @@ def make_adapt_task(
     prior: AbstractEnergy = RestPrior(jnp.asarray(rest_deviations(skeleton, 1.0), template.vertices.dtype))
     missing = tuple(missing)
     scanned = sorted(set(range(len(clouds))) - set(missing))
-    clouds = ClearedClouds(clouds, find_room(clouds[scanned[0]]) if planes is None else planes)
+    removed = find_room(clouds[scanned[0]]) if planes is None else planes
+
+    def cloud(frame: int) -> Cloud:
+        return remove_planes(clouds[frame], removed)
+
     if settings.unordered is None:
-        settings = settings._replace(
-            unordered=is_unordered(clouds.__getitem__, scanned, float(body_height(template)))
-        )
+        settings = settings._replace(unordered=is_unordered(cloud, scanned, float(body_height(template))))
     if settings.unordered and (settings.every or settings.temporal_weight):
         raise InputError(
             "The scans are not ordered in time, as adaptation during tracking and a weight of smooth motion require; "
@@ -82,7 +84,7 @@ def make_adapt_task(
         )
     return AdaptTask(
         template=template,
-        cloud=clouds.__getitem__,
+        cloud=cloud,
         num_frames=len(clouds),
         rate=rate,
         start=start,

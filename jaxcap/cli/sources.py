@@ -112,14 +112,6 @@ class Clouds(LazyFrames[Cloud]):
         self._scans, self._body = scans, body
         self._up: Up = up
 
-    def find_room(self, frame: int, keep: bool) -> tuple[Plane, ...]:
-        """Find and print the floors and walls of a frame that are removed from all frames; none if they are kept."""
-        cloud = self[frame]
-        planes = () if keep else find_room(cloud)
-        if planes:
-            say(f"removed from the scans: {describe_room(cloud, planes)}; --keep-planes keeps it")
-        return planes
-
     def mesh(self, frame: int, planes: Sequence[Plane] = ()) -> IndexedScan:
         """Load a frame with its triangles, if it has any, without those on planes."""
         scan, turn = self._scans[frame], up_rotation(self._up)
@@ -132,6 +124,14 @@ class Clouds(LazyFrames[Cloud]):
             return make_mesh_scan(points, normals, faces)
         except ValueError as error:
             raise InputError(f"{scan.name}: {user_message(error)}") from None
+
+
+def print_room(cloud: Cloud, keep: bool) -> tuple[Plane, ...]:
+    """Find and print the floors and walls of the first cloud that are removed from all clouds; none if they are kept."""
+    planes = () if keep else find_room(cloud)
+    if planes:
+        say(f"removed from the clouds: {describe_room(cloud, planes)}; --keep-planes keeps it")
+    return planes
 
 
 def up_rotation(up: Up) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""One precision for all arrays of a problem."""
+"""Conversion of all arrays of a problem to the same precision."""
 
 from typing import Any
 

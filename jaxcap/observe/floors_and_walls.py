@@ -1,13 +1,12 @@
 """Floors and walls in point clouds of a room, found once and removed from every frame."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import overload
 
 import numpy as np
 
 from ..arguments import checked
 from .clouds import Cloud, ordered_cloud
-from .planes import MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room, refine_plane
+from .planes import MAX_FLOOR_TILT, MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room, refine_plane
 
 
 @checked
@@ -35,7 +34,7 @@ def _is_same(one: Plane, other: Plane) -> bool:
 
 @checked
 def remove_planes(cloud: Cloud, planes: Sequence[Plane]) -> Cloud:
-    """Remove the points on planes, and behind them; a cloud of which nothing would be left is returned unchanged.
+    """Remove the points on planes and behind them. Return the cloud unchanged if no point would remain.
 
     Points farther from a plane than its noise that have another normal stay, such as those of a foot on the floor.
     """
@@ -56,30 +55,11 @@ def without_room(clouds: Iterable[Cloud], planes: Sequence[Plane] | None) -> Ite
         yield remove_planes(cloud, planes or ())
 
 
-class ClearedClouds(Sequence[Cloud]):
-    """A lazy sequence of clouds without the points on planes."""
-
-    def __init__(self, clouds: Sequence[Cloud], planes: Sequence[Plane]):
-        self._clouds, self._planes = clouds, planes
-
-    def __len__(self) -> int:
-        return len(self._clouds)
-
-    @overload
-    def __getitem__(self, index: int) -> Cloud: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Cloud]: ...
-    def __getitem__(self, index):
-        if isinstance(index, slice):
-            return [self[frame] for frame in range(len(self))[index]]
-        return remove_planes(self._clouds[index], self._planes)
-
-
-def describe_room(cloud: Cloud, planes: Sequence[Plane], up: Sequence[float] = (0.0, 1.0, 0.0)) -> str:
-    """Describe the planes of a cloud: kinds and share of the points; without a full stop."""
+def describe_room(cloud: Cloud, planes: Sequence[Plane]) -> str:
+    """Describe the planes of a cloud: kinds and share of the points, y up; without a full stop."""
     points, normals, _ = _arrays(cloud)
     share = float(np.mean(in_room(points, normals, planes)))
-    floors = sum(abs(float(plane.normal @ np.asarray(up))) > np.cos(np.radians(35.0)) for plane in planes)
+    floors = sum(abs(plane.normal[1]) >= np.cos(np.radians(MAX_FLOOR_TILT)) for plane in planes)
     names = {"floor or ceiling": floors, "wall": len(planes) - floors}
     named = " and ".join(
         f"a {name}" if count == 1 else f"{count} {name}s" for name, count in names.items() if count

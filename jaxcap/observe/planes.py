@@ -50,8 +50,8 @@ def find_planes(
     """Find floors and walls by random sample consensus: wide planes with many points and few points behind them.
 
     **Arguments:** `eye`, the position of the camera, metres; without it the side with more points is the front.
-    `normals` of the points, if they are known, zero for single ones that are not: most points of a floor or wall have its normal, and those of a person do
-    not. `min_share`, the least share of all points on a plane.
+    `normals` of the points, if they are known, and zero where one is not: most points of a floor or wall have
+    its normal, and those of a person do not. `min_share`, the least share of all points on a plane.
     """
     candidates = []
     for plane in _densest_planes(points, normals, min_share):
@@ -199,7 +199,7 @@ def in_room(
 
 
 def estimate_cloud_normals(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Estimate the normals of a cloud as `estimate_normals` does, those of floors and walls apart from the others.
+    """Estimate the normals of a cloud by `estimate_normals`, separately for the points on floors and walls.
 
     Signs are propagated from point to point, and would spread from a floor to the feet on it.
     """

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.observe.floors_and_walls import ClearedClouds, describe_room, without_room
+from jaxcap.observe.floors_and_walls import describe_room, without_room
 
 BODY = jc.human(resolution="low", joints="tracking")
 FLOOR = -0.82
@@ -90,7 +90,7 @@ def test_planes_of_the_first_cloud_are_removed_from_all(scene):
     kept = list(without_room(clouds, ()))
     assert kept == clouds
     planes = jc.observe.find_room(clouds[0])
-    cleared = ClearedClouds(clouds, planes)
+    cleared = [jc.observe.remove_planes(cloud, planes) for cloud in clouds]
     assert len(cleared) == 3 and len(cleared[0].points) == len(cleared[1:][1].points)
 
 

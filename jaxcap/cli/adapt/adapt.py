@@ -38,7 +38,7 @@ from ..console.options import (
 from ..console.rounds import RoundProgress
 from ..outputs import is_run_complete
 from ..scan.rate import ScanRate, find_rate, print_rate
-from ..sources import Clouds, load_body
+from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
 from .assignment import ASSIGNMENTS, AssignmentName
@@ -340,7 +340,7 @@ class Adapt:
             aperture=cameras if self.ignore_occlusion else (),
         )
         clouds = Clouds(scans, body, self.up)
-        planes = clouds.find_room(there[0], self.keep_planes)
+        planes = print_room(clouds[there[0]], self.keep_planes)
         return make_adapt_task(
             body,
             clouds,

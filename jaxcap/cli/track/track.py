@@ -16,7 +16,6 @@ from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
-from ...observe.floors_and_walls import describe_room, find_room
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
@@ -53,7 +52,7 @@ from ..depth.sources import (
     read_empty,
 )
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
-from ..sources import Clouds, load_body
+from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .announce import make_announcer
 from .depth import (
@@ -163,13 +162,11 @@ class Track:
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
         check_some_person(clouds, begun)
-        planes = () if self.keep_planes else find_room(begun)
         make_writable(self.out)
         print_rate(rate)
         for doubt in doubts:
             warn(doubt)
-        if planes:
-            say(f"removed from the clouds: {describe_room(begun, planes)}; --keep-planes keeps it")
+        planes = print_room(begun, self.keep_planes)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
             if self.fit_shape:
