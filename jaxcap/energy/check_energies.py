@@ -149,6 +149,28 @@ def _check_residual(term: AbstractEnergy, body: Body, pose: Pose) -> None:
                 term, body, f"its length changes from call to call, from {lengths[0]} to {lengths[1]}"
             )
         )
+    plain = unweighted(term)
+    for method, width in (("vertex_jacobian", 3), ("bone_jacobian", 6)):
+        if hasattr(plain, method):
+            _check_closed_form(plain, method, width, lengths[0], body, pose)
+
+
+def _check_closed_form(
+    term: AbstractEnergy, method: str, width: int, length: int, body: Body, pose: Pose
+) -> None:
+    """Check that a closed-form derivative has the shape of the residual."""
+    try:
+        _, rows = jax.eval_shape(lambda: getattr(term, method)(pose_body(body, pose)))
+    except Exception as found:
+        raise InputError(
+            f"{energy_name(term)}: `{method}` cannot be evaluated ({str(found).splitlines()[0][:200].rstrip('.')})."
+        ) from found
+    shape = rows.shape
+    if len(shape) < 3 or shape[-1] != width or shape[0] * shape[-2] != length:
+        raise InputError(
+            f"{energy_name(term)}: `{method}` returns derivatives {shape} of a residual of {length}; expected "
+            f"(C, K, R, {width}) with C R = {length}."
+        )
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ from ..body.pose import Pose
 from ..body.retraction import project
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
+from ..errors import InputError
 from .pose_problem import PoseProblem
 from .solvers.hierarchical_least_squares import Damping, LinearSystem, constrained_step, hierarchical_step
 from .solvers.levenberg_marquardt import tree_where
@@ -66,10 +67,10 @@ def solve_in_order(
     that the joints' types do not allow is projected.
 
     No step raises the energy of a group for the sake of a lower one, to machine precision. A failing solver
-    raises nothing: see `OrderedSolution.result`. It cannot be differentiated in reverse mode: a lower group's
-    minimum has no derivative where inequalities change.
+    raises nothing: see `OrderedSolution.result`. It cannot be differentiated: a lower group's minimum has no
+    derivative where inequalities change.
 
-    **Raises:** `ValueError` where there is no group.
+    **Raises:** `ValueError` where there is no group, `InputError` where it is differentiated.
     """
     if not groups:
         raise ValueError("`groups` is empty; expected at least one energy, highest priority first.")
@@ -78,7 +79,20 @@ def solve_in_order(
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
     # threads of BLAS and of XLA wait for each other, and the matrices of a pose are small
     with threadpool_limits(1, "blas"), explain_errors(Sum(tuple(groups)), body, start):
-        return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
+        return jax.block_until_ready(_without_derivative(tuple(groups), body, start, max_steps, *numbers))
+
+
+@eqx.filter_custom_jvp
+def _without_derivative(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
+    return _solve_in_order(groups, body, start, max_steps, damping, rtol, atol)
+
+
+@_without_derivative.def_jvp
+def _refuse_derivative(primals, tangents):
+    raise InputError(
+        "solve_in_order: strict priorities have no derivative where an inequality changes; differentiate `solve` with "
+        "weights instead."
+    )
 
 
 @checked

@@ -13,7 +13,7 @@ from ..body.skeleton import Skeleton, dof_layout
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy
 from .pose_problem import PoseProblem
-from .sequences.uncertainty import mask_unobservable, outer, unit_diagonal_scale
+from .sequences.uncertainty import differentiable_inverse, mask_unobservable, outer, unit_diagonal_scale
 
 
 class Uncertainty(eqx.Module):
@@ -39,6 +39,8 @@ def uncertainty(
     `|r|^2 / (R - D)`. A direction counts as unobservable where its curvature, on a unit diagonal, is below
     `tolerance` times the largest; where not given that is D times the machine's precision, the rounding error of a
     curvature of zero.
+
+    The covariance has derivatives; curvatures and directions count as constants.
     """
     check_energy_arrays(energy, body)
     problem = PoseProblem(energy, body)
@@ -57,11 +59,13 @@ def uncertainty(
 def _covariance(jacobian: Float[Array, "R D"], scales: Float[Array, "D"], variance, tolerance):
     matrix = (jacobian * scales).T @ (jacobian * scales)
     # precise and vague information have curvatures that differ by more than the precision
-    unit = unit_diagonal_scale(jnp.diagonal(matrix), tolerance)
-    curvatures, directions = jnp.linalg.eigh(matrix * outer(unit))
+    unit = jax.lax.stop_gradient(unit_diagonal_scale(jnp.diagonal(matrix), tolerance))
+    matrix = matrix * outer(unit)
+    curvatures, directions = jnp.linalg.eigh(jax.lax.stop_gradient(matrix))
     unobservable = curvatures <= tolerance * curvatures[-1]
     inverse = 1.0 / jnp.where(unobservable, tolerance, curvatures)
-    covariance = (directions * inverse) @ directions.T
+    covariance = differentiable_inverse(matrix, (directions * inverse) @ directions.T)
+
     covariance, _ = mask_unobservable(covariance, jnp.ones(len(scales), bool), tolerance)
     spanned = jnp.linalg.qr(unit[:, None] * directions)[0]
     return variance * covariance * outer(unit * scales), curvatures, spanned, unobservable

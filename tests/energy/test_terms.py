@@ -134,3 +134,38 @@ def test_markers_are_kept_above_a_floor(rng):
     assert lowest_of(found.subject, found.motion.poses).min() > before.min() + 0.002
     with pytest.raises(InputError, match="vertices"):
         solve_markers(subject, frames, terms=[make_floor(BODY)])
+
+
+class Heights(jc.energy.AbstractVertexEnergy):
+    """Heights of some vertices, with the closed form times `factor`, and `more` residuals too many."""
+
+    vertices: Int[Array, "C"]
+    factor: Float[Array, ""]
+    more: int = eqx.field(static=True, default=0)
+
+    def residual(self, posed):
+        return jnp.append(posed.vertices[self.vertices, 1], jnp.zeros(self.more))
+
+    def vertex_jacobian(self, posed):
+        up = jnp.zeros((len(self.vertices), 1, 3)).at[:, :, 1].set(1.0)
+        return self.vertices, self.factor * up
+
+
+def test_a_wrong_closed_form_is_found(rng):
+    pose = random_pose(BODY.skeleton, rng, 0.4)
+    good, bad = (Heights(EVERY[:5], jnp.asarray(factor)) for factor in (1.0, 1.001))
+    differences = jc.fit.check_jacobian(0.3 * good + FeetOnFloor(EVERY, jnp.asarray(0.1)), BODY, pose)
+    assert set(differences) == {"Heights", "FeetOnFloor"}
+    assert max(differences.values()) < 1e-12
+    with pytest.raises(InputError, match="Heights: row . of its Jacobian is"):
+        jc.fit.check_jacobian(bad, BODY, pose)
+    with pytest.raises(InputError, match="Heights: row . of its Jacobian is nan"):
+        jc.fit.check_jacobian(Heights(EVERY[:5], jnp.asarray(jnp.nan)), BODY, pose, tolerance=0.1)
+
+
+def test_a_closed_form_of_another_length_is_told_before_the_first_step():
+    longer = Heights(EVERY[:5], jnp.asarray(1.0), more=2)
+    with pytest.raises(
+        InputError, match=r"`vertex_jacobian` returns derivatives \(5, 1, 3\) of a residual of 7"
+    ):
+        jc.solve(longer, BODY, jc.rest_pose(BODY.skeleton))

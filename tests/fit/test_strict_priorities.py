@@ -20,6 +20,7 @@ from jaxcap.energy.data.landmarks import BoneLandmarks, JointLandmarks
 from jaxcap.energy.energy import AbstractEnergy
 from jaxcap.energy.priors.joint_limits import JointLimits
 from jaxcap.energy.priors.reference_pose import PosePrior
+from jaxcap.errors import InputError
 from jaxcap.fit.linearise import linearise
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.hierarchical_least_squares import (
@@ -377,3 +378,9 @@ def test_the_step_of_a_hierarchy_is_its_closed_form(rng):
         rows, lambda d: LinearSystem(upper.residual + upper.jacobian @ d, upper.jacobian), none
     )
     np.testing.assert_allclose(same, step, atol=1e-15)
+
+
+def test_a_derivative_is_refused(rng):
+    target = random_pose(SKELETON, rng, 0.2)
+    with pytest.raises(InputError, match="strict priorities have no derivative"):
+        jax.grad(lambda w: solve_in_order([w * landmarks_and_rest(target)], BODY, REST).pose.scale)(1.0)

@@ -141,3 +141,39 @@ def test_vague_priors_beside_precise_data_are_resolved_in_float32(rng):
     assert float(jnp.sqrt(found.covariance[hand, hand])) == pytest.approx(0.5, rel=1e-3)
     # and without the prior nothing is known of it
     assert jnp.isinf(uncertainty(marks, body, rest, variance=1.0).covariance[hand, hand])
+
+
+def test_a_covariance_has_the_derivatives_of_differences(rng):
+    """Also where curvatures are equal, as of a body at rest whose limbs are alike, where eigenvectors have none."""
+    energy = landmarks(rest_pose(SKELETON))
+
+    @eqx.filter_jit
+    def spread(weights):
+        weighted = eqx.tree_at(lambda e: e.weights, energy, weights)
+        return jnp.log(
+            jnp.trace(uncertainty(weighted, BODY, rest_pose(SKELETON), variance=NOISE**2).covariance)
+        )
+
+    weights = energy.weights
+    slope = eqx.filter_jit(jax.grad(spread))(weights)
+    for vertex in (3, 40):
+        step = 1e-4 * (jnp.arange(len(weights)) == vertex)
+        difference = float(spread(weights + step) - spread(weights - step)) / 2e-4
+        assert float(slope[vertex]) == pytest.approx(difference, rel=1e-5)
+    # scaling all weights scales the covariance: Euler's theorem
+    assert float(slope @ weights) == pytest.approx(-1.0, rel=1e-8)
+
+
+def test_unobservable_coordinates_leave_the_other_derivatives_finite():
+    """A row of markers on one bone: what it does not determine is infinite, and the rest has derivatives."""
+    few = landmarks(rest_pose(SKELETON), np.arange(len(BODY.vertices)) < 12)
+
+    def spread(weight):
+        variances = jnp.diag(
+            uncertainty(weight * few, BODY, rest_pose(SKELETON), variance=NOISE**2).covariance
+        )
+        return jnp.sum(jnp.where(jnp.isfinite(variances), variances, 0.0))
+
+    value, slope = jax.value_and_grad(spread)(2.0)
+    assert float(value) > 0.0
+    assert float(slope) == pytest.approx(-float(value) / 2.0, rel=1e-8)

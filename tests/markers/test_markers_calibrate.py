@@ -11,6 +11,7 @@ from jaxcap.markers.calibration.calibration_parameters import prior_precision, s
 from jaxcap.markers.calibration.gauge_freedom import gauge_constraints, gauge_directions
 from jaxcap.markers.calibration.observability import bone_length_deviations, centre_covariances
 from jaxcap.markers.calibration.residuals import marker_residuals
+from jaxcap.markers.calibration.solve_calibration import solve_calibration
 from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import bone_lengths, moving, seen_by, truth, wrong
 
@@ -63,6 +64,11 @@ def test_calibration_finds_the_subject(rng):
     mixed = MarkerFrames(places[:, order], seen[:, order], tuple(frames.labels[i] for i in order), 100.0)
     again = calibrate(mixed, template, symmetry=[("left_hand", "right_hand")])
     np.testing.assert_allclose(again.subject.offsets, found.subject.offsets, atol=1e-9)
+    # its last fit can be continued to a minimum with derivatives
+    solution = solve_calibration(found.problem, found.estimate)
+    assert bool(solution.trustworthy)
+    before = 2.0 * float(found.problem.value(found.estimate))
+    assert 0.99 * before < float(solution.energy) <= before
 
 
 def test_a_hinge_does_not_tell_where_along_its_axis_it_is(rng):

@@ -96,7 +96,8 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     free = free_unknowns(info)
     arrow = arrow.restricted(free)
     # on a unit diagonal, undetermined coordinates get the smallest resolvable curvature
-    x, s = (unit_diagonal_scale(part, tolerance) for part in arrow.diagonal())
+    x, s = (jax.lax.stop_gradient(unit_diagonal_scale(part, tolerance)) for part in arrow.diagonal())
+
     arrow = arrow.rescaled(x, s)
     arrow = arrow.add_diagonal((jnp.full_like(x, tolerance), jnp.zeros_like(s)))
     factor = arrow.frames.factorise()
@@ -104,10 +105,12 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     schur = arrow.shared - jnp.tensordot(columns, columns, ((0, 1), (0, 1)), precision="highest")
     kept = None if info.constraints is None else info.constraints.equalities
     rows = jnp.zeros((0, len(s)), s.dtype) if kept is None else kept.rows * s
-    values, directions, fixed = _constrained_eigh(schur, rows)
+    values, directions, fixed = _constrained_eigh(*jax.lax.stop_gradient((schur, rows)))
+
     unobservable = (values <= tolerance) & ~fixed
     inverse = jnp.where(fixed, 0.0, 1.0 / jnp.maximum(values, tolerance))
     shared = jnp.einsum("ik,k,jk->ij", directions, inverse, directions, precision="highest")
+    shared = differentiable_inverse(schur, shared)
     follow = factor.backward(columns)
     poses = factor.inverse_diagonal_blocks() + jnp.einsum(
         "fis,st,fjt->fij", follow, shared, follow, precision="highest"
@@ -152,6 +155,21 @@ def mask_unobservable(covariance: Float[Array, "*F N N"], free: Bool[Array, "*F 
     either = unseen[..., :, None] | unseen[..., None, :]
     covariance = jnp.where(either, jnp.where(eye, jnp.inf, jnp.nan), covariance)
     return jnp.where(free[..., :, None] & free[..., None, :], covariance, 0.0), unseen
+
+
+@jax.custom_jvp
+def differentiable_inverse(matrix: Float[Array, "N N"], inverse: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    """Return the known inverse of a matrix, on its range, with the derivative of an inverse.
+
+    Unlike the eigenvectors that it is made of, an inverse has derivatives where curvatures are equal.
+    """
+    return inverse
+
+
+@differentiable_inverse.defjvp
+def _differentiate_inverse(primals, tangents):
+    inverse = differentiable_inverse(*primals)
+    return inverse, -inverse @ tangents[0] @ inverse
 
 
 def outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:

@@ -1,21 +1,23 @@
 """Optimal weights and rest position of each vertex under linear blend skinning.
 
 Without a Laplacian term, vertices are independent of each other given poses and joints. The residual of a
-vertex is bilinear in its weights on the simplex and its rest position. Gauss-Newton on both, with the
+vertex is bilinear in its weights on the simplex and its rest position. A Gauss-Newton step on both, with the
 position eliminated, is least squares over the simplex. Along a step, the errors are an exactly known
-parabola.
+parabola. The optimum is the fixed point of these steps.
 """
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from .simplex import gauss_jordan_solve, simplex_least_squares
 
-#: the relative decrease below which Gauss-Newton ends; the step lengths that are tried
-ENOUGH, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
+#: the relative decrease below which the steps end; the step lengths that are tried
+MIN_RELATIVE_DECREASE, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)
+#: sum of squared residuals that is larger than any, before the first step
+UNKNOWN = 1e30
 
 
 class OptimisedVertices(NamedTuple):
@@ -24,8 +26,8 @@ class OptimisedVertices(NamedTuple):
     #: weights of the bones near each vertex
     weights: Float[Array, "V K"]
     rest: Float[Array, "V 3"]
-    #: squared residual of each vertex
-    squared_residuals: Float[Array, "V"]
+    #: sum over all vertices
+    squared_residual: Float[Array, ""]
 
 
 def optimise_vertices(
@@ -49,8 +51,8 @@ def optimise_vertices(
     def slopes_of(shares):
         return (expand_weights(shares, candidates, len(turns)) @ turns).reshape(count, 3 * frames, 3)
 
-    def step(carry):
-        weights, rest, _, left, number = carry
+    def step(found: OptimisedVertices, _) -> OptimisedVertices:
+        weights, rest, _ = found
         differences = bone_images(bones, rest, candidates) - targets[:, None]
         reduced, lift, slopes = _reduced(differences, slopes_of(weights))
         goal = simplex_least_squares(reduced @ jnp.swapaxes(reduced, 1, 2), jnp.zeros_like(weights), weights)
@@ -61,15 +63,19 @@ def optimise_vertices(
         # bilinear: errors along the step are an exactly known parabola
         squares = jnp.stack([jnp.sum((errors + s * first + s * s * second) ** 2, 1) for s in LENGTHS])
         length = jnp.asarray(LENGTHS, rest.dtype)[jnp.argmin(squares, 0)][:, None]
-        return weights + length * change, rest + length * shift, left, jnp.min(squares, 0), number + 1
+        return OptimisedVertices(
+            weights + length * change, rest + length * shift, jnp.sum(jnp.min(squares, 0))
+        )
 
-    def unfinished(carry):
-        before, left = jnp.sum(carry[2]), jnp.sum(carry[3])
-        return (carry[4] < steps) & ((carry[4] < 2) | (before - left > ENOUGH * left))
-
-    none = jnp.full(count, jnp.inf, rest.dtype)
-    weights, rest, _, left, _ = jax.lax.while_loop(unfinished, step, (weights, rest, none, none, 0))
+    start = OptimisedVertices(weights, rest, jnp.asarray(UNKNOWN, rest.dtype))
+    solver = optx.FixedPointIteration(MIN_RELATIVE_DECREASE, 0.0, norm=_relative_decrease)
+    weights, rest, left = optx.fixed_point(step, solver, start, max_steps=steps, throw=False).value
     return OptimisedVertices(weights / jnp.sum(weights, 1, keepdims=True), rest, left)
+
+
+def _relative_decrease(change: OptimisedVertices) -> Float[Array, ""]:
+    """Measure a step by the change of the sum of squared residuals alone."""
+    return jnp.abs(change.squared_residual)
 
 
 def choose_candidate_bones(

@@ -20,7 +20,7 @@ from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
 from .calibration_parameters import TemplatePrior, solved_joints
-from .calibration_problem import make_calibration_problem
+from .calibration_problem import CalibrationEstimate, CalibrationProblem, make_calibration_problem
 from .frame_selection import choose_frames
 from .observability import (
     ImpreciseDirection,
@@ -64,6 +64,9 @@ class Calibration(NamedTuple):
     #: indices of the frames that the subject was calibrated with
     frame_indices: Float[np.ndarray, "C"]
     converged: bool
+    #: the last fit's problem and its solution, in double precision; `solve_calibration(problem, estimate)` has derivatives
+    problem: CalibrationProblem
+    estimate: CalibrationEstimate
 
 
 @checked
@@ -164,6 +167,8 @@ def _calibrate(
         joints,
         chosen,
         fit.converged,
+        fit.problem,
+        fit.estimate,
     )
 
 
