@@ -75,7 +75,7 @@ class ReweightingResult(NamedTuple):
     """The result of rounds of renewed problems."""
 
     y: Any
-    #: the last problem
+    #: the last problem; where the rounds converged, the one that `y` minimises
     problem: Any
     #: `|r|^2` after every step; a rise marks a new problem
     history: tuple[float, ...]
@@ -115,12 +115,13 @@ def minimise_reweighted(
         )
         if len(history) > max_steps:
             return ReweightingResult(found.y, problem, tuple(history), False)
+        solved = problem
         problem, y, settled = update(number, problem, found.y)
         if not (found.result == _DONE or found.result == _UNFINISHED):
             return ReweightingResult(y, problem, tuple(history), False)
         if settled:
-            break
-    return ReweightingResult(y, problem, tuple(history), settled)
+            return ReweightingResult(found.y, solved, tuple(history), True)
+    return ReweightingResult(y, problem, tuple(history), False)
 
 
 def anneal_problem(
