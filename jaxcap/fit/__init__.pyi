@@ -4,6 +4,7 @@ from ..energy.data.pairs import pair_positions as pair_positions
 from ..observe.visibility import visible_vertices as visible_vertices
 from ..tracking.batch import fit_batch as fit_batch
 from ..tracking.batch import scan_track as scan_track
+from ..tracking.expectation_maximisation.clothes import Clothes as Clothes
 from ..tracking.expectation_maximisation.e_step import posterior as posterior
 from ..tracking.expectation_maximisation.em_step import MixtureSettings as MixtureSettings
 from ..tracking.expectation_maximisation.em_step import make_mixture_settings as make_mixture_settings

@@ -27,7 +27,7 @@ from .recover import (
     track_first_frame,
     track_frame_jit,
 )
-from .track_frame import Tracker
+from .track_frame import Tracker, with_clothes
 
 _LOG = logging.getLogger(__name__)
 #: search for the pose of a first frame: if the start does not explain the cloud, always, never
@@ -167,11 +167,12 @@ def advance_frame(
     **Arguments:** `number` of the frame, which seeds its search; `candidates` and `margin` as in `track_frames`;
     `occluders` as in `gather_evidence`.
     """
-    tracker, surface = follower.tracker, follower.surface
+    worn = frame.state.estimate.clothes
+    tracker, surface = with_clothes(follower.tracker, worn), follower.surface
     trusted, baseline = frame.trusted, frame.baseline
     frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
     if needs_search(frame):
-        coarse = follower.begin_search(number, frame.reasons, frame.searches.count)
+        coarse = with_clothes(follower.begin_search(number, frame.reasons, frame.searches.count), worn)
         key = jax.random.key(number)
         found = search_frame(
             tracker, surface, coarse, frame, baseline, trusted, cloud, key, follower.up, occluders

@@ -23,9 +23,9 @@ from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
 from ..parallel import parallel_map
 from ..value_checks import check_at_least, check_direction
-from .expectation_maximisation.em_step import Estimate, box_volume, em_step, uniform_priors
+from .expectation_maximisation.em_step import Estimate, box_volume, em_step
 from .prior_starts import mean_pose, prior_starts
-from .track_frame import Tracker, frame_terms, penalty
+from .track_frame import Tracker, first_estimate, frame_terms, penalty
 
 _LOG = logging.getLogger(__name__)
 
@@ -56,15 +56,15 @@ def anneal_pose(
     """
     prior = Sum(frame_terms(tracker, cloud))
     volume = box_volume(cloud)
+    first = first_estimate(tracker, start, sigmas[0])
 
     def step(estimate, sigma):
-        wide = Estimate(estimate.pose, sigma, estimate.priors)
+        # a wrong pose would teach wrong clothes
+        wide = Estimate(estimate.pose, sigma, estimate.priors, first.clothes)
         return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
 
     judged = jnp.append(sigmas, jnp.asarray(comparison_sigma, sigmas.dtype))
-    last, statistics = jax.lax.scan(
-        step, Estimate(start, sigmas[0], uniform_priors(tracker.parts, sigmas.dtype)), judged
-    )
+    last, statistics = jax.lax.scan(step, first, judged)
     likelihood = statistics.surface_log_likelihood[-1] - penalty(tracker, cloud, last.pose)
     return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 

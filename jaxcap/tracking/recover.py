@@ -11,6 +11,7 @@ from ..energy.priors.reference_pose import tangent_deviations
 from ..observe import thin_cloud
 from ..observe.clouds import Cloud
 from ..stacking import stack_trees
+from .expectation_maximisation.clothes import clothes_allowance
 from .expectation_maximisation.em_step import Estimate, FrameStatistics
 from .expectation_maximisation.pose_log_density import pose_log_density
 from .initialise import (
@@ -33,7 +34,7 @@ from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
 from .prior_starts import prior_starts
-from .track_frame import Tracker, TrackState, start_state, track_frame
+from .track_frame import Tracker, TrackState, start_state, track_frame, with_clothes
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
 FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
@@ -43,6 +44,9 @@ MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
 MAX_OUTLIER_SHARE = 0.5
 #: number of directions in the search for a body that jumped
 NUM_JUMP_DIRECTIONS = 4
+
+#: the largest share of the tolerance that faults in clothes have in a first frame: it is doubtful, not lost
+DOUBTFUL_BY_CLOTHES = 0.99
 
 track_frame_jit = eqx.filter_jit(track_frame)
 
@@ -165,10 +169,16 @@ def judge_frame(
     """Compare a frame with the `baseline`, and update this if the frame is good; `occluders` as in `gather_evidence`.
 
     Doubtful frames would gradually make their faults normal. The first frame that is not lost has nothing to
-    be compared with, and updates them.
+    be compared with, and updates them. Points in the clothes that a sequence has shown are explained. In a first frame,
+    what looks like clothes may be a wrong pose: it is doubtful.
     """
-    pose = state.estimate.pose
-    judgement, renewed = _compare(surface, baseline, pose, cloud, occluders)
+    pose, clothes = state.estimate.pose, state.estimate.clothes
+    allowance = None if clothes is None else clothes_allowance(clothes)
+    judgement, renewed = _compare(surface, baseline, pose, cloud, occluders, allowance)
+    if clothes is not None and float(baseline.frames) == 0:
+        bare, _ = _compare(surface, baseline, pose, cloud, occluders, None)
+        doubtful = jnp.minimum(bare.shares, DOUBTFUL_BY_CLOTHES * judgement.tolerance)
+        judgement = eqx.tree_at(lambda j: j.shares, judgement, jnp.maximum(judgement.shares, doubtful))
     lost = judgement.verdict == "lost" or not _finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
@@ -182,9 +192,11 @@ def _compare(
     pose: Pose,
     cloud: Cloud,
     occluders: Float[Array, "O 4"] | None,
+    allowance: Float[Array, "J"] | None,
 ) -> tuple[Judgement, Baseline]:
     cameras = [view.camera for view in cloud.views]
-    evidence = gather_evidence(surface, pose, cloud, cameras or sensor_directions(baseline), occluders)
+    sensors = cameras or sensor_directions(baseline)
+    evidence = gather_evidence(surface, pose, cloud, sensors, occluders, allowance)
     return judge_evidence(surface, baseline, evidence), update_baseline(baseline, evidence)
 
 
@@ -197,7 +209,7 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
     if frame.lost:
         finite = _finite(pose)
         if not finite or not float(frame.statistics.outlier_share) < MAX_OUTLIER_SHARE:
-            state = start_state(tracker, previous, FIRST_SIGMA)
+            state = start_state(with_clothes(tracker, state.estimate.clothes), previous, FIRST_SIGMA)
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
     return eqx.tree_at(
@@ -275,5 +287,5 @@ def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = No
     estimate = state.estimate
     if sigma is not None:
         level = jnp.asarray(sigma, estimate.sigma.dtype) / tracker.sigma_growth
-        estimate = Estimate(estimate.pose, level, estimate.priors)
+        estimate = Estimate(estimate.pose, level, estimate.priors, estimate.clothes)
     return TrackState(estimate, jnp.zeros_like(state.change))

@@ -19,6 +19,7 @@ from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
 from ..observe.clouds import Cloud
 from ..value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
+from .expectation_maximisation.clothes import Clothes, first_clothes
 from .expectation_maximisation.em_step import (
     Estimate,
     FrameStatistics,
@@ -71,6 +72,8 @@ class Tracker(eqx.Module):
     regions: tuple[int, ...] = eqx.field(static=True)
     #: largest number of vertices that are tested for free space
     num_tested: int = eqx.field(static=True, default=NUM_TESTED)
+    #: clothes at the start of a frame without a frame before it; None where clothes are not modelled
+    clothes: Clothes | None = None
 
     def __check_init__(self):
         check_fields(self)
@@ -98,6 +101,7 @@ def make_tracker(
     iterations: int | None = None,
     partial: bool = False,
     num_tested: int = NUM_TESTED,
+    clothes: bool = False,
 ) -> Tracker:
     """Make a `Tracker` for a body.
 
@@ -107,7 +111,8 @@ def make_tracker(
     do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
-    `num_tested`, the largest number of vertices that are tested for free space; `terms` are further energies, in units of a
+    `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
+    clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`); `terms` are further energies, in units of a
     log-likelihood.
 
     **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
@@ -122,6 +127,7 @@ def make_tracker(
     check_at_least(where, 1, iterations=iterations, num_tested=num_tested)
     own = sum_user_terms(where, terms, body)
     bones = body.skin.dominant_bones()
+    worn = first_clothes(body, body.skeleton.num_joints) if clothes else None
     return Tracker(
         body=body,
         parts=make_part_blocks(bones, body.skeleton.num_joints, body.vertices),
@@ -137,6 +143,7 @@ def make_tracker(
         iterations=iterations,
         num_tested=num_tested,
         regions=region_joints(body),
+        clothes=worn,
     )
 
 
@@ -165,10 +172,18 @@ def check_sigma(where: str, sigma: float | Float[Array, ""]) -> None:
 def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 0.05) -> TrackState:
     """Make the state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
     check_sigma("start_state", sigma)
-    estimate = Estimate(
-        pose, jnp.asarray(sigma, pose.rotations.dtype), uniform_priors(tracker.parts, pose.rotations.dtype)
-    )
+    estimate = first_estimate(tracker, pose, jnp.asarray(sigma, pose.rotations.dtype))
     return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+
+
+def first_estimate(tracker: Tracker, pose: Pose, sigma: Float[Array, ""]) -> Estimate:
+    """Make the estimate at a pose without a frame before it."""
+    return Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype), tracker.clothes)
+
+
+def with_clothes(tracker: Tracker, clothes: Clothes | None) -> Tracker:
+    """Give a tracker the clothes that the frames so far have shown, for searches and comparisons of poses."""
+    return eqx.tree_at(lambda t: t.clothes, tracker, clothes, is_leaf=_is_none)
 
 
 def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
@@ -227,9 +242,21 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     sigma = first_sigma(tracker, state)
 
     def step(estimate, _):
-        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate)
+        estimate, statistics = em_step(
+            tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate
+        )
+        # clothes are learned once a frame, at its end
+        return eqx.tree_at(lambda e: e.clothes, estimate, before.clothes, is_leaf=_is_none), (
+            statistics,
+            estimate.clothes,
+        )
 
-    start = Estimate(predicted, sigma, before.priors)
-    estimate, statistics = jax.lax.scan(step, start, length=tracker.iterations)
-    statistics = jax.tree.map(lambda leaf: leaf[-1], statistics)
+    start = Estimate(predicted, sigma, before.priors, before.clothes)
+    estimate, measured = jax.lax.scan(step, start, length=tracker.iterations)
+    statistics, clothes = jax.tree.map(lambda leaf: leaf[-1], measured)
+    estimate = eqx.tree_at(lambda e: e.clothes, estimate, clothes, is_leaf=_is_none)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
+
+
+def _is_none(node: object) -> bool:
+    return node is None

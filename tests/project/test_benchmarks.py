@@ -77,6 +77,30 @@ def test_rooms_clutter(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_clothed(checkout, shared, tmp_path):
+    picture = tmp_path / "clothed.png"
+    options = (
+        "--takes",
+        "02_01",
+        "--builds",
+        "average",
+        "--frames",
+        "3",
+        "--outfits",
+        "bare",
+        "skirt",
+        "--picture",
+        str(picture),
+    )
+    line = run(checkout, "clothed", *options)
+    assert meets(line, "bare_lost", "skirt_lost", "skirt_thighs_mm")
+    # without the model nothing of the skirt is explained
+    assert line["figures"]["skirt_plain_lost"] == 3
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_people_many(checkout, shared, tmp_path):
     options = ("--scenarios", "handshake", "--frames", "6", "--picture", str(tmp_path / "people.png"))
     line = run(checkout, "people_many", *options)

@@ -105,6 +105,8 @@ class Track:
     partial: Flag = False
     """The clouds show only a part of the body. A prior of human poses then determines the other joints, and a
     self-collision term keeps limbs out of other parts. --depth implies this option."""
+    clothes: Flag = False
+    """Learn which parts of the body wear loose clothes, such as a skirt. This option implies --partial."""
     keep_planes: KeepPlanes = False
     people: People = None
     """Track several people in the same clouds: their largest number, or `auto` to find it. The clouds must not contain
@@ -136,7 +138,7 @@ class Track:
     damping: float = 1.0
     """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
     iterations: OptionalCount = None
-    """Number of iterations of expectation maximisation per frame: by default 3, or 6 with --depth or --partial."""
+    """Number of iterations of expectation maximisation per frame: by default 3, or 6 with --depth, --partial or --clothes."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
@@ -339,6 +341,7 @@ class Track:
             "estimate_priors",
             "initialise",
             "partial",
+            "clothes",
             "keep_planes",
             "fit_shape",
             "background",
@@ -356,9 +359,9 @@ class Track:
             damping=self.damping,
             estimate_priors=self.estimate_priors,
         )
-        return make_tracker(
-            body, mixture, terms, iterations=self.iterations, partial=self.partial or bool(self.depth)
-        )
+        partial = self.partial or self.clothes or bool(self.depth)
+        steps = self.iterations
+        return make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
 
     def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:
         """Append the frames of all `steps` to the journal, each with its seconds; Ctrl-C stops early."""

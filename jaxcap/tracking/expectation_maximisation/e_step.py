@@ -10,10 +10,13 @@ from ...arguments import checked
 from ...fit.correspondence.nearest import nearest_vertices
 from ...fit.correspondence.part_blocks import PartBlocks
 from ...observe.clouds import Cloud
+from .clothes import Clothes, clothes_log_density, clothes_reach
 
 #: Least share of the outlier class: the negligible uniform density of Kineben, eq. 20, without which a point
 #: with no compatible vertex would have no posterior.
 MIN_OUTLIER = 1e-9
+#: difference of log-densities within which parts are equally likely
+TIE = 1e-4
 
 
 class Posterior(eqx.Module):
@@ -34,6 +37,10 @@ class Posterior(eqx.Module):
     squared_distances: Float[Array, "N C"]
     #: log of the mixture's density at the point, per metre^3; zero for padding
     log_density: Float[Array, "N"]
+    #: posterior probability that the point belongs to the clothes of its first candidate
+    clothes: Float[Array, "N"]
+    #: the same if every part had clothes, from which clothes are learned
+    possible_clothes: Float[Array, "N"]
 
 
 @checked
@@ -49,6 +56,7 @@ def posterior(
     box_volume: float | Float[Array, ""] = 10.0,
     priors: Float[Array, "K"] | None = None,
     candidates: int | None = 4,
+    clothes: Clothes | None = None,
 ) -> Posterior:
     """Compute the posterior of every part and of the outlier class at every point (Kineben, eqs. 20, 21).
 
@@ -67,7 +75,8 @@ def posterior(
     metres; `normal_threshold` the least cosine between compatible normals; `outlier` in [0, 1); `box_volume`
     metres^3; `priors (K,)` shares of the parts, sum one, uniform over the parts with vertices where not
     given; `candidates` number C kept for each point, `None` for all K. The omitted ones are the least likely,
-    and their probability is not redistributed.
+    and their probability is not redistributed. With `clothes`, the likeliest part at a point outside of it has another
+    density, that of its clothes, and candidates are in the order of their likelihood.
     """
     vertices, normals, cloud, sigma = jax.lax.stop_gradient((vertices, normals, cloud, jnp.asarray(sigma)))
     dtype = cloud.points.dtype
@@ -81,19 +90,33 @@ def posterior(
     # at this distance exp(-d^2 / (2 sigma^2)) is below rounding, relative to the outlier class
     negligible = np.log(1e-3 * np.finfo(dtype).eps)
     reach = sigma * jnp.sqrt(2 * (jnp.maximum(log_normaliser - log_outlier, 0.0) - negligible))
+    if clothes is not None:
+        clothes = jax.lax.stop_gradient(clothes).spread(sigma.astype(dtype))
+        log_shares = log_shares + jnp.log1p(-clothes.worn_share)
+        reach = jnp.maximum(reach, jnp.max(clothes_reach(clothes)))
     squared, nearest = nearest_vertices(
         parts, vertices, normals, cloud, normal_threshold=normal_threshold, reach=reach
     )
     log_parts = log_shares[:, None] + log_normaliser - squared / (2 * sigma**2).astype(dtype)
-    highest = jnp.maximum(jnp.max(log_parts, 0), log_outlier)
-    unscaled = jnp.exp(log_parts - highest)
-    total = jnp.sum(unscaled, 0) + jnp.exp(log_outlier - highest)
-    real = cloud.weights > 0
-    weights = jnp.where(real, unscaled / total, 0.0)
     which = jnp.broadcast_to(jnp.arange(parts.num_parts, dtype=jnp.int32)[:, None], squared.shape)
-    columns = (weights, which, nearest, squared)
-    if candidates is not None and candidates < parts.num_parts:
-        columns = _top_candidates(columns, candidates)
+    columns, every = (log_parts, which, nearest, squared), log_parts
+    if clothes is not None or (candidates is not None and candidates < parts.num_parts):
+        columns = _top_candidates(columns, min(candidates or parts.num_parts, parts.num_parts))
+    log_clothes = log_possible = jnp.full(len(cloud.weights), -jnp.inf, dtype)
+    if clothes is not None:
+        first = columns[1][0], columns[2][0], columns[3][0]
+        common = jnp.log(priors.astype(dtype))[first[0]] + jnp.log1p(-share)
+        density, is_outside = clothes_log_density(clothes, *first, vertices, normals, cloud)
+        common = common + density
+        log_clothes = jnp.where(is_outside, common + jnp.log(clothes.worn_share[first[0]]), -jnp.inf)
+        log_possible = common + jnp.log(clothes.share[first[0]])
+    highest = jnp.maximum(jnp.maximum(jnp.max(every, 0), log_outlier), log_clothes)
+    total = jnp.sum(jnp.exp(every - highest), 0) + jnp.exp(log_outlier - highest)
+    total = total + jnp.exp(log_clothes - highest)
+    possible = jnp.exp(log_possible - highest)
+    real = cloud.weights > 0
+    log_parts, which, nearest, squared = columns
+    columns = (jnp.where(real, jnp.exp(log_parts - highest) / total, 0.0), which, nearest, squared)
     weights, which, nearest, squared = (column.T for column in columns)
     return Posterior(
         vertices=nearest,
@@ -102,6 +125,8 @@ def posterior(
         outlier=jnp.where(real, jnp.exp(log_outlier - highest) / total, 1.0),
         squared_distances=squared,
         log_density=jnp.where(real, highest + jnp.log(total), 0.0),
+        clothes=jnp.where(real, jnp.exp(log_clothes - highest) / total, 0.0),
+        possible_clothes=jnp.where(real, possible / (possible + total - jnp.exp(log_clothes - highest)), 0.0),
     )
 
 
@@ -110,14 +135,18 @@ def _top_candidates(columns, count: int):
 
     Removing the largest `count` times is faster on a CPU than `top_k`.
     """
-    values = columns[0]
+    # finite, so that a row without density differs from one that is already chosen
+    values = jnp.maximum(columns[0], -jnp.finfo(columns[0].dtype).max / 2)
     rows = jnp.arange(values.shape[0])[:, None]
     chosen = []
     for _ in range(count):
-        row = jnp.min(jnp.where(values == jnp.max(values, 0), rows, values.shape[0] - 1), 0)
-        values, row = jax.lax.optimization_barrier((jnp.where(rows == row, -1.0, values), row))
+        # fused code may compute values twice, with other roundings
+        largest = values >= jnp.max(values, 0) - TIE
+        row = jnp.min(jnp.where(largest, rows, values.shape[0] - 1), 0)
+        values, row = jax.lax.optimization_barrier((jnp.where(rows == row, -jnp.inf, values), row))
         chosen.append(row)
-    return tuple(jnp.take_along_axis(column, jnp.stack(chosen), 0) for column in columns)
+    rows = jnp.stack(chosen)
+    return tuple(jnp.take_along_axis(column, rows, 0) for column in columns)
 
 
 def log_likelihood(posterior: Posterior, weights: Float[Array, "N"]) -> Float[Array, ""]:

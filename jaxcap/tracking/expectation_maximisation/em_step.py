@@ -16,8 +16,14 @@ from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...observe.clouds import Cloud
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
+from .clothes import Clothes
 from .e_step import Posterior, posterior, update_priors, update_sigma
+from .learn_clothes import update_clothes
 from .surface_density import surface_log_density
+
+#: weight of a point in clothes relative to one on the skin, besides their deviations: one piece of cloth moves as a whole, so
+#: that its points are hardly independent of each other
+CLOTHES_WEIGHT = 0.1
 
 
 class MixtureSettings(eqx.Module):
@@ -84,6 +90,8 @@ class Estimate(eqx.Module):
     sigma: Float[Array, ""]
     #: prior share of each part
     priors: Float[Array, "K"]
+    #: clothes of each part; None where they are not modelled
+    clothes: Clothes | None = None
 
 
 class FrameStatistics(eqx.Module):
@@ -107,7 +115,12 @@ def uniform_priors(parts: PartBlocks, dtype=None) -> Float[Array, "K"]:
 
 
 def data_energy(
-    found: Posterior, posed: Posed, cloud: Cloud, sigma: Float[Array, ""], tangential_weight: Float[Array, ""]
+    found: Posterior,
+    posed: Posed,
+    cloud: Cloud,
+    sigma: Float[Array, ""],
+    tangential_weight: Float[Array, ""],
+    clothes: Clothes | None = None,
 ) -> AbstractEnergy:
     """Compute twice the expected negative log-likelihood (Kineben, eq. 29): `sum p d^2 / sigma^2`.
 
@@ -116,14 +129,39 @@ def data_energy(
     whose points move with the part's bone. The first is not, because it depends on the blend of bones in the
     skin.
     """
-    weights = (cloud.weights[:, None] * found.weights / sigma**2).reshape(-1)
+    weights, points = cloud.weights[:, None] * found.weights / sigma**2, cloud.points[:, None]
+    clothes = None if clothes is None else clothes.spread(sigma)
+    if clothes is None:
+        points = jnp.broadcast_to(points, (*weights.shape, 3))
+    else:
+        points = _without_clothes(found, posed, cloud, clothes, weights)
+        first = found.parts[:, 0]
+        weights = weights.at[:, 0].add(
+            CLOTHES_WEIGHT * cloud.weights * found.clothes / clothes.deviation[first] ** 2
+        )
+    weights, points = weights.reshape(-1), points.reshape(-1, 3)
     vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
-    points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
     r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
     # the inverse of a similarity: its rotation block is a rotation times the scale
     rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
     across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential_weight) * weights)
     return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
+
+
+def _without_clothes(
+    found: Posterior, posed: Posed, cloud: Cloud, clothes: Clothes, weights: Float[Array, "N C"]
+) -> Float[Array, "N C 3"]:
+    """Move points of clothes to the skin: by the clothes' offset, as far as a point is not one of the skin.
+
+    A point's distances from the skin and from the clothes add up to one square about the mean of both targets.
+    """
+    first = found.parts[:, 0]
+    own = CLOTHES_WEIGHT * cloud.weights * found.clothes / clothes.deviation[first] ** 2
+    total = own + weights[:, 0]
+    share = jnp.where(total > 0, own / jnp.where(total > 0, total, 1.0), 0.0)
+    inwards = (share * clothes.offset[first])[:, None] * posed.normals[found.vertices[:, 0]]
+    points = jnp.broadcast_to(cloud.points[:, None], (*weights.shape, 3))
+    return points.at[:, 0].add(-inwards)
 
 
 def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud, volume, estimate: Estimate):
@@ -140,6 +178,7 @@ def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud
         box_volume=volume,
         priors=estimate.priors,
         candidates=mixture.candidates,
+        clothes=estimate.clothes,
     )
     return posed, found
 
@@ -159,10 +198,11 @@ def em_step(
     The statistics are those of the E-step.
     """
     posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
-    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight)
+    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight, estimate.clothes)
     energy = Sum(terms_of(data) + terms_of(prior))
     pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
-    differences = pose_body(body, pose).vertices[found.vertices] - cloud.points[:, None]
+    moved = pose_body(body, pose)
+    differences = moved.vertices[found.vertices] - cloud.points[:, None]
     squared = jnp.sum(differences**2, -1)
     sigma = renew_sigma(mixture, found, squared, cloud, estimate.sigma)
     priors = estimate.priors
@@ -170,9 +210,11 @@ def em_step(
         priors = jnp.where(
             _has_inlier(found, cloud), update_priors(found, cloud.weights, parts.num_parts), priors
         )
-    return Estimate(pose, sigma, priors), _statistics(
-        parts, mixture, posed, found, cloud, volume, estimate.sigma
-    )
+    clothes = estimate.clothes
+    if clothes is not None:
+        clothes = update_clothes(clothes, found, moved, cloud, estimate.sigma)
+    statistics = _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma, estimate.clothes)
+    return Estimate(pose, sigma, priors, clothes), statistics
 
 
 def renew_sigma(
@@ -201,7 +243,7 @@ def frame_statistics(
 ) -> FrameStatistics:
     """Compute the statistics of an estimate's fit to its cloud."""
     posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
-    return _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma)
+    return _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma, estimate.clothes)
 
 
 def _statistics(
@@ -212,9 +254,10 @@ def _statistics(
     cloud: Cloud,
     volume: Float[Array, ""],
     sigma: Float[Array, ""],
+    clothes: Clothes | None,
 ) -> FrameStatistics:
     on_surface = surface_log_density(
-        found, parts, posed, cloud, sigma, mixture.outlier, volume, mixture.tangential_weight
+        found, parts, posed, cloud, sigma, mixture.outlier, volume, mixture.tangential_weight, clothes
     )
     total = jnp.maximum(jnp.sum(cloud.weights), jnp.finfo(cloud.weights.dtype).tiny)
     share = cloud.weights[:, None] * found.weights

@@ -6,8 +6,8 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose
 from ...observe.clouds import Cloud
-from ..track_frame import Tracker, penalty
-from .em_step import Estimate, box_volume, frame_statistics, uniform_priors
+from ..track_frame import Tracker, first_estimate, penalty
+from .em_step import box_volume, frame_statistics
 
 #: standard deviation at which poses are compared, metres
 COMPARISON_SIGMA = 0.02
@@ -21,7 +21,7 @@ def pose_log_density(tracker: Tracker, pose: Pose, cloud: Cloud) -> Float[Array,
     The standard deviation is the same for all poses.
     """
     sigma = jnp.asarray(COMPARISON_SIGMA, pose.rotations.dtype)
-    estimate = Estimate(pose, sigma, uniform_priors(tracker.parts, pose.rotations.dtype))
+    estimate = first_estimate(tracker, pose, sigma)
     volume = box_volume(cloud)
     found = frame_statistics(tracker.body, tracker.parts, tracker.mixture, cloud, volume, estimate)
     density = found.surface_log_likelihood - penalty(tracker, cloud, pose)

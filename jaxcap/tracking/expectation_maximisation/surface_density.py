@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 from ...body.body import Posed
 from ...fit.correspondence.part_blocks import PartBlocks
 from ...observe.clouds import Cloud
+from .clothes import Clothes, clothes_log_density
 from .e_step import MIN_OUTLIER, Posterior
 
 
@@ -18,6 +19,7 @@ def surface_log_density(
     outlier: Float[Array, ""],
     box_volume: Float[Array, ""],
     tangential_weight: Float[Array, ""],
+    clothes: Clothes | None = None,
 ) -> Float[Array, "N"]:
     """Compute the log-density of each point, where a point lies on its likeliest part only.
 
@@ -30,6 +32,17 @@ def surface_log_density(
     have no meaning.
     """
     log_part = matched_log_density(found, parts, posed, cloud, sigma, tangential_weight)
+    if clothes is not None:
+        first = found.parts[:, 0], found.vertices[:, 0], found.squared_distances[:, 0]
+        worn, is_outside = clothes_log_density(
+            clothes.spread(sigma), *first, posed.vertices, posed.normals, cloud
+        )
+        present = sum(count > 0 for count in parts.blocks_of_part)
+        of_clothes = clothes.worn_share[first[0]]
+        worn = jnp.where(is_outside, worn, -jnp.inf)
+        log_part = jnp.logaddexp(
+            log_part + jnp.log1p(-of_clothes), worn + jnp.log(of_clothes) - jnp.log(present)
+        )
     share = jnp.maximum(outlier, MIN_OUTLIER)
     log_outlier = jnp.log(share) - jnp.log(box_volume)
     return jnp.logaddexp(jnp.log1p(-share) + log_part, log_outlier)

@@ -69,6 +69,7 @@ def gather_evidence(
     cloud: Cloud,
     sensors: Float[Array, "D"] | Sequence[Camera] = (),
     occluders: Float[Array, "O 4"] | None = None,
+    allowance: Float[Array, "J"] | None = None,
 ) -> Evidence:
     """Measure the disagreement of a pose and a cloud, and the self-intersection of the body.
 
@@ -78,7 +79,8 @@ def gather_evidence(
     sphere represent possible sensors: the array is one for each direction of a sensor (`sensor_directions`) and zero
     for the others. Where it is empty or zero, the directions of this frame that show the least empty surface
     are used. `occluders` are points of other surfaces that hide the body, such as other people's, metres, each with a
-    fourth number that is one, or zero for none.
+    fourth number that is one, or zero for none. `allowance` is the distance from the skin of each joint's part up to which its
+    clothes explain points, metres (`clothes_allowance`); there are no clothes where it is not given.
     """
     posed = pose_body(surface.body, pose)
     turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
@@ -92,14 +94,25 @@ def gather_evidence(
     before = jnp.zeros((0, 4), vertices.dtype) if occluders is None else occluders
     hiding = before - jnp.append(middle, 0.0)
     nearest = _nearest_samples(points, point_normals, weights > 0, vertices, normals)
-    distances = jnp.sqrt(nearest.squared) / size
-    region = surface.regions[nearest.sample]
+    to_skin, compatible, region_sample = jnp.sqrt(nearest.squared), nearest.compatible, nearest.sample
+    distances, beyond_skin = to_skin, 0.0
+    if allowance is not None:
+        beyond_skin = allowance[surface.bones]
+        wearing, squared = _nearest_clothes(points, point_normals, vertices, normals, beyond_skin)
+        to_clothes = jnp.maximum(jnp.sqrt(squared) - beyond_skin[wearing], 0.0)
+        # also points beyond the clothes belong to what these cover, and not to a hand that is nearer
+        worn = (to_skin > NEAR * size) & (beyond_skin[wearing] > 0)
+        distances = jnp.where(worn, jnp.minimum(to_skin, to_clothes), to_skin)
+        compatible = jnp.where(worn, wearing, compatible)
+        region_sample = jnp.where(worn, wearing, region_sample)
+    distances = distances / size
+    region = surface.regions[region_sample]
     beyond = jnp.clip((distances - NEAR) / (FAR - NEAR), 0.0, 1.0)
     amount = weights * beyond * _neighbour_density(points / (CELL_SIZE * size), rows, beyond)
     count = len(surface.names)
     # gaps are wide between few points
     gap = jnp.maximum(EMPTY, SPARSE / jnp.sqrt(jnp.maximum(jnp.sum(cloud.weights > 0), 1))) * size
-    covered = nearest.to_points <= gap**2
+    covered = nearest.to_points <= (gap + beyond_skin) ** 2
     if isinstance(sensors, Sequence) and len(sensors):
         expected = jnp.stack(
             [_visible_in_camera(camera, posed.vertices, normals, size, before) for camera in sensors]
@@ -131,7 +144,7 @@ def gather_evidence(
     )
     parts = jnp.asarray(surface.region_parts)[surface.regions]
     of_parts = jnp.zeros(len(surface.joints), amount.dtype).at[parts].add(surface.areas)
-    explained = jnp.zeros_like(of_parts).at[parts[nearest.compatible]].add(weights * (distances < NEAR))
+    explained = jnp.zeros_like(of_parts).at[parts[compatible]].add(weights * (distances < NEAR))
     areas = surface.areas[:, None] * (surface.regions[:, None] == jnp.arange(count))
     return Evidence(
         unexplained=jnp.zeros(count, amount.dtype).at[region].add(amount),
@@ -185,6 +198,24 @@ def _nearest_samples(
     rows = (vertices, normals, jnp.arange(len(vertices), dtype=jnp.int32))
     (_, sample, squared, compatible), to_points = jax.lax.scan(step, (far, none, far, none), rows, unroll=8)
     return _NearestSamples(sample, compatible, squared, to_points)
+
+
+def _nearest_clothes(
+    points: Float[Array, "N 3"],
+    point_normals: Float[Array, "N 3"],
+    vertices: Float[Array, "S 3"],
+    normals: Float[Array, "S 3"],
+    beyond_skin: Float[Array, "S"],
+) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+    """Find the sample whose clothes explain each point best, by the squared distance minus that of the clothes; and the
+    squared distance to it, infinite where no sample has a compatible normal.
+    """
+    squared = jnp.sum((points[:, None] - vertices) ** 2, -1)
+    known = jnp.any(point_normals != 0, 1)[:, None]
+    fits = ~known | (point_normals @ normals.T > MIN_NORMAL_COSINE)
+    squared = jnp.where(fits, squared, jnp.inf)
+    best = jnp.argmin(squared - beyond_skin**2, 1)
+    return best, jnp.take_along_axis(squared, best[:, None], 1)[:, 0]
 
 
 def _coverage(shown: Bool[Array, "D S"], covered: Bool[Array, "S"]) -> Float[Array, "D"]:

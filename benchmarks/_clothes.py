@@ -1,0 +1,200 @@
+"""Clothes made on a posed body: a skirt that hangs over both legs, a loose jacket that follows late, and hair.
+
+They are no shells of the skin. A skirt spans the gap between the legs, keeps folds, and swings back later than the
+legs; the skin under it has no points.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+import jaxcap as jc
+from benchmarks._scenes import Noise, ScannedFrame
+from jaxcap.geometry.mesh import sample_surface
+
+#: levels of a skirt and directions about its axis
+NUM_LEVELS, NUM_DIRECTIONS = 28, 72
+#: radius that the hem adds, depth of its folds and the gap to the skin, metres; share of the last shape that stays
+FLARE, FOLD, GAP, INERTIA = 0.10, 0.012, 0.008, 0.6
+#: joints whose skin a jacket covers, its thickness in metres, and the share of the last frame in its place
+JACKET = (
+    "LowerBack",
+    "Spine",
+    "Spine1",
+    "LeftShoulder",
+    "RightShoulder",
+    "LeftArm",
+    "RightArm",
+    "LeftForeArm",
+    "RightForeArm",
+)
+JACKET_THICKNESS, JACKET_LAG = 0.035, 0.3
+#: thickness of hair, metres
+HAIR_THICKNESS = 0.04
+
+_posed = eqx.filter_jit(jc.pose_body)
+
+
+class Skirt(NamedTuple):
+    """A skirt: the distance of each level from a vertical axis in each direction."""
+
+    axis: Float[np.ndarray, "2"]
+    heights: Float[np.ndarray, "L"]
+    radii: Float[np.ndarray, "L A"]
+
+
+def smooth_over_surface(body: jc.Body, values: Float[np.ndarray, "V"], rounds: int) -> Float[np.ndarray, "V"]:
+    """Average values with those of neighbouring vertices, again and again."""
+    corners = np.asarray(body.faces)
+    starts, ends = corners.ravel(), np.roll(corners, 1, axis=1).ravel()
+    degree = np.maximum(np.bincount(starts, minlength=len(values)), 1)
+    for _ in range(rounds):
+        values = 0.5 * values + 0.5 * np.bincount(starts, values[ends], len(values)) / degree
+    return values
+
+
+def jacket_offsets(body: jc.Body) -> Float[np.ndarray, "V"]:
+    """Compute the offsets of a jacket along the normals, metres."""
+    names = np.asarray(body.skeleton.names)
+    covered = np.isin(names, JACKET)[np.asarray(body.skin.dominant_bones())].astype(float)
+    return JACKET_THICKNESS * smooth_over_surface(body, covered, 20)
+
+
+def hair_offsets(body: jc.Body) -> Float[np.ndarray, "V"]:
+    """Compute the offsets of hair along the normals, metres: the back and the top of the head."""
+    head = list(body.skeleton.names).index("Head")
+    rest, centre = np.asarray(body.vertices, float), np.asarray(body.skeleton.centres, float)[head]
+    away = rest - centre
+    members = np.asarray(body.skin.dominant_bones()) == head
+    middle = rest[members].mean(0)
+    covered = members & ((rest[:, 2] < middle[2]) | (rest[:, 1] > middle[1] + 0.06)) & (away[:, 1] > 0.0)
+    return HAIR_THICKNESS * smooth_over_surface(body, covered.astype(float), 10)
+
+
+def hang_skirt(
+    body: jc.Body,
+    vertices: Float[np.ndarray, "V 3"],
+    joints: Float[np.ndarray, "J 3"],
+    length: float,
+    before: Skirt | None,
+    turn: float,
+) -> Skirt:
+    """Hang a skirt from the waist around both legs; `before` is that of the last frame, `turn` the phase of its folds."""
+    names = list(body.skeleton.names)
+    hips = joints[names.index("Hips")]
+    top = hips[1] + 0.05
+    heights = top - np.linspace(0.0, length, NUM_LEVELS)
+    members = np.isin(
+        np.asarray(body.skin.dominant_bones()),
+        [
+            k
+            for k, name in enumerate(names)
+            if name
+            in (
+                "Hips",
+                "LHipJoint",
+                "RHipJoint",
+                "LowerBack",
+                "LeftUpLeg",
+                "RightUpLeg",
+                "LeftLeg",
+                "RightLeg",
+            )
+        ],
+    )
+    points = vertices[members]
+    axis = hips[[0, 2]]
+    angles = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
+    directions = np.stack([np.cos(angles), np.sin(angles)], 1)
+    reach = (points[:, [0, 2]] - axis) @ directions.T
+    radii = np.zeros((NUM_LEVELS, NUM_DIRECTIONS))
+    for level, height in enumerate(heights):
+        near = np.abs(points[:, 1] - height) < 0.02
+        inside = reach[near].max(0) if near.any() else radii[level - 1]
+        radii[level] = np.maximum(inside, 0.05) + GAP
+    down = np.linspace(0.0, 1.0, NUM_LEVELS)[:, None]
+    hanging = radii[0] + FLARE * down
+    shape = np.maximum(radii, hanging)
+    if before is not None:
+        shape = np.maximum(radii, INERTIA * before.radii + (1 - INERTIA) * shape)
+    # cloth that a knee lifts hangs down from it
+    shape = np.maximum.accumulate(shape + 0.15 * down, axis=0) - 0.15 * down
+    folds = FOLD * down * np.sin(9 * angles + turn)
+    return Skirt(axis, heights, np.maximum(radii, shape + folds))
+
+
+def skirt_mesh(skirt: Skirt) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
+    """Make the triangles of a skirt, its normals outwards."""
+    angles = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
+    x = skirt.axis[0] + skirt.radii * np.cos(angles)
+    z = skirt.axis[1] + skirt.radii * np.sin(angles)
+    y = np.broadcast_to(skirt.heights[:, None], x.shape)
+    level, around = np.meshgrid(np.arange(NUM_LEVELS - 1), np.arange(NUM_DIRECTIONS), indexing="ij")
+    beside = (around + 1) % NUM_DIRECTIONS
+    a, b = level * NUM_DIRECTIONS + around, level * NUM_DIRECTIONS + beside
+    c, d = a + NUM_DIRECTIONS, b + NUM_DIRECTIONS
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+    return np.stack([x, y, z], -1).reshape(-1, 3), faces
+
+
+def under_skirt(skirt: Skirt, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "N"]:
+    """Find the points that a skirt hides."""
+    away = points[:, [0, 2]] - skirt.axis
+    column = (
+        np.round(np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi) * NUM_DIRECTIONS).astype(int)
+        % NUM_DIRECTIONS
+    )
+    step = (skirt.heights[0] - skirt.heights[-1]) / (NUM_LEVELS - 1)
+    level = np.round((skirt.heights[0] - points[:, 1]) / step).astype(int)
+    within = (level >= 0) & (level < NUM_LEVELS)
+    radii = skirt.radii[np.clip(level, 0, NUM_LEVELS - 1), column]
+    return within & (np.linalg.norm(away, axis=1) < radii - 0.002)
+
+
+def scan_clothed(
+    body: jc.Body, motion: jc.Motion, outfit: str, noise: Noise, seed: int = 0, length: float = 0.5
+) -> list[ScannedFrame]:
+    """Simulate the clouds of a person in an outfit: "bare", "skirt" with hair, or "jacket" with hair.
+
+    The joints are those of the person.
+    """
+    jacket, hair = jacket_offsets(body), hair_offsets(body)
+    skirt, before, frames = None, None, []
+    faces = np.asarray(body.faces)
+    for number in range(motion.num_frames):
+        rng = np.random.default_rng([seed, number])
+        posed = _posed(body, motion[number])
+        vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
+        joints = np.asarray(posed.joints, float)
+        worn = vertices
+        if outfit != "bare":
+            worn = worn + hair[:, None] * normals
+        if outfit == "jacket":
+            lag = JACKET_LAG * (jacket / JACKET_THICKNESS)[:, None]
+            late = np.clip((vertices if before is None else before) - vertices, -0.03, 0.03)
+            swing = 1.0 + 0.3 * np.sin(40.0 * np.asarray(body.vertices, float)[:, 1] + 0.2 * number)
+            worn = worn + lag * late + (jacket * swing)[:, None] * normals
+        points, directions = sample_surface(worn, faces, 2 * noise.points, rng)
+        if outfit == "skirt":
+            skirt = hang_skirt(body, vertices, joints, length, skirt, 0.15 * number)
+            cloth, cloth_faces = skirt_mesh(skirt)
+            density = len(points) / _area(worn, faces)
+            more, theirs = sample_surface(cloth, cloth_faces, round(density * _area(cloth, cloth_faces)), rng)
+            seen = ~under_skirt(skirt, points)
+            points, directions = (
+                np.concatenate([points[seen], more]),
+                np.concatenate([directions[seen], theirs]),
+            )
+        kept = rng.choice(len(points), noise.points, replace=False)
+        points = points[kept] + noise.deviation * rng.normal(size=(noise.points, 3))
+        directions = directions[kept] + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=points.shape)
+        frames.append(ScannedFrame(jc.make_cloud(points, directions), joints))
+        before = vertices
+    return frames
+
+
+def _area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
