@@ -77,9 +77,10 @@ def clothes_log_density(
     normals: Float[Array, "V 3"],
     cloud: Cloud,
 ) -> tuple[Float[Array, "N"], Bool[Array, "N"]]:
-    """Compute the log-density of each point in the clothes of a part.
+    """Compute the log-density of each point in the clothes of a part, and whether the point is outside of the skin.
 
-    It is normal about the nearest vertex, moved out by the clothes' offset, and minus infinity inside of the skin.
+    It is normal about the nearest vertex, moved along its normal by the clothes' offset to the point's side of the skin, and
+    minus infinity near the skin. Points inside are no clothes: they show an error of the pose.
     """
     outwards = jnp.sum((cloud.points - vertices[nearest]) * normals[nearest], 1)
     offset, deviation = clothes.offset[parts], clothes.deviation[parts]
