@@ -79,20 +79,7 @@ def solve_in_order(
     numbers = (jnp.asarray(number, body.vertices.dtype) for number in (damping, rtol, atol))
     # threads of BLAS and of XLA wait for each other, and the matrices of a pose are small
     with threadpool_limits(1, "blas"), explain_errors(Sum(tuple(groups)), body, start):
-        return jax.block_until_ready(_without_derivative(tuple(groups), body, start, max_steps, *numbers))
-
-
-@eqx.filter_custom_jvp
-def _without_derivative(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
-    return _solve_in_order(groups, body, start, max_steps, damping, rtol, atol)
-
-
-@_without_derivative.def_jvp
-def _refuse_derivative(primals, tangents):
-    raise InputError(
-        "solve_in_order: strict priorities have no derivative where an inequality changes; differentiate `solve` with "
-        "weights instead."
-    )
+        return jax.block_until_ready(_solve_in_order(tuple(groups), body, start, max_steps, *numbers))
 
 
 @checked
@@ -110,8 +97,8 @@ def priority_step(
     return _step(_PriorityProblem(tuple(groups), body), pose, none)[0]
 
 
-@eqx.filter_jit
-def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
+@eqx.filter_custom_jvp
+def _minimise_in_order(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
     order = _PriorityProblem(groups, body)
 
     def going(carry):
@@ -139,6 +126,17 @@ def _solve_in_order(groups, body, start, max_steps, damping, rtol, atol) -> Orde
     return OrderedSolution(
         pose, energies(_concatenate_terms(groups), pose_body(body, pose)), history, steps, result
     )
+
+
+@_minimise_in_order.def_jvp
+def _refuse_derivative(primals, tangents):
+    raise InputError(
+        "solve_in_order: strict priorities have no derivative where an inequality changes; differentiate `solve` with "
+        "weights instead."
+    )
+
+
+_solve_in_order = eqx.filter_jit(_minimise_in_order)
 
 
 class _PriorityProblem(eqx.Module):
