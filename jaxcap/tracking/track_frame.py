@@ -112,8 +112,8 @@ def make_tracker(
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
-    clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`); `terms` are further energies, in units of a
-    log-likelihood.
+    clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;
+    `terms` are further energies, in units of a log-likelihood.
 
     **Raises:** `InputError` for a number that is out of its range, and for terms that do not fit the body.
     """
