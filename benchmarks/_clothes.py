@@ -11,11 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 import jaxcap as jc
-from benchmarks._scenes import Noise, ScannedFrame
-from jaxcap.geometry.mesh import sample_surface
+from benchmarks._scenes import Noise, ScannedFrame, add_noise, smooth_over_surface, vertices_of_joints
+from jaxcap.geometry.mesh import area_normals, sample_surface
 
 #: levels of a skirt and directions about its axis
 NUM_LEVELS, NUM_DIRECTIONS = 28, 72
+ANGLES = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
+#: joints whose skin a skirt hangs over, and its length in metres
+SKIRT = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
+LENGTH = 0.5
 #: radius that the hem adds, depth of its folds and the gap to the skin, metres; share of the last shape that stays
 FLARE, FOLD, GAP, INERTIA = 0.10, 0.012, 0.008, 0.6
 #: joints whose skin a jacket covers, its thickness in metres, and the share of the last frame in its place
@@ -45,29 +49,17 @@ class Skirt(NamedTuple):
     radii: Float[np.ndarray, "L A"]
 
 
-def smooth_over_surface(body: jc.Body, values: Float[np.ndarray, "V"], rounds: int) -> Float[np.ndarray, "V"]:
-    """Average values with those of neighbouring vertices, again and again."""
-    corners = np.asarray(body.faces)
-    starts, ends = corners.ravel(), np.roll(corners, 1, axis=1).ravel()
-    degree = np.maximum(np.bincount(starts, minlength=len(values)), 1)
-    for _ in range(rounds):
-        values = 0.5 * values + 0.5 * np.bincount(starts, values[ends], len(values)) / degree
-    return values
-
-
 def jacket_offsets(body: jc.Body) -> Float[np.ndarray, "V"]:
     """Compute the offsets of a jacket along the normals, metres."""
-    names = np.asarray(body.skeleton.names)
-    covered = np.isin(names, JACKET)[np.asarray(body.skin.dominant_bones())].astype(float)
-    return JACKET_THICKNESS * smooth_over_surface(body, covered, 20)
+    return JACKET_THICKNESS * smooth_over_surface(body, vertices_of_joints(body, JACKET).astype(float), 20)
 
 
 def hair_offsets(body: jc.Body) -> Float[np.ndarray, "V"]:
     """Compute the offsets of hair along the normals, metres: the back and the top of the head."""
-    head = list(body.skeleton.names).index("Head")
+    head = body.skeleton.index("Head")
     rest, centre = np.asarray(body.vertices, float), np.asarray(body.skeleton.centres, float)[head]
     away = rest - centre
-    members = np.asarray(body.skin.dominant_bones()) == head
+    members = vertices_of_joints(body, ("Head",))
     middle = rest[members].mean(0)
     covered = members & ((rest[:, 2] < middle[2]) | (rest[:, 1] > middle[1] + 0.06)) & (away[:, 1] > 0.0)
     return HAIR_THICKNESS * smooth_over_surface(body, covered.astype(float), 10)
@@ -77,37 +69,16 @@ def hang_skirt(
     body: jc.Body,
     vertices: Float[np.ndarray, "V 3"],
     joints: Float[np.ndarray, "J 3"],
-    length: float,
     before: Skirt | None,
     turn: float,
 ) -> Skirt:
     """Hang a skirt from the waist around both legs; `before` is that of the last frame, `turn` the phase of its folds."""
-    names = list(body.skeleton.names)
-    hips = joints[names.index("Hips")]
+    hips = joints[body.skeleton.index("Hips")]
     top = hips[1] + 0.05
-    heights = top - np.linspace(0.0, length, NUM_LEVELS)
-    members = np.isin(
-        np.asarray(body.skin.dominant_bones()),
-        [
-            k
-            for k, name in enumerate(names)
-            if name
-            in (
-                "Hips",
-                "LHipJoint",
-                "RHipJoint",
-                "LowerBack",
-                "LeftUpLeg",
-                "RightUpLeg",
-                "LeftLeg",
-                "RightLeg",
-            )
-        ],
-    )
-    points = vertices[members]
+    heights = top - np.linspace(0.0, LENGTH, NUM_LEVELS)
+    points = vertices[vertices_of_joints(body, SKIRT)]
     axis = hips[[0, 2]]
-    angles = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
-    directions = np.stack([np.cos(angles), np.sin(angles)], 1)
+    directions = np.stack([np.cos(ANGLES), np.sin(ANGLES)], 1)
     reach = (points[:, [0, 2]] - axis) @ directions.T
     radii = np.zeros((NUM_LEVELS, NUM_DIRECTIONS))
     for level, height in enumerate(heights):
@@ -121,19 +92,18 @@ def hang_skirt(
         shape = np.maximum(radii, INERTIA * before.radii + (1 - INERTIA) * shape)
     # cloth that a knee lifts hangs down from it
     shape = np.maximum.accumulate(shape + 0.15 * down, axis=0) - 0.15 * down
-    folds = FOLD * down * np.sin(9 * angles + turn)
+    folds = FOLD * down * np.sin(9 * ANGLES + turn)
     return Skirt(axis, heights, np.maximum(radii, shape + folds))
 
 
 def skirt_mesh(skirt: Skirt) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
     """Make the triangles of a skirt, its normals outwards."""
-    angles = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
-    x = skirt.axis[0] + skirt.radii * np.cos(angles)
-    z = skirt.axis[1] + skirt.radii * np.sin(angles)
+    x = skirt.axis[0] + skirt.radii * np.cos(ANGLES)
+    z = skirt.axis[1] + skirt.radii * np.sin(ANGLES)
     y = np.broadcast_to(skirt.heights[:, None], x.shape)
     level, around = np.meshgrid(np.arange(NUM_LEVELS - 1), np.arange(NUM_DIRECTIONS), indexing="ij")
-    beside = (around + 1) % NUM_DIRECTIONS
-    a, b = level * NUM_DIRECTIONS + around, level * NUM_DIRECTIONS + beside
+    following = (around + 1) % NUM_DIRECTIONS
+    a, b = level * NUM_DIRECTIONS + around, level * NUM_DIRECTIONS + following
     c, d = a + NUM_DIRECTIONS, b + NUM_DIRECTIONS
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
     return np.stack([x, y, z], -1).reshape(-1, 3), faces
@@ -154,9 +124,10 @@ def under_skirt(skirt: Skirt, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarr
 
 
 def scan_clothed(
-    body: jc.Body, motion: jc.Motion, outfit: str, noise: Noise, seed: int = 0, length: float = 0.5
+    body: jc.Body, motion: jc.Motion, outfit: str, noise: Noise, seed: int = 0
 ) -> list[ScannedFrame]:
-    """Simulate the clouds of a person in an outfit: "bare", "skirt" with hair, or "jacket" with hair.
+    """Simulate the clouds of a person in an outfit: "bare", "skirt" with hair, or "jacket" with hair. There are no
+    outliers.
 
     The joints are those of the person.
     """
@@ -178,7 +149,7 @@ def scan_clothed(
             worn = worn + lag * late + (jacket * swing)[:, None] * normals
         points, directions = sample_surface(worn, faces, 2 * noise.points, rng)
         if outfit == "skirt":
-            skirt = hang_skirt(body, vertices, joints, length, skirt, 0.15 * number)
+            skirt = hang_skirt(body, vertices, joints, skirt, 0.15 * number)
             cloth, cloth_faces = skirt_mesh(skirt)
             density = len(points) / _area(worn, faces)
             more, theirs = sample_surface(cloth, cloth_faces, round(density * _area(cloth, cloth_faces)), rng)
@@ -188,13 +159,11 @@ def scan_clothed(
                 np.concatenate([directions[seen], theirs]),
             )
         kept = rng.choice(len(points), noise.points, replace=False)
-        points = points[kept] + noise.deviation * rng.normal(size=(noise.points, 3))
-        directions = directions[kept] + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=points.shape)
-        frames.append(ScannedFrame(jc.make_cloud(points, directions), joints))
+        cloud = jc.make_cloud(*add_noise(points[kept], directions[kept], noise, rng))
+        frames.append(ScannedFrame(cloud, joints))
         before = vertices
     return frames
 
 
 def _area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return 0.5 * float(np.linalg.norm(area_normals(vertices[faces]), axis=1).sum())

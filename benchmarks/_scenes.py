@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -100,8 +101,7 @@ def scan_frame(
     if turn is not None:
         vertices, joints = vertices @ turn.T, joints @ turn.T
     points, normals = _surface(vertices, np.asarray(body.faces), noise.points, visible, rng)
-    points = points + noise.deviation * rng.normal(size=points.shape)
-    normals = normals + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=normals.shape)
+    points, normals = add_noise(points, normals, noise, rng)
     wild = rng.choice(len(points), round(noise.outliers * len(points)), replace=False)
     box = vertices.min(0) - OUTLIER_MARGIN, vertices.max(0) + OUTLIER_MARGIN
     points[wild] = rng.uniform(*box, (len(wild), 3))
@@ -112,16 +112,34 @@ def scan_frame(
 def clothing_offsets(body: jc.Body, thickness: float = 0.06) -> Float[np.ndarray, "V"]:
     """Compute the offsets of clothes at thighs and trunk from each vertex, metres, smoothed along the surface."""
     covered = ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "Spine", "LeftUpLeg", "RightUpLeg")
-    cloth = np.isin(np.asarray(body.skeleton.names), covered)[np.asarray(body.skin.dominant_bones())].astype(
-        float
-    )
+    cloth = smooth_over_surface(body, vertices_of_joints(body, covered).astype(float), 60)
+    return thickness * cloth / cloth.max()
+
+
+def vertices_of_joints(body: jc.Body, joints: Sequence[str]) -> Bool[np.ndarray, "V"]:
+    """Find the vertices that some joints, by name, move most."""
+    return np.isin(np.asarray(body.skeleton.names), joints)[np.asarray(body.skin.dominant_bones())]
+
+
+def smooth_over_surface(body: jc.Body, values: Float[np.ndarray, "V"], rounds: int) -> Float[np.ndarray, "V"]:
+    """Average values with those of neighbouring vertices, again and again."""
     corners = np.asarray(body.faces)
     starts, ends = corners.ravel(), np.roll(corners, 1, axis=1).ravel()
-    degree = np.maximum(np.bincount(starts, minlength=len(cloth)), 1)
-    for _ in range(60):
-        around = np.bincount(starts, cloth[ends], len(cloth)) / degree
-        cloth = 0.5 * cloth + 0.5 * around
-    return thickness * cloth / cloth.max()
+    degree = np.maximum(np.bincount(starts, minlength=len(values)), 1)
+    for _ in range(rounds):
+        values = 0.5 * values + 0.5 * np.bincount(starts, values[ends], len(values)) / degree
+    return values
+
+
+def add_noise(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    noise: Noise,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+    """Add the errors of points and normals, without outliers."""
+    points = points + noise.deviation * rng.normal(size=points.shape)
+    return points, normals + np.radians(noise.tilt) / np.sqrt(2) * rng.normal(size=normals.shape)
 
 
 def scan_motion(

@@ -183,7 +183,7 @@ def first_estimate(tracker: Tracker, pose: Pose, sigma: Float[Array, ""]) -> Est
 
 def with_clothes(tracker: Tracker, clothes: Clothes | None) -> Tracker:
     """Give a tracker the clothes that the frames so far have shown, for searches and comparisons of poses."""
-    return eqx.tree_at(lambda t: t.clothes, tracker, clothes, is_leaf=_is_none)
+    return eqx.tree_at(lambda t: t.clothes, tracker, clothes, is_leaf=lambda leaf: leaf is None)
 
 
 def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
@@ -246,17 +246,11 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
             tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate
         )
         # clothes are learned once a frame, at its end
-        return eqx.tree_at(lambda e: e.clothes, estimate, before.clothes, is_leaf=_is_none), (
-            statistics,
-            estimate.clothes,
-        )
+        unlearned = Estimate(estimate.pose, estimate.sigma, estimate.priors, before.clothes)
+        return unlearned, (statistics, estimate.clothes)
 
     start = Estimate(predicted, sigma, before.priors, before.clothes)
     estimate, measured = jax.lax.scan(step, start, length=tracker.iterations)
     statistics, clothes = jax.tree.map(lambda leaf: leaf[-1], measured)
-    estimate = eqx.tree_at(lambda e: e.clothes, estimate, clothes, is_leaf=_is_none)
+    estimate = Estimate(estimate.pose, estimate.sigma, estimate.priors, clothes)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics
-
-
-def _is_none(node: object) -> bool:
-    return node is None

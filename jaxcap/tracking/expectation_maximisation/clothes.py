@@ -40,6 +40,11 @@ class Clothes(eqx.Module):
         return jnp.clip((self.share - COVERED) / (FULLY_COVERED - COVERED), 0.0, 1.0)
 
     @property
+    def extent(self) -> Float[Array, "K"]:
+        """The largest distance of clothes from the skin, metres."""
+        return self.offset + MAX_DEVIATIONS * self.deviation
+
+    @property
     def worn_share(self) -> Float[Array, "K"]:
         """The share of clothes in the points of each part, zero where it is not covered."""
         return self.covered * self.share
@@ -65,7 +70,7 @@ def first_clothes(body: Body, num_parts: int, dtype=None) -> Clothes:
 
 def clothes_allowance(clothes: Clothes) -> Float[Array, "K"]:
     """Compute the distance from the skin up to which points of a part are explained by its clothes, metres."""
-    return clothes.covered * (clothes.offset + MAX_DEVIATIONS * clothes.deviation)
+    return clothes.covered * clothes.extent
 
 
 def clothes_log_density(
@@ -92,4 +97,4 @@ def clothes_log_density(
 
 def clothes_reach(clothes: Clothes) -> Float[Array, "K"]:
     """Compute the distance within which clothes are searched for: zero where a part has none."""
-    return jnp.where(clothes.worn_share > 0, clothes.offset + MAX_DEVIATIONS * clothes.deviation, 0.0)
+    return jnp.where(clothes.worn_share > 0, clothes.extent, 0.0)

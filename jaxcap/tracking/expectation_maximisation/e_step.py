@@ -99,7 +99,7 @@ def posterior(
     )
     log_parts = log_shares[:, None] + log_normaliser - squared / (2 * sigma**2).astype(dtype)
     which = jnp.broadcast_to(jnp.arange(parts.num_parts, dtype=jnp.int32)[:, None], squared.shape)
-    columns, of_all = (log_parts, which, nearest, squared), log_parts
+    columns = (log_parts, which, nearest, squared)
     if clothes is not None or (candidates is not None and candidates < parts.num_parts):
         columns = _top_candidates(columns, min(candidates or parts.num_parts, parts.num_parts))
     log_clothes = log_possible = jnp.full(len(cloud.weights), -jnp.inf, dtype)
@@ -110,14 +110,14 @@ def posterior(
         common = common + density
         log_clothes = jnp.where(is_outside, common + jnp.log(clothes.worn_share[first[0]]), -jnp.inf)
         log_possible = common + jnp.log(clothes.share[first[0]])
-    highest = jnp.maximum(jnp.maximum(jnp.max(of_all, 0), log_outlier), log_clothes)
-    total = jnp.sum(jnp.exp(of_all - highest), 0) + jnp.exp(log_outlier - highest)
+    highest = jnp.maximum(jnp.maximum(jnp.max(log_parts, 0), log_outlier), log_clothes)
+    total = jnp.sum(jnp.exp(log_parts - highest), 0) + jnp.exp(log_outlier - highest)
     total = total + jnp.exp(log_clothes - highest)
     possible = jnp.exp(log_possible - highest)
     real = cloud.weights > 0
-    log_parts, which, nearest, squared = columns
-    columns = (jnp.where(real, jnp.exp(log_parts - highest) / total, 0.0), which, nearest, squared)
-    weights, which, nearest, squared = (column.T for column in columns)
+    log_kept, which, nearest, squared = columns
+    weights = jnp.where(real, jnp.exp(log_kept - highest) / total, 0.0)
+    weights, which, nearest, squared = (column.T for column in (weights, which, nearest, squared))
     return Posterior(
         vertices=nearest,
         parts=which,

@@ -129,16 +129,10 @@ def data_energy(
     whose points move with the part's bone. The first is not, because it depends on the blend of bones in the
     skin.
     """
-    weights, points = cloud.weights[:, None] * found.weights / sigma**2, cloud.points[:, None]
-    clothes = None if clothes is None else clothes.spread(sigma)
-    if clothes is None:
-        points = jnp.broadcast_to(points, (*weights.shape, 3))
-    else:
-        points = _without_clothes(found, posed, cloud, clothes, weights)
-        first = found.parts[:, 0]
-        weights = weights.at[:, 0].add(
-            CLOTHES_WEIGHT * cloud.weights * found.clothes / clothes.deviation[first] ** 2
-        )
+    weights = cloud.weights[:, None] * found.weights / sigma**2
+    points = jnp.broadcast_to(cloud.points[:, None], (*weights.shape, 3))
+    if clothes is not None:
+        weights, points = _add_clothes(found, posed, cloud, clothes.spread(sigma), weights, points)
     weights, points = weights.reshape(-1), points.reshape(-1, 3)
     vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
     r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
@@ -148,20 +142,25 @@ def data_energy(
     return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
 
 
-def _without_clothes(
-    found: Posterior, posed: Posed, cloud: Cloud, clothes: Clothes, weights: Float[Array, "N C"]
-) -> Float[Array, "N C 3"]:
-    """Move points of clothes to the skin: by the clothes' offset, as far as a point is not one of the skin.
+def _add_clothes(
+    found: Posterior,
+    posed: Posed,
+    cloud: Cloud,
+    clothes: Clothes,
+    weights: Float[Array, "N C"],
+    points: Float[Array, "N C 3"],
+) -> tuple[Float[Array, "N C"], Float[Array, "N C 3"]]:
+    """Add the pull of clothes to the weights and points of each first candidate.
 
-    A point's distances from the skin and from the clothes add up to one square about the mean of both targets.
+    A point's squared distances from the skin and from the clothes add up to one about the mean of both targets: the point
+    moves to the skin by the clothes' offset, as far as it is not one of the skin.
     """
     first = found.parts[:, 0]
     own = CLOTHES_WEIGHT * cloud.weights * found.clothes / clothes.deviation[first] ** 2
     total = own + weights[:, 0]
     share = jnp.where(total > 0, own / jnp.where(total > 0, total, 1.0), 0.0)
     inwards = (share * clothes.offset[first])[:, None] * posed.normals[found.vertices[:, 0]]
-    points = jnp.broadcast_to(cloud.points[:, None], (*weights.shape, 3))
-    return points.at[:, 0].add(-inwards)
+    return weights.at[:, 0].set(total), points.at[:, 0].add(-inwards)
 
 
 def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud, volume, estimate: Estimate):
