@@ -4,13 +4,21 @@ from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..body.body import Body, Posed, pose_body
 from ..body.pose import Pose
+from ..energy.data.bones import AbstractBoneEnergy
 from ..energy.data.vertices import AbstractVertexEnergy
 from ..energy.energy import AbstractEnergy, Sum, terms_of, unweighted
-from .linearise import BodyTangent, frame_jacobian, vertex_jacobian, weighted_derivatives
+from .linearise import (
+    BodyTangent,
+    bone_velocities,
+    frame_jacobian,
+    vertex_jacobian,
+    weighted_bone_derivatives,
+    weighted_derivatives,
+)
 
 #: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`
 NormalEquations = tuple[Float[Array, ""], Float[Array, "..."], Float[Array, "..."]]
@@ -25,19 +33,25 @@ def frame_equations(
 ) -> NormalEquations:
     """Compute `|r|^2 / 2`, `J^T r` and `J^T J` of a frame by `[d, s]`; arguments as of `frame_jacobian`.
 
-    A term with more rows than the vertices have coordinates is first summed over each vertex, without writing
-    out its rows.
+    A term with more rows than the vertices have coordinates is first summed over each vertex, and one of the pose over
+    single bones over each bone, without writing out its rows.
     """
     posed, terms = pose_body(body, pose), terms_of(energy)
-    sums = [_vertex_equations(term, posed) for term in terms]
-    others = tuple(term for term, part in zip(terms, sums, strict=True) if part is None)
-    summed = [part for part in sums if part is not None]
+    by_vertex = [_vertex_equations(term, posed) for term in terms]
+    by_bone = [None if tangent is not None else _bone_equations(term, posed) for term in terms]
+    others = tuple(
+        term
+        for term, *sums in zip(terms, by_vertex, by_bone, strict=True)
+        if all(part is None for part in sums)
+    )
     parts = []
     if others:
         residual, rows = frame_jacobian(Sum(others), body, pose, body_at, tangent)
         parts.append((0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows))
-    if summed:
+    if summed := [part for part in by_vertex if part is not None]:
         parts.append(_pull_back(_sum_equations(summed), vertex_jacobian(posed, tangent)))
+    if summed := [part for part in by_bone if part is not None]:
+        parts.append(_pull_back(_sum_equations(summed), bone_velocities(posed)))
     return _sum_equations(parts)
 
 
@@ -45,19 +59,34 @@ def _sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
     return jax.tree.map(lambda *some: sum(some[1:], some[0]), *parts)
 
 
-def _pull_back(equations: NormalEquations, jacobian: Float[Array, "V 3 N"]) -> NormalEquations:
-    """Transform equations of the vertices into equations of the unknowns, by the vertices' Jacobian."""
+def _pull_back(equations: NormalEquations, jacobian: Float[Array, "V C N"]) -> NormalEquations:
+    """Transform equations of vertices or bones with C coordinates into equations of the unknowns, by the Jacobian of these
+    coordinates.
+    """
     value, sides, matrices = equations
-    # written out, because batched products per vertex are slow on a CPU
+    # written out, because batched products are slow on a CPU
     across = [
         sum(
-            (matrices[:, a, b, None] * jacobian[:, b] for b in (1, 2)),
+            (matrices[:, a, b, None] * jacobian[:, b] for b in range(1, matrices.shape[2])),
             matrices[:, a, 0, None] * jacobian[:, 0],
         )
-        for a in range(3)
+        for a in range(matrices.shape[1])
     ]
     flat = jacobian.reshape(-1, jacobian.shape[2])
     return value, flat.T @ sides.reshape(-1), flat.T @ jnp.stack(across, 1).reshape(flat.shape)
+
+
+def _bone_equations(term: AbstractEnergy, posed: Posed) -> NormalEquations | None:
+    """Compute the equations of a term by the velocity of each bone, `(J, 6)` and `(J, 6, 6)`.
+
+    None if it is not a term over bones, or has rows that depend on several bones.
+    """
+    if not isinstance(unweighted(term), AbstractBoneEnergy):
+        return None
+    bones, rows = weighted_bone_derivatives(term, posed)
+    if bones is None or bones.shape[1] > 1:
+        return None
+    return _equations_at(bones[:, 0], rows[:, 0], term.residual(posed), len(posed.joints))
 
 
 def _vertex_equations(term: AbstractEnergy, posed: Posed) -> NormalEquations | None:
@@ -70,13 +99,18 @@ def _vertex_equations(term: AbstractEnergy, posed: Posed) -> NormalEquations | N
     vertices, directions = weighted_derivatives(term, posed)
     if vertices.shape[1] > 1 or directions.size // 3 <= posed.vertices.size:
         return None
-    vertices, directions = vertices[:, 0], directions[:, 0]
-    residual = term.residual(posed)
-    sides = jnp.sum(directions * residual.reshape(directions.shape[:2])[:, :, None], 1)
-    matrices = jnp.sum(directions[:, :, :, None] * directions[:, :, None, :], 1)
-    count, dtype = len(posed.vertices), directions.dtype
+    return _equations_at(vertices[:, 0], directions[:, 0], term.residual(posed), len(posed.vertices))
+
+
+def _equations_at(
+    places: Int[Array, "K"], rows: Float[Array, "K R C"], residual: Float[Array, "KR"], count: int
+) -> NormalEquations:
+    """Sum the equations of K groups of rows over their places, `count` vertices or bones."""
+    sides = jnp.sum(rows * residual.reshape(rows.shape[:2])[:, :, None], 1)
+    matrices = jnp.sum(rows[:, :, :, None] * rows[:, :, None, :], 1)
+    width, dtype = rows.shape[2], rows.dtype
     return (
         0.5 * (residual @ residual),
-        jnp.zeros((count, 3), dtype).at[vertices].add(sides),
-        jnp.zeros((count, 3, 3), dtype).at[vertices].add(matrices),
+        jnp.zeros((count, width), dtype).at[places].add(sides),
+        jnp.zeros((count, width, width), dtype).at[places].add(matrices),
     )

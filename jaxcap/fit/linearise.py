@@ -265,17 +265,29 @@ def _term_jacobian(term: AbstractEnergy, posed: Posed, tangent: BodyTangent | No
 
 def _bone_term_jacobian(term: AbstractEnergy, posed: Posed) -> Float[Array, "R D"]:
     """Differentiate a weighted term over bones by the pose."""
-    plain, weight = unweighted(term), 1.0
-    while isinstance(term, Weighted):
-        weight, term = weight * safe_sqrt(term.weight), term.energy
-    assert isinstance(plain, AbstractBoneEnergy)
-    bones, rows = plain.bone_jacobian(posed)
+    bones, rows = weighted_bone_derivatives(term, posed)
+    velocities = bone_velocities(posed)
+    count, dofs = len(rows) * rows.shape[2], velocities.shape[2]
+    if bones is None:
+        return jnp.swapaxes(rows, 1, 2).reshape(count, -1) @ velocities.reshape(-1, dofs)
+    return jnp.einsum("ckrn,cknd->crd", rows, velocities[bones]).reshape(count, dofs)
+
+
+def weighted_bone_derivatives(
+    term: AbstractEnergy, posed: Posed
+) -> tuple[Int[Array, "C K"] | None, Float[Array, "C K R 6"]]:
+    """Differentiate a weighted term over bones by their velocities, as `AbstractBoneEnergy.bone_jacobian`
+    does."""
+    if isinstance(term, Weighted):
+        bones, rows = weighted_bone_derivatives(term.energy, posed)
+        return bones, safe_sqrt(term.weight) * rows
+    assert isinstance(term, AbstractBoneEnergy)
+    return term.bone_jacobian(posed)
+
+
+def bone_velocities(posed: Posed) -> Float[Array, "J 6 D"]:
+    """Compute the velocity of each bone by each parameter of the pose: the angular, then the linear one."""
     skeleton = posed.body.skeleton
     rates = pose_jacobian(skeleton, posed.pose, posed.transforms)
     fields = jnp.concatenate([rates.angular, rates.linear], 1)
-    # the velocity of each bone by each parameter of the pose
-    velocities = descendant_matrix(skeleton, rates)[:, None] * fields.T
-    count, dofs = len(rows) * rows.shape[2], velocities.shape[2]
-    if bones is None:
-        return weight * (jnp.swapaxes(rows, 1, 2).reshape(count, -1) @ velocities.reshape(-1, dofs))
-    return weight * jnp.einsum("ckrn,cknd->crd", rows, velocities[bones]).reshape(count, dofs)
+    return descendant_matrix(skeleton, rates)[:, None] * fields.T

@@ -35,9 +35,16 @@ FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 #: standard deviation at which starts are compared, metres: small enough to tell the front of a trunk from its back
 SEARCH_SIGMA = 0.012
 #: numbers of vertices and points in the coarse search, and number of points in the refinement
-COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1500, 1000, 2500
+COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1000, 768, 2500
 #: number of starts that one call of the compiled function anneals
 GROUP = 4
+#: number of deviations after which poses are compared, the share of the best that go on, and their least number
+SEGMENT, SURVIVING_SHARE, MIN_SURVIVORS = 5, 1 / 2, 12
+#: number of poses that are refined with the whole body
+NUM_REFINED = 4
+#: distance from a vertex within which a point supports it, metres, and the share that is added to the unsupported one of
+#: every joint
+SUPPORT_RADIUS, UNIFORM_SHARE = 0.06, 0.1
 
 
 def anneal_pose(
@@ -74,18 +81,23 @@ def anneal_each(
     cloud: Cloud,
     starts: Pose,
     sigmas: Float[Array, "S"],
-    comparison_sigma: float = SEARCH_SIGMA,
+    comparison_sigma: float | Float[Array, ""] = SEARCH_SIGMA,
+    *,
+    is_compiled: bool = False,
 ) -> tuple[Pose, Float[Array, "P"]]:
     """Run `anneal_pose` from each of P stacked starts; poses and scores in their order.
 
-    Groups of `GROUP` starts run on all cores, so that any number of starts uses one compiled function.
+    Groups of `GROUP` starts run on all cores, so that any number of starts uses one compiled function. `is_compiled`, the
+    same shapes were annealed before.
     """
     count = starts.rotations.shape[0]
     rows = np.minimum(np.arange(-(-count // GROUP) * GROUP), count - 1).reshape(-1, GROUP)
     groups = [jax.tree.map(lambda leaf, row=row: leaf[row], starts) for row in rows]
     compared = jnp.asarray(comparison_sigma, sigmas.dtype)
     found = parallel_map(
-        lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas, compared)), groups
+        lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas, compared)),
+        groups,
+        is_compiled=is_compiled,
     )
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *found)
 
@@ -109,9 +121,36 @@ def anneal_sorted(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"]
 ) -> tuple[Pose, Float[Array, "P"]]:
     """Run `anneal_each` and sort the results, best first."""
-    poses, scores = anneal_each(tracker, cloud, starts, sigmas)
+    return _sorted(*anneal_each(tracker, cloud, starts, sigmas))
+
+
+def anneal_survivors(
+    tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"], *, is_compiled: bool = False
+) -> Pose:
+    """Anneal P stacked starts, of which only the best go on after every `SEGMENT` deviations; poses at the end, best first.
+
+    Most starts are poor from the beginning (successive halving, Jamieson and Talwalkar 2016). Poses are compared at the
+    deviation that they have reached. The number of deviations has to be a multiple of `SEGMENT`.
+    """
+    poses = starts
+    for number, segment in enumerate(sigmas.reshape(-1, SEGMENT)):
+        if number > 0:
+            count = poses.rotations.shape[0]
+            poses = first_poses(poses, max(int(count * SURVIVING_SHARE), min(MIN_SURVIVORS, count)))
+        compared = jnp.maximum(segment[-1], SEARCH_SIGMA)
+        known = is_compiled or number > 0
+        poses, _ = _sorted(*anneal_each(tracker, cloud, poses, segment, compared, is_compiled=known))
+    return poses
+
+
+def _sorted(poses: Pose, scores: Float[Array, "P"]) -> tuple[Pose, Float[Array, "P"]]:
     order = jnp.argsort(-scores)
     return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
+
+
+def first_poses(poses: Pose, count: int) -> Pose:
+    """Select the first `count` of stacked poses."""
+    return jax.tree.map(lambda leaf: leaf[:count], poses)
 
 
 def rotated_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
@@ -156,24 +195,53 @@ def perturbed_starts(
 
 
 def subtree_starts(
-    skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
+    skeleton: Skeleton,
+    poses: Pose,
+    count: int,
+    deviations: Float[Array, "D"],
+    key: PRNGKeyArray,
+    unsupported: Float[Array, "P J"] | None = None,
 ) -> Pose:
     """Sample neighbours as `perturbed_starts` does, but each moves one random joint and its descendants.
 
-    A lost limb is found again while the rest of the body stays.
+    A lost limb is found again while the rest of the body stays. With the `unsupported` shares of each pose
+    (`unsupported_shares`), a joint is chosen the more often the less its surface is supported.
     """
     num = poses.rotations.shape[0]
     which, how = jax.random.split(key)
     below_root = np.array(skeleton.parents) >= 0
     bearers = np.flatnonzero((skeleton.descendants.sum(1) > 1) & below_root)
     bearers = bearers if bearers.size else np.arange(skeleton.num_joints)
-    joints = jax.random.choice(which, jnp.asarray(bearers), (count, num))
+    shares = jnp.zeros((num, skeleton.num_joints)) if unsupported is None else unsupported
+    odds = jnp.log(shares[:, bearers] + UNIFORM_SHARE)
+    joints = jnp.asarray(bearers)[jax.random.categorical(which, odds, axis=1, shape=(count, num))]
     below = jnp.asarray(skeleton.descendants)[joints][..., dof_layout(skeleton).joints]
     near, far = jax.random.split(how)
     steps = deviations * jax.random.normal(near, (count, num, skeleton.num_dofs), poses.rotations.dtype)
     # some steps small, some large enough to turn a hand over
     size = 2.0 ** jax.random.uniform(far, (count, num, 1), poses.rotations.dtype, 0.0, 3.0)
     return _neighbours(skeleton, poses, jnp.where(below, size * steps, 0.0))
+
+
+@eqx.filter_jit
+def unsupported_shares(tracker: Tracker, poses: Pose, cloud: Cloud) -> Float[Array, "P J"]:
+    """Compute, for each joint of P stacked poses, the share of the surface below it that has no point with a similar normal
+    within `SUPPORT_RADIUS`.
+    """
+    below = jnp.asarray(tracker.body.skeleton.descendants, cloud.points.dtype)
+    bones = tracker.body.skin.dominant_bones()
+
+    def of_pose(pose):
+        posed = pose_body(tracker.body, pose)
+        squared = jnp.sum((posed.vertices[:, None] - cloud.points) ** 2, -1)
+        supports = (cloud.weights > 0) & (posed.normals @ cloud.normals.T > tracker.mixture.normal_threshold)
+        distances = jnp.min(jnp.where(supports, squared, jnp.inf), 1)
+        alone = (distances > SUPPORT_RADIUS**2).astype(below.dtype)
+        sums = jnp.zeros((below.shape[0], 2), below.dtype).at[bones].add(jnp.stack([alone, alone * 0 + 1], 1))
+        missing, total = (below @ sums).T
+        return missing / jnp.maximum(total, 1.0)
+
+    return jax.lax.map(of_pose, poses)
 
 
 def _neighbours(skeleton: Skeleton, poses: Pose, steps: Float[Array, "C P D"]) -> Pose:
@@ -215,8 +283,8 @@ def initialise(
     Stacked `starts` replace those at rest.
 
     Starts in all directions, at rest and at the mean of the tracker's pose prior if it has one, are annealed with a
-    coarse body and few points. The best `keep` and `neighbours` random neighbours of each are annealed again, then in
-    `rounds` the best with single limbs moved. In the end the same is done with the whole body and more points, which
+    coarse body and few points; the worse ones are given up on the way (`anneal_survivors`). The best `keep` and `neighbours`
+    random neighbours of each are annealed again, then in `rounds` the best with single limbs moved. In the end the same is done with the whole body and more points, which
     resolve hands and feet, also with limbs at the mean of the prior. Returns the best of all and its mean
     log-likelihood.
 
@@ -233,41 +301,43 @@ def initialise(
     _LOG.info("searching for the pose in all directions")
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
-    wide, fine = (jnp.asarray(np.repeat(s, 2), vertical.dtype) for s in (COARSE_SIGMAS, FINE_SIGMAS))
+    wide = jnp.asarray(np.repeat(COARSE_SIGMAS, 2), vertical.dtype)
+    fine = jnp.asarray(FINE_SIGMAS, vertical.dtype)
     if starts is None:
         standing = [rest] if tracker.pose_prior is None else [rest, mean_pose(tracker.pose_prior, skeleton)]
         starts = concatenate_poses([rotated_starts(coarse, few, pose, turns, vertical) for pose in standing])
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
-    poses, _ = anneal_sorted(coarse, few, starts, wide)
+    poses = anneal_survivors(coarse, few, starts, wide)
     _LOG.info("searching near the best poses")
     limbs = tangent_deviations(skeleton, 0.02, 0.4)
-    poses = perturbed_starts(skeleton, _first(poses, keep), neighbours, limbs, keys[1])
-    poses, _ = anneal_sorted(coarse, few, poses, fine)
+    poses = perturbed_starts(skeleton, first_poses(poses, keep), neighbours, limbs, keys[1])
+    poses = anneal_survivors(coarse, few, poses, fine, is_compiled=True)
     for number in range(rounds):
-        poses = subtree_starts(
-            skeleton, _first(poses, keep // 2), 2 * neighbours + 1, limbs, keys[2 + number]
-        )
-        poses, _ = anneal_sorted(coarse, few, poses, fine)
-    return refine(tracker, cloud, _first(poses, 1), 2 * neighbours + 1, keys[-1])
+        best = first_poses(poses, max(keep // 2, 1))
+        shares = unsupported_shares(coarse, best, few)
+        poses = subtree_starts(skeleton, best, 2 * neighbours + 1, limbs, keys[2 + number], shares)
+        poses = anneal_survivors(coarse, few, poses, fine, is_compiled=True)
+    return refine(tracker, coarse, cloud, first_poses(poses, 1), 2 * neighbours + 1, keys[-1])
 
 
 def refine(
-    tracker: Tracker, cloud: Cloud, poses: Pose, count: int, key: PRNGKeyArray
+    tracker: Tracker, coarse: Tracker, cloud: Cloud, poses: Pose, count: int, key: PRNGKeyArray
 ) -> tuple[Pose, Float[Array, ""]]:
     """Refine stacked poses and `count` neighbours of each with single limbs moved, and return the best.
 
     The whole body and `FINE_POINTS` points distinguish poses that a coarse search cannot, such as a hand and
-    the same hand turned over.
+    the same hand turned over. Only the `NUM_REFINED` best of the coarse body reach it.
     """
     skeleton = tracker.body.skeleton
-    near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key)
+    few = thin_cloud(cloud, COARSE_POINTS)
+    shares = unsupported_shares(coarse, poses, few)
+    near = subtree_starts(skeleton, poses, count, tangent_deviations(skeleton, 0.02, 0.4), key, shares)
     if tracker.pose_prior is not None:
         near = concatenate_poses([near, *prior_starts(tracker.pose_prior, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
     sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
-    poses, scores = anneal_sorted(tracker, thin_cloud(cloud, FINE_POINTS), near, sigmas)
+    near = anneal_survivors(coarse, few, near, sigmas[:SEGMENT], is_compiled=True)
+    poses, scores = anneal_sorted(
+        tracker, thin_cloud(cloud, FINE_POINTS), first_poses(near, NUM_REFINED), sigmas
+    )
     return jax.tree.map(lambda leaf: leaf[0], poses), scores[0]
-
-
-def _first(poses: Pose, count: int) -> Pose:
-    return jax.tree.map(lambda leaf: leaf[:count], poses)

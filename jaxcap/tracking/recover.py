@@ -17,7 +17,8 @@ from .expectation_maximisation.pose_log_density import pose_log_density
 from .initialise import (
     COARSE_POINTS,
     FINE_SIGMAS,
-    anneal_sorted,
+    anneal_survivors,
+    first_poses,
     perturbed_starts,
     refine,
     rotated_starts,
@@ -265,8 +266,8 @@ def search_frame(
     if tracker.pose_prior is not None:
         starts += prior_starts(tracker.pose_prior, skeleton, here)
     sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
-    poses, _ = anneal_sorted(coarse, few, concatenate_poses(starts), sigmas)
-    pose, _ = refine(tracker, cloud, jax.tree.map(lambda leaf: leaf[:1], poses), 7, keys[2])
+    poses = anneal_survivors(coarse, few, concatenate_poses(starts), sigmas)
+    pose, _ = refine(tracker, coarse, cloud, first_poses(poses, 1), 7, keys[2])
     state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
     state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
     searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
