@@ -36,6 +36,9 @@ _posed = eqx.filter_jit(jc.pose_body)
 class Tracked(NamedTuple):
     """The result of tracking one take."""
 
+    #: number of searches after the first frame's
+    searches: int
+
     poses: list[jc.Pose]
     #: (F, J) millimetres
     errors: np.ndarray
@@ -55,7 +58,8 @@ def track_take(tracker: jc.fit.Tracker, scans: list[ScannedFrame]) -> Tracked:
     joints = np.stack([np.asarray(_posed(tracker.body, frame.pose).joints) for frame in frames])
     errors = 1000 * joint_errors(joints, np.stack([scan.joints for scan in scans]))
     lost = np.array([frame.lost for frame in frames]) | ~(errors.mean(1) <= LOST)
-    return Tracked([frame.pose for frame in frames], errors, lost, (taken[0], taken[1:]))
+    searches = int(frames[-1].searches.count - frames[0].searches.count)
+    return Tracked(searches, [frame.pose for frame in frames], errors, lost, (taken[0], taken[1:]))
 
 
 def summary(tracked: Tracked) -> dict[str, float]:
@@ -65,6 +69,7 @@ def summary(tracked: Tracked) -> dict[str, float]:
         "p99_mm": np.percentile(errors, 99),
         "worst_frame_mm": errors.mean(1).max(),
         "lost": int(tracked.lost.sum()),
+        "searched": tracked.searches / max(len(later), 1),
         # all that was spent after the first frame, searches for lost frames and compilation of them too
         "frames_per_second": len(later) / sum(later) if later else float("nan"),
         "median_frame_ms": 1000 * float(np.median(later)) if later else float("nan"),
@@ -76,6 +81,7 @@ def print_summary(take: str, visible: str, names, tracked: Tracked) -> None:
     progress(
         f"{take}, {visible}: mean {figures['mean_mm']:.2f} mm, 99th percentile {figures['p99_mm']:.2f} mm, "
         f"worst frame {figures['worst_frame_mm']:.2f} mm, {figures['lost']} of {len(tracked.errors)} lost, "
+        f"{tracked.searches} searches, "
         f"{figures['frames_per_second']:.1f} frames per second after a first frame of {tracked.seconds[0]:.1f} s"
     )
     if tracked.lost.any():
@@ -107,6 +113,9 @@ def main() -> None:
     )
     parser.add_argument("--takes", nargs="+", default=TAKES)
     parser.add_argument("--frames", type=int, help="number of frames of each take to track")
+    parser.add_argument(
+        "--every", type=int, default=1, help="track every n-th frame only, so that the motion is faster"
+    )
     parser.add_argument("--views", nargs="+", choices=get_args(Visible), default=get_args(Visible))
     parser.add_argument("--picture", type=Path, help="write a PNG of three frames of the first take")
     options = parser.parse_args()
@@ -117,7 +126,8 @@ def main() -> None:
 
     by_view: dict[str, dict[str, Tracked]] = {visible: {} for visible in options.views}
     for take in options.takes:
-        motion = human_motion(shared, take, subject, options.frames)
+        motion = human_motion(shared, take, subject)
+        motion = motion.slice(slice(None, None, options.every)).slice(slice(options.frames))
         for visible in options.views:
             scans = scan_motion(subject, motion, noise, visible)
             tracked = by_view[visible][take] = track_take(tracker, scans)
@@ -131,6 +141,7 @@ def main() -> None:
         for key in ("mean_mm", "p99_mm", "worst_frame_mm"):
             figures[f"{visible}_{key}"] = max(figure[key] for figure in each.values())
         figures[f"{visible}_lost"] = sum(figure["lost"] for figure in each.values())
+        figures[f"{visible}_searched"] = max(figure["searched"] for figure in each.values())
         figures[f"{visible}_frames_per_second"] = min(figure["frames_per_second"] for figure in each.values())
         figures[f"{visible}_takes"] = each
         errors = np.concatenate([tracked.errors for tracked in takes.values()])
@@ -142,6 +153,9 @@ def main() -> None:
         "front_mean_mm": ("<=", 15.0),
         "camera_mean_mm": ("<=", 15.0),
     }
+    if options.every > 1:
+        # the twist of hands is lost more often
+        limits = {"whole_mean_mm": ("<=", 10.0), "whole_lost": ("==", 0), "whole_searched": ("<=", 0.1)}
     limits = {name: limit for name, limit in limits.items() if name.split("_")[0] in options.views}
     runs = [tracked for takes in by_view.values() for tracked in takes.values()]
     seconds = {
@@ -151,6 +165,7 @@ def main() -> None:
         "run": sum(sum(tracked.seconds[1]) for tracked in runs),
     }
     sizes = {
+        "every": options.every,
         "frames": {take: len(tracked.errors) for take, tracked in by_view[options.views[0]].items()},
         "points": noise.points,
         "vertices": len(tracker.body.vertices),

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
+from .catch_up import catch_up
 from .compare_poses import choose_likeliest, likelier_pose
 from .initialise import coarse_tracker, initialise
 from .judgement.baseline import initial_baseline
@@ -169,11 +170,14 @@ def advance_frame(
     """
     worn = frame.state.estimate.clothes
     tracker, surface = with_clothes(follower.tracker, worn), follower.surface
-    trusted, baseline = frame.trusted, frame.baseline
+    before, trusted, baseline = frame, frame.trusted, frame.baseline
     frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
+    key = jax.random.key(number)
+    if needs_search(frame):
+        coarse = with_clothes(follower.coarse(), worn)
+        frame = catch_up(tracker, surface, coarse, frame, before, cloud, key, occluders)
     if needs_search(frame):
         coarse = with_clothes(follower.begin_search(number, frame.reasons, frame.searches.count), worn)
-        key = jax.random.key(number)
         found = search_frame(
             tracker, surface, coarse, frame, baseline, trusted, cloud, key, follower.up, occluders
         )

@@ -127,7 +127,8 @@ def anneal_sorted(
 def anneal_survivors(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"], *, is_compiled: bool = False
 ) -> Pose:
-    """Anneal P stacked starts, of which only the best go on after every `SEGMENT` deviations; poses at the end, best first.
+    """Run `anneal_pose` from P stacked starts, of which only the best go on after every `SEGMENT` deviations; poses, best
+    first.
 
     Most starts are poor from the beginning (successive halving, Jamieson and Talwalkar 2016). Poses are compared at the
     deviation that they have reached. The number of deviations has to be a multiple of `SEGMENT`.
@@ -284,9 +285,9 @@ def initialise(
 
     Starts in all directions, at rest and at the mean of the tracker's pose prior if it has one, are annealed with a
     coarse body and few points; the worse ones are given up on the way (`anneal_survivors`). The best `keep` and `neighbours`
-    random neighbours of each are annealed again, then in `rounds` the best with single limbs moved. In the end the same is done with the whole body and more points, which
-    resolve hands and feet, also with limbs at the mean of the prior. Returns the best of all and its mean
-    log-likelihood.
+    random neighbours of each are annealed again, then in `rounds` the best with single limbs moved, mostly limbs that have
+    no points. In the end the same is done with the whole body and more points, which resolve hands and feet, also with
+    limbs at the mean of the prior. Returns the best of all and its mean log-likelihood.
 
     **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
     """

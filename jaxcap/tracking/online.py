@@ -10,6 +10,7 @@ from ..body.pose import Pose, rest_pose
 from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_direction
 from .advance import FOUND_SIGMA, follow_frame, make_follower
+from .catch_up import catch_up
 from .check_cloud import check_cloud
 from .compare_poses import track_from
 from .expectation_maximisation.pose_log_density import pose_log_density
@@ -124,12 +125,15 @@ class OnlineTracker:
             if before is None:
                 pose, _ = initialise(self.tracker, cloud, up=self._follower.up, coarse=coarse)
                 return track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
-            key = jax.random.key(number)
+            key, surface = jax.random.key(number), self._follower.surface
+            caught = catch_up(self.tracker, surface, coarse, frame, before, cloud, key)
+            if caught.verdict == "good":
+                return caught
             return search_frame(
                 self.tracker,
-                self._follower.surface,
+                surface,
                 coarse,
-                frame,
+                caught,
                 before.baseline,
                 trusted,
                 cloud,

@@ -12,10 +12,11 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.energy.data.sufficient_statistics import rigid_moments
 from jaxcap.energy.priors.self_collision import make_self_collision
+from jaxcap.fit.frame_equations import frame_equations
 from jaxcap.fit.linearise import linearise
 
 BODY = human(resolution="low", joints="tracking")
-_linearise = eqx.filter_jit(linearise)
+_linearise, _equations = eqx.filter_jit(linearise), eqx.filter_jit(frame_equations)
 
 
 @eqx.filter_jit
@@ -57,3 +58,8 @@ def test_bone_jacobians_are_those_of_forward_mode(name, rng):
     expected = np.asarray(differentiated(energy, pose))
     assert (np.abs(np.asarray(residual)) > 0).sum() > 10
     np.testing.assert_allclose(rows, expected, atol=1e-6 * np.abs(expected).max())
+    # summed over each bone first, where rows depend on single bones
+    value, side, matrix = _equations(energy, BODY, pose)
+    np.testing.assert_allclose(value, 0.5 * float(residual @ residual), rtol=1e-6)
+    for found, wanted in ((side, expected.T @ residual), (matrix, expected.T @ expected)):
+        np.testing.assert_allclose(found, wanted, atol=1e-6 * np.abs(np.asarray(wanted)).max())

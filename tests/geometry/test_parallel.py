@@ -40,6 +40,12 @@ def test_the_first_is_done_alone_and_nothing_is_drawn_far_ahead():
     results.close()
 
 
+def test_without_compilation_the_first_item_does_not_hold_up_the_others():
+    both = threading.Barrier(2, timeout=20)
+    results = parallel_map(lambda number: both.wait() >= 0 and number, range(2), is_compiled=True)
+    assert list(results) == [0, 1]
+
+
 def test_an_error_is_raised_where_its_result_would_have_been():
     def work(number):
         if number == 3:

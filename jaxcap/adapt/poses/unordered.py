@@ -23,7 +23,7 @@ from ...tracking.initialise import (
     COARSE_POINTS,
     COARSE_SIGMAS,
     COARSE_VERTICES,
-    anneal_sorted,
+    anneal_survivors,
     initialise,
     rotated_starts,
 )
@@ -134,7 +134,7 @@ class _Search:
         cloud = thin_cloud(self.cloud(frame), COARSE_POINTS)
         starts = self.start_poses(frame, found, cloud, NUM_SIMILAR, 2)
         sigmas = jnp.asarray(np.repeat(COARSE_SIGMAS, 2), starts.rotations.dtype)
-        poses, _ = anneal_sorted(self.coarse, cloud, starts, sigmas)
+        poses = anneal_survivors(self.coarse, cloud, starts, sigmas)
         return self.refine(frame, jax.tree.map(lambda leaf: leaf[0], poses))
 
     def search_widely(self, frame: int, found: FoundPoses) -> tuple[Pose, float]:
