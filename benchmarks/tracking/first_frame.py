@@ -93,7 +93,13 @@ def main() -> None:
         "noise": noise._asdict(),
     }
     seconds = {"compile": taken[0], "run": sum(taken[1:]), "median_run": float(np.median(taken[1:] or taken))}
-    finish("first_frame", figures, {"solved_share": (">=", 0.95), "seconds_per_frame": ("<=", MAX_SECONDS)}, sizes, seconds)
+    finish(
+        "first_frame",
+        figures,
+        {"solved_share": (">=", 0.95), "seconds_per_frame": ("<=", MAX_SECONDS)},
+        sizes,
+        seconds,
+    )
 
 
 if __name__ == "__main__":
