@@ -71,7 +71,7 @@ from .observe.markers import MarkerFrames as MarkerFrames
 from .observe.markers import make_markers as make_markers
 from .observe.meshes import MeshSequence as MeshSequence
 from .rigging.rig_mesh import rig_mesh as rig_mesh
-from .tracking.initialise import initialise as initialise
+from .tracking.search.initialise import initialise as initialise
 from .tracking.track import track as track
 from .tracking.track_frame import make_tracker as make_tracker
 from .view.notebook import show as show

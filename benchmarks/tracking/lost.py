@@ -35,7 +35,7 @@ from jaxcap.metrics import scan_to_surface
 from jaxcap.report.distance_pictures import FrameView, draw_views
 from jaxcap.tracking.judgement.baseline import initial_baseline
 from jaxcap.tracking.judgement.region_samples import sample_regions
-from jaxcap.tracking.recover import (
+from jaxcap.tracking.judge_frame import (
     TrackedFrame,
     judge_frame,
     reset_velocity,

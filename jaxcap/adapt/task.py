@@ -14,7 +14,7 @@ from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud
-from ..tracking.recover import TrackedFrame
+from ..tracking.judge_frame import TrackedFrame
 from ..tracking.track_frame import Tracker, make_tracker, replace_body
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms

@@ -8,10 +8,10 @@ from ..tracking.expectation_maximisation.clothes import Clothes as Clothes
 from ..tracking.expectation_maximisation.e_step import posterior as posterior
 from ..tracking.expectation_maximisation.em_step import MixtureSettings as MixtureSettings
 from ..tracking.expectation_maximisation.em_step import make_mixture_settings as make_mixture_settings
+from ..tracking.judge_frame import TrackedFrame as TrackedFrame
 from ..tracking.limb_flips import flip_limb_ends as flip_limb_ends
 from ..tracking.people.person_frame import PersonFrame as PersonFrame
 from ..tracking.people.track_people import track_people as track_people
-from ..tracking.recover import TrackedFrame as TrackedFrame
 from ..tracking.track import track_frames as track_frames
 from ..tracking.track_frame import Tracker as Tracker
 from ..tracking.track_frame import start_state as start_state

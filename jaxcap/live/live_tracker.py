@@ -17,8 +17,8 @@ from ..errors import InputError, user_message
 from ..geometry.camera import Camera
 from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
+from ..tracking.judge_frame import TrackedFrame
 from ..tracking.online import OnlineTracker
-from ..tracking.recover import TrackedFrame
 from ..tracking.track_frame import Tracker, make_tracker
 from .mailbox import Mailbox
 from .statistics import LiveFrame, LiveStatistics, StatisticsCounter

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..tracking.recover import TrackedFrame
+from ..tracking.judge_frame import TrackedFrame
 
 #: seconds over which the current rate is measured
 RATE_SECONDS = 2.0

@@ -11,12 +11,8 @@ from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
-from .catch_up import catch_up
 from .compare_poses import choose_likeliest, likelier_pose
-from .initialise import coarse_tracker, initialise
-from .judgement.baseline import initial_baseline
-from .judgement.region_samples import RegionSamples, sample_regions
-from .recover import (
+from .judge_frame import (
     SearchHistory,
     TrackedFrame,
     choose_better,
@@ -24,10 +20,14 @@ from .recover import (
     judge_frame,
     needs_search,
     reset_velocity,
-    search_frame,
     track_first_frame,
     track_frame_jit,
 )
+from .judgement.baseline import initial_baseline
+from .judgement.region_samples import RegionSamples, sample_regions
+from .search.catch_up import catch_up
+from .search.initialise import coarse_tracker, initialise
+from .search.search_frame import search_frame
 from .track_frame import Tracker, with_clothes
 
 _LOG = logging.getLogger(__name__)

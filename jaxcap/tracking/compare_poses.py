@@ -9,7 +9,7 @@ from ..body.retraction import difference
 from ..observe.clouds import Cloud
 from .expectation_maximisation.em_step import FrameStatistics
 from .expectation_maximisation.pose_log_density import pose_log_density
-from .recover import reset_velocity, track_frame_jit
+from .judge_frame import reset_velocity, track_frame_jit
 from .track_frame import Tracker, TrackState, start_state
 
 #: a pose with a `pose_log_density` below the best by more than this is not improved

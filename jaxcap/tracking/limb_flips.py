@@ -17,7 +17,8 @@ from ..geometry import rotation
 from ..observe import thin_cloud
 from ..observe.clouds import Cloud
 from .expectation_maximisation.pose_log_density import COMPARISON_SIGMA
-from .initialise import FINE_POINTS, anneal_each
+from .search.anneal import anneal_each
+from .search.initialise import FINE_POINTS
 from .track_frame import Tracker
 
 #: standard deviations that fall from half the width of a hand, metres: larger ones flip a hand back

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
 from .expectation_maximisation.em_step import FrameStatistics
+from .judge_frame import FIRST_SIGMA, NO_SEARCHES, TrackedFrame
 from .judgement.baseline import initial_baseline
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import nothing_to_judge
-from .recover import FIRST_SIGMA, NO_SEARCHES, TrackedFrame
 from .track_frame import Tracker, start_state
 
 

@@ -10,21 +10,21 @@ from ..body.pose import Pose, rest_pose
 from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_direction
 from .advance import FOUND_SIGMA, follow_frame, make_follower
-from .catch_up import catch_up
 from .check_cloud import check_cloud
 from .compare_poses import track_from
 from .expectation_maximisation.pose_log_density import pose_log_density
-from .initialise import initialise
-from .judgement.baseline import initial_baseline
-from .recover import (
+from .judge_frame import (
     SearchHistory,
     TrackedFrame,
     finish_frame,
     judge_frame,
     needs_search,
-    search_frame,
     track_first_frame,
 )
+from .judgement.baseline import initial_baseline
+from .search.catch_up import catch_up
+from .search.initialise import initialise
+from .search.search_frame import search_frame
 from .track_frame import Tracker, check_sigma
 
 _LOG = logging.getLogger(__name__)

@@ -20,9 +20,9 @@ from ..observe.planes import Plane
 from ..value_checks import check_direction
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
+from .judge_frame import TrackedFrame
 from .missing import has_begun, missing_frame
 from .people.other_people import shows_others
-from .recover import TrackedFrame
 from .track_frame import Tracker, check_sigma, make_tracker
 
 #: largest numbers of frames and reasons named in a sentence

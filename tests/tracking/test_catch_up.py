@@ -15,16 +15,10 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import make_cloud
 from jaxcap.stacking import stack_trees
 from jaxcap.tracking import advance
-from jaxcap.tracking.catch_up import CONTINUATIONS, continued_poses
-from jaxcap.tracking.initialise import (
-    FINE_SIGMAS,
-    SEGMENT,
-    SUPPORT_RADIUS,
-    anneal_each,
-    anneal_survivors,
-    subtree_starts,
-    unsupported_shares,
-)
+from jaxcap.tracking.search.anneal import SEGMENT, anneal_each, anneal_survivors
+from jaxcap.tracking.search.catch_up import CONTINUATIONS, continued_poses
+from jaxcap.tracking.search.initialise import FINE_SIGMAS
+from jaxcap.tracking.search.starts import SUPPORT_RADIUS, subtree_starts, unsupported_shares
 from jaxcap.tracking.track import track_frames
 from jaxcap.tracking.track_frame import TrackState, make_tracker, start_state
 

@@ -15,7 +15,8 @@ from jaxcap.energy.priors.reference_pose import tangent_deviations
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import make_cloud
-from jaxcap.tracking.initialise import initialise, perturbed_starts, rotated_starts, subtree_starts
+from jaxcap.tracking.search.initialise import initialise
+from jaxcap.tracking.search.starts import perturbed_starts, rotated_starts, subtree_starts
 from jaxcap.tracking.track_frame import make_tracker
 
 BODY = human(resolution="low", joints="tracking")

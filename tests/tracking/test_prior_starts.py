@@ -8,7 +8,7 @@ import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.gaussian_pose_prior import human_prior
-from jaxcap.tracking.prior_starts import LIMBS, limb_starts, mean_pose, upright_starts
+from jaxcap.tracking.search.prior_starts import LIMBS, limb_starts, mean_pose, upright_starts
 
 BODY = jc.human(resolution="low", joints="tracking")
 PRIOR = human_prior(BODY.skeleton)

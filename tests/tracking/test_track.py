@@ -18,7 +18,7 @@ from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe import stack_clouds
 from jaxcap.observe.clouds import Cloud, make_cloud, missing_cloud
-from jaxcap.tracking import advance, recover
+from jaxcap.tracking import advance, judge_frame
 from jaxcap.tracking.batch import fit_batch, scan_track
 from jaxcap.tracking.judgement.verdict import NO_PERSON
 from jaxcap.tracking.track import track, track_frames
@@ -164,7 +164,7 @@ def test_a_scan_is_the_loop(scene):
     stacked = stack_clouds(clouds[:3])
     last, (poses, statistics) = eqx.filter_jit(scan_track)(TRACKER, state, stacked)
     for number in range(3):
-        state, alone = recover.track_frame_jit(TRACKER, state, clouds[number])
+        state, alone = judge_frame.track_frame_jit(TRACKER, state, clouds[number])
         pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
         assert apart(pose, state.estimate.pose) < 1e-8
         assert float(statistics.log_likelihood[number]) == pytest.approx(
@@ -179,7 +179,7 @@ def test_a_batch_is_its_members(scene):
     poses, statistics = fit_batch(TRACKER, starts, stack_clouds([clouds[1], clouds[4]]), sigma=0.05)
     for number, frame in enumerate((1, 4)):
         state = start_state(TRACKER, truth[frame], 0.05)
-        state, alone = recover.track_frame_jit(TRACKER, state, clouds[frame])
+        state, alone = judge_frame.track_frame_jit(TRACKER, state, clouds[frame])
         pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
         assert apart(pose, state.estimate.pose) < 1e-8
         assert float(statistics.sigma[number]) == pytest.approx(float(alone.sigma), rel=1e-8)
@@ -190,7 +190,7 @@ def test_the_order_of_points_does_not_matter(scene, rng):
     state = start_state(TRACKER, truth[0])
     order = rng.permutation(clouds[1].points.shape[0])
     shuffled = jax.tree.map(lambda leaf: leaf[order], clouds[1])
-    one, other = (recover.track_frame_jit(TRACKER, state, cloud)[0] for cloud in (clouds[1], shuffled))
+    one, other = (judge_frame.track_frame_jit(TRACKER, state, cloud)[0] for cloud in (clouds[1], shuffled))
     assert apart(one.estimate.pose, truth[0]) > 0.01
     assert apart(one.estimate.pose, other.estimate.pose) < 1e-6
 
@@ -219,8 +219,8 @@ def test_a_rigid_motion_of_cloud_and_start_moves_the_result_alike(scene):
         turned(_pose_body(BODY, truth[2]).vertices) + shift,
         atol=1e-12,
     )
-    here, _ = recover.track_frame_jit(TRACKER, start_state(TRACKER, truth[1]), cloud)
-    far, _ = recover.track_frame_jit(TRACKER, start_state(TRACKER, moved(truth[1])), there)
+    here, _ = judge_frame.track_frame_jit(TRACKER, start_state(TRACKER, truth[1]), cloud)
+    far, _ = judge_frame.track_frame_jit(TRACKER, start_state(TRACKER, moved(truth[1])), there)
     assert apart(far.estimate.pose, moved(here.estimate.pose)) < 1e-6
 
 
@@ -269,7 +269,7 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
 
 
 def test_searches_that_do_not_help_become_rare():
-    patience, waits = recover.SearchHistory(), []
+    patience, waits = judge_frame.SearchHistory(), []
     for _ in range(8):
         patience = patience.extend()
         waits.append(patience.wait)

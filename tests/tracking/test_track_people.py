@@ -16,6 +16,7 @@ from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import Cloud, make_cloud
 from jaxcap.tracking.advance import make_follower
+from jaxcap.tracking.judge_frame import track_first_frame
 from jaxcap.tracking.judgement.evidence import NUM_DIRECTIONS, _fibonacci_directions, gather_evidence
 from jaxcap.tracking.people.exchange import end_contact, try_exchange, with_contacts
 from jaxcap.tracking.people.groups import assign_to_groups, find_groups
@@ -31,7 +32,6 @@ from jaxcap.tracking.people.point_shares import (
     responsibilities,
 )
 from jaxcap.tracking.people.track_people import track_people
-from jaxcap.tracking.recover import track_first_frame
 from jaxcap.tracking.track import others_sentences, track_frames
 from jaxcap.tracking.track_frame import make_tracker
 

@@ -19,14 +19,9 @@ from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ...tracking.compare_poses import track_from
 from ...tracking.expectation_maximisation.pose_log_density import pose_log_density
-from ...tracking.initialise import (
-    COARSE_POINTS,
-    COARSE_SIGMAS,
-    COARSE_VERTICES,
-    anneal_survivors,
-    initialise,
-    rotated_starts,
-)
+from ...tracking.search.anneal import anneal_survivors
+from ...tracking.search.initialise import COARSE_POINTS, COARSE_SIGMAS, COARSE_VERTICES, initialise
+from ...tracking.search.starts import rotated_starts
 from ...tracking.track_frame import Tracker
 from ..task import AdaptTask, make_task_tracker
 from .similarity import DIRECTIONS, DistanceField, distance_field, rotated_distances

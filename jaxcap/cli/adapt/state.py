@@ -14,7 +14,7 @@ from ...errors import InputError, user_message
 from ...io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ...io.archives.npz import get_array
 from ...io.registry import MOTION_WRITERS
-from ...tracking.recover import TrackedFrame
+from ...tracking.judge_frame import TrackedFrame
 from ...tracking.track_frame import make_tracker
 from ..outputs import check_absent
 from ..track.frame_records import pack, row_template, unpack

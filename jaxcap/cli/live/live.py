@@ -15,7 +15,7 @@ from ...io.archives.journal import Journal, create_journal
 from ...io.system.run_lock import run_lock
 from ...live.live_tracker import LiveTracker, make_live_tracker
 from ...live.statistics import LiveFrame, LiveStatistics
-from ...tracking.recover import TrackedFrame
+from ...tracking.judge_frame import TrackedFrame
 from ...tracking.track import unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
 from ..console.console import pluralise, say, warn

@@ -13,10 +13,10 @@ from jaxtyping import Float
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
 from ...tracking.expectation_maximisation.em_step import FrameStatistics
+from ...tracking.judge_frame import TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...tracking.judgement.region_samples import sample_regions
 from ...tracking.judgement.verdict import UNSEEN, Judgement
 from ...tracking.people.person_frame import PersonFrame, frame_template
-from ...tracking.recover import TrackedFrame, reasons_of, unseen_of, verdict_of
 from ...tracking.track_frame import Tracker
 
 #: a frame of one body, or of several people

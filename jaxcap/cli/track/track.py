@@ -19,8 +19,8 @@ from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
+from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
-from ...tracking.recover import TrackedFrame
 from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker, make_tracker
 from ..console.console import pluralise, progress, say, warn

@@ -14,8 +14,8 @@ from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import FirstSearch, Follower, find_first_frame
 from ..expectation_maximisation.pose_log_density import pose_log_density
-from ..initialise import rotated_starts
-from ..recover import TrackedFrame, choose_better
+from ..judge_frame import TrackedFrame, choose_better
+from ..search.starts import rotated_starts
 from .exchange import is_same_body
 from .groups import MIN_SIZE, assign_to_groups, find_groups
 from .person_frame import UNDECIDED, PersonFrame, enter, present_people

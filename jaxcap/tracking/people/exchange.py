@@ -14,7 +14,7 @@ from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import Follower
 from ..expectation_maximisation.pose_log_density import pose_log_density
-from ..recover import TrackedFrame, track_first_frame
+from ..judge_frame import TrackedFrame, track_first_frame
 from .person_frame import APART, CORRECTED, NEAR, UNDECIDED, UNSURE, PersonFrame
 
 #: two people are near each other if their surfaces are at most so far away from each other, until they are farther than

@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose, rest_pose
 from ..expectation_maximisation.em_step import FrameStatistics
+from ..judge_frame import SearchHistory, TrackedFrame
 from ..judgement.baseline import initial_baseline
 from ..judgement.region_samples import RegionSamples
 from ..judgement.verdict import Judgement
-from ..recover import SearchHistory, TrackedFrame
 from ..track_frame import Tracker, start_state
 
 #: least number of points of a person who is present: this many, and this share of the usual number

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from ...body.pose import Pose
 from ...observe.clouds import Cloud
 from ..advance import Follower, advance_frame
-from ..recover import track_frame_jit
+from ..judge_frame import track_frame_jit
 from ..track_frame import first_sigma, predict_pose
 from .exchange import end_contact, update_contacts
 from .person_frame import PersonFrame, has_points, leave, present_people, stay

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.kinematics import forward_kinematics
-from ..body.pose import Pose, rest_pose
-from ..body.skeleton import Skeleton
-from ..energy.priors.gaussian_pose_prior import GaussianPrior
-from ..geometry import rotation
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose, rest_pose
+from ...body.skeleton import Skeleton
+from ...energy.priors.gaussian_pose_prior import GaussianPrior
+from ...geometry import rotation
 
 #: first joints of the limbs that one start moves to the mean
 LIMBS = (

@@ -1,29 +1,16 @@
-"""Judgement of tracked frames, and search for frames that tracking has lost."""
+"""A tracked frame, its judgement, and whether it is to be searched for."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
-from ..body.pose import Pose, concatenate_poses
-from ..energy.priors.reference_pose import tangent_deviations
-from ..observe import thin_cloud
+from ..body.pose import Pose
 from ..observe.clouds import Cloud
-from ..stacking import stack_trees
 from .expectation_maximisation.clothes import clothes_allowance
 from .expectation_maximisation.em_step import Estimate, FrameStatistics
 from .expectation_maximisation.pose_log_density import pose_log_density
-from .initialise import (
-    COARSE_POINTS,
-    FINE_SIGMAS,
-    anneal_survivors,
-    first_poses,
-    perturbed_starts,
-    refine,
-    rotated_starts,
-    subtree_starts,
-)
 from .judgement.baseline import (
     Baseline,
     initial_baseline,
@@ -34,7 +21,6 @@ from .judgement.baseline import (
 from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
-from .prior_starts import prior_starts
 from .track_frame import Tracker, TrackState, start_state, track_frame, with_clothes
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
@@ -43,9 +29,6 @@ FIRST_SIGMA, FIRST_ROUNDS = 0.02, 6
 MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
 #: share of outliers above which the body is not in the cloud, and the next frame starts at the last good pose
 MAX_OUTLIER_SHARE = 0.5
-#: number of directions in the search for a body that jumped
-NUM_JUMP_DIRECTIONS = 4
-
 #: the largest share of the tolerance that faults in clothes have in a first frame: it is doubtful, not lost
 DOUBTFUL_BY_CLOTHES = 0.99
 
@@ -180,7 +163,7 @@ def judge_frame(
         bare, _ = _compare(surface, baseline, pose, cloud, occluders, None)
         doubtful = jnp.minimum(bare.shares, DOUBTFUL_BY_CLOTHES * judgement.tolerance)
         judgement = eqx.tree_at(lambda j: j.shares, judgement, jnp.maximum(judgement.shares, doubtful))
-    lost = judgement.verdict == "lost" or not _finite(pose)
+    lost = judgement.verdict == "lost" or not is_finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
     return TrackedFrame(pose, statistics, lost, judgement, False, state, pose, renewed, searches)
@@ -208,7 +191,7 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
     searches = frame.searches.advance(frame.verdict == "good")
     pose, state = frame.pose, frame.state
     if frame.lost:
-        finite = _finite(pose)
+        finite = is_finite(pose)
         if not finite or not float(frame.statistics.outlier_share) < MAX_OUTLIER_SHARE:
             state = start_state(with_clothes(tracker, state.estimate.clothes), previous, FIRST_SIGMA)
         pose = pose if finite else previous
@@ -229,57 +212,8 @@ def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: Tr
     return found if after >= before and found.judgement.worst < frame.judgement.worst else frame
 
 
-def search_frame(
-    tracker: Tracker,
-    surface: RegionSamples,
-    coarse: Tracker,
-    frame: TrackedFrame,
-    baseline: Baseline,
-    previous: Pose,
-    cloud: Cloud,
-    key: PRNGKeyArray,
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    occluders: Float[Array, "O 4"] | None = None,
-) -> TrackedFrame:
-    """Search for a frame, which was compared with `baseline`, from many starts (Kineben, section 6, "global
-    refinement").
-
-    Starts are neighbours of the frame's own pose and of the last trusted one, `previous`, whole and limb by
-    limb, and the latter moved to the cloud's centre and rotated about `up`, for a body that jumped. With the prior of
-    people's poses, starts are also those with limbs at its mean. The
-    result is used if it is likelier and its worst fault is smaller.
-    """
-    failed = eqx.tree_at(lambda f: f.searches, frame, frame.searches.extend())
-    skeleton = tracker.body.skeleton
-    few = thin_cloud(cloud, COARSE_POINTS)
-    if not float(jnp.sum(few.weights)) > 0:
-        return failed
-    wide = tangent_deviations(skeleton, 0.05, 0.5)
-    here = stack_trees([*([frame.pose] if _finite(frame.pose) else []), previous])
-    keys = jax.random.split(key, 3)
-    vertical = jnp.asarray(up, previous.rotations.dtype)
-    starts = [
-        perturbed_starts(skeleton, here, 7, wide, keys[0]),
-        subtree_starts(skeleton, here, 7, wide, keys[1]),
-        rotated_starts(coarse, few, previous, NUM_JUMP_DIRECTIONS, vertical),
-    ]
-    if tracker.pose_prior is not None:
-        starts += prior_starts(tracker.pose_prior, skeleton, here)
-    sigmas = jnp.asarray(np.repeat(FINE_SIGMAS, 2), frame.pose.rotations.dtype)
-    poses = anneal_survivors(coarse, few, concatenate_poses(starts), sigmas)
-    pose, _ = refine(tracker, coarse, cloud, first_poses(poses, 1), 7, keys[2])
-    state, _ = track_frame_jit(tracker, start_state(tracker, pose, 0.02), cloud)
-    state, statistics = track_frame_jit(tracker, reset_velocity(tracker, state), cloud)
-    searches = SearchHistory(0.0, frame.searches.length, frame.searches.count + 1.0)
-    reached = reset_velocity(tracker, state)
-    found = judge_frame(surface, cloud, reached, statistics, baseline, searches, occluders)
-    if choose_better(tracker, cloud, found, frame) is frame:
-        return failed
-    # a better pose that is not good either keeps the pause
-    return found if found.verdict == "good" else eqx.tree_at(lambda f: f.searches, found, failed.searches)
-
-
-def _finite(pose: Pose) -> bool:
+def is_finite(pose: Pose) -> bool:
+    """Decide if all numbers of a pose are finite."""
     return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
 
 

@@ -5,23 +5,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from ..body.pose import Pose, concatenate_poses
-from ..body.retraction import difference, retract
-from ..body.skeleton import Skeleton
-from ..energy.priors.reference_pose import tangent_deviations
-from ..observe import thin_cloud
-from ..observe.clouds import Cloud
-from ..stacking import stack_trees
-from .initialise import (
-    COARSE_POINTS,
-    GROUP,
-    anneal_survivors,
-    subtree_starts,
-    unsupported_shares,
-)
-from .judgement.region_samples import RegionSamples
-from .recover import TrackedFrame, choose_better, judge_frame, reset_velocity, track_frame_jit
-from .track_frame import Tracker, TrackState, start_state
+from ...body.pose import Pose, concatenate_poses
+from ...body.retraction import difference, retract
+from ...body.skeleton import Skeleton
+from ...energy.priors.reference_pose import tangent_deviations
+from ...observe import thin_cloud
+from ...observe.clouds import Cloud
+from ...stacking import stack_trees
+from ..judge_frame import TrackedFrame, choose_better, is_finite, judge_frame, reset_velocity, track_frame_jit
+from ..judgement.region_samples import RegionSamples
+from ..track_frame import Tracker, TrackState, start_state
+from .anneal import GROUP, anneal_survivors
+from .initialise import COARSE_POINTS
+from .starts import subtree_starts, unsupported_shares
 
 #: shares of the last change by which the body may have moved on
 CONTINUATIONS = (0.0, 0.5, 1.0, 1.5)
@@ -54,7 +50,7 @@ def catch_up(
         return frame
     skeleton, start = tracker.body.skeleton, before.state.estimate.pose
     starts = continued_poses(skeleton, before.state)
-    here = stack_trees([frame.pose if _finite(frame.pose) else before.trusted])
+    here = stack_trees([frame.pose if is_finite(frame.pose) else before.trusted])
     shares = unsupported_shares(coarse, here, few)
     limbs = tangent_deviations(skeleton, 0.02, 0.4)
     moved = subtree_starts(skeleton, here, GROUP - 1, limbs, key, shares)
@@ -75,7 +71,3 @@ def continued_poses(skeleton: Skeleton, state: TrackState) -> Pose:
     return jax.vmap(lambda share: retract(skeleton, state.estimate.pose, share * state.change))(
         jnp.asarray(CONTINUATIONS, state.change.dtype)
     )
-
-
-def _finite(pose: Pose) -> bool:
-    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
