@@ -101,6 +101,10 @@ def test_a_limb_without_points_is_unsupported_and_moved_first(rng):
         for below in np.asarray(SKELETON.descendants)
     ]
     np.testing.assert_allclose(shares, expected, atol=1e-5)
+    # without normals any near point supports the surface
+    plain = eqx.tree_at(lambda c: c.normals, cloud, 0.0 * cloud.normals)
+    bare = np.asarray(unsupported_shares(TRACKER, stack_trees([REST]), plain))[0]
+    assert bare[arm] > 0.8 and (bare <= shares + 1e-6).all()
 
     deviations = jnp.full(SKELETON.num_dofs, 0.3)
 

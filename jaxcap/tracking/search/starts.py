@@ -92,18 +92,20 @@ def subtree_starts(
 @eqx.filter_jit
 def unsupported_shares(tracker: Tracker, poses: Pose, cloud: Cloud) -> Float[Array, "P J"]:
     """Compute, for each joint of P stacked poses, the share of the surface below it that has no point with a similar normal
-    within `SUPPORT_RADIUS`.
+    within `SUPPORT_RADIUS`; zero normals are similar to all others.
     """
     below = jnp.asarray(tracker.body.skeleton.descendants, cloud.points.dtype)
-    bones = tracker.body.skin.dominant_bones()
+    bones, without_normal = tracker.body.skin.dominant_bones(), ~jnp.any(cloud.normals != 0, 1)
 
     def of_pose(pose):
         posed = pose_body(tracker.body, pose)
         squared = jnp.sum((posed.vertices[:, None] - cloud.points) ** 2, -1)
-        supports = (cloud.weights > 0) & (posed.normals @ cloud.normals.T > tracker.mixture.normal_threshold)
+        similar = posed.normals @ cloud.normals.T > tracker.mixture.normal_threshold
+        supports = (cloud.weights > 0) & (similar | without_normal)
         distances = jnp.min(jnp.where(supports, squared, jnp.inf), 1)
         alone = (distances > SUPPORT_RADIUS**2).astype(below.dtype)
-        sums = jnp.zeros((below.shape[0], 2), below.dtype).at[bones].add(jnp.stack([alone, alone * 0 + 1], 1))
+        counts = jnp.stack([alone, jnp.ones_like(alone)], 1)
+        sums = jnp.zeros((below.shape[0], 2), below.dtype).at[bones].add(counts)
         missing, total = (below @ sums).T
         return missing / jnp.maximum(total, 1.0)
 
