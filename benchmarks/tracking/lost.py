@@ -33,14 +33,14 @@ from benchmarks._scenes import Noise, Visible, clothing_offsets, human_motion, s
 from benchmarks.report import finish, progress
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.distance_pictures import FrameView, draw_views
-from jaxcap.tracking.judgement.baseline import initial_baseline
-from jaxcap.tracking.judgement.region_samples import sample_regions
 from jaxcap.tracking.judge_frame import (
     TrackedFrame,
     judge_frame,
     reset_velocity,
     track_frame_jit,
 )
+from jaxcap.tracking.judgement.baseline import initial_baseline
+from jaxcap.tracking.judgement.region_samples import sample_regions
 from jaxcap.tracking.track_frame import start_state
 
 #: error of the main joints up to which a pose is correct, and beyond which it is incorrect, millimetres
