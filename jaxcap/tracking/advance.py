@@ -174,6 +174,7 @@ def advance_frame(
     frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
     key = jax.random.key(number)
     if needs_search(frame):
+        _LOG.info("fitting a few poses that frame %d may have after a fast motion", number)
         coarse = with_clothes(follower.coarse(), worn)
         frame = catch_up(tracker, surface, coarse, frame, before, cloud, key, occluders)
     if needs_search(frame):
