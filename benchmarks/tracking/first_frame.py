@@ -30,7 +30,7 @@ from jaxcap.metrics import joint_errors
 SUBJECT = "02"
 #: mean joint error below which a frame is solved, millimetres
 MAX_SOLVED_ERROR = 30.0
-#: largest median time of a frame after the first one, which compiles
+#: largest median time of a frame after the first one, which compiles, seconds
 MAX_SECONDS = 2.0
 
 _posed = eqx.filter_jit(jc.pose_body)

@@ -163,7 +163,8 @@ def advance_frame(
     margin: float = 0.0,
     occluders: Float[Array, "O 4"] | None = None,
 ) -> TrackedFrame:
-    """Track a `cloud` from the `frame` before it: predict, fit, judge, and search where it is not good.
+    """Track a `cloud` from the `frame` before it: predict, fit and judge; where it is not good, catch up with a fast motion, and
+    search.
 
     **Arguments:** `number` of the frame, which seeds its search; `candidates` and `margin` as in `track_frames`;
     `occluders` as in `gather_evidence`.
@@ -176,7 +177,8 @@ def advance_frame(
     if needs_search(frame):
         _LOG.info("fitting a few poses that frame %d may have after a fast motion", number)
         coarse = with_clothes(follower.coarse(), worn)
-        frame = catch_up(tracker, surface, coarse, frame, before, cloud, key, occluders)
+        own = jax.random.fold_in(key, 1)
+        frame = catch_up(tracker, surface, coarse, frame, before, cloud, own, occluders)
     if needs_search(frame):
         coarse = with_clothes(follower.begin_search(number, frame.reasons, frame.searches.count), worn)
         found = search_frame(

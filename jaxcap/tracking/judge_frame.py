@@ -38,7 +38,7 @@ track_frame_jit = eqx.filter_jit(track_frame)
 class SearchHistory(eqx.Module):
     """The number of searches, and the pause after searches without success."""
 
-    #: frames until the next search is allowed
+    #: frames until the next search is allowed, and the next fit from hypotheses
     wait: float = 0.0
     #: length of the pause after the last search
     length: float = 0.0

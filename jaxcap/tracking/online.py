@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 class OnlineTracker:
     """Tracks one cloud at a time, each from the previous one, as `track_frames` does.
 
-    A frame that is not good is searched for in a thread, while the next frames are tracked. The next frame after the end
+    A frame that is not good is fitted from a few hypotheses (`catch_up`), and searched for, in a thread, while the next frames are tracked. The next frame after the end
     of the search takes the found pose as its start if that explains the frame better. Call `close` at the end.
 
     **Arguments:** `start`, a pose near the first frame, rest where not given; `search`, search for frames that are not good;
@@ -62,7 +62,8 @@ class OnlineTracker:
         self.count = 0
         self._follower = make_follower(tracker, up)
         self._thread = ThreadPoolExecutor(1, "pose search")
-        self._search: Future[TrackedFrame] | None = None
+        # the found frame, and whether more than a few hypotheses were tried
+        self._search: Future[tuple[TrackedFrame, bool]] | None = None
         self._is_first_search, self._judge_every = False, judge_every
 
     @property
@@ -120,16 +121,17 @@ class OnlineTracker:
         _LOG.info("searching for a better pose of frame %d", self.count)
         number, self._is_first_search = self.count, is_first
 
-        def run() -> TrackedFrame:
+        def run() -> tuple[TrackedFrame, bool]:
             coarse = self._follower.coarse()
             if before is None:
                 pose, _ = initialise(self.tracker, cloud, up=self._follower.up, coarse=coarse)
-                return track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
+                first = track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
+                return first, True
             key, surface = jax.random.key(number), self._follower.surface
-            caught = catch_up(self.tracker, surface, coarse, frame, before, cloud, key)
+            caught = catch_up(self.tracker, surface, coarse, frame, before, cloud, jax.random.fold_in(key, 1))
             if caught.verdict == "good":
-                return caught
-            return search_frame(
+                return caught, False
+            found = search_frame(
                 self.tracker,
                 surface,
                 coarse,
@@ -140,6 +142,7 @@ class OnlineTracker:
                 key,
                 self._follower.up,
             )
+            return found, True
 
         self._search = self._thread.submit(run)
 
@@ -147,10 +150,12 @@ class OnlineTracker:
         """Take the pose of a search that has ended, if it is likelier in this frame."""
         if self._search is None or not self._search.done():
             return frame
-        found, self._search = self._search.result(), None
+        (found, was_searched), self._search = self._search.result(), None
         state, statistics, likelihood = track_from(self.tracker, found.pose, cloud)
-        count = frame.searches.count + 1.0
+        count = frame.searches.count + float(was_searched)
         if likelihood <= float(pose_log_density(self.tracker, frame.pose, cloud)):
+            if not was_searched:
+                return frame
             searches = found.searches if not self._is_first_search else frame.searches.extend()
             return eqx.tree_at(lambda f: f.searches, frame, searches)
         # a first search follows a wrong pose, and so does its baseline

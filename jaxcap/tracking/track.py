@@ -56,7 +56,8 @@ def track_frames(
     are removed: by default those of the first cloud (`jc.observe.find_room`), none for an empty list.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
-    sensor, compared with the baseline of the previous frames. A frame that is not good is searched for
+    sensor, compared with the baseline of the previous frames. A frame that is not good is fitted again from a few hypotheses of
+    a fast motion (`catch_up`), and then searched for
     from many starts; after a search without success the next one waits, twice as long each time. A frame that
     nothing explains is `lost`, and tracking goes on. So is a frame that shows no person (`missing_cloud`): it keeps the
     last pose that was not lost.

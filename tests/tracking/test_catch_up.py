@@ -1,5 +1,7 @@
 """A body that jumps between two frames is reached again without a search; starts near unsupported limbs; survivors."""
 
+import time
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,11 +14,11 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.geometry.mesh import sample_surface
-from jaxcap.observe.clouds import make_cloud
+from jaxcap.observe.clouds import make_cloud, missing_cloud
 from jaxcap.stacking import stack_trees
-from jaxcap.tracking import advance
-from jaxcap.tracking.search.anneal import SEGMENT, anneal_each, anneal_survivors
-from jaxcap.tracking.search.catch_up import CONTINUATIONS, continued_poses
+from jaxcap.tracking import advance, online
+from jaxcap.tracking.search.anneal import SEGMENT, anneal_sorted, anneal_survivors
+from jaxcap.tracking.search.catch_up import EXTRAPOLATIONS, extrapolated_poses
 from jaxcap.tracking.search.initialise import FINE_SIGMAS
 from jaxcap.tracking.search.starts import SUPPORT_RADIUS, subtree_starts, unsupported_shares
 from jaxcap.tracking.track import track_frames
@@ -71,11 +73,37 @@ def test_a_body_that_jumps_is_reached_without_a_search(rng, monkeypatch):
     assert joint_error(plain[-1].pose, JUMPED) > 0.04
 
 
+def test_no_velocity_is_made_of_a_gap(rng):
+    """After frames without a person the body is elsewhere: the whole way is no change within one frame."""
+    clouds = [scan(REST, rng), missing_cloud("nobody is there."), scan(JUMPED, rng)]
+    frames = list(track_frames(TRACKER, clouds, REST, sigma=0.03))
+    assert [frame.verdict for frame in frames] == ["good", "lost", "good"]
+    assert joint_error(frames[2].pose, JUMPED) < 0.02
+    assert not np.asarray(frames[2].state.change).any()
+
+
+def test_a_live_tracker_needs_no_search_for_a_jump(rng, monkeypatch):
+    def refuse(*_):
+        raise AssertionError("searched")
+
+    monkeypatch.setattr(online, "search_frame", refuse)
+    tracker, cloud = online.OnlineTracker(TRACKER, REST, sigma=0.03), scan(JUMPED, rng)
+    frames = [tracker.track(scan(REST, rng)), tracker.track(scan(REST, rng)), tracker.track(cloud)]
+    assert [frame.verdict for frame in frames[:2]] == ["good"] * 2 and frames[2].verdict != "good"
+    deadline = time.monotonic() + 60
+    while tracker.is_searching and time.monotonic() < deadline:
+        time.sleep(0.05)
+    found = tracker.track(cloud)
+    tracker.close()
+    assert (found.verdict, found.searches.count) == ("good", 0)
+    assert joint_error(found.pose, JUMPED) < 0.02
+
+
 def test_hypotheses_continue_the_last_change(rng):
     state = start_state(TRACKER, JUMPED)
     change = jnp.asarray(0.1 * rng.normal(size=SKELETON.num_dofs))
-    poses = continued_poses(SKELETON, TrackState(state.estimate, change))
-    for number, share in enumerate(CONTINUATIONS):
+    poses = extrapolated_poses(SKELETON, TrackState(state.estimate, change))
+    for number, share in enumerate(EXTRAPOLATIONS):
         pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
         expected = retract(SKELETON, JUMPED, share * change)
         assert float(jnp.abs(difference(SKELETON, expected, pose)).max()) < 1e-5
@@ -126,9 +154,8 @@ def test_few_starts_all_survive_and_poor_ones_do_not(rng):
     far = [moved(REST, (2.0 + number, 0, 0)) for number in range(12)]
     few = stack_trees(near[::-1])
     poses = anneal_survivors(TRACKER, cloud, few, sigmas)
-    each, scores = anneal_each(TRACKER, cloud, few, sigmas, sigmas[-1])
-    order = np.argsort(-np.asarray(scores))
-    assert float(jnp.abs(poses.rotations - each.rotations[order]).max()) < 1e-5
+    expected, _ = anneal_sorted(TRACKER, cloud, few, sigmas)
+    assert float(jnp.abs(poses.rotations - expected.rotations).max()) < 1e-5
     # 15 starts: 12 go on after each segment, the near ones among them and first
     poses = anneal_survivors(TRACKER, cloud, stack_trees([*far, *near]), jnp.tile(sigmas, 2))
     assert poses.rotations.shape[0] == 12

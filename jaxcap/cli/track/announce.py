@@ -18,7 +18,7 @@ def make_announcer() -> Callable[..., None]:
         why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
         many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
         before = f"; {many} before it" if search.num_earlier else ""
-        once = "" if compiled else "; the first search compiles its functions, which may take some minutes"
+        once = "" if compiled else "; the first search compiles its functions, which may take a minute"
         warn(f"searching for the pose{whose} frame {search.frame}{why}{before}{once}")
         compiled = True
 

@@ -105,14 +105,16 @@ def anneal_survivors(
     first.
 
     Most starts are poor from the beginning (successive halving, Jamieson and Talwalkar 2016). Poses are compared at the
-    deviation that they have reached. The number of deviations has to be a multiple of `SEGMENT`.
+    deviation that they have reached, and in the end at `SEARCH_SIGMA`. The number of deviations has to be a multiple of
+    `SEGMENT`.
     """
     poses = starts
-    for number, segment in enumerate(sigmas.reshape(-1, SEGMENT)):
+    segments = sigmas.reshape(-1, SEGMENT)
+    for number, segment in enumerate(segments):
         if number > 0:
             count = poses.rotations.shape[0]
             poses = first_poses(poses, max(int(count * SURVIVING_SHARE), min(MIN_SURVIVORS, count)))
-        compared = jnp.maximum(segment[-1], SEARCH_SIGMA)
+        compared = segment[-1] if number + 1 < len(segments) else SEARCH_SIGMA
         known = is_compiled or number > 0
         poses, _ = _sorted(*anneal_each(tracker, cloud, poses, segment, compared, is_compiled=known))
     return poses
