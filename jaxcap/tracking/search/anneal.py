@@ -16,7 +16,7 @@ from ..track_frame import Tracker, first_estimate, frame_terms, penalty
 #: standard deviation at which starts are compared, metres: small enough to tell the front of a trunk from its back
 SEARCH_SIGMA = 0.012
 #: number of starts that one call of the compiled function anneals
-GROUP = 4
+GROUP = 2
 #: number of deviations after which poses are compared, the share of the best that go on, and their least number
 SEGMENT, SURVIVING_SHARE, MIN_SURVIVORS = 5, 1 / 2, 12
 
