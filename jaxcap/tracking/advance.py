@@ -171,8 +171,8 @@ def advance_frame(
     """
     worn = frame.state.estimate.clothes
     tracker, surface = with_clothes(follower.tracker, worn), follower.surface
-    before, trusted, baseline = frame, frame.trusted, frame.baseline
-    frame = follow_frame(tracker, surface, frame, cloud, candidates or (), margin, occluders=occluders)
+    before = frame
+    frame = follow_frame(tracker, surface, before, cloud, candidates or (), margin, occluders=occluders)
     key = jax.random.key(number)
     if needs_search(frame):
         _LOG.info("fitting a few poses that frame %d may have after a fast motion", number)
@@ -182,11 +182,20 @@ def advance_frame(
     if needs_search(frame):
         coarse = with_clothes(follower.begin_search(number, frame.reasons, frame.searches.count), worn)
         found = search_frame(
-            tracker, surface, coarse, frame, baseline, trusted, cloud, key, follower.up, occluders
+            tracker,
+            surface,
+            coarse,
+            frame,
+            before.baseline,
+            before.trusted,
+            cloud,
+            key,
+            follower.up,
+            occluders,
         )
         if candidates is not None and found.pose is not frame.pose:
             # the end of a search may be worse than its start
             likelier = likelier_pose(tracker, found.pose, frame.pose, cloud)
             found = found if likelier is found.pose else frame
         frame = found
-    return finish_frame(tracker, frame, trusted)
+    return finish_frame(tracker, frame, before.trusted)

@@ -14,6 +14,7 @@ from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.geometry.mesh import sample_surface
+from jaxcap.metrics import joint_errors
 from jaxcap.observe.clouds import make_cloud, missing_cloud
 from jaxcap.stacking import stack_trees
 from jaxcap.tracking import advance, online
@@ -47,8 +48,9 @@ def scan(pose: Pose, rng):
 
 
 def joint_error(a: Pose, b: Pose) -> float:
-    apart = _pose_body(BODY, a).joints - _pose_body(BODY, b).joints
-    return float(jnp.mean(jnp.linalg.norm(apart, axis=1)))
+    """Compute the mean distance of joint centres, metres."""
+    joints = (np.asarray(_pose_body(BODY, pose).joints)[None] for pose in (a, b))
+    return float(joint_errors(*joints).mean())
 
 
 REST = rest_pose(SKELETON)

@@ -1,4 +1,4 @@
-"""Annealing of many starts at once, of which the worse ones are given up on the way."""
+"""Deterministic annealing from many starts, with successive halving."""
 
 import equinox as eqx
 import jax
@@ -101,12 +101,11 @@ def anneal_sorted(
 def anneal_survivors(
     tracker: Tracker, cloud: Cloud, starts: Pose, sigmas: Float[Array, "S"], *, is_compiled: bool = False
 ) -> Pose:
-    """Run `anneal_pose` from P stacked starts, of which only the best go on after every `SEGMENT` deviations; poses, best
-    first.
+    """Run `anneal_pose` from P stacked starts, and keep only the likeliest poses after every `SEGMENT` deviations (successive
+    halving, Jamieson and Talwalkar 2016).
 
-    Most starts are poor from the beginning (successive halving, Jamieson and Talwalkar 2016). Poses are compared at the
-    deviation that they have reached, and in the end at `SEARCH_SIGMA`. The number of deviations has to be a multiple of
-    `SEGMENT`.
+    Poses are compared at the last deviation of each segment, and at the end at `SEARCH_SIGMA`. The number of deviations has
+    to be a multiple of `SEGMENT`. Returns the remaining poses, sorted by decreasing score.
     """
     poses = starts
     segments = sigmas.reshape(-1, SEGMENT)

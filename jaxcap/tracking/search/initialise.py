@@ -1,4 +1,4 @@
-"""Global initialisation of a pose: many starts at once, of which the best are refined."""
+"""Global initialisation of a pose: annealing from many starts, and refinement of the best result."""
 
 import logging
 
@@ -66,7 +66,7 @@ def initialise(
     Stacked `starts` replace those at rest.
 
     Starts in all directions, at rest and at the mean of the tracker's pose prior if it has one, are annealed with a
-    coarse body and few points; the worse ones are given up on the way (`anneal_survivors`). The best `keep` and `neighbours`
+    coarse body and few points; poor starts are discarded early (`anneal_survivors`). The best `keep` and `neighbours`
     random neighbours of each are annealed again, then in `rounds` the best with single limbs moved, mostly limbs that have
     no points. In the end the same is done with the whole body and more points, which resolve hands and feet, also with
     limbs at the mean of the prior. Returns the best of all and its mean log-likelihood.
