@@ -4,7 +4,8 @@ In `two_walk` two people walk past each other, with 0.6 m between the middles of
 crosses both paths. In `handshake` two people reach out, shake their right hands, and lower them. Everyone has another build.
 Four depth cameras around the scene see all people, who hide each other; their images are fused in one cloud without cameras.
 The people are found in the first cloud, and no start is given. Each tracker knows the body of its person; with `--same-body`
-all are the embedded human of average build instead, and nobody can be distinguished by shape.
+all are the embedded human of average build instead, and nobody can be distinguished by shape; with `--fit-shape` their shapes
+are first estimated from these clouds (`estimate_people_shapes`).
 
 Each person is scanned and tracked alone, too, by the same cameras in the same motion. Joint errors are compared with those.
 In `two_walk_camera`, which is not run by default, one Azure Kinect from the side sees the walk of `two_walk`: one person
@@ -30,11 +31,14 @@ from benchmarks.report import finish, progress
 from benchmarks.tracking._people import People, Scenario, film_people, make_people, scan_people
 from benchmarks.tracking._people_pictures import draw_people
 from jaxcap.geometry.camera import look_at
+from jaxcap.tracking.track_frame import replace_body
 
 #: numbers of cameras, their distance from the middle of the scene and height, metres
 CAMERAS, DISTANCE, HEIGHT = 4, 3.8, 1.6
 #: points of one person in a cloud, on average
 POINTS = 3000
+#: number of frames from which shapes are estimated
+SHAPE_FRAMES = 40
 SCENARIOS: tuple[Scenario, ...] = ("two_walk", "three_walk", "handshake")
 SCANNER = jc.scanner.Scanner(noise=0.004, edge_loss=0.5)
 
@@ -51,12 +55,17 @@ class Tracked(NamedTuple):
     poses: list[jc.Pose]
 
 
-def make_trackers(people: People, same_body: bool, partial: bool) -> list[jc.fit.Tracker]:
-    """Make the tracker of each person, all the same one with `same_body`."""
-    if same_body:
-        body = jc.human(joints="tracking", resolution="medium")
-        return [jc.make_tracker(body, partial=partial)] * len(people.bodies)
-    return [jc.make_tracker(body, partial=partial) for body in people.bodies]
+def make_trackers(
+    people: People, clouds: list[jc.Cloud], options: argparse.Namespace, partial: bool
+) -> list[jc.fit.Tracker]:
+    """Make the tracker of each person: of the true body, of an average human, or of a human fitted to the clouds."""
+    if not (options.same_body or options.fit_shape):
+        return [jc.make_tracker(body, partial=partial) for body in people.bodies]
+    tracker = jc.make_tracker(jc.human(joints="tracking", resolution="medium"), partial=partial)
+    if options.same_body:
+        return [tracker] * len(people.bodies)
+    bodies = jc.adapt.estimate_people_shapes(tracker, clouds[:SHAPE_FRAMES], len(people.bodies))
+    return [replace_body(tracker, body) for body in bodies]
 
 
 def track_together(
@@ -87,9 +96,9 @@ def track_alone(tracker: jc.fit.Tracker, clouds: list[jc.Cloud]) -> Tracked:
     return collect(tracker, list(jc.fit.track_frames(tracker, clouds, search=True)))
 
 
-def match_people(tracked: list[Tracked], people: People, same_body: bool) -> list[int]:
-    """Find the true person of each tracked one, by the first frame; equal bodies may come in any order."""
-    if not same_body:
+def match_people(tracked: list[Tracked], people: People, in_order: bool) -> list[int]:
+    """Find the true person of each tracked one, by the first frame, unless they are in order."""
+    if in_order:
         return list(range(len(tracked)))
     away = [[np.linalg.norm(one.joints[0] - truth[0]) for truth in people.joints] for one in tracked]
     return [int(column) for column in linear_sum_assignment(np.array(away))[1]]
@@ -123,17 +132,17 @@ def run_scenario(scenario: Scenario, options: argparse.Namespace) -> tuple[dict[
     """Track the people of one scenario together and alone."""
     people = make_people(shared_folder(), scenario, options.frames)
     everyone = list(range(len(people.bodies)))
-    trackers = make_trackers(people, options.same_body, scenario == "two_walk_camera")
     progress(f"{scenario}: {len(everyone)} people, {len(people.motions[0])} frames")
     clouds, visible = observe(people, everyone, scenario, options.pixels)
+    trackers = make_trackers(people, clouds, options, scenario == "two_walk_camera")
     together, seconds = track_together(trackers, clouds, options.same_body)
-    who = match_people(together, people, options.same_body)
+    who = match_people(together, people, not (options.same_body or options.fit_shape))
     if options.picture is not None:
         path = options.picture.with_name(f"{options.picture.stem}_{scenario}.png")
         draw_people(path, trackers, [one.poses for one in together], clouds)
     ratios, errors, p95, lost_more = [], [], [], 0
-    for own, tracked in zip(who, together, strict=True):
-        alone = track_alone(trackers[own], observe(people, [own], scenario, options.pixels)[0])
+    for tracker, own, tracked in zip(trackers, who, together, strict=True):
+        alone = track_alone(tracker, observe(people, [own], scenario, options.pixels)[0])
         distances = [
             1000 * np.linalg.norm(one.joints - people.joints[own], axis=-1) for one in (tracked, alone)
         ]
@@ -172,6 +181,7 @@ def main() -> None:
         "--frames", type=int, default=50, help="number of frames in the middle of each scenario"
     )
     parser.add_argument("--same-body", action="store_true", help="track everyone with the same body")
+    parser.add_argument("--fit-shape", action="store_true", help="estimate the shape of each person first")
     parser.add_argument("--pixels", type=int, default=320, help="width of the images")
     parser.add_argument("--picture", type=Path, help="write a PNG of three frames of each scenario")
     options = parser.parse_args()

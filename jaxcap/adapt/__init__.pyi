@@ -2,6 +2,7 @@
 
 from .objective import PoseTerms as PoseTerms
 from .poses.sliding_window import smooth_poses as smooth_poses
+from .shape.people_shapes import estimate_people_shapes as estimate_people_shapes
 from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior
 from .shape.shape_space import ShapeSpace as ShapeSpace

@@ -52,7 +52,12 @@ class _Ready(NamedTuple):
 
 @checked
 def make_live_tracker(
-    body: Body, terms: UserTerms = (), *, partial: bool = True, iterations: int | None = None
+    body: Body,
+    terms: UserTerms = (),
+    *,
+    partial: bool = True,
+    iterations: int | None = None,
+    clothes: bool = False,
 ) -> Tracker:
     """Make a `Tracker` that is fast enough for live depth images, with the arguments of `make_tracker`.
 
@@ -60,7 +65,9 @@ def make_live_tracker(
     space. Frames that follow each other closely need no more.
     """
     steps = ITERATIONS if iterations is None else iterations
-    return make_tracker(body, terms=terms, iterations=steps, partial=partial, num_tested=NUM_TESTED)
+    return make_tracker(
+        body, terms=terms, iterations=steps, partial=partial, num_tested=NUM_TESTED, clothes=clothes
+    )
 
 
 class LiveTracker:

@@ -25,7 +25,7 @@ from .judgement.baseline import initial_baseline
 from .search.catch_up import catch_up
 from .search.initialise import initialise
 from .search.search_frame import search_frame
-from .track_frame import Tracker, check_sigma
+from .track_frame import Tracker, check_sigma, with_clothes
 
 _LOG = logging.getLogger(__name__)
 
@@ -33,8 +33,9 @@ _LOG = logging.getLogger(__name__)
 class OnlineTracker:
     """Tracks one cloud at a time, each from the previous one, as `track_frames` does.
 
-    A frame that is not good is fitted from a few hypotheses (`catch_up`), and searched for, in a thread, while the next frames are tracked. The next frame after the end
-    of the search takes the found pose as its start if that explains the frame better. Call `close` at the end.
+    A frame that is not good is fitted from a few hypotheses (`catch_up`), and searched for, in a thread, while the next
+    frames are tracked. The next frame after the end of the search takes the found pose as its start if that explains the
+    frame better. Call `close` at the end.
 
     **Arguments:** `start`, a pose near the first frame, rest where not given; `search`, search for frames that are not good;
     `sigma` and `up` as in `track_frames`; `judge_every`, judge only each so-many-th frame. The frames between have the
@@ -122,17 +123,20 @@ class OnlineTracker:
         number, self._is_first_search = self.count, is_first
 
         def run() -> tuple[TrackedFrame, bool]:
+            worn = None if before is None else before.state.estimate.clothes
+            tracker = self.tracker if before is None else with_clothes(self.tracker, worn)
             coarse = self._follower.coarse()
             if before is None:
                 pose, _ = initialise(self.tracker, cloud, up=self._follower.up, coarse=coarse)
                 first = track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
                 return first, True
+            coarse = with_clothes(coarse, worn)
             key, surface = jax.random.key(number), self._follower.surface
-            caught = catch_up(self.tracker, surface, coarse, frame, before, cloud, jax.random.fold_in(key, 1))
+            caught = catch_up(tracker, surface, coarse, frame, before, cloud, jax.random.fold_in(key, 1))
             if caught.verdict == "good":
                 return caught, False
             found = search_frame(
-                self.tracker,
+                tracker,
                 surface,
                 coarse,
                 caught,
@@ -151,9 +155,13 @@ class OnlineTracker:
         if self._search is None or not self._search.done():
             return frame
         (found, was_searched), self._search = self._search.result(), None
-        state, statistics, likelihood = track_from(self.tracker, found.pose, cloud)
+        worn = before.state.estimate.clothes
+        tracker = with_clothes(self.tracker, worn)
+        state, statistics, likelihood = track_from(tracker, found.pose, cloud)
+        # the steps of a comparison teach no clothes
+        state = eqx.tree_at(lambda s: s.estimate.clothes, state, worn, is_leaf=lambda leaf: leaf is None)
         count = frame.searches.count + float(was_searched)
-        if likelihood <= float(pose_log_density(self.tracker, frame.pose, cloud)):
+        if likelihood <= float(pose_log_density(tracker, frame.pose, cloud)):
             if not was_searched:
                 return frame
             searches = found.searches if not self._is_first_search else frame.searches.extend()

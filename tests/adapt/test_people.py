@@ -12,6 +12,7 @@ from helpers import chain_body
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.shape import tracked_shape
+from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
@@ -177,6 +178,30 @@ def test_a_small_woman_is_found_from_the_generic_human(tracked):
     assert joints_off(found, person) < 0.01
     heights = [float(jnp.ptp(body.vertices[:, 1])) for body in (found, person)]
     assert heights[0] == pytest.approx(heights[1], abs=0.01)
+
+
+def test_two_people_in_the_same_clouds_have_their_own_shapes(tracked):
+    """A small woman next to the man of the template, both from the generic body."""
+    person, tracker, clouds, _, space = tracked
+    rng, both = np.random.default_rng(4), []
+    performed = walk_and_wave(tracker.body.skeleton, 1.5)
+    for number, cloud in enumerate(clouds):
+        posed = jc.pose_body(tracker.body, performed[20 * number])
+        man, normals = sample_surface(
+            np.asarray(posed.vertices, float), np.asarray(posed.body.faces), 1000, rng
+        )
+        count = int((np.asarray(cloud.weights) > 0).sum())
+        both.append(
+            jc.make_cloud(
+                np.concatenate([np.asarray(cloud.points)[:count], man + [1.5, 0, 0]]),
+                np.concatenate([np.asarray(cloud.normals)[:count], normals]),
+            )
+        )
+    found = estimate_people_shapes(tracker, both, 2, space, search=False)
+    assert len(found) == 2
+    small, large = sorted(found, key=lambda body: float(jnp.ptp(body.vertices[:, 1])))
+    assert joints_off(small, person) < 0.012
+    assert joints_off(large, tracker.body) < 0.012
 
 
 def test_frames_of_which_none_is_good_are_refused(tracked, monkeypatch):

@@ -183,3 +183,25 @@ def test_a_lost_body_is_looked_for_near_the_points_of_the_last_image():
                 np.testing.assert_array_equal(near, points)
         found = live._followed_surface(eqx.tree_at(lambda f: f.lost, tracked, False), CLOUDS[1])
     np.testing.assert_allclose(found, _pose(BODY, tracked.pose).vertices, atol=1e-6)
+
+
+def test_a_search_knows_the_clothes_that_the_frames_have_shown(monkeypatch):
+    given = []
+
+    def caught(tracker, surface, coarse, frame, *rest):
+        given.extend(float(one.clothes.frames) for one in (tracker, coarse))
+        return frame
+
+    monkeypatch.setattr(online, "catch_up", caught)
+    monkeypatch.setattr(online, "needs_search", lambda frame: True)
+    monkeypatch.setattr(advance, "coarse_tracker", lambda tracker: tracker)
+    tracking = OnlineTracker(make_tracker(BODY, iterations=2, clothes=True))
+    counts = []
+    for cloud in CLOUDS[:3]:
+        counts.append(float(tracking.track(cloud).state.estimate.clothes.frames))
+        while tracking.is_searching:
+            time.sleep(0.01)
+    # a frame after the first one teaches at most once, also where the pose of a search is taken
+    assert np.all(np.diff(counts) <= 1.0)
+    assert given[:2] == [counts[0]] * 2
+    tracking.close()

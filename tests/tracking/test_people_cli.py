@@ -2,11 +2,14 @@
 
 import json
 
+import equinox as eqx
 import numpy as np
 import pytest
 from command_line import FRAMES, fails, runs, write_inputs
 
 from jaxcap.cli import main
+from jaxcap.cli.sources import load_body
+from jaxcap.cli.track import person_shape
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion
 from jaxcap.tracking import advance
@@ -93,6 +96,32 @@ def test_a_stopped_run_continues_to_the_same_result(inputs, finished, tmp_path, 
     assert not list(out.glob("person_*"))
 
 
+def test_each_person_is_tracked_with_the_own_shape(inputs, tmp_path, capsys, monkeypatch):
+    out, given = tmp_path / "out", []
+
+    def estimate(tracker, clouds, num_people):
+        given.append((len(clouds), num_people))
+        return [
+            eqx.tree_at(lambda b: b.vertices, tracker.body, size * tracker.body.vertices)
+            for size in (1.001, 0.999)
+        ]
+
+    monkeypatch.setattr(person_shape, "estimate_people_shapes", estimate)
+    auto = ("--people", "auto", "--fit-shape")
+    runs(capsys, *command(inputs, out, *auto))
+    assert given == [(FRAMES, None)]
+    vertices = [load_body(str(out / f"person_{k}" / "person.npz"))[0].vertices for k in (1, 2)]
+    np.testing.assert_allclose(vertices[0] / 1.001, vertices[1] / 0.999, atol=1e-6)
+    with np.load(out / "person_1" / "motion.npz") as file:
+        assert len(file["translations"]) == FRAMES
+    # a run whose frames are gone estimates no shape again
+    for path in (out / "journal", *out.glob("person_*/[ms]*")):
+        path.unlink()
+    runs(capsys, *command(inputs, out, *auto, "--resume"))
+    assert len(given) == 1
+    assert (out / "person_2" / "motion.npz").exists()
+
+
 def test_one_body_in_clouds_of_two_people_is_reported(inputs, tmp_path, capsys, monkeypatch):
     # a search would find the same, after a long compilation
     monkeypatch.setattr(advance, "needs_search", lambda frame: False)
@@ -105,5 +134,3 @@ def test_wrong_numbers_are_refused(inputs, tmp_path, capsys):
     for people in ("0", "two", "-1"):
         line = fails(capsys, *command(inputs, tmp_path / "out", f"--people={people}"))
         assert "at least 1, or auto" in line
-    line = fails(capsys, *command(inputs, tmp_path / "out", "--people", "2", "--fit-shape"))
-    assert "--fit-shape" in line

@@ -1,7 +1,7 @@
 """Shape of a person from a sequence of clouds, tracked with a body of another shape."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import equinox as eqx
 import jax
@@ -72,13 +72,13 @@ def estimate_shape(
     clouds = list(without_room((cloud for cloud in clouds if not cloud.missing), None))
     if not clouds:
         raise InputError("estimate_shape: there are no clouds of a person; expected at least one.")
-    space = _find_space(tracker, space)
+    space = find_space(tracker, space)
     good, others = _track(tracker, clouds, search)
     if not good:
-        first = _fit_to_some(tracker, clouds, others, space, num_frames)
+        first = fit_to_some(tracker, clouds, others, space, num_frames)
         good, _ = _track(replace_body(tracker, first), clouds, search)
     if good:
-        return _fit_to_some(tracker, clouds, good, space, num_frames)
+        return fit_to_some(tracker, clouds, good, space, num_frames)
     raise InputError(
         f"estimate_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give "
         "other frames, or a body of about the person's height."
@@ -96,8 +96,12 @@ def _track(
     return good, others
 
 
-def _fit_to_some(
-    tracker: Tracker, clouds: Sequence[Cloud], poses: dict[int, Pose], space: ShapeSpace, num_frames: int
+def fit_to_some(
+    tracker: Tracker,
+    clouds: Sequence[Cloud] | Mapping[int, Cloud],
+    poses: dict[int, Pose],
+    space: ShapeSpace,
+    num_frames: int,
 ) -> Body:
     """Fit the shape to some of the tracked frames, evenly spread."""
     numbers = list(poses)
@@ -130,7 +134,7 @@ def fit_tracked_shape(
             f"fit_tracked_shape: there are {len(clouds)} clouds and {len(poses)} poses; expected one pose for each cloud, "
             "and at least one."
         )
-    space = _find_space(tracker, space)
+    space = find_space(tracker, space)
     frames, start = stack_clouds(clouds), stack_trees(list(poses))
     unknowns: dict[str, AbstractUnknown] = {"shape": ShapeCoefficients(space.modes)}
     total = float(jnp.mean(jnp.sum(frames.weights, 1)))
@@ -160,7 +164,8 @@ def fit_tracked_shape(
     return empty.body_at(found.values)
 
 
-def _find_space(tracker: Tracker, space: ShapeSpace | None) -> ShapeSpace:
+def find_space(tracker: Tracker, space: ShapeSpace | None) -> ShapeSpace:
+    """Return the given shape space, or that of the tracker's body. Raises `InputError` if there is none."""
     space = shape_space_like(tracker.body) if space is None else space
     if space is None:
         raise InputError(

@@ -70,6 +70,8 @@ class Live:
     """End the run after this time without a new file in a watched folder. Default: never."""
     partial: Flag = False
     """The clouds show only a part of the body, as for `track`. Depth images imply this option."""
+    clothes: Flag = False
+    """Learn which parts of the body wear loose clothes, as for `track`. This option implies --partial."""
     no_search: Flag = False
     """Do not search for a body that is lost; tracking starts at the rest pose."""
     skl: Skl = None
@@ -107,8 +109,10 @@ class Live:
                 self.timeout,
                 stop,
             )
-            partial = self.partial or bool(source.cameras)
-            tracker = make_live_tracker(body, terms, partial=partial, iterations=self.iterations)
+            partial = self.partial or self.clothes or bool(source.cameras)
+            tracker = make_live_tracker(
+                body, terms, partial=partial, iterations=self.iterations, clothes=self.clothes
+            )
             template = row_template(tracker, num_cameras=len(source.cameras))
             with create_journal(path, pose_layout(body.skeleton), row_width(template)) as journal:
                 run = LiveRun(tracker, source, journal, self)

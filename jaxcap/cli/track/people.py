@@ -15,7 +15,7 @@ from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch, Search
 from ...tracking.judgement.region_samples import sample_regions
 from ...tracking.people.person_frame import PersonFrame, absent_person
-from ...tracking.people.track_people import MAX_PEOPLE, track_people
+from ...tracking.people.track_people import track_people
 from ...tracking.track import unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
 from ..console.console import say, warn
@@ -34,14 +34,14 @@ def read_count(people: str) -> int | None:
     return int(people)
 
 
-def people_template(tracker: Tracker, count: int | None, num_cameras: int) -> tuple[PersonFrame, ...]:
+def people_template(trackers: Sequence[Tracker], num_cameras: int) -> tuple[PersonFrame, ...]:
     """Make a frame of all people, with the shapes and types of all frames of a run."""
-    size = MAX_PEOPLE if count is None else count
-    return (absent_person(tracker, sample_regions(tracker.body, tracker.regions), size, num_cameras),) * size
+    first, size = trackers[0], len(trackers)
+    return (absent_person(first, sample_regions(first.body, first.regions), size, num_cameras),) * size
 
 
 def follow_people(
-    tracker: Tracker,
+    trackers: Sequence[Tracker],
     clouds: Iterable[Cloud],
     template: tuple[PersonFrame, ...],
     count: int | None,
@@ -53,12 +53,15 @@ def follow_people(
     announce: Callable[[Search, str], None],
     planes: Sequence[Plane],
 ) -> Iterator[tuple[PersonFrame, ...]]:
-    """Track all people after the `last` frame; people who have not been seen yet are those of the template."""
+    """Track all people after the `last` frame; people who have not been seen yet are those of the template.
+
+    `count` is None if the number of people is to be found, who then have the same tracker.
+    """
     start = last
     if last is not None and count is None:
         start = tuple(person for person in last if person.seen)
     frames = track_people(
-        tracker,
+        trackers[0] if is_same_for_all(trackers) else trackers,
         clouds,
         count,
         start,
@@ -72,9 +75,14 @@ def follow_people(
         yield people + template[len(people) :]
 
 
+def is_same_for_all(trackers: Sequence[Tracker]) -> bool:
+    """Test if all people have the same tracker."""
+    return all(one is trackers[0] for one in trackers)
+
+
 def write_people(
     folder: Path,
-    tracker: Tracker,
+    trackers: Sequence[Tracker],
     template: tuple[PersonFrame, ...],
     rows: Float[np.ndarray, "N R"],
     rate: float,
@@ -96,7 +104,7 @@ def write_people(
         found += 1
         where = person_folder(folder, number)
         make_writable(where)
-        write_results(where, tracker.body.skeleton, results, rate, names)
+        write_results(where, trackers[number].body.skeleton, results, rate, names)
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
             warn(f"person {number + 1}: {sentence}")
         for sentence in exchange_sentences(number, person, own):

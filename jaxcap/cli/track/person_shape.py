@@ -1,7 +1,8 @@
-"""The shape of the person, estimated before tracking."""
+"""The shapes of the people, estimated before tracking."""
 
 from pathlib import Path
 
+from ...adapt.shape.people_shapes import estimate_people_shapes
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...errors import InputError
@@ -9,12 +10,22 @@ from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
 from ...tracking.track_frame import Tracker
-from ..console.console import say
+from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
 from ..sources import load_body
+from .results import PERSON, make_writable, person_folder
 
 #: number of frames from which the shape of a person is estimated
 SHAPE_FRAMES = 40
+
+
+def find_shapes(
+    folder: Path, tracker: Tracker, clouds: LazyFrames[Cloud], num_people: int | None, *, several: bool
+) -> list[Body]:
+    """Estimate the shapes of one person or of several, or read those of an earlier run; `num_people` is None if unknown."""
+    if several:
+        return find_people_shapes(folder, tracker, clouds, num_people)
+    return [find_person_shape(folder / PERSON, tracker, clouds)]
 
 
 def find_person_shape(path: Path, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
@@ -25,6 +36,28 @@ def find_person_shape(path: Path, tracker: Tracker, clouds: LazyFrames[Cloud]) -
         say(f"the shape of the person is in {path}; the frames are now tracked with it")
     # the written body, so that a resumed run has the same one
     return load_body(str(path))[0]
+
+
+def find_people_shapes(
+    folder: Path, tracker: Tracker, clouds: LazyFrames[Cloud], num_people: int | None
+) -> list[Body]:
+    """Estimate the shape of each person as `find_person_shape` does of one, or read those of an earlier run.
+
+    They are written to the folders of the people. Fewer than `num_people` may be found: the others keep the body of the tracker.
+    """
+    paths = sorted(folder.glob(f"{person_folder(folder, 0).name[:-1]}*/{PERSON}"))
+    if not paths:
+        set_activity("estimating the shapes of the people")
+        found = estimate_people_shapes(tracker, first_readable(clouds, SHAPE_FRAMES), num_people)
+        for number, body in enumerate(found):
+            path = person_folder(folder, number) / PERSON
+            make_writable(path.parent)
+            save_body(path, body)
+            paths.append(path)
+        people = pluralise(len(found), "person", "people")
+        say(f"the shapes of {people} are in {paths[0]}{' and so on' if len(paths) > 1 else ''}")
+    bodies = [load_body(str(path))[0] for path in paths]
+    return bodies + [tracker.body] * ((num_people or len(bodies)) - len(bodies))
 
 
 def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:

@@ -11,13 +11,13 @@ import numpy as np
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.archives.journal import Journal
+from ...io.archives.journal import Journal, create_journal, resume_journal
 from ...io.archives.npz import save_motion
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
 from ...observe.clouds import Cloud
 from ...tracking.track_frame import Tracker
-from .frame_records import CLOUD_AT, Results, hash_cloud_name
+from .frame_records import CLOUD_AT, Frame, Results, hash_cloud_name, unpack
 
 #: the shape of the person, if it was estimated
 PERSON = "person.npz"
@@ -33,17 +33,21 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resu
     replace them.
     """
     make_writable(folder)
-    of_people = [f"{own.name}/{name}" for own in sorted(folder.glob(f"{PERSON_FOLDER}*")) for name in FILES]
+    of_people = [
+        f"{own.name}/{name}" for own in sorted(folder.glob(f"{PERSON_FOLDER}*")) for name in (*FILES, PERSON)
+    ]
     there = [name for name in (*FILES, *of_people, PERSON, journal) if (folder / name).exists()]
+    # all that a run writes before its first frame is done
+    begun = [name for name in there if Path(name).name in (PERSON, journal)]
     if there and not (resume or overwrite):
-        what = "an unfinished run" if set(there) <= {PERSON, journal} else "the results of a run"
+        what = "an unfinished run" if begun == there else "the results of a run"
         mend = (
             "--resume to continue it or --overwrite to replace it"
             if resumable
             else "--overwrite to replace it"
         )
         raise InputError(f"{folder}: this folder contains {what}; give {mend}.")
-    if resume and journal not in there and there not in ([], [PERSON]):
+    if resume and journal not in there and begun != there:
         raise InputError(
             f"{folder}: this folder has no journal to resume from; give --overwrite to begin anew."
         )
@@ -73,18 +77,33 @@ def make_writable(folder: Path) -> None:
         ) from None
 
 
-def fingerprint(tracker: Tracker, first: Cloud) -> dict[str, object]:
+def fingerprint(trackers: Sequence[Tracker], first: Cloud) -> dict[str, object]:
     """Compute the fingerprint of the inputs: hashes of the body with its limits and of the first cloud. Later
     clouds may be repaired, or added after the solved ones, before a run resumes (`check_same_clouds`)."""
     body = hashlib.sha256()
-    for leaf in jax.tree.leaves(tracker):
+    for leaf in jax.tree.leaves(list(trackers)):
         body.update(np.asarray(leaf).tobytes())
     cloud = hashlib.sha256(np.asarray(first.points).tobytes())
     return {
         "body arrays": body.hexdigest(),
         "first cloud": cloud.hexdigest(),
-        "precision": str(tracker.body.vertices.dtype),
+        "precision": str(trackers[0].body.vertices.dtype),
     }
+
+
+def open_journal(path: Path, header: Mapping[str, object], width: int, resume: bool) -> Journal:
+    """Open the journal of an interrupted run, or create one."""
+    going_on = resume and path.is_file()
+    return (resume_journal if going_on else create_journal)(path, dict(header), width)
+
+
+def last_frame(journal: Journal, names: Sequence[str], template: Frame) -> Frame | None:
+    """Read the last frame of an interrupted run of the clouds `names`; None if the run is new.
+
+    **Raises:** `InputError` as `check_same_clouds` does.
+    """
+    check_same_clouds(journal, names)
+    return None if journal.last is None else unpack(template, journal.last)[0]
 
 
 def check_same_clouds(journal: Journal, names: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...body.body import Body
 from ...errors import InputError, user_message
-from ...io.archives.journal import Journal, create_journal, resume_journal
+from ...io.archives.journal import Journal
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
@@ -22,7 +22,7 @@ from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
 from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
-from ...tracking.track_frame import Tracker, make_tracker
+from ...tracking.track_frame import Tracker, make_tracker, replace_body
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -63,16 +63,16 @@ from .depth import (
     depth_clouds,
     people_clouds,
 )
-from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack, unpack_results
+from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from .people import follow_people, people_template, read_count, write_people
-from .person_shape import find_person_shape
+from .person_shape import find_shapes
 from .results import (
-    PERSON,
     check_complete,
     check_folder,
-    check_same_clouds,
     fingerprint,
+    last_frame,
     make_writable,
+    open_journal,
     write_results,
 )
 
@@ -112,8 +112,8 @@ class Track:
     """Track several people in the same clouds: their largest number, or `auto` to find it. The clouds must not contain
     furniture. The results of each person are written to a folder of its own, person_1 and so on."""
     fit_shape: Flag = False
-    """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it.
-    BODY must have the joints of the embedded human, as `human` does."""
+    """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it;
+    with --people, of each person who is in them. BODY must have the joints of the embedded human, as `human` does."""
     skl: Skl = None
     vj: Vj = None
     limits: LimitsFile = None
@@ -171,18 +171,25 @@ class Track:
         planes = print_room(begun, self.keep_planes)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
-            if self.fit_shape:
-                tracker = self.tracker(find_person_shape(self.out / PERSON, tracker, clouds), limits)
+            trackers = self.trackers(tracker, clouds)
             header = {
                 **self.settings(),
-                **fingerprint(tracker, begun),
+                **fingerprint(trackers, begun),
                 **pose_layout(body.skeleton),
                 BACKGROUND_KEY: images,
             }
             if self.people is None:
-                self.track(journal, tracker, clouds, rate, header, others, planes)
+                self.track(journal, trackers[0], clouds, rate, header, others, planes)
             else:
-                self.track_people(journal, tracker, clouds, rate, header, read_count(self.people), planes)
+                self.track_people(journal, trackers, clouds, rate, header, planes)
+
+    def trackers(self, tracker: Tracker, clouds: LazyFrames[Cloud]) -> list[Tracker]:
+        """Make the tracker of each person, with --fit-shape of the own shape."""
+        count = 1 if self.people is None else read_count(self.people)
+        if not self.fit_shape:
+            return [tracker] * (count or MAX_PEOPLE)
+        bodies = find_shapes(self.out, tracker, clouds, count, several=self.people is not None)
+        return [replace_body(tracker, body) for body in bodies]
 
     def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
         """Open the clouds, or the depth images with their backgrounds.
@@ -222,9 +229,8 @@ class Track:
         runs in the folder. `others` has the frames that show a second person, once they are read."""
         body = tracker.body
         template = row_template(tracker, num_cameras=len(self.depth))
-        with self.open_journal(path, header, row_width(template)) as journal:
-            check_same_clouds(journal, clouds.names)
-            last = None if journal.last is None else unpack(template, journal.last)[0]
+        with open_journal(path, header, row_width(template), self.resume) as journal:
+            last = last_frame(journal, clouds.names, template)
             self.track_remaining(
                 self.steps(tracker, clouds, journal.count, last, others, planes), clouds, journal
             )
@@ -252,20 +258,20 @@ class Track:
     def track_people(
         self,
         path: Path,
-        tracker: Tracker,
+        trackers: Sequence[Tracker],
         clouds: LazyFrames[Cloud],
         rate: Rate,
         header: dict[str, object],
-        count: int | None,
         planes: Sequence[Plane],
     ) -> None:
-        """Track several people as `track` does one body; `count` is None if their number is to be found."""
-        template = people_template(tracker, count, len(self.depth))
-        with self.open_journal(path, header, row_width(template)) as journal:
-            check_same_clouds(journal, clouds.names)
-            last = None if journal.last is None else unpack(template, journal.last)[0]
+        """Track several people as `track` does one body."""
+        template = people_template(trackers, len(self.depth))
+        # with own shapes, the number of people is known
+        count = len(trackers) if self.fit_shape else read_count(str(self.people))
+        with open_journal(path, header, row_width(template), self.resume) as journal:
+            last = last_frame(journal, clouds.names, template)
             frames = follow_people(
-                tracker,
+                trackers,
                 iter(clouds[journal.count :]),
                 template,
                 count,
@@ -279,13 +285,8 @@ class Track:
             self.track_remaining(timed(frames), clouds, journal)
         set_activity("writing the results")
         rows = journal.read()[: len(clouds)]
-        write_people(self.out, tracker, template, rows, rate.frames, clouds.names)
+        write_people(self.out, trackers, template, rows, rate.frames, clouds.names)
         check_complete(len(rows), clouds)
-
-    def open_journal(self, path: Path, header: dict[str, object], width: int) -> Journal:
-        """Open the journal of an interrupted run, or create one."""
-        going_on = self.resume and path.is_file()
-        return (resume_journal if going_on else create_journal)(path, header, width)
 
     def check(self) -> None:
         """Check that options are in range. Raises `InputError`."""
@@ -316,10 +317,6 @@ class Track:
                 raise InputError(f"{name} is for depth images; give these with --depth.")
         if self.people is not None:
             read_count(self.people)
-            if self.fit_shape:
-                raise InputError(
-                    "--fit-shape estimates the shape of one person; it cannot be given with --people."
-                )
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
 
