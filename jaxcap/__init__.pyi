@@ -23,6 +23,8 @@ from .adapt.poses.fit_frame import fit_pose as fit_pose
 from .adapt.prepare import make_adapt_task as make_adapt_task
 from .body.body import Body as Body
 from .body.body import pose_body as pose_body
+from .body.body_model import BodyModel as BodyModel
+from .body.body_model import shape_body as shape_body
 from .body.euler_angles import joint_angles as joint_angles
 from .body.kinematics import forward_kinematics as forward_kinematics
 from .body.people.human import human as human
@@ -48,12 +50,14 @@ from .energy.priors.joint_limits import JointLimits as JointLimits
 from .energy.priors.reference_pose import RestPrior as RestPrior
 from .errors import InputError as InputError
 from .fit.fit_meshes import fit_meshes as fit_meshes
+from .fit.fit_model import fit_model as fit_model
 from .fit.solve import solve as solve
 from .fit.uncertainty import uncertainty as uncertainty
 from .io.archives.npz import load_body as load_body
 from .io.archives.npz import load_motion as load_motion
 from .io.archives.npz import save_body as save_body
 from .io.archives.npz import save_motion as save_motion
+from .io.body_models.smpl import read_body_model as read_body_model
 from .io.gltf.gltf import write_gltf as write_gltf
 from .io.meshes.clouds import read_clouds as read_clouds
 from .io.meshes.mesh import read_mesh as read_mesh

@@ -11,10 +11,22 @@ from jaxcap.body.body import Body, pose_body
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
-from jaxcap.body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from jaxcap.body.skin import (
+    AbstractPoseFeatures,
+    AbstractSkin,
+    CorrectedSkin,
+    DualQuaternionSkin,
+    LinearSkin,
+    QuaternionFeatures,
+    RigidSkin,
+    RotationMatrixFeatures,
+    SwingTwistSkin,
+)
 from jaxcap.energy.data.pairs import PointPairs
 
 SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
+#: displacements by the pose before a skin
+CORRECTED = ("corrected", "corrected_swing_twist")
 
 _retract, _pose_body = eqx.filter_jit(retract), eqx.filter_jit(pose_body)
 
@@ -43,7 +55,7 @@ def chain_skeleton() -> Skeleton:
 
 
 def chain_body(skin: str = "linear", rings: int = 4, sides: int = 4) -> Body:
-    """A forked tube of three times `rings` by `sides` vertices around `chain_skeleton`, with a skin of one of `SKINS`.
+    """A forked tube of three times `rings` by `sides` vertices around `chain_skeleton`, with a skin of `SKINS` or `CORRECTED`.
 
     Clouds need a finer tube than the first one: a tracker takes points far from all vertices for unexplained, and searches.
     """
@@ -61,8 +73,18 @@ def chain_body(skin: str = "linear", rings: int = 4, sides: int = 4) -> Body:
         "rigid": lambda: RigidSkin(jnp.asarray(np.argmin(apart, 1))),
         "dual_quaternion": lambda: DualQuaternionSkin(weights),
         "swing_twist": lambda: _forked_skin(skeleton, rng, jnp.asarray(np.argmin(apart, 1))),
+        "corrected": lambda: _corrected(RotationMatrixFeatures(), LinearSkin(weights), rng),
+        "corrected_swing_twist": lambda: _corrected(
+            QuaternionFeatures(), _forked_skin(skeleton, rng, jnp.asarray(np.argmin(apart, 1))), rng
+        ),
     }[skin]()
     return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def _corrected(features: AbstractPoseFeatures, skin: AbstractSkin, rng: np.random.Generator):
+    count = len(skin.dominant_bones())
+    directions = 0.02 * rng.normal(size=(count, 3, features.num_features(9)))
+    return CorrectedSkin(skin, features, jnp.asarray(directions))
 
 
 def _forked_skin(skeleton: Skeleton, rng: np.random.Generator, bases) -> SwingTwistSkin:

@@ -5,7 +5,6 @@ from .poses.sliding_window import smooth_poses as smooth_poses
 from .shape.people_shapes import estimate_people_shapes as estimate_people_shapes
 from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior
-from .shape.shape_space import ShapeSpace as ShapeSpace
 from .shape.shape_space import learn_shape_space as learn_shape_space
 from .shape.shape_space import shape_space_like as shape_space_like
 from .shape.tracked_shape import estimate_shape as estimate_shape

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.body_model import BodyModel, shape_from_template
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.shape_modes import ShapeModes, joint_modes
 from ..energy.data.pairs import stack_pairs
@@ -23,7 +24,7 @@ from .poses.pair_cache import PairCache
 from .poses.select_frames import spread_frames
 from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference_body, shape_prior_of
-from .shape.shape_space import ShapeSpace, fit_coefficients, make_person
+from .shape.shape_space import fit_coefficients
 from .shape.vertex_adaptation import adapt_shape, adapt_together
 from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 
@@ -63,10 +64,10 @@ def adapt_round(
     return append_history(task, state, str(stage), chosen, pair_cache)
 
 
-def _replace_by_person(shape_space: ShapeSpace, state: AdaptState) -> AdaptState:
+def _replace_by_person(shape_space: BodyModel, state: AdaptState) -> AdaptState:
     """Replace the body by the most similar person of the shape space, in the same poses."""
     coefficients = fit_coefficients(shape_space, state.body)
-    body = make_person(shape_space, coefficients)
+    body = shape_from_template(shape_space, coefficients)
     # keep the world position of a root with another rest position
     shift = state.body.skeleton.centres[0] - body.skeleton.centres[0]
     poses = state.motion.poses

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from jaxtyping import Array, Float
 
 from ..body.body import Body
+from ..body.body_model import BodyModel
 from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
@@ -19,7 +20,6 @@ from ..tracking.track_frame import Tracker, make_tracker, replace_body
 from ..value_checks import check_at_least, check_positive
 from .objective import PoseTerms, Terms
 from .shape.shape_prior import ShapePrior
-from .shape.shape_space import ShapeSpace
 
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
@@ -136,7 +136,7 @@ class AdaptTask(NamedTuple):
     left_right_pairs: tuple[tuple[int, int], ...]
     settings: AdaptSettings
     #: the shape space of people with the template's triangles
-    shape_space: ShapeSpace | None = None
+    shape_space: BodyModel | None = None
     #: the calibrated, static sensors: vertices that none of them sees are in no pair; empty disables this
     #: test
     cameras: tuple[Camera, ...] = ()

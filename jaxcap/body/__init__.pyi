@@ -2,12 +2,17 @@
 
 from .body import Posed as Posed
 from .decimate import reduce_body as reduce_body
+from .decimate import reduce_model as reduce_model
 from .kinematics import Transforms as Transforms
 from .people.sample import sample_poses as sample_poses
 from .retraction import difference as difference
 from .retraction import project as project
 from .shape_modes import ShapeModes as ShapeModes
 from .skeleton import dof_layout as dof_layout
+from .skin import AbstractPoseFeatures as AbstractPoseFeatures
 from .skin import AbstractSkin as AbstractSkin
+from .skin import CorrectedSkin as CorrectedSkin
+from .skin import QuaternionFeatures as QuaternionFeatures
 from .skin import RigidSkin as RigidSkin
+from .skin import RotationMatrixFeatures as RotationMatrixFeatures
 from .skin import swing_twist_from as swing_twist_from

@@ -1,5 +1,6 @@
 """Mesh decimation of bodies, with transfer of shape and skin."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -8,6 +9,8 @@ from ..arguments import checked
 from ..geometry.attachment import attach_points
 from ..geometry.mesh import area_normals, triangle_sides
 from .body import Body
+from .body_model import BodyModel
+from .skin.interpolate import interpolate
 
 #: number of vertices of the smallest closed surface, a tetrahedron
 MIN_VERTICES = 4
@@ -37,6 +40,27 @@ def reduce_body(body: Body, vertices: int) -> Body:
         body.skin.transfer(hold.corners, hold.barycentric, body.skeleton),
         jnp.asarray(points, body.vertices.dtype),
         jnp.asarray(triangles, body.faces.dtype),
+    )
+
+
+@checked
+def reduce_model(model: BodyModel, vertices: int) -> BodyModel:
+    """Reduce a body model to about `vertices` vertices, with the template of `reduce_body`.
+
+    **Raises:** `InputError` as `reduce_body` does.
+    """
+    template = reduce_body(model.template, vertices)
+    if template is model.template:
+        return model
+    whole = np.asarray(model.template.vertices, float), np.asarray(model.template.faces)
+    hold = attach_points(np.asarray(template.vertices, float), *whole)
+    by_shape = np.moveaxis(np.asarray(model.modes.vertices, float), 0, 1)
+    carried = interpolate(by_shape.reshape(len(by_shape), -1), hold.corners, hold.barycentric)
+    modes = np.moveaxis(carried.reshape(len(carried), -1, 3), 1, 0)
+    return eqx.tree_at(
+        lambda m: (m.template, m.modes.vertices),
+        model,
+        (template, jnp.asarray(modes, model.modes.vertices.dtype)),
     )
 
 

@@ -24,6 +24,8 @@ class GeometricJacobian(eqx.Module):
 
     #: the joint of each parameter
     joints: tuple[int, ...] = eqx.field(static=True)
+    #: true for parameters that change the rotation of their joint
+    turning: tuple[bool, ...] = eqx.field(static=True)
     #: velocity field of that joint's descendants in the world, `x -> angular x x + linear`
     angular: Float[Array, "N 3"]
     linear: Float[Array, "N 3"]
@@ -53,7 +55,11 @@ def pose_jacobian(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Geo
         lambda d: decompose_joints(skeleton, retract(skeleton, pose, d)), directions
     )
     return GeometricJacobian(
-        tuple(joints.tolist()), angular, linear, *(rate[kinds, joints] for rate in split)
+        tuple(joints.tolist()),
+        tuple(turning.tolist()),
+        angular,
+        linear,
+        *(rate[kinds, joints] for rate in split),
     )
 
 
@@ -79,22 +85,32 @@ def joint_jacobian(skeleton: Skeleton, pose: Pose, transforms: Transforms) -> Ge
     split = _differentiate_swing_twist(moved, jnp.eye(6, dtype=dtype))
     twist, swing = (jnp.moveaxis(rate, 0, 1).reshape(-1, *rate.shape[2:]) for rate in split)
     return GeometricJacobian(
-        tuple(np.repeat(np.arange(count), 6).tolist()), jnp.zeros_like(linear), linear, twist, swing
+        tuple(np.repeat(np.arange(count), 6).tolist()),
+        (False,) * (6 * count),
+        jnp.zeros_like(linear),
+        linear,
+        twist,
+        swing,
     )
 
 
 def concatenate_jacobians(*rates: GeometricJacobian) -> GeometricJacobian:
     """Concatenate the parameters of several `GeometricJacobian`."""
     joints = sum((some.joints for some in rates), ())
+    turning = sum((some.turning for some in rates), ())
     moving = [(some.angular, some.linear, some.twist, some.swing) for some in rates]
-    return GeometricJacobian(joints, *(jnp.concatenate(parts) for parts in zip(*moving, strict=True)))
+    return GeometricJacobian(
+        joints, turning, *(jnp.concatenate(parts) for parts in zip(*moving, strict=True))
+    )
 
 
 def select_parameters(rates: GeometricJacobian, indices: Int[np.ndarray, "M"]) -> GeometricJacobian:
     """Select some of the parameters, in the given order; `indices` must be known at trace time."""
-    joints = tuple(rates.joints[number] for number in indices.tolist())
+    joints, turning = (
+        tuple(some[number] for number in indices.tolist()) for some in (rates.joints, rates.turning)
+    )
     moving = (rates.angular, rates.linear, rates.twist, rates.swing)
-    return GeometricJacobian(joints, *(some[indices] for some in moving))
+    return GeometricJacobian(joints, turning, *(some[indices] for some in moving))
 
 
 def descendant_matrix(skeleton: Skeleton, rates: GeometricJacobian) -> Float[Array, "J N"]:

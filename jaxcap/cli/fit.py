@@ -1,5 +1,6 @@
-"""`jaxcap fit`: the poses of a body in registered meshes, and their errors."""
+"""`jaxcap fit`: the poses of a body, or the parameters of a body model, in registered meshes, and their errors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,14 +10,18 @@ import tyro
 from jaxtyping import Int
 
 from ..body.body import Body
+from ..body.body_model import BodyModel, shape_body, split_coefficients
 from ..errors import InputError, user_message
-from ..fit.fit_meshes import fit_meshes
+from ..fit.fit_meshes import MeshFit, fit_meshes
+from ..fit.fit_model import ModelFit, fit_model
 from ..io.archives.npz import save_motion
 from ..io.meshes.meshes import read_named_meshes
+from ..io.skeletons.amass import write_amass
 from ..io.table import write_json
 from ..observe.meshes import MeshSequence
 from ..report.pictures import error_pictures
-from .console.console import pluralise, say, warn
+from .body_models import is_model_spec, load_model
+from .console.console import pluralise, print_table, say, warn
 from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
 from .scoring import print_scores, score_motion
@@ -29,12 +34,19 @@ OptionalRate = Annotated[float | None, arg(metavar="RATE", help_behavior_hint=""
 
 #: size ratio that no pose causes, but a wrong unit does, except feet for metres
 MAX_SIZE_RATIO = 5.0
+#: number of meshes in the table of errors
+MAX_LISTED = 10
+#: root mean square distance that is unusual for meshes of one person, metres
+MAX_RMSE = 0.005
 
 
 @dataclass
 class Fit:
     """Fit the poses of a body to registered meshes; write the motion. The meshes have the vertices of the body, in the
     same order.
+
+    The shape coefficients of a body model are fitted with the poses, and all parameters are written in AMASS's format (`poses`,
+    `trans`, `betas`), in the coordinates of the meshes.
 
     The distances from the meshes to the body are printed: vertex to surface, and vertex to vertex."""
 
@@ -46,6 +58,8 @@ class Fit:
     """Output file for the motion, .npz."""
     report: OptionalFolder = None
     """Output folder for report.json and pictures of the errors as heat maps."""
+    each_person: Flag = False
+    """Each mesh is another person, with coefficients of its own. Default: all meshes show one person."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
@@ -60,21 +74,33 @@ class Fit:
     def run(self) -> None:
         check_npz(self.out, self.overwrite)
         check_rate_option(self.rate)
-        body, _ = load_body(self.body, unit=self.unit)
+        model = load_model(self.body, joints="full") if is_model_spec(self.body) else None
+        if model is None and self.each_person:
+            raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
+        body = load_body(self.body, unit=self.unit)[0] if model is None else model.template
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         check_mesh_size(body, sequence, self.meshes[0])
         terms = read_terms(
             body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
         )
         try:
-            fit = fit_meshes(body, sequence, terms=terms)
+            if model is None:
+                fit = fit_meshes(body, sequence, terms=terms)
+            else:
+                fit = fit_model(model, sequence, same_person=not self.each_person, terms=terms)
         except ValueError as error:
             raise InputError(f"{self.meshes[0]}: {user_message(error)}") from None
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
             warn(
                 f"{self.meshes[0]}: the triangles differ from those of {self.body}; vertices are matched by their order"
             )
-        save_motion(self.out, fit.motion, body.skeleton)
+        if model is None or isinstance(fit, MeshFit):
+            save_motion(self.out, fit.motion, body.skeleton)
+        else:
+            body = self.write_parameters(model, fit)
+            if self.each_person:
+                print_parameter_errors(fit, names)
+                return
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         print_scores({"all": scores}, per_mesh=True)
         say(f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}")
@@ -83,6 +109,32 @@ class Fit:
             write_json(self.report / "report.json", {"body": self.body, **scores.report()})
             error_pictures(self.report, body, fit.motion, sequence, scores)
             say(f"report.json and pictures are in {self.report}")
+
+    def write_parameters(self, model: BodyModel, fit: ModelFit) -> Body:
+        """Write the parameters of a model in AMASS's format; return the body of the first mesh."""
+        coefficients = np.asarray(fit.coefficients, float)
+        groups = split_coefficients(model, coefficients if self.each_person else coefficients[0])
+        body = shape_body(model, coefficients[0])
+        write_amass(self.out, body.skeleton, fit.motion, groups, up="y")
+        typical = float(np.nanmedian(fit.rmse))
+        if typical > MAX_RMSE and not self.each_person:
+            warn(
+                f"{self.meshes[0]}: the distances of the vertices are {1000 * typical:.0f} mm (median of the meshes); if the meshes "
+                "show different people, give --each-person"
+            )
+        return body
+
+
+def print_parameter_errors(fit: ModelFit, names: Sequence[str]) -> None:
+    """Print the errors of meshes that have coefficients of their own, the largest first."""
+    rmse = 1000 * np.asarray(fit.rmse, float)
+    order = np.argsort(-np.nan_to_num(rmse, nan=np.inf))[:MAX_LISTED]
+    rows = [
+        [f"{names[k]}{'' if fit.converged[k] else ' (not fitted)'}", f"{rmse[k]:.2f}"] for k in order.tolist()
+    ]
+    print_table(
+        ["mesh, largest errors first", "vertex RMSE, mm"], [*rows, ["mean", f"{np.nanmean(rmse):.2f}"]]
+    )
 
 
 def same_triangles(a: Int[np.ndarray, "T 3"], b: Int[np.ndarray, "S 3"]) -> bool:

@@ -23,6 +23,7 @@ from .contents.bodies import (
     describe_body,
     describe_bvh,
     describe_mesh,
+    describe_model,
     describe_motion_file,
     describe_skinned,
 )
@@ -96,6 +97,8 @@ class Info:
         match kind:
             case "skinned" | "usd":
                 return describe_skinned(path)
+            case "body model":
+                return describe_model(self.file)
             case "rigged":
                 describe_body(load_body(self.file, unit=unit)[0])
                 return "rigged"

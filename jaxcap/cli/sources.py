@@ -29,13 +29,14 @@ from ..observe.clouds import Cloud, make_cloud
 from ..observe.floors_and_walls import describe_room, find_room, remove_planes
 from ..observe.planes import Plane, in_room
 from ..tracking.check_cloud import check_cloud_extent
+from .body_models import is_model_spec, load_model
 from .console.console import say
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
 BODY_FORMATS = (
-    "`human` (with options, as in `human:female,height=1.7`), a body .npz, a skinned .glb, .gltf or USD, or a mesh with "
-    "its .skl and .vj in the same folder"
+    "`human` (with options, as in `human:female,height=1.7`), a body .npz, a body model of SMPL's family (.npz or .pkl), a "
+    "skinned .glb, .gltf or USD, or a mesh with its .skl and .vj in the same folder"
 )
 
 
@@ -57,15 +58,15 @@ def load_body(
 ) -> tuple[Body, AbstractLimits | None]:
     """Load a body, y up, and its joint limits if their file is given.
 
-    `spec` is `human` with options after a colon (`human:female,height=1.7,medium`), a body `.npz`, a skinned
-    `.glb`, `.gltf` or USD, or a mesh. The `.skl` and `.vj` of a mesh are read from its folder if they are not
+    `spec` is `human` with options after a colon (`human:female,height=1.7,medium`), a body `.npz`, a body model of
+    which the template is taken (`load_model`), a skinned `.glb`, `.gltf` or USD, or a mesh. The `.skl` and `.vj` of a mesh are read from its folder if they are not
     given. `unit` and `up` are those of mesh and skeleton files, and `up` that of `.cst` limits for them; other files
     have their own.
 
     **Raises:** `InputError`.
     """
-    path, made = split_clip(spec)[0], is_human_spec(spec)
-    if not made and not path.exists():
+    path, made, model = split_clip(spec)[0], is_human_spec(spec), is_model_spec(spec)
+    if not made and not model and not path.exists():
         raise InputError(f"{path}: there is no such file; give {BODY_FORMATS}.")
     # a file of these formats without a .skl has a skin of its own, or an error that `read_body` describes
     own_skin = path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file()
@@ -74,6 +75,8 @@ def load_body(
     )
     if made:
         body = _human(spec, vertices)
+    elif model:
+        body = load_model(spec).template
     elif mesh and path.is_file():
         skl = _find_companion(path, skl, ".skl")
         body = read_body(path, skl, _find_companion(path, vj, ".vj"), unit)

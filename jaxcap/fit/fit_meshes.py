@@ -61,6 +61,18 @@ def fit_meshes(
 
     **Raises:** `InputError` where the meshes have other vertices than the body, or no mesh is given.
     """
+    check_mesh_sequence(body, sequence)
+    count = body.vertices.shape[0]
+    positions = sequence.vertices.astype(body.vertices.dtype)
+    poses = procrustes_poses(body, sequence) if start is None else start
+    chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
+    own = sum_user_terms("fit_meshes", terms, body)
+    poses, rmse, steps, converged = _fit_all(body, poses, positions, chosen, own, max_steps)
+    return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
+
+
+def check_mesh_sequence(body: Body, sequence: MeshSequence) -> None:
+    """Check that there are meshes, with the vertices of a body. Raises `InputError`."""
     count = body.vertices.shape[0]
     if sequence.vertices.shape[1] != count:
         raise InputError(
@@ -69,12 +81,6 @@ def fit_meshes(
         )
     if len(sequence) == 0:
         raise InputError("There is no mesh to fit; give a sequence of at least one mesh.")
-    positions = sequence.vertices.astype(body.vertices.dtype)
-    poses = procrustes_poses(body, sequence) if start is None else start
-    chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
-    own = sum_user_terms("fit_meshes", terms, body)
-    poses, rmse, steps, converged = _fit_all(body, poses, positions, chosen, own, max_steps)
-    return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
 
 def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:

@@ -46,7 +46,10 @@ UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
         "a single array",
         "write it as a named array in an .npz: numpy.savez('clouds.npz', points=array)",
     ),
-    ".pkl": ("a pickle", "a pickle can run code, so write its arrays with numpy.savez"),
+    ".pkl": (
+        "a pickle",
+        "a pickle can run code, so only body models of SMPL's family are read from it; write other arrays with numpy.savez",
+    ),
     ".mat": ("a MATLAB file", "write its arrays as .npz with numpy.savez"),
     ".h5": ("an HDF5 file", "write its arrays as .npz with numpy.savez"),
     ".hdf5": ("an HDF5 file", "write its arrays as .npz with numpy.savez"),

@@ -20,6 +20,7 @@ from .text import read_json, shortened
 #: the name of each type in a sentence
 KIND_NAMES = {
     "body": "a body",
+    "body model": "a body model",
     "motion": "a motion",
     "amass": "a motion in AMASS format",
     "subject": "a subject with its markers",
@@ -61,6 +62,7 @@ KIND_NAMES = {
 #: the plurals of `KIND_NAMES`
 KIND_PLURALS = {
     "body": "bodies",
+    "body model": "body models",
     "motion": "motions",
     "amass": "motions in AMASS format",
     "subject": "subjects with their markers",
@@ -112,6 +114,7 @@ WRITERS = {
 #: the array of a content that has a row for each of its frames, vertices, ..., and the singular and plural of these
 _COUNTED = {
     "body": ("vertices", "vertex", "vertices"),
+    "body model": ("v_template", "vertex", "vertices"),
     "motion": ("rotations", "frame", "frames"),
     "amass": ("poses", "frame", "frames"),
     "subject": ("marker.labels", "marker", "markers"),
@@ -131,6 +134,7 @@ _SUFFIXES = {
     ".skl": "skl",
     ".cst": "cst",
     ".vj": "vj",
+    ".pkl": "body model",
     ".c3d": "markers",
     ".trc": "markers",
     ".csv": "markers",
@@ -176,6 +180,8 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
     if "skin" in found:
         # a body without the name of its format
         return "arrays"
+    if {"v_template", "shapedirs", "J_regressor"} <= found:
+        return "body model"
     if "poses" in found and {"trans", "mocap_framerate", "mocap_frame_rate"} & found:
         return "amass"
     if found & set(DEPTH_ARRAYS):

@@ -13,9 +13,10 @@ import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.shape import tracked_shape
 from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
-from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, make_person, shape_space_like
+from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
+from jaxcap.body.body_model import shape_from_template
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
 from jaxcap.body.people.walk_and_wave import walk_and_wave
@@ -45,11 +46,14 @@ def joints_off(body: jc.Body, other: jc.Body) -> float:
 def test_the_template_stands_where_it_was_put(people):
     """Coefficients of zero are the template, and the negative of its own the mean of people."""
     np.testing.assert_array_equal(
-        make_person(people, jnp.zeros_like(people.template_coefficients)).vertices, people.template.vertices
+        shape_from_template(people, jnp.zeros_like(people.template_coefficients)).vertices,
+        people.template.vertices,
     )
     others = sample_humans(80, resolution="low", joints="tracking")
     mean = np.mean([np.asarray(body.vertices) for body in others], 0)
-    np.testing.assert_allclose(make_person(people, -people.template_coefficients).vertices, mean, atol=0.004)
+    np.testing.assert_allclose(
+        shape_from_template(people, -people.template_coefficients).vertices, mean, atol=0.004
+    )
 
 
 def test_modes_are_of_deviation_one(people):
@@ -64,7 +68,7 @@ def test_modes_are_of_deviation_one(people):
 def test_somebody_new_is_known_by_the_surface(people, shift):
     """One who was not among those learned from, wherever the body stands."""
     somebody = jc.human(resolution="low", joints="tracking", sex="female", height=1.58, weight=0.8, age=40)
-    found = make_person(people, fit_coefficients(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
+    found = shape_from_template(people, fit_coefficients(people, eqx.tree_at(lambda b: b.vertices, somebody, somebody.vertices + shift)))  # fmt: skip
     assert joints_off(found, somebody) < 0.003
     assert joints_off(people.template, somebody) > 0.02
 
@@ -79,7 +83,7 @@ def test_people_of_fewer_vertices_are_those_of_all(people):
     hold = attach_points(np.asarray(template.vertices, float), *surface)
     there = attached_positions(hold, np.asarray(somebody.vertices, float))
     seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
-    found = make_person(fewer, fit_coefficients(fewer, seen))
+    found = shape_from_template(fewer, fit_coefficients(fewer, seen))
     off = scan_to_surface(
         np.asarray(found.vertices, float), np.asarray(somebody.vertices, float), np.asarray(somebody.faces)
     )
@@ -99,7 +103,7 @@ def test_people_of_other_triangles_are_those_of_somebody_like_them(traits):
     hold = attach_points(np.asarray(template.vertices - shift, float), np.asarray(whole.vertices, float), np.asarray(whole.faces))  # fmt: skip
     there = attached_positions(hold, np.asarray(somebody.vertices, float))
     seen = eqx.tree_at(lambda b: b.vertices, template, jnp.asarray(there, jnp.float32))
-    found = make_person(people, fit_coefficients(people, seen))
+    found = shape_from_template(people, fit_coefficients(people, seen))
     assert joints_off(found, seen_with(somebody, seen)) < 0.3 * joints_off(
         template, seen_with(somebody, seen)
     )

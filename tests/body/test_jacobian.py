@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SKINS, awkward_poses, chain_body, check_energy, random_pose
+from helpers import CORRECTED, SKINS, awkward_poses, chain_body, check_energy, random_pose
 from jaxtyping import Array, Int
 
 from jaxcap.body.body import Posed, pose_body
@@ -23,7 +23,7 @@ from jaxcap.fit.linearise import point_jacobian, vertex_jacobian
 from jaxcap.geometry import rotation
 from tests.kineben import ball_operator, cone_gradient, revolute_operator, translate_operator
 
-BODIES = {skin: chain_body(skin) for skin in SKINS}
+BODIES = {skin: chain_body(skin) for skin in SKINS + CORRECTED}
 #: some vertices, one of them twice, in no order
 CHOSEN = jnp.array([40, 3, 17, 3, 25, 31, 0, 12, 44])
 

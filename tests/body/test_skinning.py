@@ -5,16 +5,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import SKINS, awkward_poses, chain_body, random_pose
+from helpers import CORRECTED, SKINS, awkward_poses, chain_body, random_pose
 
 from jaxcap.body import body as bodies
 from jaxcap.body.kinematics import Transforms
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, SwingTwistSkin
+from jaxcap.body.skin import CorrectedSkin, DualQuaternionSkin, LinearSkin, SwingTwistSkin
 
-BODIES = {skin: chain_body(skin) for skin in SKINS}
+BODIES = {skin: chain_body(skin) for skin in SKINS + CORRECTED}
 pose_body = eqx.filter_jit(bodies.pose_body)
 
 
@@ -90,6 +90,8 @@ def test_whole_weights_are_rigid(scheme, rng):
 
 def test_the_order_of_bones_does_not_matter(body, rng):
     """Joints given in another order, weights and pose with them, put vertices at the same place."""
+    if isinstance(body.skin, CorrectedSkin):
+        pytest.skip("its features are in the order of the joints")
     skeleton, pose = body.skeleton, random_pose(body.skeleton, rng, 1.0)
     order = rng.permutation(skeleton.num_joints)
     place = np.argsort(order)

@@ -99,7 +99,7 @@ def test_a_stopped_run_continues_to_the_same_result(inputs, finished, tmp_path, 
 def test_each_person_is_tracked_with_the_own_shape(inputs, tmp_path, capsys, monkeypatch):
     out, given = tmp_path / "out", []
 
-    def estimate(tracker, clouds, num_people):
+    def estimate(tracker, clouds, num_people, model):
         given.append((len(clouds), num_people))
         return [
             eqx.tree_at(lambda b: b.vertices, tracker.body, size * tracker.body.vertices)

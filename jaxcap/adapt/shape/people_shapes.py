@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ...arguments import checked
 from ...body.body import Body
+from ...body.body_model import BodyModel
 from ...body.pose import Pose
 from ...errors import InputError
 from ...observe.clouds import Cloud
@@ -18,7 +19,6 @@ from ...tracking.people.scene import person_cloud, share_points
 from ...tracking.people.track_people import track_people
 from ...tracking.track_frame import Tracker, replace_body
 from ...value_checks import check_at_least
-from .shape_space import ShapeSpace
 from .tracked_shape import NUM_FRAMES, find_space, fit_to_some
 
 _LOG = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ def estimate_people_shapes(
     tracker: Tracker,
     clouds: Sequence[Cloud],
     num_people: int | None = None,
-    space: ShapeSpace | None = None,
+    space: BodyModel | None = None,
     *,
     num_frames: int = NUM_FRAMES,
     search: FirstSearch = "auto",
@@ -81,7 +81,7 @@ def estimate_people_shapes(
     return bodies
 
 
-def _fit(tracker: Tracker, own: _OwnFrames, space: ShapeSpace, num_frames: int) -> Body:
+def _fit(tracker: Tracker, own: _OwnFrames, space: BodyModel, num_frames: int) -> Body:
     return fit_to_some(tracker, own.clouds, own.good or own.others, space, num_frames)
 
 

@@ -3,17 +3,17 @@
 import jax.numpy as jnp
 
 from ...body.body import Body
+from ...body.body_model import shape_from_template
 from ..task import AdaptState, AdaptTask
 from .actor_size import scale_body
 from .shape_prior import ShapePrior, body_shape_prior, scale_shape_prior
-from .shape_space import make_person
 
 
 def reference_body(task: AdaptTask, state: AdaptState) -> Body:
     """Return the person with the actor's shape coefficients, or else the template at the actor's size."""
     dtype = task.template.vertices.dtype
     if task.shape_space is not None and state.coefficients:
-        return make_person(task.shape_space, jnp.asarray(state.coefficients, dtype))
+        return shape_from_template(task.shape_space, jnp.asarray(state.coefficients, dtype))
     return scale_body(task.template, jnp.asarray(state.size, dtype))
 
 

@@ -9,9 +9,10 @@ from jaxtyping import Array, Float
 
 from ...arguments import checked
 from ...body.body import Body
+from ...body.body_model import BodyModel, shape_from_template
 from ...body.people.human import human
 from ...body.people.random_humans import human_resolution, sample_humans
-from ...body.shape_modes import ShapeModes, apply_modes
+from ...body.shape_modes import ShapeModes
 from ...geometry.attachment import Attachment, attach_points, attached_positions
 from ...geometry.closest import nearest_on_surface
 from ...geometry.linear import solve_symmetric
@@ -27,17 +28,8 @@ NUM_FIT_ITERATIONS, JOINT_DEVIATION = 15, 0.1
 MIN_MATCHED_SHARE, MAX_MATCHED_DISTANCE = 0.95, 0.02
 
 
-class ShapeSpace(eqx.Module):
-    """A template and the main shape modes of people, with coefficients of standard deviation one."""
-
-    template: Body
-    modes: ShapeModes
-    #: the template's shape coefficients
-    template_coefficients: Float[Array, "K"]
-
-
 @checked
-def learn_shape_space(template: Body, bodies: Sequence[Body], count: int = COUNT) -> ShapeSpace:
+def learn_shape_space(template: Body, bodies: Sequence[Body], count: int = COUNT) -> BodyModel:
     """Learn the principal components of bodies at rest, over joints and vertices together.
 
     **Arguments:** `bodies`, at least two, share the template's triangles, joints and rest pose.
@@ -62,11 +54,11 @@ def learn_shape_space(template: Body, bodies: Sequence[Body], count: int = COUNT
     coefficients = axes[:count] @ (_flatten_body(template) - mean) / deviations
     dtype = template.vertices.dtype
     modes = ShapeModes(jnp.asarray(directions[:, :joints], dtype), jnp.asarray(directions[:, joints:], dtype))
-    return ShapeSpace(template, modes, jnp.asarray(coefficients, dtype))
+    return BodyModel(template, modes, jnp.asarray(coefficients, dtype))
 
 
 @checked
-def shape_space_like(template: Body, full_body: Body | None = None) -> ShapeSpace | None:
+def shape_space_like(template: Body, full_body: Body | None = None) -> BodyModel | None:
     """Learn the shape space of sampled humans for a template; None if the template is not like a human.
 
     The template, or the `full_body` body that it was reduced from, has the human's triangles and joints; or the
@@ -92,14 +84,14 @@ def shape_space_like(template: Body, full_body: Body | None = None) -> ShapeSpac
     return learn_shape_space(template, sampled)
 
 
-def fit_person(template: Body, shape_space: ShapeSpace) -> tuple[Body, Float[np.ndarray, "3"]]:
+def fit_person(template: Body, shape_space: BodyModel) -> tuple[Body, Float[np.ndarray, "3"]]:
     """Fit a person to a template with the same joints and other triangles.
 
     The fit starts from the joints; then it alternates with closest points on the template. Return the person
     at the template's position, and its shift from the shape space's position, metres.
     """
     centres = np.asarray(template.skeleton.centres - shape_space.template.skeleton.centres, float)
-    body = make_person(
+    body = shape_from_template(
         shape_space,
         _fit_coefficients(
             shape_space.modes.centres, centres, shape_space.template_coefficients, JOINT_DEVIATION
@@ -111,7 +103,7 @@ def fit_person(template: Body, shape_space: ShapeSpace) -> tuple[Body, Float[np.
         nearest = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
         positions = np.einsum("nk,nka->na", nearest.barycentric, vertices[faces[nearest.triangles]])
         seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(positions, body.vertices.dtype))
-        body = make_person(shape_space, fit_coefficients(shape_space, seen))
+        body = shape_from_template(shape_space, fit_coefficients(shape_space, seen))
         shift = (positions - np.asarray(body.vertices, float)).mean(0)
     moved_body = eqx.tree_at(
         lambda b: (b.vertices, b.skeleton.centres),
@@ -140,12 +132,7 @@ def _transfer_body(template: Body, body: Body, attachment: Attachment, shift: Fl
     return Body(skeleton, template.skin, jnp.asarray(vertices, template.vertices.dtype), template.faces)
 
 
-def make_person(shape_space: ShapeSpace, coefficients: Float[Array, "K"]) -> Body:
-    """Build the body at rest with shape coefficients relative to the template."""
-    return apply_modes(shape_space.template, shape_space.modes, coefficients)
-
-
-def fit_coefficients(shape_space: ShapeSpace, body: Body, deviation: float = 0.1) -> Float[Array, "K"]:
+def fit_coefficients(shape_space: BodyModel, body: Body, deviation: float = 0.1) -> Float[Array, "K"]:
     """Fit shape coefficients to a body of the same triangles at rest, at any position.
 
     This is least squares of the vertices' shifts; `deviation` is the standard deviation of a residual, metres.

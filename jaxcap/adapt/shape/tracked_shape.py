@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ...arguments import checked
 from ...body.body import Body
+from ...body.body_model import BodyModel
 from ...body.pose import Pose
 from ...energy.data.points import PointToPlane, PointToPoint
 from ...energy.energy import Sum
@@ -35,7 +36,7 @@ from ...tracking.expectation_maximisation.em_step import (
 from ...tracking.track import track_frames
 from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...value_checks import check_at_least
-from .shape_space import ShapeSpace, shape_space_like
+from .shape_space import shape_space_like
 
 _LOG = logging.getLogger(__name__)
 
@@ -51,7 +52,7 @@ FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.0
 def estimate_shape(
     tracker: Tracker,
     clouds: Sequence[Cloud],
-    space: ShapeSpace | None = None,
+    space: BodyModel | None = None,
     *,
     num_frames: int = NUM_FRAMES,
     search: FirstSearch = True,
@@ -100,7 +101,7 @@ def fit_to_some(
     tracker: Tracker,
     clouds: Sequence[Cloud] | Mapping[int, Cloud],
     poses: dict[int, Pose],
-    space: ShapeSpace,
+    space: BodyModel,
     num_frames: int,
 ) -> Body:
     """Fit the shape to some of the tracked frames, evenly spread."""
@@ -114,7 +115,7 @@ def fit_tracked_shape(
     tracker: Tracker,
     clouds: Sequence[Cloud],
     poses: Sequence[Pose],
-    space: ShapeSpace | None = None,
+    space: BodyModel | None = None,
     rounds: int = ROUNDS,
 ) -> Body:
     """Fit the shape of a person to several tracked frames, together with the poses of these.
@@ -164,7 +165,7 @@ def fit_tracked_shape(
     return empty.body_at(found.values)
 
 
-def find_space(tracker: Tracker, space: ShapeSpace | None) -> ShapeSpace:
+def find_space(tracker: Tracker, space: BodyModel | None) -> BodyModel:
     """Return the given shape space, or that of the tracker's body. Raises `InputError` if there is none."""
     space = shape_space_like(tracker.body) if space is None else space
     if space is None:

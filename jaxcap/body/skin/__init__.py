@@ -1,7 +1,11 @@
 """Skinning: deformation of a surface by its bones."""
 
+from .corrected import CorrectedSkin as CorrectedSkin
 from .dual_quaternion import DualQuaternionSkin as DualQuaternionSkin
 from .linear import LinearSkin as LinearSkin
+from .pose_features import AbstractPoseFeatures as AbstractPoseFeatures
+from .pose_features import QuaternionFeatures as QuaternionFeatures
+from .pose_features import RotationMatrixFeatures as RotationMatrixFeatures
 from .rigid import RigidSkin as RigidSkin
 from .skin import AbstractSkin as AbstractSkin
 from .swing_twist import SwingTwistSkin as SwingTwistSkin

@@ -13,9 +13,13 @@ from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
+from ..body_models import load_model
 from ..console.console import pluralise, say
 from ..motions import extent, load_motion, warn_of_clip
 from .listing import indented, print_list
+
+#: more coefficients than any model has
+MANY = 10_000
 
 
 def describe_body(body: Body) -> None:
@@ -25,6 +29,15 @@ def describe_body(body: Body) -> None:
         f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {type(body.skin).__name__}"
     )
     describe_skeleton(body.skeleton)
+
+
+def describe_model(spec: str) -> str:
+    """Print the family and the coefficients of a body model, and its template."""
+    model = load_model(spec, num_betas=MANY, num_expression=MANY, joints="full")
+    groups = ", ".join(f"{size} {name}" for name, size in model.groups)
+    say(f"body model: {model.family}, {groups}")
+    describe_body(model.template)
+    return "body model"
 
 
 def describe_skeleton(skeleton: Skeleton) -> None:

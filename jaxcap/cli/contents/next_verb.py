@@ -14,6 +14,11 @@ _DEPTH = (
 #: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "body": (("track {file} CLOUDS -o tracked", "fits it to clouds"), ("view {file}", "shows it")),
+    "body model": (
+        ("fit {file} MESHES -o fit.npz", "fits its coefficients and poses to registered meshes"),
+        ("track {file} CLOUDS --fit-shape -o tracked", "fits its coefficients and poses to clouds"),
+        ("convert MOTION.npz motion.glb --body {file}", "applies a motion in AMASS format"),
+    ),
     "skinned": (
         ("track {file} CLOUDS -o tracked", "fits it to clouds"),
         ("convert {file} body.npz --as body", "saves it as a body"),

@@ -5,6 +5,7 @@ from pathlib import Path
 from ...body.body import Body
 from ...body.people.sample import sample_poses
 from ...body.pose import Motion
+from ...body.skin import CorrectedSkin
 from ...edit.linear_blend.convert import linear_motion, to_linear_blend
 from ...io.registry import write_body
 from ..console.console import say, warn
@@ -28,7 +29,12 @@ def write_linear_body(
         f"over {count} {'sampled poses' if motion is None else 'frames'}"
     )
     if converted.error > tolerance:
+        advice = (
+            "the displacements of the surface that depend on the pose cannot be written as bones, and are left out"
+            if isinstance(body.skin, CorrectedSkin)
+            else "increase --influences"
+        )
         warn(
             f"{target}: {1000 * converted.error:.2g} mm, the largest error of a vertex, exceeds the tolerance of "
-            f"{1000 * tolerance:.2g} mm; increase --influences"
+            f"{1000 * tolerance:.2g} mm; {advice}"
         )

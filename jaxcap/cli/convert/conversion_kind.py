@@ -27,7 +27,7 @@ ConversionKind = Literal["own", "body", "motion", "points", "markers", "mesh", "
 #: purpose of each option, and the conversions that take it
 PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
     "motion": ("bodies that are written as .glb or USD", ("body",)),
-    "body": ("motions of a body", ("motion", "points")),
+    "body": ("motions of a body", ("body", "motion", "points")),
     "as amass": ("motions that are written as .npz", ("motion",)),
     "as body": ("bodies that are written as .npz", ("own",)),
     "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
@@ -55,7 +55,7 @@ def find_conversion(source: Path, target: Path, human: bool = False) -> Conversi
         raise InputError(
             f"{source}: the embedded body cannot be converted to {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
         )
-    if there in BODY_WRITERS and (here == ".npz" or is_skinned(source) or is_rigged(source)):
+    if there in BODY_WRITERS and (here in (".npz", ".pkl") or is_skinned(source) or is_rigged(source)):
         return "body"
     if here in SUFFIXES and there in MESH_WRITTEN:
         return "mesh"

@@ -21,8 +21,9 @@ from ...io.registry import (
     write_motion,
     write_skeleton,
 )
-from ...io.skeletons.amass import is_amass, read_amass
+from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
+from ..body_models import is_model_spec, load_shaped_body
 from ..console.console import pluralise, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_body_motion, load_motion, load_skeleton, warn_of_clip
@@ -59,15 +60,15 @@ class Convert:
     motion: OptionalFile = None
     """Motion to write with a body in a .glb or USD, from any file with a motion."""
     body: OptionalFile = None
-    """Body of the motion, for files without joint positions, such as AMASS, and for --vertices: `human`, or any file
-    with a body."""
+    """Body of the motion, for files without joint positions, such as AMASS, for --vertices, and to write a motion with its body
+    as .glb or USD: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
     as_: Annotated[
         Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
     ] = None
     """Content of an .npz target: a motion in AMASS format (`poses`, `trans`, `betas`, `gender` and the rate, z up),
     or the body of SOURCE."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
-    """Up axis of a motion in AMASS format. Default: z."""
+    """Up axis of a motion in AMASS format. Default: the axis stated in the file, else z."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
     """Vertices of --body to write as markers, in addition to the joints (not a number of vertices): numbers, NAME=NUMBER, or a text file of
     names and numbers."""
@@ -122,12 +123,19 @@ class Convert:
         """Read the source's motion, with the given body if any."""
         if self.body is None:
             return *self.motion_of(self.source, None), None
-        body = load_body(str(self.body), unit=self.unit or "m")[0]
+        body = self.body_of_motion(self.source)
         return *self.motion_of(self.source, body), body
+
+    def body_of_motion(self, motion: Path) -> Body:
+        """Load the given body; a body model in the shape that a motion in AMASS format has."""
+        spec = str(self.body)
+        if is_model_spec(spec) and is_amass(motion):
+            return load_shaped_body(spec, motion)
+        return load_body(spec, unit=self.unit or "m")[0]
 
     def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
         if is_amass(path):
-            return read_amass(path, None if body is None else body.skeleton, self.up or "z")
+            return read_amass(path, None if body is None else body.skeleton, self.up)
         skeleton, motion = (
             load_motion(path, self.unit)
             if body is None
@@ -143,7 +151,10 @@ class Convert:
         say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:
-        if is_skinned(self.source):
+        if self.body is not None:
+            body = self.body_of_motion(self.source)
+            motion = self.motion_of(self.source, body)[1]
+        elif is_skinned(self.source):
             body, motion = read_skinned(self.source)
             warn_of_clip(self.source)
         else:
@@ -154,7 +165,10 @@ class Convert:
 
     def write_motion(self) -> None:
         skeleton, motion, _ = self.read_motion()
-        if self.as_:
+        if self.as_ and is_amass(self.source):
+            shape, gender = read_amass_shape(self.source)
+            write_amass(self.target, skeleton, motion, shape, gender if gender in GENDERS else "neutral")
+        elif self.as_:
             NPZ_CONVENTIONS[self.as_](self.target, skeleton, motion)
         else:
             write_motion(self.target, skeleton, motion, self.target_unit)

@@ -5,6 +5,7 @@ from pathlib import Path
 from ...adapt.shape.people_shapes import estimate_people_shapes
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
+from ...body.body_model import BodyModel
 from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
@@ -20,26 +21,41 @@ SHAPE_FRAMES = 40
 
 
 def find_shapes(
-    folder: Path, tracker: Tracker, clouds: LazyFrames[Cloud], num_people: int | None, *, several: bool
+    folder: Path,
+    model: BodyModel | None,
+    tracker: Tracker,
+    clouds: LazyFrames[Cloud],
+    num_people: int | None,
+    *,
+    several: bool,
 ) -> list[Body]:
-    """Estimate the shapes of one person or of several, or read those of an earlier run; `num_people` is None if unknown."""
+    """Estimate the shapes of one person or of several, or read those of an earlier run.
+
+    **Arguments:** `model`, of which the body is the template, None for humans; `num_people`, None if unknown.
+    """
     if several:
-        return find_people_shapes(folder, tracker, clouds, num_people)
-    return [find_person_shape(folder / PERSON, tracker, clouds)]
+        return find_people_shapes(folder, model, tracker, clouds, num_people)
+    return [find_person_shape(folder / PERSON, model, tracker, clouds)]
 
 
-def find_person_shape(path: Path, tracker: Tracker, clouds: LazyFrames[Cloud]) -> Body:
+def find_person_shape(
+    path: Path, model: BodyModel | None, tracker: Tracker, clouds: LazyFrames[Cloud]
+) -> Body:
     """Estimate the shape of the person from the first frames and write it to `path`, or read it if an earlier run did."""
     if not path.is_file():
         set_activity("estimating the shape of the person")
-        save_body(path, estimate_shape(tracker, first_readable(clouds, SHAPE_FRAMES)))
+        save_body(path, estimate_shape(tracker, first_readable(clouds, SHAPE_FRAMES), model))
         say(f"the shape of the person is in {path}; the frames are now tracked with it")
     # the written body, so that a resumed run has the same one
     return load_body(str(path))[0]
 
 
 def find_people_shapes(
-    folder: Path, tracker: Tracker, clouds: LazyFrames[Cloud], num_people: int | None
+    folder: Path,
+    model: BodyModel | None,
+    tracker: Tracker,
+    clouds: LazyFrames[Cloud],
+    num_people: int | None,
 ) -> list[Body]:
     """Estimate the shape of each person as `find_person_shape` does of one, or read those of an earlier run.
 
@@ -48,7 +64,7 @@ def find_people_shapes(
     paths = sorted(folder.glob(f"{person_folder(folder, 0).name[:-1]}*/{PERSON}"))
     if not paths:
         set_activity("estimating the shapes of the people")
-        found = estimate_people_shapes(tracker, first_readable(clouds, SHAPE_FRAMES), num_people)
+        found = estimate_people_shapes(tracker, first_readable(clouds, SHAPE_FRAMES), num_people, model)
         for number, body in enumerate(found):
             path = person_folder(folder, number) / PERSON
             make_writable(path.parent)

@@ -23,6 +23,7 @@ from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
 from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker, make_tracker, replace_body
+from ..body_models import load_model_of
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -188,7 +189,8 @@ class Track:
         count = 1 if self.people is None else read_count(self.people)
         if not self.fit_shape:
             return [tracker] * (count or MAX_PEOPLE)
-        bodies = find_shapes(self.out, tracker, clouds, count, several=self.people is not None)
+        model = load_model_of(self.body, self.vertices)
+        bodies = find_shapes(self.out, model, tracker, clouds, count, several=self.people is not None)
         return [replace_body(tracker, body) for body in bodies]
 
     def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:

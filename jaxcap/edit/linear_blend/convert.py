@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...arguments import checked
-from ...body.body import Body
+from ...body.body import Body, pose_body
 from ...body.influences import strongest_bones
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
-from ...body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...body.skin import CorrectedSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ...geometry.sampling import even_indices
 from .examples import pose_blocks, skeleton_frames, virtual_frames
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
@@ -70,7 +70,8 @@ def to_linear_blend(
     its position in `body` in any of the `poses`, or until there are `max_virtual_bones` of them; `error` is the error that
     was reached. Bodies that blend linearly already need none. If one of their vertices follows more than
     `max_influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
-    that fit it best are chosen with new weights; `error` is the resulting error.
+    that fit it best are chosen with new weights; `error` is the resulting error. The displacements of a `CorrectedSkin` are
+    left out, and `error` includes them.
 
     **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is in
     metres; `max_influences` is the largest number of bones per vertex.
@@ -78,6 +79,15 @@ def to_linear_blend(
     **Raises:** `ValueError` if there are no poses, they are of another skeleton, or a number is not positive.
     """
     _check(body, poses, tolerance, max_influences, max_virtual_bones)
+    if isinstance(body.skin, CorrectedSkin):
+        plain = eqx.tree_at(lambda b: b.skin, body, body.skin.skin)
+        found = to_linear_blend(
+            plain, poses, tolerance, max_influences=max_influences, max_virtual_bones=max_virtual_bones
+        )
+        errors = np.array(_surface_distances(body, found, poses))
+        return LinearBlendBody(
+            found.body, found.source, found.bones, float(errors.max()), float(errors.mean())
+        )
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
         raise ValueError(
             f"A body with a {type(body.skin).__name__} cannot be converted to linear blend skinning; expected a "
@@ -129,6 +139,17 @@ def linear_motion(converted: LinearBlendBody, motion: Motion) -> Motion:
             "of the source body."
         )
     return Motion(_linear_poses(converted, motion.poses), motion.rate)
+
+
+@eqx.filter_jit
+def _surface_distances(body: Body, converted: LinearBlendBody, poses: Pose):
+    """Compute the distances of the vertices of both bodies in all poses, metres."""
+
+    def of_pose(pose):
+        there = pose_body(converted.body, linear_pose(converted, pose)).vertices
+        return jnp.linalg.norm(there - pose_body(body, pose).vertices, axis=1)
+
+    return jax.lax.map(of_pose, poses)
 
 
 def _check(body: Body, poses: Pose, tolerance: float, max_influences: int, max_virtual_bones: int) -> None:

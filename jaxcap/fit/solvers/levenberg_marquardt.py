@@ -55,7 +55,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     `linear_solver=lx.QR()` replaces it for an ill-conditioned problem of one frame. If equations cannot be
     solved, the damping is raised as after a rejected step.
 
-    Of several `lengths` of each step the best is taken: the line search of Adaptation, 4.1.4.
+    Of several `lengths` of each step the best is taken: the line search of Adaptation, 4.1.4. The iteration also ends at a step
+    that changes half the energy by less than `energy_atol`, or is expected to: exact data leave nothing but rounding.
 
     The energy near a minimum is flat, so that rounding hides the effect of steps shorter than about the root
     of the precision. Steps go on there, with the same damping, as long as each is shorter than the one
@@ -67,6 +68,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     atol: float
     damping: float | Float[Array, ""]
     lengths: tuple[float, ...] = eqx.field(static=True)
+    energy_atol: float
     norm: Callable[[PyTree], Array]
     descent: optx.AbstractDescent
     search: optx.ClassicalTrustRegion
@@ -79,8 +81,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         damping: float | Float[Array, ""] = 1.0,
         relative: bool = False,
         lengths: tuple[float, ...] = (1.0,),
+        energy_atol: float = 0.0,
     ):
         self.rtol, self.atol, self.damping, self.lengths = rtol, atol, damping, lengths
+        self.energy_atol = energy_atol
         self.norm = optx.max_norm
         self.descent = (
             NormalDescent(relative) if linear_solver is None else optx.DampedNewtonDescent(linear_solver)
@@ -133,9 +137,10 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         step_size = jnp.where(hidden, state.step_size, step_size)
         # a NaN step is not small, and the search rejects it; a rejected small step ends the iteration only if
         # its predicted gain is negligible
-        nothing = jnp.abs(info.compute_grad_dot(step)) <= eps**GAIN_EXPONENT * jnp.abs(before)
-        small = (length < self.atol) & (accept | nothing)
-        flat = change < self.rtol * jnp.abs(before)
+        gain = jnp.abs(info.compute_grad_dot(step))
+        nothing = gain <= eps**GAIN_EXPONENT * jnp.abs(before)
+        small = ((length < self.atol) & (accept | nothing)) | (gain < self.energy_atol)
+        flat = change < self.rtol * jnp.abs(before) + self.energy_atol
         # the largest damping; if a smaller one was too little for a factor, this one is too
         most = state.step_size <= jnp.finfo(step_size.dtype).eps
         state = SolverState(

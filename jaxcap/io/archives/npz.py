@@ -12,13 +12,21 @@ from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton, describe_rest_difference, make_skeleton
-from ...body.skin import AbstractSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...body.skin import (
+    AbstractSkin,
+    CorrectedSkin,
+    DualQuaternionSkin,
+    LinearSkin,
+    RigidSkin,
+    SwingTwistSkin,
+)
 from ...errors import InputError, user_message
 from ..kinds import KIND_NAMES, check_npz, describe_formats, wrong_arrays_error
 from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, RATE_RANGE, shortened
 from .archive import open_archive
+from .correctives import add_correctives, check_features, corrective_arrays
 
 VERSION = 1
 
@@ -66,17 +74,20 @@ def body_arrays(body: Body, path: str | Path) -> dict[str, Any]:
 
     Raises `InputError` for an unknown skin.
     """
-    kind = next((name for name, (cls, _) in SKINS.items() if type(body.skin) is cls), None)
+    corrected = body.skin if isinstance(body.skin, CorrectedSkin) else None
+    skin = body.skin if corrected is None else corrected.skin
+    kind = next((name for name, (cls, _) in SKINS.items() if type(skin) is cls), None)
     if kind is None:
         raise InputError(
-            f"{path}: the skin of this body is a {type(body.skin).__name__}, which cannot be written; use a {', '.join(SKINS)} skin."
+            f"{path}: the skin of this body is a {type(skin).__name__}, which cannot be written; use a {', '.join(SKINS)} skin."
         )
     return {
         **skeleton_arrays(body.skeleton),
         "vertices": body.vertices,
         "faces": body.faces,
         "skin": np.array(kind),
-        **{f"skin.{name}": getattr(body.skin, name) for name in SKINS[kind][1]},
+        **{f"skin.{name}": getattr(skin, name) for name in SKINS[kind][1]},
+        **({} if corrected is None else corrective_arrays(corrected, path)),
     }
 
 
@@ -124,7 +135,9 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         if not whole:
             _check_weights(values, path, partial=name != "weights")
         fields.append(jnp.asarray(values))
-    return Body(skeleton, cls(*fields), jnp.asarray(vertices), jnp.asarray(faces))
+    skin = add_correctives(cls(*fields), arrays, path)
+    check_features(skin, joints, path)
+    return Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
 
 
 def _check_weights(weights: np.ndarray, path: str | Path, partial: bool) -> None:

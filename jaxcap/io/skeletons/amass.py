@@ -32,6 +32,7 @@ _Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
 #: names of the rate in the two generations of the data set
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 _SKELETON_PREFIX = "skeleton."
+_UP_KEY = "up_axis"
 #: largest distance of joints at rest for the same body, metres
 MAX_REST_DISTANCE = 0.01
 _TRUNK_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
@@ -53,13 +54,38 @@ SMPL_PARENTS = {
 }
 
 
-@checked
-def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
-    """Write a motion in AMASS's format, z up.
+#: the parts of the poses of SMPL-X, as AMASS names them: first joint, and joint after the last one
+SMPL_X_PARTS = {
+    "root_orient": (0, 1),
+    "pose_body": (1, 22),
+    "pose_jaw": (22, 23),
+    "pose_eye": (23, 25),
+    "pose_hand": (25, 55),
+}
+#: values of `gender`
+GENDERS = ("female", "male", "neutral")
+#: number of shape coefficients of a motion without a shape
+NUM_BETAS = 16
 
-    Keys are `trans`, `poses`, `betas` (zeros), `gender` (neutral), `mocap_framerate` and `mocap_frame_rate`;
-    the skeleton, without which the motion cannot be drawn, is under keys that begin with `skeleton.`. A
-    constant scale of the poses is applied to the skeleton.
+
+@checked
+def write_amass(
+    path: str | Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    shape: Mapping[str, Float[np.ndarray, "*frames N"]] | None = None,
+    gender: str = "neutral",
+    up: Literal["y", "z"] = "z",
+) -> None:
+    """Write a motion in AMASS's format.
+
+    Keys are `trans`, `poses`, `betas`, `gender`, `mocap_framerate` and `mocap_frame_rate`; for the joints of SMPL-X also the
+    parts of the poses, `root_orient`, `pose_body`, `pose_jaw`, `pose_eye` and `pose_hand`. The skeleton, without which the
+    motion cannot be drawn, is under keys that begin with `skeleton.`. A constant scale of the poses is applied to the skeleton.
+
+    **Arguments:** `shape`, the coefficients of a body model by the names of their groups, such as `betas` and `expression`,
+    for all frames or with one row for each; `betas` are zeros where not given; `up`, the vertical of the written world: AMASS has
+    z, and with y the parameters are those of the motion's own coordinates. It is written as `up_axis`.
 
     **Raises:** `InputError` if a joint other than the root is translated, there are several roots, the scale
     changes, the motion has no frames or is not finite, or the file cannot be written.
@@ -90,19 +116,50 @@ def write_amass(path: str | Path, skeleton: Skeleton, motion: Motion) -> None:
         np.asarray(motion.poses.rotations, float).reshape(-1, 4), scalar_first=True
     ).as_rotvec()
     turns = turns.reshape(frames, joints, 3)
-    turns[:, 0] = (_Y_UP_TO_Z_UP * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
+    upright = _Y_UP_TO_Z_UP if up == "z" else Rotation.identity()
+    turns[:, 0] = (upright * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
     own = {f"{_SKELETON_PREFIX}{name}": values for name, values in skeleton_arrays(skeleton).items()}
     own[f"{_SKELETON_PREFIX}centres"] = scale * np.asarray(skeleton.centres, float)
     arrays = {
-        "trans": _Y_UP_TO_Z_UP.apply(root + scale * moves[:, 0]) - root,
+        "trans": upright.apply(root + scale * moves[:, 0]) - root,
+        _UP_KEY: np.array(up),
         "poses": turns.reshape(frames, 3 * joints),
-        "betas": np.zeros(16),
-        "gender": np.array("neutral"),
+        "betas": np.zeros(NUM_BETAS),
+        **({} if shape is None else {name: np.asarray(values, float) for name, values in shape.items()}),
+        "gender": np.array(gender),
+        **_parts(turns),
         **{name: np.array(float(motion.rate)) for name in _RATE_KEYS},
         **own,
     }
     with atomic_path(path) as beside, open(beside, "wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+def _parts(turns: Float[np.ndarray, "F J 3"]) -> dict[str, np.ndarray]:
+    """Split the poses of SMPL-X into their parts; nothing for other joints."""
+    if turns.shape[1] != 55:
+        return {}
+    parts = {name: turns[:, first:last] for name, (first, last) in SMPL_X_PARTS.items()}
+    return {
+        "surface_model_type": np.array("smplx"),
+        **{name: values.reshape(len(turns), -1) for name, values in parts.items()},
+    }
+
+
+@reader_of("an AMASS motion")
+def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
+    """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
+
+    Groups with a row for each frame, such as expressions, are left out. The gender is empty if the file has none.
+
+    **Raises:** `InputError` if the file is damaged.
+    """
+    arrays = load_arrays(path, lambda name: name in ("betas", "gender"))
+    there = "betas" in arrays and arrays["betas"].ndim == 1
+    shape = {"betas": get_array(arrays, "betas", path, (None,))} if there else {}
+    gender = arrays.get("gender", np.array(""))
+    text = gender.item() if gender.size == 1 and gender.dtype.kind in "US" else ""
+    return shape, (text.decode("latin-1") if isinstance(text, bytes) else str(text))
 
 
 def is_amass(path: str | Path) -> bool:
@@ -116,9 +173,9 @@ def is_amass(path: str | Path) -> bool:
 @checked
 @reader_of("an AMASS motion")
 def read_amass(
-    path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] = "z"
+    path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] | None = None
 ) -> tuple[Skeleton, Motion]:
-    """Read a motion in AMASS's format; the world's `up` becomes y.
+    """Read a motion in AMASS's format; the world's `up` becomes y. By default it is that of the file, z if it states none.
 
     Files of AMASS itself have no joint positions: `skeleton` gives them, with the same joints in the same
     order, as SMPL's own. The shape (`betas`, `dmpls`, `gender`) is not read, and need not be readable.
@@ -127,7 +184,8 @@ def read_amass(
     its joints are not the skeleton's.
     """
     arrays = load_arrays(
-        path, lambda name: name in ("poses", "trans", *_RATE_KEYS) or name.startswith(_SKELETON_PREFIX)
+        path,
+        lambda name: name in ("poses", "trans", _UP_KEY, *_RATE_KEYS) or name.startswith(_SKELETON_PREFIX),
     )
     poses = get_array(arrays, "poses", path, (None, None), row_name="frame")
     trans = get_array(arrays, "trans", path, (len(poses), 3), row_name="frame")
@@ -138,7 +196,8 @@ def read_amass(
     if not len(poses):
         raise InputError(f"{path}: the file has no frames; expected at least one.")
     found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
-    return found, _motion(found, poses, trans, _rate(path, arrays), up)
+    stated = str(arrays.get(_UP_KEY, "z"))
+    return found, _motion(found, poses, trans, _rate(path, arrays), up or stated)
 
 
 def _motion(

@@ -25,6 +25,9 @@ def reader_of(content: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
         def guarded(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
                 return read(*args, **kwargs)
+            except BrokenPipeError:
+                # of the output, as in `jaxcap info body.npz | head`
+                raise
             except Exception as error:
                 given = (*args, *kwargs.values())
                 path = next((value for value in given if isinstance(value, str | Path)), "the file")

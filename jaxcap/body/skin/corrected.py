@@ -1,0 +1,96 @@
+"""Pose-dependent displacements of the surface at rest, before any other skin."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...errors import InputError
+from ..geometric_jacobian import GeometricJacobian
+from ..pose import Pose
+from ..skeleton import Skeleton
+from .interpolate import clamp_barycentric
+from .pose_features import AbstractPoseFeatures, feature_velocities
+from .skin import AbstractSkin
+
+
+class CorrectedSkin(AbstractSkin):
+    """A skin with pose-dependent displacements at rest: `v' = skin(v + directions . features(pose))`.
+
+    Such displacements ("pose blend shapes", "correctives") compensate for the volume that a skin loses at bent joints, as in
+    SMPL (Loper et al. 2015, eq. 9) and STAR.
+    """
+
+    skin: AbstractSkin
+    features: AbstractPoseFeatures
+    #: displacement of each vertex for a feature of one, metres
+    directions: Float[Array, "V 3 P"]
+
+    def __check_init__(self):
+        bones = self.skin.dominant_bones()
+        if len(bones) != len(self.directions):
+            raise InputError(
+                f"CorrectedSkin: `directions` have {len(self.directions)} vertices and `skin` {len(bones)}; expected the same "
+                "number."
+            )
+
+    def displacements(self, pose: Pose) -> Float[Array, "V 3"]:
+        """Compute the displacements of the vertices at rest, metres."""
+        return self.directions @ self.features.of_rotations(pose.rotations)
+
+    def deform(self, vertices, skeleton, pose, transforms):
+        return self.skin.deform(vertices + self.displacements(pose), skeleton, pose, transforms)
+
+    def dominant_bones(self):
+        return self.skin.dominant_bones()
+
+    def bone_weights(self, num_bones):
+        return self.skin.bone_weights(num_bones)
+
+    def take(self, vertices):
+        return CorrectedSkin(self.skin.take(vertices), self.features, self.directions[vertices])
+
+    def transfer(self, corners, barycentric, skeleton):
+        """Interpolate the directions of the corners, and transfer the skin."""
+        shares, corners = clamp_barycentric(barycentric), np.asarray(corners)
+        directions = np.asarray(self.directions)
+        # one corner after the other, because all at once take three times the memory
+        carried = sum(shares[:, k, None, None] * directions[corners[:, k]] for k in range(3))
+        skin = self.skin.transfer(corners, barycentric, skeleton)
+        return CorrectedSkin(skin, self.features, jnp.asarray(carried, self.directions.dtype))
+
+    def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
+        """Differentiate the skin, and add the displacements' own derivatives, carried along by the skin."""
+        shaped = vertices + self.displacements(pose)
+        rows = self.skin.jacobian(shaped, directions, skeleton, pose, transforms, rates)
+        along_rest = self._along_rest(shaped, directions, skeleton, pose, transforms)
+        by_feature = feature_velocities(self.features, pose, transforms, rates)
+        # an explicit sum, as one small product per vertex is slow on a CPU
+        parts = []
+        for first, last in _runs(rates):
+            joint, size = rates.joints[first], self.features.num_of_joint
+            part = rows[:, :, first:last]
+            if joint > 0 and rates.turning[first]:
+                block = self.directions[:, :, size * (joint - 1) : size * joint]
+                moved = block @ by_feature[first:last].T
+                part = part + sum(along_rest[:, :, a, None] * moved[:, None, a] for a in range(3))
+            parts.append(part)
+        return jnp.concatenate(parts, 2)
+
+    def _along_rest(
+        self, vertices: Float[Array, "V 3"], directions, skeleton: Skeleton, pose: Pose, transforms
+    ) -> Float[Array, "V R 3"]:
+        """Compute the derivatives of the posed vertices along directions by their rest positions."""
+        # a skin is affine in the rest position of each vertex
+        still = self.skin.deform(vertices, skeleton, pose, transforms)
+        columns = [
+            self.skin.deform(vertices + axis, skeleton, pose, transforms) - still
+            for axis in jnp.eye(3, dtype=vertices.dtype)
+        ]
+        return jnp.stack([jnp.sum(directions * column[:, None], 2) for column in columns], 2)
+
+
+def _runs(rates: GeometricJacobian) -> list[tuple[int, int]]:
+    """Split the parameters into runs of one joint that all change its rotation, or all do not: first and last plus one."""
+    keys = list(zip(rates.joints, rates.turning, strict=True))
+    ends = [k + 1 for k in range(len(keys)) if k + 1 == len(keys) or keys[k + 1] != keys[k]]
+    return list(zip([0, *ends[:-1]], ends, strict=True))

@@ -1,0 +1,88 @@
+"""Body models as a user names them: a file, with options after a colon."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..body.body import Body
+from ..body.body_model import BodyModel, shape_body
+from ..body.decimate import reduce_model
+from ..errors import InputError, user_message
+from ..io.body_models.smpl import is_body_model, read_body_model
+from ..io.skeletons.amass import GENDERS, read_amass_shape
+from .console.console import warn
+
+_SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+#: options of a model with a number of coefficients
+_NUMBERS = {"betas": "num_betas", "expression": "num_expression"}
+
+
+def split_model(spec: str) -> tuple[Path, str]:
+    """Split `smplx.npz:full,betas=20` into the file and its options; a path of an existing file is not split."""
+    match = _SPEC.fullmatch(spec)
+    if match is None or Path(spec).exists():
+        return Path(spec), ""
+    return Path(match[1]), match[2] or ""
+
+
+def is_model_spec(spec: str) -> bool:
+    """Test if an argument names a body model."""
+    return is_body_model(split_model(spec)[0])
+
+
+def load_model(spec: str, **defaults: Any) -> BodyModel:
+    """Load a body model: `smplx.npz`, or with options `smplx.npz:full,betas=20,expression=0`.
+
+    The joints of hands and face are fixed, unless `full` is given. `defaults` are arguments of `read_body_model`, which options
+    replace.
+
+    **Raises:** `InputError`.
+    """
+    path, words = split_model(spec)
+    options: dict[str, Any] = {"joints": "tracking", **defaults}
+    for word in filter(None, words.split(",")):
+        key, _, value = word.partition("=")
+        if word == "full":
+            options["joints"] = "full"
+        elif key in _NUMBERS and value.isdecimal():
+            options[_NUMBERS[key]] = int(value)
+        else:
+            raise InputError(
+                f"{spec}: '{word}' is not an option of a body model; give full, betas=NUMBER or expression=NUMBER."
+            )
+    return read_body_model(path, **options)
+
+
+def load_model_of(spec: str, vertices: int | None = None) -> BodyModel | None:
+    """Load the body model that an argument names, reduced to about so many vertices; None if it names another body."""
+    if not is_model_spec(spec):
+        return None
+    model = load_model(spec)
+    return model if vertices is None else reduce_model(model, vertices)
+
+
+def load_shaped_body(spec: str, motion: Path) -> Body:
+    """Load a body model in the shape of a motion in AMASS format. Raises `InputError` if the model has fewer coefficients."""
+    shape, gender = read_amass_shape(motion)
+    if not shape:
+        warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
+        return load_model(spec).template
+    model = load_model(spec, num_betas=len(shape["betas"]))
+    check_gender(split_model(spec)[0], motion, gender)
+    try:
+        return shape_body(model, **{name: np.asarray(values) for name, values in shape.items()})
+    except InputError as error:
+        raise InputError(f"{motion}: {user_message(error)}") from None
+
+
+def check_gender(model: Path, motion: Path, gender: str) -> None:
+    """Warn if the name of a model states another gender than a motion: its coefficients have another meaning then."""
+    name = model.name.lower()
+    stated = next((word for word in GENDERS if word in name), "")
+    if stated and gender in GENDERS and stated != gender:
+        warn(
+            f"{motion}: the shape of this motion belongs to the {gender} model, and {model.name} is the {stated} one; give the "
+            f"{gender} model"
+        )

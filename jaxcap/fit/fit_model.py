@@ -1,0 +1,224 @@
+"""Fitting of a body model to registered meshes: coefficients and poses together."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from ..arguments import checked
+from ..body.body import Body, pose_body, take_vertices
+from ..body.body_model import BodyModel, shape_from_template
+from ..body.pose import Motion, Pose, take_poses
+from ..body.shape_modes import ShapeModes
+from ..energy.check_energies import UserTerms, sum_user_terms
+from ..energy.data.landmarks import VertexLandmarks
+from ..energy.energy import AbstractEnergy, Sum, terms_of
+from ..energy.stacked import NormalPrior, Stacked
+from ..geometry.sampling import even_indices
+from ..observe.meshes import MeshSequence
+from ..parallel import parallel_map
+from .fit_meshes import DATA_WEIGHT, check_mesh_sequence, procrustes_poses
+from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from .sequences.unknowns import ShapeCoefficients
+from .solvers.levenberg_marquardt import LevenbergMarquardt
+from .solvers.minimise import minimise
+
+#: number of vertices of the first fit, and least number of those of each bone
+NUM_SAMPLES, NUM_OF_BONE = 100, 4
+#: standard deviation of the coefficients at which they weigh as much as a root mean square distance of a millimetre
+COEFFICIENT_DEVIATION = 1e3
+#: least change of half the energy, in square millimetres: a thousandth of a millimetre
+ENERGY_TOLERANCE = 1e-6
+#: steps with all vertices after the first fit, if the root mean square distance exceeds this after it, metres: data without
+#: errors are then fitted already
+LAST_STEPS, EXACT = 3, 1e-5
+#: meshes of one chunk of a parallel fit
+CHUNK = 16
+
+
+class ModelFit(eqx.Module):
+    """The result of `fit_model` over F meshes."""
+
+    motion: Motion
+    #: one row of coefficients for each mesh, all equal for meshes of one person
+    coefficients: Float[Array, "F K"]
+    #: root mean square distance of the vertices from their targets, metres; NaN if no target is known
+    rmse: Float[Array, "F"]
+    num_steps: Int[Array, "F"]
+    #: true if a mesh was fitted: it has finite vertices, and the solver converged to a finite pose
+    converged: Bool[Array, "F"]
+
+
+class _Samples(NamedTuple):
+    """A body of some vertices, with their modes and their numbers."""
+
+    body: Body
+    modes: ShapeModes
+    vertices: Int[Array, "S"]
+
+
+@checked
+def fit_model(
+    model: BodyModel,
+    sequence: MeshSequence,
+    *,
+    same_person: bool = True,
+    start: Pose | None = None,
+    max_steps: int = 40,
+    terms: UserTerms = (),
+) -> ModelFit:
+    """Fit the coefficients and the poses of a body model to registered meshes, from `procrustes_poses`.
+
+    Coefficients and poses are unknowns of one least-squares problem. It is first solved for some vertices, and then for all.
+
+    **Arguments:** `same_person`, all meshes have the same coefficients; otherwise each mesh has its own, and is fitted alone.
+    `start` poses stacked over the meshes; a vertex that is not finite in a mesh does not count there; `terms` are further
+    energies of the posed body, in units of `fit_meshes`.
+
+    **Raises:** `InputError` where the meshes have other vertices than the model, or no mesh is given.
+    """
+    check_mesh_sequence(model.template, sequence)
+    dtype = model.template.vertices.dtype
+    positions = sequence.vertices.astype(dtype)
+    poses = procrustes_poses(model.template, sequence) if start is None else start
+    own = sum_user_terms("fit_model", terms, model.template)
+    few = _take_samples(model)
+    fit = _fit_together if same_person else _fit_each
+    found = fit(model, few, poses, positions, own, max_steps)
+    return ModelFit(
+        motion=Motion(found.poses, sequence.rate),
+        coefficients=found.coefficients + model.template_coefficients,
+        rmse=found.rmse,
+        num_steps=found.num_steps,
+        converged=found.converged,
+    )
+
+
+def _take_samples(model: BodyModel) -> _Samples:
+    """Take vertices spread over the surface, and enough of each bone."""
+    bones = np.asarray(model.template.skin.dominant_bones())
+    rows = [even_indices(len(bones), NUM_SAMPLES)]
+    for bone in np.unique(bones):
+        members = np.flatnonzero(bones == bone)
+        rows.append(members[even_indices(len(members), NUM_OF_BONE)])
+    chosen = jnp.asarray(np.unique(np.concatenate(rows)))
+    modes = ShapeModes(model.modes.centres, model.modes.vertices[:, chosen])
+    return _Samples(take_vertices(model.template, chosen), modes, chosen)
+
+
+class _Fits(NamedTuple):
+    """The fits of F meshes; coefficients are relative to the template's."""
+
+    poses: Pose
+    coefficients: Float[Array, "F K"]
+    rmse: Float[Array, "F"]
+    num_steps: Int[Array, "F"]
+    converged: Bool[Array, "F"]
+
+
+def _fit_each(
+    model: BodyModel,
+    few: _Samples,
+    starts: Pose,
+    positions: Float[Array, "F V 3"],
+    extra: AbstractEnergy | None,
+    max_steps: int,
+) -> _Fits:
+    """Fit each mesh alone, on all cores."""
+    count = len(positions)
+    chunks = [np.arange(first, first + CHUNK) % count for first in range(0, count, CHUNK)]
+
+    def fit(chunk: Int[np.ndarray, "C"]) -> _Fits:
+        found = _fit_chunk(model, few, take_poses(starts, chunk), positions[chunk], extra, max_steps)
+        return jax.block_until_ready(found)
+
+    parts = list(parallel_map(fit, chunks))
+    return jax.tree.map(lambda *some: jnp.concatenate(some)[:count], *parts)
+
+
+@eqx.filter_jit
+def _fit_chunk(model, few: _Samples, starts: Pose, positions, extra, max_steps: int) -> _Fits:
+    def one(frame):
+        poses, place = jax.tree.map(lambda x: x[None], frame)
+        found = _solve(model, few, poses, place, extra, max_steps)
+        return jax.tree.map(lambda x: x[0], found)
+
+    return jax.lax.map(one, (starts, positions))
+
+
+@eqx.filter_jit
+def _fit_together(model, few: _Samples, starts: Pose, positions, extra, max_steps: int) -> _Fits:
+    return _solve(model, few, starts, positions, extra, max_steps)
+
+
+def _solve(
+    model: BodyModel,
+    few: _Samples,
+    starts: Pose,
+    positions: Float[Array, "F V 3"],
+    extra: AbstractEnergy | None,
+    max_steps: int,
+) -> _Fits:
+    """Fit some vertices of F meshes, then all if these have errors, with the same coefficients."""
+    solver = LevenbergMarquardt(rtol=1e-3, atol=1e-4, damping=1e-2, energy_atol=ENERGY_TOLERANCE)
+    first = _problem(few.body, few.modes, positions[:, few.vertices], extra)
+    begun = minimise(first, first.start(starts), solver, max_steps)
+    rmse = _root_mean_squares(model, begun.y, positions)
+
+    def refine(y: SequenceEstimate):
+        whole = _problem(model.template, model.modes, positions, extra)
+        found = minimise(whole, y, solver, LAST_STEPS)
+        return found.y, found.num_steps, _root_mean_squares(model, found.y, positions)
+
+    estimate, more, rmse = jax.lax.cond(
+        jnp.any(rmse > EXACT), refine, lambda y: (y, jnp.zeros_like(begun.num_steps), rmse), begun.y
+    )
+    count, finite = len(positions), jnp.isfinite(rmse)
+    poses = jax.tree.map(
+        lambda new, old: jnp.where(finite.reshape(-1, *[1] * (new.ndim - 1)), new, old),
+        estimate.poses,
+        starts,
+    )
+    z = estimate.values["shape"]
+    return _Fits(
+        poses,
+        jnp.broadcast_to(z, (count, len(z))),
+        rmse,
+        jnp.full(count, begun.num_steps + more),
+        (begun.result == optx.RESULTS.successful) & finite,
+    )
+
+
+def _root_mean_squares(
+    model: BodyModel, estimate: SequenceEstimate, positions: Float[Array, "F V 3"]
+) -> Float[Array, "F"]:
+    """Compute the root mean square distances of all vertices; NaN if none is known."""
+    body = shape_from_template(model, estimate.values["shape"])
+
+    def of_mesh(mesh):
+        pose, place = mesh
+        known = jnp.isfinite(place).all(1)
+        gaps = jnp.sum((pose_body(body, pose).vertices - jnp.where(known[:, None], place, 0.0)) ** 2, 1)
+        return jnp.sqrt(jnp.sum(jnp.where(known, gaps, 0.0)) / known.sum())
+
+    return jax.lax.map(of_mesh, (estimate.poses, positions))
+
+
+def _problem(
+    body: Body, modes: ShapeModes, positions: Float[Array, "F V 3"], extra: AbstractEnergy | None
+) -> SequenceProblem:
+    known = jnp.isfinite(positions).all(2)
+    places = jnp.where(known[..., None], positions, 0.0)
+    weights = known.astype(places.dtype)
+    weights = DATA_WEIGHT * weights / jnp.maximum(weights.sum(1, keepdims=True), 1.0)
+    frames, count = known.shape
+    landmarks = Stacked(jax.vmap(lambda *of: VertexLandmarks(jnp.arange(count), *of))(places, weights))
+    energy = Sum((landmarks, *(() if extra is None else terms_of(extra))))
+    size, dtype = len(modes.centres), body.vertices.dtype
+    prior = NormalPrior("shape", jnp.zeros(size, dtype), jnp.full(size, COEFFICIENT_DEVIATION, dtype))
+    times = jnp.arange(frames, dtype=dtype)
+    return SequenceProblem(body, energy, times, {"shape": ShapeCoefficients(modes)}, shared=(prior,))

@@ -1,0 +1,1 @@
+"""Readers of body models: the files of SMPL's family."""
