@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxcap.body.body import Body, pose_body
+from jaxcap.body.body_model import BodyModel
 from jaxcap.body.pose import Pose, rest_pose
 from jaxcap.body.retraction import retract
+from jaxcap.body.shape_modes import ShapeModes
 from jaxcap.body.skeleton import KINDS, Skeleton, make_skeleton
 from jaxcap.body.skin import (
     AbstractPoseFeatures,
@@ -79,6 +81,20 @@ def chain_body(skin: str = "linear", rings: int = 4, sides: int = 4) -> Body:
         ),
     }[skin]()
     return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
+
+
+def chain_model(skin: str = "corrected", count: int = 4, rings: int = 4, sides: int = 4) -> BodyModel:
+    """A chain whose surface and joints move smoothly with each coefficient."""
+    body = chain_body(skin, rings, sides)
+    rng = np.random.default_rng(3)
+    bends = 0.05 * rng.normal(size=(count, 3, 3))
+
+    def move(points):
+        return np.einsum("kab,vb->kva", bends, np.asarray(points, float))
+
+    modes = ShapeModes(jnp.asarray(move(body.skeleton.centres)), jnp.asarray(move(body.vertices)))
+    own = jnp.asarray(rng.normal(size=count))
+    return BodyModel(body, modes, own, groups=(("betas", count - 1), ("size", 1)), family="chain")
 
 
 def _corrected(features: AbstractPoseFeatures, skin: AbstractSkin, rng: np.random.Generator):

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 
 from ..arguments import checked
 from ..body.body import Body, body_height
+from ..body.body_model import BodyModel
 from ..body.people.anatomy import rest_deviations
 from ..body.pose import Pose
 from ..body.symmetry import find_left_right_pairs
@@ -41,18 +42,20 @@ def make_adapt_task(
     mesh: Callable[[int], IndexedScan] | None = None,
     terms: UserTerms = (),
     full_body: Body | None = None,
+    model: BodyModel | None = None,
     planes: Sequence[Plane] | None = None,
 ) -> AdaptTask:
     """Make the task of `adapt_body`.
 
     Poses have an anatomical prior around rest, and left bones are as long as right ones. If the template is a
-    human, of any triangulation, its proportions are estimated in a shape space of people.
+    human, of any triangulation, its proportions are estimated in a shape space of people, and with a body model by its
+    coefficients.
 
     **Arguments:** `clouds`, a `Cloud` for each frame, metres, loaded on demand, or the result of
     `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
     None; `pose_prior`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
     energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
-    act in all stages; `full_body`, the body that the template was reduced from; `planes`, floors and walls
+    act in all stages; `full_body`, the body that the template was reduced from; `model`, the body model of which it is the template; `planes`, floors and walls
     whose points are removed: by default those of the first cloud (`jc.observe.find_room`); the others as in `AdaptTask`. The
     order of the scans in time is detected from some of them, unless `settings.unordered` is given.
 
@@ -91,7 +94,7 @@ def make_adapt_task(
         prior=prior if pose_prior is None else prior + pose_prior,
         left_right_pairs=find_left_right_pairs(skeleton),
         settings=settings,
-        shape_space=shape_space_like(template, full_body),
+        shape_space=shape_space_like(template, full_body) if model is None else model,
         cameras=tuple(cameras),
         missing=missing,
         boxes=boxes,

@@ -51,7 +51,7 @@ class BodyModel(eqx.Module):
 def shape_body(
     model: BodyModel,
     coefficients: Float[Array | np.ndarray, "C"] | None = None,
-    **groups: Float[Array | np.ndarray, "N"],
+    **groups: Float[Array | np.ndarray, "_"],
 ) -> Body:
     """Make the body of given coefficients, in the template's pose at rest.
 
@@ -63,6 +63,23 @@ def shape_body(
     """
     values = model_coefficients(model, coefficients, **groups)
     return shape_from_template(model, values - model.template_coefficients)
+
+
+@checked
+def body_coefficients(model: BodyModel, body: Body) -> Float[Array, "K"]:
+    """Find the coefficients of a body that the model makes, from its vertices at rest.
+
+    **Raises:** `InputError` if the body has other vertices than the model.
+    """
+    if body.vertices.shape != model.template.vertices.shape:
+        raise InputError(
+            f"body_coefficients: the body has {len(body.vertices)} vertices and the model {len(model.template.vertices)}; expected "
+            "a body of this model."
+        )
+    modes = np.asarray(model.modes.vertices, float).reshape(len(model.template_coefficients), -1)
+    shifts = np.asarray(body.vertices, float) - np.asarray(model.template.vertices, float)
+    changes = np.linalg.lstsq(modes.T, shifts.reshape(-1), rcond=None)[0]
+    return model.template_coefficients + jnp.asarray(changes, model.template_coefficients.dtype)
 
 
 def split_coefficients(
@@ -83,7 +100,7 @@ def shape_from_template(model: BodyModel, changes: Float[Array, "K"]) -> Body:
 def model_coefficients(
     model: BodyModel,
     coefficients: Float[Array | np.ndarray, "C"] | None = None,
-    **groups: Float[Array | np.ndarray, "N"],
+    **groups: Float[Array | np.ndarray, "_"],
 ) -> Float[Array, "K"]:
     """Collect all coefficients from the arguments of `shape_body`."""
     values, dtype = model.template_coefficients, model.template_coefficients.dtype

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from ..body.body import Body
-from ..body.body_model import BodyModel, shape_body
+from ..body.body_model import BodyModel, body_coefficients, shape_body, split_coefficients
 from ..body.decimate import reduce_model
+from ..body.pose import Motion
 from ..errors import InputError, user_message
 from ..io.body_models.smpl import is_body_model, read_body_model
-from ..io.skeletons.amass import GENDERS, read_amass_shape
+from ..io.skeletons.amass import GENDERS, read_amass_shape, write_amass
 from .console.console import warn
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
@@ -30,6 +31,11 @@ def split_model(spec: str) -> tuple[Path, str]:
 def is_model_spec(spec: str) -> bool:
     """Test if an argument names a body model."""
     return is_body_model(split_model(spec)[0])
+
+
+def is_own_file(spec: str | Path) -> bool:
+    """Test if an argument is an `.npz` file of our own formats, which may have limits and priors besides the body."""
+    return Path(spec).suffix.lower() == ".npz" and not is_model_spec(str(spec))
 
 
 def load_model(spec: str, **defaults: Any) -> BodyModel:
@@ -77,10 +83,27 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
         raise InputError(f"{motion}: {user_message(error)}") from None
 
 
+def write_parameters(path: Path, spec: str, body: Body, motion: Motion, vertices: int | None = None) -> None:
+    """Write the motion of a body in AMASS's format with its shape coefficients, if an argument names its model.
+
+    **Arguments:** `vertices`, the number to which the model was reduced.
+    """
+    model = load_model_of(spec, vertices)
+    if model is None:
+        return
+    coefficients = np.asarray(body_coefficients(model, body), float)
+    gender = stated_gender(split_model(spec)[0]) or "neutral"
+    write_amass(path, body.skeleton, motion, split_coefficients(model, coefficients), gender)
+
+
+def stated_gender(model: Path) -> str:
+    """Find the gender that the name of a model's file states; empty if it states none."""
+    return next((word for word in GENDERS if word in model.name.lower()), "")
+
+
 def check_gender(model: Path, motion: Path, gender: str) -> None:
     """Warn if the name of a model states another gender than a motion: its coefficients have another meaning then."""
-    name = model.name.lower()
-    stated = next((word for word in GENDERS if word in name), "")
+    stated = stated_gender(model)
     if stated and gender in GENDERS and stated != gender:
         warn(
             f"{motion}: the shape of this motion belongs to the {gender} model, and {model.name} is the {stated} one; give the "

@@ -14,6 +14,7 @@ from ..view.contents import Contents
 from ..view.figures.depth_layers import DepthLayers
 from ..view.load import load
 from ..view.windows.serve import HOST
+from .body_models import is_model_spec
 from .console.console import warn
 from .console.options import BODY_FORMATS, DepthSpec, Flag, OptionalUnit, Up, arg
 from .console.window import Port, run_window
@@ -136,7 +137,7 @@ class View:
     def bodies(self) -> tuple[list[tuple[str, Body]], list[str]]:
         """Load the bodies given by name or as a mesh with its skeleton files, and list the remaining
         files."""
-        named = [name for name in self.files if is_human_spec(name) or is_rigged(name)]
+        named = [name for name in self.files if is_human_spec(name) or is_model_spec(name) or is_rigged(name)]
         return (
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
             [name for name in self.files if name not in named],

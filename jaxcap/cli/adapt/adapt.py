@@ -20,6 +20,7 @@ from ...io.registry import write_motion
 from ...io.system.run_lock import run_lock
 from ...limits.abstract_limits import AbstractLimits
 from ...report.adaptation import report_adaptation
+from ..body_models import load_model_of
 from ..console.console import say, warn
 from ..console.options import (
     BODY_FORMATS,
@@ -321,13 +322,7 @@ class Adapt:
             read_terms(body, limits=limits, limit_weight=self.limit_weight, floor=self.floor),
         )
 
-    def task(
-        self,
-        body: Body,
-        scans: Scans,
-        files: RunFiles,
-        missing: tuple[int, ...] = (),
-    ) -> AdaptTask:
+    def task(self, body: Body, scans: Scans, files: RunFiles, missing: tuple[int, ...] = ()) -> AdaptTask:
         """Make the task. Raises `InputError` if the cameras are not those of the scans."""
         cameras, priors = files.cameras, files.priors
         there = [frame for frame in range(len(scans)) if frame not in missing]
@@ -365,6 +360,7 @@ class Adapt:
             terms=files.terms,
             mesh=partial(clouds.mesh, planes=planes) if self.assignment == "surface" else None,
             planes=planes,
+            model=load_model_of(self.body, self.vertices),
             full_body=None if self.vertices is None else load_body(self.body, unit=self.unit, up=self.up)[0],
         )
 

@@ -9,6 +9,7 @@ from ...body.body import Body
 from ...energy.priors.pair_likelihood import LikelihoodPrior, MahalanobisPrior
 from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import Priors, has_prior, load_priors, prior_arrays
+from ..body_models import is_own_file
 from ..console.console import say
 
 PriorForm = Literal["nearest", "mean"]
@@ -23,7 +24,7 @@ def prior_file(body: str, requested: Path | None) -> Path | None:
     none, or `NONE` is requested. Raises `InputError` if the template's file cannot be read."""
     if requested is not None:
         return None if str(requested) == NONE else requested
-    return Path(body) if _is_npz(body) and has_prior(body) else None
+    return Path(body) if is_own_file(body) and has_prior(body) else None
 
 
 def read_priors(path: Path | None, body: Body, *, from_template: bool, reduced: bool) -> Priors | None:
@@ -52,10 +53,6 @@ def carried_arrays(body: str, priors: Priors | None) -> dict[str, np.ndarray]:
     A shape prior is not copied: it constrains vertices to the template's shape, which the actor does not
     have.
     """
-    others = load_body_limits(body) if _is_npz(body) else {}
+    others = load_body_limits(body) if is_own_file(body) else {}
     kept = {name: a for name, a in others.items() if not name.startswith(("prior.", "boxes.", "shape."))}
     return kept if priors is None else kept | prior_arrays(priors.prior, priors.boxes)
-
-
-def _is_npz(body: str) -> bool:
-    return Path(body).suffix.lower() == ".npz"

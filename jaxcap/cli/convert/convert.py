@@ -113,7 +113,7 @@ class Convert:
         }
         check_options(kind, self.target, given)
         check_units(kind, self.source, self.target, self.unit, self.target_unit)
-        read = self.motion if kind == "body" else self.source
+        read = self.motion if kind == "body" and self.body is None else self.source
         if self.up and (read is None or not is_amass(read)):
             raise InputError(
                 f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."

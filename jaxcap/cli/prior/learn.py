@@ -17,6 +17,7 @@ from ...io.archives.npz import load_body_limits
 from ...io.archives.prior import save_prior
 from ...prior.covariance_selection import count_zero_couplings
 from ...prior.learn_pose_prior import LearnedPair, build_pair_prior, learn_pairs, learn_ranges
+from ..body_models import is_own_file
 from ..console.console import pluralise, print_table, progress, say, warn
 from ..console.options import BODY_FORMATS, MOTION_FORMATS, Flag, MotionsSpec, OptionalBody, OptionalUnit, arg
 from ..motions import load_motion
@@ -93,7 +94,7 @@ class Learn:
             )
         except ValueError as error:
             raise InputError(f"{', '.join(self.motions)}: {user_message(error)}") from None
-        own = self.body is not None and Path(self.body).suffix.lower() == ".npz"
+        own = self.body is not None and is_own_file(self.body)
         limits = load_body_limits(str(self.body)) if own else None
         save_prior(self.out, prior, boxes, body, limits, shape)
         print_summary(learned)

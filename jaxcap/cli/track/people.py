@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...body.pose import Pose
+from ...body.pose import Motion, Pose
 from ...errors import InputError
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
@@ -18,9 +18,10 @@ from ...tracking.people.person_frame import PersonFrame, absent_person
 from ...tracking.people.track_people import track_people
 from ...tracking.track import unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
+from ..body_models import write_parameters
 from ..console.console import say, warn
 from .frame_records import POSE_AT, Results, unpack, unpack_results
-from .results import make_writable, person_folder, write_results
+from .results import PARAMETERS, make_writable, person_folder, write_results
 
 AUTO = "auto"
 
@@ -87,8 +88,12 @@ def write_people(
     rows: Float[np.ndarray, "N R"],
     rate: float,
     names: Sequence[str],
+    spec: str,
+    vertices: int | None,
 ) -> None:
     """Write the results of each person into the folder `person_1` and so on, and print what was found.
+
+    **Arguments:** `spec` names the body, which was reduced to about `vertices` vertices if given.
 
     **Raises:** `InputError` if nobody was found.
     """
@@ -104,7 +109,9 @@ def write_people(
         found += 1
         where = person_folder(folder, number)
         make_writable(where)
-        write_results(where, trackers[number].body.skeleton, results, rate, names)
+        body = trackers[number].body
+        write_results(where, body.skeleton, results, rate, names)
+        write_parameters(where / PARAMETERS, spec, body, Motion(results.poses, rate), vertices)
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
             warn(f"person {number + 1}: {sentence}")
         for sentence in exchange_sentences(number, person, own):

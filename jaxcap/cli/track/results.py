@@ -16,7 +16,9 @@ from ...io.archives.npz import save_motion
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
 from ...observe.clouds import Cloud
+from ...tracking.track import others_sentences, unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
+from ..console.console import warn
 from .frame_records import CLOUD_AT, Frame, Results, hash_cloud_name, unpack
 
 #: the shape of the person, if it was estimated
@@ -24,6 +26,8 @@ PERSON = "person.npz"
 #: beginning of the name of the folder of one person among several, followed by the number from 1
 PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
+#: the parameters of a body model in AMASS's format
+PARAMETERS = "parameters.npz"
 
 
 def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resumable: bool = True) -> Path:
@@ -34,9 +38,11 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resu
     """
     make_writable(folder)
     of_people = [
-        f"{own.name}/{name}" for own in sorted(folder.glob(f"{PERSON_FOLDER}*")) for name in (*FILES, PERSON)
+        f"{own.name}/{name}"
+        for own in sorted(folder.glob(f"{PERSON_FOLDER}*"))
+        for name in (*FILES, PARAMETERS, PERSON)
     ]
-    there = [name for name in (*FILES, *of_people, PERSON, journal) if (folder / name).exists()]
+    there = [name for name in (*FILES, PARAMETERS, *of_people, PERSON, journal) if (folder / name).exists()]
     # all that a run writes before its first frame is done
     begun = [name for name in there if Path(name).name in (PERSON, journal)]
     if there and not (resume or overwrite):
@@ -154,6 +160,16 @@ def write_results(
     ]
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, **(summary or {}), "frames": rows})
+
+
+def warn_of_results(results: Results) -> None:
+    """Warn of frames that are not good, of parts that were not seen, and of other people."""
+    for sentence in (
+        *verdict_sentences(results.verdicts),
+        *unseen_sentences(results.unseen),
+        *others_sentences(results.others),
+    ):
+        warn(sentence)
 
 
 def check_complete(count: int, clouds: Sequence) -> None:

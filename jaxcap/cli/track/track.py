@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from ...body.body import Body
+from ...body.pose import Motion
 from ...errors import InputError, user_message
 from ...io.archives.journal import Journal
 from ...io.lazy_frames import LazyFrames
@@ -21,9 +22,9 @@ from ...tracking.advance import FirstSearch
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
-from ...tracking.track import others_sentences, track_frames, unseen_sentences, verdict_sentences
+from ...tracking.track import track_frames
 from ...tracking.track_frame import Tracker, make_tracker, replace_body
-from ..body_models import load_model_of
+from ..body_models import load_model_of, write_parameters
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -68,12 +69,14 @@ from .frame_records import pack, pose_layout, results_width, row_template, row_w
 from .people import follow_people, people_template, read_count, write_people
 from .person_shape import find_shapes
 from .results import (
+    PARAMETERS,
     check_complete,
     check_folder,
     fingerprint,
     last_frame,
     make_writable,
     open_journal,
+    warn_of_results,
     write_results,
 )
 
@@ -240,16 +243,13 @@ class Track:
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
         write_results(self.out, body.skeleton, results, rate.frames, clouds.names)
+        motion = Motion(results.poses, rate.frames)
+        write_parameters(self.out / PARAMETERS, self.body, body, motion, self.vertices)
         say(
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        for sentence in (
-            *verdict_sentences(results.verdicts),
-            *unseen_sentences(results.unseen),
-            *others_sentences(results.others),
-        ):
-            warn(sentence)
+        warn_of_results(results)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
@@ -287,7 +287,7 @@ class Track:
             self.track_remaining(timed(frames), clouds, journal)
         set_activity("writing the results")
         rows = journal.read()[: len(clouds)]
-        write_people(self.out, trackers, template, rows, rate.frames, clouds.names)
+        write_people(self.out, trackers, template, rows, rate.frames, clouds.names, self.body, self.vertices)
         check_complete(len(rows), clouds)
 
     def check(self) -> None:

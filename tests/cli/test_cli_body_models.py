@@ -1,0 +1,100 @@
+"""Body models on the command line: info, fit, convert, track, and what does not fit."""
+
+import numpy as np
+import pytest
+from command_line import fails, runs
+from made_smpl import smpl_arrays, smpl_forward
+
+from jaxcap.cli import main
+from jaxcap.io.archives.npz import load_body
+from jaxcap.io.meshes.meshes import save_meshes
+from jaxcap.io.registry import read_skinned
+from jaxcap.io.skeletons.amass import read_amass, read_amass_shape
+from jaxcap.observe.meshes import MeshSequence
+
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model, meshes of one person that it made, and their parameters in AMASS's format."""
+    folder, rng = tmp_path_factory.mktemp("models"), np.random.default_rng(5)
+    arrays = smpl_arrays(vertices=80)
+    np.savez(folder / "smpl_neutral.npz", **arrays)
+    betas, trans = rng.normal(size=6), 0.3 * rng.normal(size=(FRAMES, 3))
+    poses = 0.15 * rng.normal(size=(FRAMES, 72))
+    meshes = np.array([smpl_forward(arrays, betas, p, t)[0] for p, t in zip(poses, trans, strict=True)])
+    save_meshes(folder / "meshes.npz", MeshSequence(meshes, arrays["f"].astype(int), 30.0))
+    np.savez(
+        folder / "amass.npz", betas=betas, poses=poses, trans=trans, gender="neutral", mocap_framerate=30.0
+    )
+    return folder, arrays, betas, meshes
+
+
+def test_a_model_is_described(folder, capsys):
+    printed = runs(capsys, "info", folder[0] / "smpl_neutral.npz")
+    assert "body model: SMPL, 6 betas" in printed
+    assert "80 vertices" in printed
+    assert "jaxcap fit" in printed
+
+
+@pytest.mark.parametrize("each", [(), ("--each-person",)])
+def test_parameters_of_meshes_are_written_as_amass_has_them(folder, each, tmp_path, capsys):
+    folder, arrays, betas, meshes = folder
+    runs(capsys, "fit", folder / "smpl_neutral.npz", folder / "meshes.npz", "-o", tmp_path / "fit.npz", *each)
+    with np.load(tmp_path / "fit.npz") as file:
+        found = dict(file)
+    rows = found["betas"] if each else np.tile(found["betas"], (FRAMES, 1))
+    np.testing.assert_allclose(rows, np.tile(betas, (FRAMES, 1)), atol=2e-3)
+    again = [smpl_forward(arrays, rows[k], found["poses"][k], found["trans"][k])[0] for k in range(FRAMES)]
+    np.testing.assert_allclose(again, meshes, atol=2e-5)
+    assert str(found["up_axis"]) == "y"
+
+
+def test_a_motion_of_amass_moves_its_model_in_its_shape(folder, tmp_path, capsys):
+    folder, arrays, betas, _ = folder
+    spec = f"{folder / 'smpl_neutral.npz'}:full"
+    runs(
+        capsys, "convert", folder / "amass.npz", tmp_path / "m.glb", "--body", spec, "--up", "y", "--influences", "24"
+    )  # fmt: skip
+    body, motion = read_skinned(tmp_path / "m.glb")
+    assert motion.num_frames == FRAMES
+    shaped = arrays["v_template"] + arrays["shapedirs"] @ betas
+    np.testing.assert_allclose(body.vertices, shaped, atol=1e-5)
+    # the shape stays with the motion
+    runs(
+        capsys, "convert", folder / "amass.npz", tmp_path / "again.npz", "--as", "amass", "--body", spec
+    )  # fmt: skip
+    shape, gender = read_amass_shape(tmp_path / "again.npz")
+    np.testing.assert_array_equal(shape["betas"], betas)
+    assert gender == "neutral"
+    skeleton, _ = read_amass(tmp_path / "again.npz")
+    np.testing.assert_allclose(skeleton.centres, arrays["J_regressor"] @ shaped, atol=1e-6)
+
+
+def test_a_template_becomes_a_body(folder, tmp_path, capsys):
+    folder, arrays, *_ = folder
+    runs(capsys, "convert", folder / "smpl_neutral.npz", tmp_path / "body.npz", "--as", "body")
+    body = load_body(tmp_path / "body.npz")
+    np.testing.assert_allclose(body.vertices, arrays["v_template"], atol=1e-6)
+    # hands are fixed unless asked for
+    assert body.skeleton.kinds[-1] == "fixed"
+
+
+def test_what_does_not_fit_is_told(folder, tmp_path, capsys):
+    folder = folder[0]
+    model = folder / "smpl_neutral.npz"
+    assert "'hands' is not an option of a body model" in fails(
+        capsys, "fit", f"{model}:hands", folder / "meshes.npz", "-o", tmp_path / "f.npz"
+    )
+    assert "--each-person is for body models" in fails(
+        capsys, "fit", "human", folder / "meshes.npz", "-o", tmp_path / "f.npz", "--each-person"
+    )
+    longer = dict(np.load(folder / "amass.npz")) | {"betas": np.zeros(16)}
+    np.savez(tmp_path / "longer.npz", **longer)
+    line = fails(capsys, "convert", tmp_path / "longer.npz", tmp_path / "m.glb", "--body", model)
+    assert "16 betas were given, and the model has 6" in line
+    male = dict(np.load(folder / "amass.npz")) | {"gender": "male"}
+    np.savez(tmp_path / "male.npz", **male)
+    main([str(word) for word in ("convert", tmp_path / "male.npz", tmp_path / "m.npz", "--body", model)])
+    assert "belongs to the male model, and smpl_neutral.npz is the neutral one" in capsys.readouterr().err
