@@ -1,0 +1,1 @@
+"""Body models: forward maps, and parameters fitted to meshes and scans."""

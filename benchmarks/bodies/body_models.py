@@ -1,0 +1,174 @@
+"""Forward maps of body models against other packages: `python -m benchmarks.body_models --venvs FOLDER`.
+
+Models in the formats of SMPL, SMPL-H and SMPL-X are posed here, by `smplx` (PyTorch) and, for SMPL, by `body-models`, in an
+environment that is created under FOLDER. The files of SMPL have a licence that does not allow to share them: `smpl` is made from
+the embedded human (`_made_model`), the others have random numbers. Vertices and joints are compared with those of `smplx` in
+float64; derivatives by coefficients and rotations with central differences; and the time of a pose, alone and among 64, with the
+fastest of the others. The time includes the shape: every pose has coefficients of its own.
+"""
+
+import argparse
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxcap as jc
+from benchmarks.bodies._made_model import made_arrays
+from benchmarks.markers._rivals.environments import Rival, install
+from benchmarks.report import Timer, finish, progress
+from jaxcap.body.body_model import BodyModel
+from jaxcap.geometry import rotation
+from jaxcap.io.skeletons.amass import SMPL_PARENTS
+
+PACKAGES = Rival(("3.11",), ("torch==2.8.*", "smplx==0.1.28", "body-models==0.26.2", "numpy"))
+NUM_POSES = 64
+#: joints, vertices and shape directions of the random models
+RANDOM = {"smplh": (52, 6890, 16), "smplx": (55, 10475, 20)}
+
+
+def random_arrays(joints: int, vertices: int, directions: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Make a model of random numbers, as large as a person."""
+    rng = np.random.default_rng(seed)
+    regressor, weights = rng.random((joints, vertices)) ** 8, rng.random((vertices, joints)) ** 8
+    return {
+        "v_template": 0.4 * rng.normal(size=(vertices, 3)),
+        "shapedirs": 0.02 * rng.normal(size=(vertices, 3, directions)),
+        "posedirs": 0.002 * rng.normal(size=(vertices, 3, 9 * (joints - 1))),
+        "J_regressor": regressor / regressor.sum(1, keepdims=True),
+        "weights": weights / weights.sum(1, keepdims=True),
+        "kintree_table": np.array([[2**32 - 1, *SMPL_PARENTS[joints][1:]], range(joints)], dtype=np.uint32),
+        "f": np.argsort(rng.random((2 * vertices, 8)), axis=1)[:, :3].astype(np.uint32),
+    }
+
+
+def pose_of(turns: jax.Array) -> jc.Pose:
+    rotations = jax.vmap(rotation.exp)(turns)
+    return jc.Pose(jnp.zeros_like(turns), rotations, jnp.ones((), turns.dtype))
+
+
+@jax.jit
+def forward_one(model: BodyModel, z: jax.Array, turns: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Compute vertices and joints."""
+    posed = jc.pose_body(jc.shape_body(model, z), pose_of(turns))
+    return posed.vertices, posed.joints
+
+
+@jax.jit
+def forward_all(model: BodyModel, z: jax.Array, turns: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(forward_one, (None, 0, 0))(model, z, turns)
+
+
+def gradient_error(model: BodyModel, z: np.ndarray, turns: np.ndarray, seed: int = 1) -> float:
+    """Compare derivatives of a weighted sum of the vertices with central differences, relative to their norm."""
+    rng = np.random.default_rng(seed)
+    weights = jnp.asarray(rng.normal(size=model.template.vertices.shape))
+
+    @jax.jit
+    def weighted_sum(model, z, turns):
+        return jnp.sum(weights * forward_one(model, z, turns)[0])
+
+    def value(*at):
+        return weighted_sum(model, *at)
+
+    start = jnp.asarray(z), jnp.asarray(turns)
+    exact = jax.grad(value, (0, 1))(*start)
+    worst = 0.0
+    for which in (0, 1):
+        for _ in range(5):
+            along = [jnp.zeros_like(x) for x in start]
+            along[which] = jnp.asarray(rng.normal(size=start[which].shape))
+            step = 1e-5
+            moved = [
+                value(*(x + sign * step * d for x, d in zip(start, along, strict=True))) for sign in (1, -1)
+            ]
+            numeric = (moved[0] - moved[1]) / (2 * step)
+            given = jnp.sum(exact[which] * along[which])
+            worst = max(worst, float(jnp.abs(given - numeric) / jnp.linalg.norm(exact[which])))
+    return worst
+
+
+def run_others(
+    python: Path, folder: Path, path: Path, z: np.ndarray, poses: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Pose a model by the other packages."""
+    given, found = folder / "poses.npz", folder / "found.npz"
+    np.savez(given, betas=z, poses=poses, threads=os.cpu_count() or 1)
+    script = Path(__file__).parent / "_rivals" / "run_forward.py"
+    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    outcome = subprocess.run(
+        [str(python), str(script), str(given), str(path), str(found)],
+        env=surroundings,
+        capture_output=True,
+        text=True,
+    )
+    for line in outcome.stderr.splitlines()[-3:]:
+        progress(line)
+    outcome.check_returncode()
+    with np.load(found) as file:
+        return dict(file)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
+    parser.add_argument(
+        "--python", type=Path, help="a Python that has the packages, in place of an environment"
+    )
+    options = parser.parse_args()
+    python = options.python or install("bodies", PACKAGES, options.venvs)
+    if python is None:
+        raise SystemExit("The packages smplx and body-models could not be installed.")
+    figures, limits, seconds = {}, {}, {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        models = {"smpl": made_arrays(), **{key: random_arrays(*sizes) for key, sizes in RANDOM.items()}}
+        for key, arrays in models.items():
+            path = folder / f"{key}.npz"
+            np.savez(path, **arrays)
+            rng = np.random.default_rng(0)
+            count = arrays["shapedirs"].shape[2]
+            z = rng.normal(size=(NUM_POSES, count))
+            poses = 0.5 * rng.normal(size=(NUM_POSES, 3 * len(arrays["kintree_table"][0])))
+            theirs = run_others(python, folder, path, z, poses)
+            turns = poses.reshape(NUM_POSES, -1, 3)
+            with jax.enable_x64(True):
+                model = jc.read_body_model(path, num_betas=count)
+                figures[f"{key}_gradient_error"] = gradient_error(model, z[0], turns[0])
+            limits[f"{key}_gradient_error"] = ("<=", 1e-6)
+            model = jc.read_body_model(path, num_betas=count)
+            given = jnp.asarray(z, jnp.float32), jnp.asarray(turns, jnp.float32)
+            timer, batch = Timer(), Timer()
+            for _ in range(50):
+                timer(forward_one, model, given[0][0], given[1][0])
+            for _ in range(10):
+                vertices, joints = batch(forward_all, model, *given)
+            figures[f"{key}_vertices_m"] = float(np.abs(np.asarray(vertices) - theirs["vertices"]).max())
+            figures[f"{key}_joints_m"] = float(np.abs(np.asarray(joints) - theirs["joints"]).max())
+            limits |= {f"{key}_vertices_m": ("<=", 1e-5), f"{key}_joints_m": ("<=", 1e-6)}
+            for size, ours in ((1, timer.median), (NUM_POSES, batch.median / NUM_POSES)):
+                others = {
+                    name: float(theirs[f"{name}_{size}"])
+                    for name in ("smplx", "body_models")
+                    if f"{name}_{size}" in theirs
+                }
+                seconds |= {f"{key}_{size}_jaxcap": ours} | {
+                    f"{key}_{size}_{name}": value for name, value in others.items()
+                }
+                figures[f"{key}_ratio_{size}"] = ours / min(others.values())
+                told = ", ".join(
+                    f"{name} {1000 * value:.3f} ms" for name, value in {"jaxcap": ours, **others}.items()
+                )
+                progress(f"{key}, {size} poses at once, each: {told}")
+            limits |= {f"{key}_ratio_1": ("<=", 1.2), f"{key}_ratio_{NUM_POSES}": ("<=", 1.0)}
+    finish("body_models", figures, limits, {"poses": NUM_POSES}, seconds)
+
+
+if __name__ == "__main__":
+    main()
