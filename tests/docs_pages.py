@@ -15,6 +15,7 @@ from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.geometry.camera import look_at
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
+from tests.made_smpl import smpl_arrays
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -142,6 +143,14 @@ def depth_page(folder: Path) -> dict[str, object]:
     return {"jc": jc, "np": np, "body": body, "clouds": [jc.make_cloud(posed.vertices, posed.normals)] * 3}
 
 
+def body_models_page(folder: Path) -> dict[str, object]:
+    """A body model in SMPL's format, and poses."""
+    path = folder / "smpl.npz"
+    np.savez(path, **smpl_arrays(vertices=200))
+    model = jc.read_body_model(path)
+    return {"path": path, "poses": jc.body.sample_poses(model.template.skeleton, count=2)}
+
+
 #: what is there before a page's first line: files in its folder, and names
 GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/depth.md": depth_page,
@@ -149,4 +158,5 @@ GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/files.md": files_page,
     "docs/live.md": live_page,
     "docs/adaptation.md": adaptation_page,
+    "docs/body_models.md": body_models_page,
 }

@@ -90,6 +90,7 @@ def take_vertices(body: Body, rows: Int[Array, "R"], faces: Int[Array, "F 3"] | 
     return Body(body.skeleton, body.skin.take(rows), body.vertices[rows], faces)
 
 
+@checked
 @eqx.filter_jit
 def posed_vertices(body: Body, poses: Pose) -> Float[Array, "*frames V 3"]:
     """Compute the vertices of a body in one pose, or in every pose of a stack, metres."""

@@ -82,6 +82,7 @@ def body_coefficients(model: BodyModel, body: Body) -> Float[Array, "K"]:
     return model.template_coefficients + jnp.asarray(changes, model.template_coefficients.dtype)
 
 
+@checked
 def split_coefficients(
     model: BodyModel, coefficients: Float[np.ndarray, "*frames K"]
 ) -> dict[str, Float[np.ndarray, "*frames N"]]:

@@ -25,6 +25,7 @@ from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
+from .fit_model import ModelFit as ModelFit
 from .flat_problems import flat_problem as flat_problem
 from .jacobian_check import check_jacobian as check_jacobian
 from .pose_problem import PoseProblem as PoseProblem

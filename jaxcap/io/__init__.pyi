@@ -26,6 +26,7 @@ from .registry import read_skeleton as read_skeleton
 from .registry import read_skinned as read_skinned
 from .registry import write_motion as write_motion
 from .skeletons.amass import read_amass as read_amass
+from .skeletons.amass import read_amass_shape as read_amass_shape
 from .skeletons.amass import write_amass as write_amass
 from .skeletons.amc import read_amc as read_amc
 from .skeletons.asf import read_asf as read_asf

@@ -417,7 +417,7 @@ def test_files_that_grow_are_refused(read, refused, monkeypatch):
 
 
 def test_long_and_deep_programs_are_refused_or_read(read, refused, monkeypatch):
-    monkeypatch.setattr("jaxcap.io.archives.pickle_arrays.MAX_OPCODES", 1000)
+    monkeypatch.setattr("jaxcap.io.archives.pickle_machine.MAX_OPCODES", 1000)
     assert "more than 1000 opcodes" in refused(b"\x80\x02" + b"]" * 2000)
     assert "damaged" in refused(b"\x80\x02}r\xff\xff\xff\x7f.")
     monkeypatch.undo()

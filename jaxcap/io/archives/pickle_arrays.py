@@ -1,19 +1,13 @@
 """The arrays of `.pkl` files of body models: a pickle's opcodes are interpreted here, and it is never unpickled.
 
-The models of SMPL's family are distributed as pickles of a dict of arrays. A pickle is a program that may call any
-function of any module. Here it runs on a stack machine that knows numbers, text, lists, tuples and dicts. A global
-is an inert name from a list, and a call of it is a record: nothing is imported and nothing is called. The records
-of the requested entries are then converted to arrays, by the layouts that NumPy, SciPy and chumpy write.
+The models of SMPL's family are distributed as pickles of a dict of arrays. `PickleMachine` runs the opcodes on inert records. The
+records of the requested entries are then converted to arrays, by the layouts that NumPy, SciPy and chumpy write.
 """
 
-import codecs
-import io
 import math
 import os
-import pickletools
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +18,7 @@ from ...errors import InputError
 from ..system.reader_errors import reader_of
 from ..text import shortened
 from .archive import MAX_ARRAYS, MAX_EMPTY_AXIS, MIN_MEMORY_LIMIT
+from .pickle_machine import REMEDY, PickleMachine, describe_value, entry_name, role_of
 
 #: an array, a number or text
 Value = np.ndarray | float | int | str | None
@@ -31,34 +26,8 @@ Values = dict[str, Value]
 
 #: limit of the memory of all arrays, in multiples of the file size, above `MIN_MEMORY_LIMIT`
 MAX_GROWTH = 8
-#: largest number of opcodes, and so of values, marks and positions of the memo
-MAX_OPCODES = 2_000_000
-#: largest number of axes of an array, of nested chumpy wrappers, and of letters of a name
-MAX_AXES, MAX_WRAPPERS, MAX_LETTERS = 16, 8, 256
-_REMEDY = "get the model from its authors, or write its arrays with numpy.savez."
-_OPCODES = {each.code.encode("latin-1"): each for each in pickletools.opcodes}
-#: opcodes that push their argument: a number, text or bytes
-_LITERALS = frozenset(
-    each.name
-    for each in pickletools.opcodes
-    if each.arg and not each.stack_before and each.stack_after and each.stack_after[0].name != "any"
-)
-_CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": ()}
-#: modules and names that a pickle may mention -> their role
-_GLOBALS = {
-    r"numpy\._?core\.multiarray _reconstruct": "array",
-    r"numpy\._?core\.numeric _frombuffer": "buffer",
-    r"numpy\._?core\.multiarray scalar": "scalar",
-    r"numpy dtype": "dtype",
-    r"numpy (ndarray|matrix)|numpy\.matrixlib\.defmatrix matrix|(__builtin__|builtins) object": "class",
-    r"_codecs encode|(__builtin__|builtins) bytes": "bytes",
-    r"copy_?reg _reconstructor": "instance",
-    r"collections OrderedDict|(__builtin__|builtins) (set|frozenset)": "container",
-    r"scipy\.sparse\._?(csc|csr|coo) \1_(matrix|array)": "sparse",
-    r"chumpy\.ch Ch": "wrapper",
-    r"chumpy\.reordering Select": "selection",
-    r"chumpy(\.\w+)? \w+": "expression",
-}
+#: largest number of axes of an array, and of nested chumpy wrappers
+MAX_AXES, MAX_WRAPPERS = 16, 8
 
 
 def read_pickled_arrays(path: str | os.PathLike[str], names: Collection[str] | None = None) -> Values:
@@ -77,11 +46,11 @@ def read_pickled_arrays(path: str | os.PathLike[str], names: Collection[str] | N
 @reader_of("a pickle of arrays")
 def _read(path: Path, names: Collection[str] | None) -> Values:
     data = path.read_bytes()
-    content = _Machine(data).run()
-    if _role(content) == "container":  # of Python 2, as a list of pairs
-        content = {_name(key): value for key, value in content.arguments[0]}
+    content = PickleMachine(data).run()
+    if role_of(content) == "container":  # of Python 2, as a list of pairs
+        content = {entry_name(key): value for key, value in content.arguments[0]}
     if not isinstance(content, dict):
-        raise InputError(f"the pickle holds {_describe(content)} and no dict of arrays; {_REMEDY}")
+        raise InputError(f"the pickle holds {describe_value(content)} and no dict of arrays; {REMEDY}")
     if len(content) > MAX_ARRAYS:
         raise InputError(f"the pickle has {len(content)} entries; expected at most {MAX_ARRAYS}.")
     converter = _Converter(max(MIN_MEMORY_LIMIT, MAX_GROWTH * len(data)))
@@ -91,42 +60,14 @@ def _read(path: Path, names: Collection[str] | None) -> Values:
         try:
             found[name] = converter.convert(value)
         except _EntryError as error:
-            container = isinstance(value, list | tuple | dict) or _role(value) == "container"
+            container = isinstance(value, list | tuple | dict) or role_of(value) == "container"
             if names is not None or not container:
-                raise InputError(f"the entry '{shortened(name)}' {error}; {_REMEDY}") from None
+                raise InputError(f"the entry '{shortened(name)}' {error}; {REMEDY}") from None
     return found
 
 
 class _EntryError(Exception):
     """The fault of an entry: the middle of a sentence that begins with its name and ends with the remedy."""
-
-
-@dataclass(slots=True, eq=False)
-class _Symbol:
-    """A function or class that a pickle mentions, or with arguments the record of a call of it."""
-
-    name: str
-    role: str
-    arguments: tuple | None = None
-    #: what the pickle sets on the result of the call
-    state: Any = None
-
-
-def _role(value: Any) -> str:
-    """Return the role of the record of a call, empty for other values."""
-    return value.role if isinstance(value, _Symbol) and value.arguments is not None else ""
-
-
-def _describe(value: object) -> str:
-    """Describe a value in a message."""
-    return f"an object of the type {value.name if isinstance(value, _Symbol) else type(value).__name__}"
-
-
-def _name(key: object) -> str:
-    """Return the name of an entry, empty if its key is no short text."""
-    if not isinstance(key, str | bytes) or len(key) > MAX_LETTERS:
-        return ""
-    return key if isinstance(key, str) else key.decode("latin-1")
 
 
 def _check(*conditions: Any) -> None:
@@ -146,7 +87,7 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 def _dtype(value: Any) -> np.dtype:
     """Convert the type of an array. Raises `_EntryError` for other types than numbers and text."""
-    match _role(value) == "dtype" and (value.arguments, value.state):
+    match role_of(value) == "dtype" and (value.arguments, value.state):
         case ((str(code), *_), state):
             kind = code.lstrip("<>|=")
             order = state[1] if isinstance(state, tuple) and len(state) > 1 else code[:1]
@@ -156,134 +97,6 @@ def _dtype(value: Any) -> np.dtype:
                 return np.dtype(kind).newbyteorder(order if order in ("<", ">") else "=")
             raise _EntryError(f"has the type {shortened(code)}, which is not read")
     raise _EntryError("has no valid type")
-
-
-def _read_string(stream: io.BytesIO) -> str:
-    """Read a string of Python 2, protocol 0, whose bytes may have any value, which `pickletools` does not allow."""
-    line = stream.readline()
-    if len(line) < 3 or line[:1] not in (b"'", b'"') or line[-2:] != line[:1] + b"\n":
-        raise ValueError
-    return codecs.escape_decode(line[1:-2])[0].decode("latin-1")
-
-
-class _Machine:
-    """The stack machine of pickles, protocols 0 to 5."""
-
-    def __init__(self, data: bytes):
-        self.data, self.stream = data, io.BytesIO(data)
-        self.stack: list[Any] = []
-        #: the stacks below the marks
-        self.marks: list[list[Any]] = []
-        self.memo: dict[int, Any] = {}
-        #: of the opcode, in bytes
-        self.position = 0
-
-    def run(self) -> Any:
-        """Run the opcodes and return the result. Raises `InputError`."""
-        if self.data[:2] == b"PK":
-            raise InputError("this is a zip archive, such as an .npz file, and no pickle; rename it.")
-        for _ in range(MAX_OPCODES):
-            self.position = self.stream.tell()
-            try:
-                opcode = _OPCODES[self.stream.read(1)]
-                read = _read_string if opcode.name == "STRING" else opcode.arg and opcode.arg.reader
-                argument = read(self.stream) if read else None
-                if opcode.name == "STOP":
-                    return self.stack.pop()
-                self.step(opcode.name, argument)
-            except InputError:
-                raise
-            except Exception:  # any error of pickletools, and of operations on unsuitable values
-                if self.position == 0:
-                    raise InputError("this is not a pickle; give the .pkl file of a body model.") from None
-                fault = "incomplete" if self.stream.tell() == len(self.data) else "damaged"
-                raise InputError(f"the pickle is {fault} at byte {self.position}; get it again.") from None
-        raise InputError(f"the pickle has more than {MAX_OPCODES} opcodes; {_REMEDY}")
-
-    def code(self, what: str) -> InputError:
-        """Build the error of a file that holds code."""
-        return InputError(f"the file holds code: {what} at byte {self.position}, which is not run; {_REMEDY}")
-
-    def push_global(self, module: str, name: str) -> None:
-        """Add an inert name to the stack. Raises `InputError` if it is not in the list."""
-        text = " ".join((module[:MAX_LETTERS], name[:MAX_LETTERS]))
-        role = next((role for pattern, role in _GLOBALS.items() if re.fullmatch(pattern, text)), None)
-        text = shortened(text.replace(" ", "."))
-        if role is None:
-            raise self.code(f"the global {text}")
-        self.stack.append(_Symbol(text, role))
-
-    def push_call(self, function: Any, arguments: Any) -> None:
-        """Add the record of a call to the stack. Raises `InputError` if it does not call a global."""
-        if isinstance(function, _Symbol) and function.role == "instance":
-            function, arguments = arguments[0], ()
-        if not isinstance(function, _Symbol) or function.arguments is not None:
-            raise self.code(f"a call of {_describe(function)}")
-        if not isinstance(arguments, tuple):
-            raise TypeError
-        call = _Symbol(function.name, function.role, arguments)
-        self.stack.append({} if function.role == "container" and not arguments else call)
-
-    def pop_mark(self) -> list[Any]:
-        """Take the values above the topmost mark."""
-        items, self.stack = self.stack, self.marks.pop()
-        return items
-
-    def step(self, name: str, argument: Any) -> None:
-        """Run one opcode. Raises `InputError` for code, and any other error if the values do not suit it."""
-        stack = self.stack
-        match name:
-            case _ if name in _LITERALS:
-                stack.append(argument)
-            case _ if name in _CONSTANTS:
-                stack.append(_CONSTANTS[name])
-            case "EMPTY_LIST" | "EMPTY_SET" | "EMPTY_DICT":
-                stack.append({} if name == "EMPTY_DICT" else [])
-            case "PROTO" | "FRAME":
-                pass
-            case "GET" | "BINGET" | "LONG_BINGET":
-                stack.append(self.memo[argument])
-            case "PUT" | "BINPUT" | "LONG_BINPUT" | "MEMOIZE":
-                place = len(self.memo) if name == "MEMOIZE" else argument
-                if not 0 <= place < MAX_OPCODES:
-                    raise IndexError
-                self.memo[place] = stack[-1]
-            case "MARK":
-                self.marks.append(stack)
-                self.stack = []
-            case "POP" if stack:
-                stack.pop()
-            case "POP" | "POP_MARK":
-                self.pop_mark()
-            case "DUP":
-                stack.append(stack[-1])
-            case "TUPLE1" | "TUPLE2" | "TUPLE3":
-                items = [stack.pop() for _ in range(int(name[-1]))]
-                stack.append(tuple(reversed(items)))
-            case "TUPLE" | "LIST" | "FROZENSET":
-                items = self.pop_mark()
-                self.stack.append(tuple(items) if name == "TUPLE" else items)
-            case "APPEND" | "APPENDS" | "ADDITEMS":
-                items = [stack.pop()] if name == "APPEND" else self.pop_mark()
-                self.stack[-1].extend(items)
-            case "DICT" | "SETITEM" | "SETITEMS":
-                items = [stack.pop(), stack.pop()][::-1] if name == "SETITEM" else self.pop_mark()
-                if name == "DICT":
-                    self.stack.append({})
-                self.stack[-1].update(zip(map(_name, items[::2]), items[1::2], strict=True))
-            case "GLOBAL":
-                self.push_global(*argument.split(" ", 1))
-            case "STACK_GLOBAL":
-                attribute, module = stack.pop(), stack.pop()
-                self.push_global(module, attribute)
-            case "REDUCE" | "NEWOBJ":
-                arguments, function = stack.pop(), stack.pop()
-                self.push_call(function, arguments)
-            case "BUILD":
-                state = stack.pop()
-                stack[-1].state = state
-            case _:
-                raise self.code(f"the opcode {name} {shortened(str(argument or ''))}".rstrip())
 
 
 class _Converter:
@@ -302,10 +115,10 @@ class _Converter:
         """Convert an entry. Raises `_EntryError`."""
         if value is None or isinstance(value, float | str) or (isinstance(value, int) and abs(value) < 2**64):
             return value
-        if _role(value) == "bytes" or isinstance(value, bytes | bytearray):
+        if role_of(value) == "bytes" or isinstance(value, bytes | bytearray):
             return self.read_bytes(value).decode("latin-1")
         array = self.array(value)
-        return array.item() if _role(value) == "scalar" else array
+        return array.item() if role_of(value) == "scalar" else array
 
     def convert_list(self, value: Any) -> np.ndarray | None:
         """Convert a number or nested lists of numbers, `None` for others. Raises `_EntryError` beyond the limit."""
@@ -317,7 +130,7 @@ class _Converter:
             shape.append(len(level[0]))
             self.spend(16 * shape[-1] * len(level))
             level = [item for each in level for item in each]
-        level = [self.convert(each) if _role(each) == "scalar" else each for each in level]
+        level = [self.convert(each) if role_of(each) == "scalar" else each for each in level]
         if not {type(each) for each in level} <= {bool, int, float}:
             return None
         array = np.array(level)  # of objects if a number is too large
@@ -325,9 +138,9 @@ class _Converter:
 
     def array(self, value: Any, depth: int = 0) -> np.ndarray:
         """Convert an array, a sparse matrix, a wrapper of chumpy, or numbers. Raises `_EntryError`."""
-        if _role(value) != "scalar" and (numbers := self.convert_list(value)) is not None:
+        if role_of(value) != "scalar" and (numbers := self.convert_list(value)) is not None:
             return numbers
-        match depth <= MAX_WRAPPERS and _role(value) and (value.role, value.arguments, value.state):
+        match depth <= MAX_WRAPPERS and role_of(value) and (value.role, value.arguments, value.state):
             case ("array", _, (*_, shape, dtype, by_columns, data)):
                 return self.elements(dtype, data, _shape(shape), "F" if by_columns else "C")
             case ("scalar", (dtype, data), _):
@@ -348,7 +161,7 @@ class _Converter:
                 _check(chosen >= -array.size, chosen < array.size, math.prod(shape) == chosen.size)
                 self.spend(chosen.size * array.itemsize)
                 return array[chosen].reshape(shape)
-        raise _EntryError(f"is {_describe(value)}, which is not an array")
+        raise _EntryError(f"is {describe_value(value)}, which is not an array")
 
     def elements(self, dtype: Any, data: Any, shape: tuple[int, ...], order: Any = "C") -> np.ndarray:
         """Convert the bytes of an array. Raises `_EntryError`."""
@@ -367,7 +180,7 @@ class _Converter:
 
     def read_bytes(self, value: Any) -> bytes:
         """Return bytes, which may be Latin-1 text or the record of its encoding. Raises `_EntryError`."""
-        arguments = value.arguments if _role(value) == "bytes" else (value,)
+        arguments = value.arguments if role_of(value) == "bytes" else (value,)
         match arguments[:1]:
             case ():
                 return b""

@@ -146,20 +146,29 @@ def _parts(turns: Float[np.ndarray, "F J 3"]) -> dict[str, np.ndarray]:
     }
 
 
+@checked
 @reader_of("an AMASS motion")
 def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
     """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
 
-    Groups with a row for each frame, such as expressions, are left out. The gender is empty if the file has none.
+    Coefficients with a row for each frame are left out. The gender is empty if the file has none, or has it as an object.
 
     **Raises:** `InputError` if the file is damaged.
     """
-    arrays = load_arrays(path, lambda name: name in ("betas", "gender"))
+    arrays = load_arrays(path, lambda name: name == "betas")
     there = "betas" in arrays and arrays["betas"].ndim == 1
     shape = {"betas": get_array(arrays, "betas", path, (None,))} if there else {}
-    gender = arrays.get("gender", np.array(""))
-    text = gender.item() if gender.size == 1 and gender.dtype.kind in "US" else ""
-    return shape, (text.decode("latin-1") if isinstance(text, bytes) else str(text))
+    return shape, _gender(path)
+
+
+def _gender(path: str | Path) -> str:
+    try:
+        gender = load_arrays(path, lambda name: name == "gender").get("gender", np.array(""))
+    except InputError:
+        # an object, which is never unpickled; poses and shape do not need it
+        return ""
+    text = gender.reshape(-1)[0] if gender.size == 1 and gender.dtype.kind in "US" else ""
+    return text.decode("latin-1") if isinstance(text, bytes) else str(text)
 
 
 def is_amass(path: str | Path) -> bool:
