@@ -23,7 +23,6 @@ from .adapt.poses.fit_frame import fit_pose as fit_pose
 from .adapt.prepare import make_adapt_task as make_adapt_task
 from .body.body import Body as Body
 from .body.body import pose_body as pose_body
-from .body.body_model import BodyModel as BodyModel
 from .body.body_model import shape_body as shape_body
 from .body.euler_angles import joint_angles as joint_angles
 from .body.kinematics import forward_kinematics as forward_kinematics

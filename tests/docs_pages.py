@@ -15,7 +15,7 @@ from jaxcap.body.people.anatomy import rest_deviations
 from jaxcap.geometry.camera import look_at
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
-from tests.made_smpl import smpl_arrays
+from tests.io.body_models.made_smpl import smpl_arrays
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]

@@ -1,9 +1,13 @@
-"""Parameters of a body model from registered meshes: `python -m benchmarks.fit_parameters --venvs FOLDER`.
+"""Parameters of a body model from registered meshes and from scans: `python -m benchmarks.fit_parameters --venvs FOLDER`.
 
 20 people in 10 poses each of CMU's motions, made by a model in SMPL's format (`_made_model`): every mesh is fitted alone, without
 a start, by `fit_model` here, and by `smplfitter` in an environment that is created under FOLDER, with 1 to 8 iterations; its best
 result counts. Errors are root mean square distances of vertices. The same with 2 mm of noise on every coordinate, in which errors
 are those from the meshes without noise; and all poses of one person together.
+
+Scans: people of the model perform CMU's motions, seen by 8 depth cameras with 2 mm of noise. Coefficients are estimated from the
+first frames (`estimate_shape`) and all frames are tracked, as `jaxcap track MODEL CLOUDS --fit-shape` does, without landmarks and
+without a first pose. Errors are distances of the true vertices from the surface, and of joints.
 """
 
 import argparse
@@ -22,13 +26,18 @@ from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.bodies._made_model import made_arrays
 from benchmarks.markers._rivals.environments import Rival, install
 from benchmarks.report import finish, progress
-from jaxcap.body.body_model import BodyModel
+from jaxcap.body.body_model import BodyModel, body_coefficients
 from jaxcap.body.pose import take_poses
 from jaxcap.edit.retargeting.retarget import retarget
+from jaxcap.geometry.camera import ring_of_cameras
 from jaxcap.geometry.sampling import even_indices
+from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import replace_body
 
 PACKAGES = Rival(("3.11",), ("torch==2.8.*", "smplfitter==0.6.0", "numpy", "scipy"))
 PEOPLE, POSES, NOISE = 20, 10, 0.002
+#: people who are scanned, and frames of each
+SCANNED, SCANS = 5, 30
 TAKES = ("02_05", "02_07", "01_01", "02_01", "02_08")
 
 
@@ -42,7 +51,7 @@ def sample_meshes(model: BodyModel, people: int, seed: int = 0) -> tuple[np.ndar
         motion = retarget(motion, source, skeleton)
         poses = take_poses(motion.poses, rng.choice(even_indices(len(motion), 200), POSES, replace=False))
         body = jc.shape_body(model, jnp.asarray(z[person], jnp.float32))
-        vertices.append(np.asarray(jc.body.body.posed_vertices(body, poses)))
+        vertices.append(np.asarray(jc.body.posed_vertices(body, poses)))
     return np.concatenate(vertices), z
 
 
@@ -87,6 +96,54 @@ def fit_others(
         return {n: (file[f"vertices_{n}"], float(file[f"seconds_{n}"])) for n in numbers}
 
 
+def fit_scans(model: BodyModel, person: int, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Track one person in scans; return distances of surfaces and joints, metres, errors of coefficients, and frames not good."""
+    body = jc.shape_body(model, jnp.asarray(z, jnp.float32))
+    motion, source = cmu_motion(shared_folder(), TAKES[person % len(TAKES)])
+    motion = retarget(motion, source, model.template.skeleton)
+    motion = motion.slice(slice(40, 40 + 2 * SCANS, 2))
+    cameras = ring_of_cameras(8, 360, 2.8, 1.0, np.asarray(body.skeleton.centres[0], float), (320, 240), 60.0)
+    vertices = np.asarray(jc.body.posed_vertices(body, motion.poses))
+    scanner, faces, clouds = jc.scanner.Scanner(noise=NOISE, points=5000), np.asarray(body.faces), []
+    for frame, shown in enumerate(vertices):
+        middle = shown.mean(0) * [1.0, 0.0, 1.0]
+        scan = jc.scanner.scan_frame(scanner, cameras, shown.astype(float) - middle, faces, frame=frame)
+        clouds.append(jc.make_cloud(scan.points + middle, scan.normals))
+    tracker = jc.make_tracker(model.template)
+    found = jc.adapt.estimate_shape(tracker, clouds, model)
+    frames = list(track_frames(replace_body(tracker, found), clouds))
+    surface, joints = [], []
+    for frame, shown, truth in zip(frames, vertices, range(SCANS), strict=True):
+        posed = jc.pose_body(found, frame.pose)
+        surface.append(
+            jc.metrics.scan_to_surface(shown.astype(float), np.asarray(posed.vertices, float), faces)
+        )
+        there = jc.pose_body(body, take_poses(motion.poses, truth)).joints
+        joints.append(np.linalg.norm(np.asarray(posed.joints - there), axis=1))
+    off = np.asarray(body_coefficients(model, found)) - z
+    return np.array(surface), np.array(joints), off, sum(frame.verdict != "good" for frame in frames)
+
+
+def run_scans(model: BodyModel, z: np.ndarray) -> dict[str, float]:
+    """Track all people in scans, and collect the figures."""
+    surfaces, joints, lost = [], [], 0
+    for person, own in enumerate(z):
+        surface, joint, off, bad = fit_scans(model, person, own)
+        progress(
+            f"scans of person {person}: surface {1000 * np.median(surface):.2f} mm (median), joints {1000 * joint.mean():.1f} mm, "
+            f"worst frame {1000 * joint.mean(1).max():.1f} mm, coefficients off by {np.abs(off).mean():.2f}, {bad} frames not good"
+        )
+        surfaces.append(surface)
+        joints.append(joint)
+        lost += bad
+    return {
+        "scans_surface_median_mm": 1000 * float(np.median(surfaces)),
+        "scans_joints_mean_mm": 1000 * float(np.mean(joints)),
+        "scans_joints_worst_frame_mm": 1000 * float(np.max(np.mean(joints, 2))),
+        "scans_not_good": float(lost),
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -96,6 +153,7 @@ def main() -> None:
         "--python", type=Path, help="a Python that has the package, in place of an environment"
     )
     parser.add_argument("--people", type=int, default=PEOPLE)
+    parser.add_argument("--scanned", type=int, default=SCANNED, help="number of people who are scanned")
     options = parser.parse_args()
     python = options.python or install("fitter", PACKAGES, options.venvs)
     figures, seconds = {}, {}
@@ -133,6 +191,8 @@ def main() -> None:
         vertices, found, taken = fit_ours(model, one, same_person=True)
         figures["together_rms_mm"] = float(errors(vertices, one).mean())
         seconds["together_mesh"] = taken / POSES
+        if options.scanned:
+            figures |= run_scans(jc.read_body_model(path, joints="tracking"), z[: options.scanned])
     limits = {
         "exact_rms_mm": ("<=", 0.1),
         "exact_worst_mm": ("<=", 0.1),
@@ -140,6 +200,8 @@ def main() -> None:
         "exact_error_ratio": ("<=", 1 / 3),
         "exact_time_ratio": ("<=", 1.0),
         "noisy_error_ratio": ("<=", 1 / 3),
+        "scans_surface_median_mm": ("<=", 1.2),
+        "scans_joints_mean_mm": ("<=", 6.0),
     }
     limits = {name: limit for name, limit in limits.items() if name in figures}
     finish("fit_parameters", figures, limits, {"people": options.people, "poses": POSES}, seconds)

@@ -2,6 +2,7 @@
 
 from .body import Posed as Posed
 from .body import posed_vertices as posed_vertices
+from .body_model import BodyModel as BodyModel
 from .body_model import body_coefficients as body_coefficients
 from .body_model import split_coefficients as split_coefficients
 from .decimate import reduce_body as reduce_body

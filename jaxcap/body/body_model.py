@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
 from ..errors import InputError
+from ..geometry.linear import solve_symmetric
 from .body import Body
 from .shape_modes import ShapeModes, apply_modes
 
@@ -78,7 +79,7 @@ def body_coefficients(model: BodyModel, body: Body) -> Float[Array, "K"]:
         )
     modes = np.asarray(model.modes.vertices, float).reshape(len(model.template_coefficients), -1)
     shifts = np.asarray(body.vertices, float) - np.asarray(model.template.vertices, float)
-    changes = np.linalg.lstsq(modes.T, shifts.reshape(-1), rcond=None)[0]
+    changes = solve_symmetric(modes @ modes.T, modes @ shifts.reshape(-1))
     return model.template_coefficients + jnp.asarray(changes, model.template_coefficients.dtype)
 
 

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from made_smpl import smpl_arrays, smpl_forward
 
 import jaxcap as jc
 from jaxcap.geometry import rotation
 from jaxcap.io.archives.npz import load_body, save_body
+from tests.io.body_models.made_smpl import smpl_arrays, smpl_forward
 
 FAMILIES = {
     "SMPL": {"joints": 24},

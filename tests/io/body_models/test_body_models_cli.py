@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from command_line import fails, runs
-from made_smpl import smpl_arrays, smpl_forward
 
 from jaxcap.cli import main
 from jaxcap.io.archives.npz import load_body
@@ -11,6 +10,7 @@ from jaxcap.io.meshes.meshes import save_meshes
 from jaxcap.io.registry import read_skinned
 from jaxcap.io.skeletons.amass import read_amass, read_amass_shape
 from jaxcap.observe.meshes import MeshSequence
+from tests.io.body_models.made_smpl import smpl_arrays, smpl_forward
 
 FRAMES = 3
 
