@@ -51,8 +51,8 @@ class BodyModel(eqx.Module):
 @checked
 def shape_body(
     model: BodyModel,
-    coefficients: Float[Array | np.ndarray, "C"] | None = None,
-    **groups: Float[Array | np.ndarray, "_"],
+    coefficients: Float[Array | np.ndarray, "..."] | None = None,
+    **groups: Float[Array | np.ndarray, "..."],
 ) -> Body:
     """Make the body of given coefficients, in the template's pose at rest.
 
@@ -77,9 +77,15 @@ def body_coefficients(model: BodyModel, body: Body) -> Float[Array, "K"]:
             f"body_coefficients: the body has {len(body.vertices)} vertices and the model {len(model.template.vertices)}; expected "
             "a body of this model."
         )
-    modes = np.asarray(model.modes.vertices, float).reshape(len(model.template_coefficients), -1)
-    shifts = np.asarray(body.vertices, float) - np.asarray(model.template.vertices, float)
-    changes = solve_symmetric(modes @ modes.T, modes @ shifts.reshape(-1))
+    count = len(model.template_coefficients)
+    if not count:
+        return model.template_coefficients
+    shifts = (np.asarray(body.vertices, float) - np.asarray(model.template.vertices, float)).reshape(-1)
+    modes = np.asarray(model.modes.vertices, float).reshape(count, -1)
+    matrix = modes @ modes.T
+    # a mode without displacements has a coefficient of zero
+    matrix += np.eye(count) * (1e-12 * np.trace(matrix) + np.finfo(float).tiny)
+    changes = solve_symmetric(matrix, modes @ shifts)
     return model.template_coefficients + jnp.asarray(changes, model.template_coefficients.dtype)
 
 
@@ -101,8 +107,8 @@ def shape_from_template(model: BodyModel, changes: Float[Array, "K"]) -> Body:
 
 def model_coefficients(
     model: BodyModel,
-    coefficients: Float[Array | np.ndarray, "C"] | None = None,
-    **groups: Float[Array | np.ndarray, "_"],
+    coefficients: Float[Array | np.ndarray, "..."] | None = None,
+    **groups: Float[Array | np.ndarray, "..."],
 ) -> Float[Array, "K"]:
     """Collect all coefficients from the arguments of `shape_body`."""
     values, dtype = model.template_coefficients, model.template_coefficients.dtype
@@ -116,6 +122,11 @@ def model_coefficients(
             raise InputError(
                 f"shape_body: the model has no group of coefficients '{name}'; "
                 + (f"it has {there}." if there else "give `coefficients`.")
+            )
+        if jnp.ndim(some) != 1:
+            raise InputError(
+                f"shape_body: `{name}` has the shape {jnp.shape(some)}; expected the coefficients of one person; `jax.vmap` makes "
+                "bodies of many."
             )
         at, size = spans[name]
         if len(some) > size:

@@ -16,6 +16,8 @@ from ..io.skeletons.amass import GENDERS, read_amass_shape, write_amass
 from .console.console import warn
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+#: words in names of models that state a gender
+_GENDER_WORDS = {"f": "female", "m": "male", **{name: name for name in GENDERS}}
 #: options of a model with a number of coefficients
 _NUMBERS = {"betas": "num_betas", "expression": "num_expression"}
 
@@ -39,15 +41,15 @@ def is_own_file(spec: str | Path) -> bool:
 
 
 def load_model(spec: str, **defaults: Any) -> BodyModel:
-    """Load a body model: `smplx.npz`, or with options `smplx.npz:full,betas=20,expression=0`.
+    """Load a body model: `smplx.npz`, or with options `smplx.npz:full,betas=20,expression=10`.
 
-    The joints of hands and face are fixed, unless `full` is given. `defaults` are arguments of `read_body_model`, which options
-    replace.
+    The joints of hands and face are fixed, unless `full` is given, and there are no coefficients of expressions, which scans of a
+    whole body do not show. `defaults` are arguments of `read_body_model`, which options replace.
 
     **Raises:** `InputError`.
     """
     path, words = split_model(spec)
-    options: dict[str, Any] = {"joints": "tracking", **defaults}
+    options: dict[str, Any] = {"joints": "tracking", "num_expression": 0, **defaults}
     for word in filter(None, words.split(",")):
         key, _, value = word.partition("=")
         if word == "full":
@@ -75,10 +77,13 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
     if not shape:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
-    model = load_model(spec, num_betas=len(shape["betas"]))
+    model = load_model(spec, **{f"num_{name}": len(values) for name, values in shape.items()})
     check_gender(split_model(spec)[0], motion, gender)
+    known = {name for name, _ in model.groups}
     try:
-        return shape_body(model, **{name: np.asarray(values) for name, values in shape.items()})
+        return shape_body(
+            model, **{name: values for name, values in shape.items() if name in known or values.any()}
+        )
     except InputError as error:
         raise InputError(f"{motion}: {user_message(error)}") from None
 
@@ -91,19 +96,24 @@ def write_parameters(path: Path, spec: str, body: Body, motion: Motion, vertices
     model = load_model_of(spec, vertices)
     if model is None:
         return
-    coefficients = np.asarray(body_coefficients(model, body), float)
-    gender = stated_gender(split_model(spec)[0]) or "neutral"
-    write_amass(path, body.skeleton, motion, split_coefficients(model, coefficients), gender)
+    groups = split_coefficients(model, np.asarray(body_coefficients(model, body), float))
+    write_amass(path, body.skeleton, motion, groups, stated_gender(spec) or "neutral")
 
 
-def stated_gender(model: Path) -> str:
-    """Find the gender that the name of a model's file states; empty if it states none."""
-    return next((word for word in GENDERS if word in model.name.lower()), "")
+def stated_gender(spec: str) -> str:
+    """Find the gender that the name of a model's file, or else of its folder, states; empty if they state none."""
+    path = split_model(spec)[0]
+    for name in (path.stem, path.absolute().parent.name):
+        words = re.split(r"[^a-z]+", name.lower())
+        stated = next((_GENDER_WORDS[word] for word in words if word in _GENDER_WORDS), "")
+        if stated:
+            return stated
+    return ""
 
 
 def check_gender(model: Path, motion: Path, gender: str) -> None:
     """Warn if the name of a model states another gender than a motion: its coefficients have another meaning then."""
-    stated = stated_gender(model)
+    stated = stated_gender(str(model))
     if stated and gender in GENDERS and stated != gender:
         warn(
             f"{motion}: the shape of this motion belongs to the {gender} model, and {model.name} is the {stated} one; give the "

@@ -30,9 +30,9 @@ from .console.options import (
     Vj,
     arg,
 )
-from .motions import load_body_motion, load_motion
+from .motions import load_motion, load_moving_body
 from .outputs import check_new
-from .sources import load_body, up_rotation
+from .sources import up_rotation
 
 
 @dataclass
@@ -68,9 +68,9 @@ class Evaluate:
         check_new(self.out, self.overwrite)
         if self.points is not None and self.points < 1:
             raise InputError(f"--points is {self.points}; it must be at least 1.")
-        body, _ = load_body(self.body, self.skl, self.vj, vertices=self.vertices, unit=self.unit, up=self.up)
+        files = {"skl": self.skl, "vj": self.vj, "vertices": self.vertices, "unit": self.unit, "up": self.up}
+        body, motion = load_moving_body(self.body, self.motion, **files)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        motion = load_body_motion(body, self.motion)
         if motion.num_frames != len(scans):
             raise InputError(
                 f"{self.motion}: the motion has {motion.num_frames} frames, but there are {len(scans)} clouds; "

@@ -15,12 +15,13 @@ from ..errors import InputError, user_message
 from ..fit.fit_meshes import MeshFit, fit_meshes
 from ..fit.fit_model import ModelFit, fit_model
 from ..io.archives.npz import save_motion
+from ..io.body_models.smpl import NUM_EXPRESSION
 from ..io.meshes.meshes import read_named_meshes
 from ..io.skeletons.amass import write_amass
 from ..io.table import write_json
 from ..observe.meshes import MeshSequence
 from ..report.pictures import error_pictures
-from .body_models import is_model_spec, load_model
+from .body_models import is_model_spec, load_model, stated_gender
 from .console.console import pluralise, print_table, say, warn
 from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
@@ -74,9 +75,7 @@ class Fit:
     def run(self) -> None:
         check_npz(self.out, self.overwrite)
         check_rate_option(self.rate)
-        model = load_model(self.body, joints="full") if is_model_spec(self.body) else None
-        if model is None and self.each_person:
-            raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
+        model = self.model()
         body = load_body(self.body, unit=self.unit)[0] if model is None else model.template
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         check_mesh_size(body, sequence, self.meshes[0])
@@ -100,6 +99,9 @@ class Fit:
             body = self.write_parameters(model, fit)
             if self.each_person:
                 print_parameter_errors(fit, names)
+                say(
+                    f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}, each with coefficients of its own"
+                )
                 return
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         print_scores({"all": scores}, per_mesh=True)
@@ -110,12 +112,30 @@ class Fit:
             error_pictures(self.report, body, fit.motion, sequence, scores)
             say(f"report.json and pictures are in {self.report}")
 
+    def model(self) -> BodyModel | None:
+        """Load the body model, if BODY is one. Raises `InputError` for options that it does not have."""
+        if self.each_person and self.report is not None:
+            raise InputError(
+                "--each-person and --report were both given; a report is of one person. Give one of them."
+            )
+        if is_model_spec(self.body):
+            # an expression is another one in every mesh
+            return load_model(
+                self.body, joints="full", num_expression=NUM_EXPRESSION if self.each_person else 0
+            )
+        if self.each_person:
+            raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
+        return None
+
     def write_parameters(self, model: BodyModel, fit: ModelFit) -> Body:
         """Write the parameters of a model in AMASS's format; return the body of the first mesh."""
         coefficients = np.asarray(fit.coefficients, float)
         groups = split_coefficients(model, coefficients if self.each_person else coefficients[0])
         body = shape_body(model, coefficients[0])
-        write_amass(self.out, body.skeleton, fit.motion, groups, up="y")
+        gender = stated_gender(self.body) or "neutral"
+        write_amass(
+            self.out, body.skeleton, fit.motion, groups, gender, up="y", with_skeleton=not self.each_person
+        )
         typical = float(np.nanmedian(fit.rmse))
         if typical > MAX_RMSE and not self.each_person:
             warn(

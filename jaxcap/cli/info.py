@@ -16,6 +16,7 @@ from ..io.registry import (
     SKELETON_READERS,
 )
 from ..io.skinned.clip import split_clip
+from .body_models import is_model_spec
 from .console.console import say
 from .console.options import OptionalUnit, arg
 from .contents.arrays import describe_arrays
@@ -87,6 +88,8 @@ class Info:
         if is_human_spec(self.file):
             describe_body(load_body(self.file)[0])
             return "body"
+        if is_model_spec(self.file):
+            return describe_model(self.file)
         if path.is_dir():
             return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():
@@ -97,8 +100,6 @@ class Info:
         match kind:
             case "skinned" | "usd":
                 return describe_skinned(path)
-            case "body model":
-                return describe_model(self.file)
             case "rigged":
                 describe_body(load_body(self.file, unit=unit)[0])
                 return "rigged"

@@ -1,6 +1,7 @@
 """Loading of motions and skeletons from command line arguments."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -8,7 +9,9 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..io.registry import default_clip_message, read_motion, read_skeleton
+from ..io.skeletons.amass import has_other_shape, is_amass
 from ..io.skeletons.body_motion import read_body_motion
+from .body_models import is_model_spec, load_shaped_body
 from .console.console import warn
 from .sources import is_human_spec, load_body
 
@@ -21,7 +24,30 @@ def load_motion(path: str | Path, unit: str | None = None) -> tuple[Skeleton, Mo
 
 
 def load_body_motion(body: Body, path: str | Path, unit: str | None = None) -> Motion:
-    """Load a motion of a body, from any file that has one. Raises `InputError` if it is of another body."""
+    """Load a motion of a body, from any file that has one. Raises `InputError` if it is of another body.
+
+    Warns of a shape in AMASS's format, which the body may not have; `load_moving_body` applies it.
+    """
+    if has_other_shape(path):
+        warn(f"{path}: the shape of this motion (betas) is not applied to the body")
+    return _load_motion_of(body, path, unit)
+
+
+def load_moving_body(
+    spec: str, motion: str | Path, unit: str | None = None, **options: Any
+) -> tuple[Body, Motion]:
+    """Load a body with the `options` of `load_body`, and its motion; a body model in the shape that the motion has.
+
+    **Raises:** `InputError`.
+    """
+    if is_model_spec(spec) and is_amass(motion) and options.get("vertices") is None:
+        body = load_shaped_body(spec, Path(motion))
+        return body, _load_motion_of(body, motion, unit)
+    body = load_body(spec, **options)[0]
+    return body, load_body_motion(body, motion, unit)
+
+
+def _load_motion_of(body: Body, path: str | Path, unit: str | None) -> Motion:
     motion = read_body_motion(body, Path(path), unit)
     warn_of_clip(path)
     return motion

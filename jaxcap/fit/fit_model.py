@@ -165,17 +165,21 @@ def _solve(
 ) -> _Fits:
     """Fit some vertices of F meshes, then all if these have errors, with the same coefficients."""
     solver = LevenbergMarquardt(rtol=1e-3, atol=1e-4, damping=1e-2, energy_atol=ENERGY_TOLERANCE)
-    first = _problem(few.body, few.modes, positions[:, few.vertices], extra)
+    # further terms may name vertices of the whole body
+    first = _problem(few.body, few.modes, positions[:, few.vertices], None)
     begun = minimise(first, first.start(starts), solver, max_steps)
     rmse = _root_mean_squares(model, begun.y, positions)
 
     def refine(y: SequenceEstimate):
         whole = _problem(model.template, model.modes, positions, extra)
-        found = minimise(whole, y, solver, LAST_STEPS)
+        found = minimise(whole, y, solver, LAST_STEPS if extra is None else max_steps)
         return found.y, found.num_steps, _root_mean_squares(model, found.y, positions)
 
     estimate, more, rmse = jax.lax.cond(
-        jnp.any(rmse > EXACT), refine, lambda y: (y, jnp.zeros_like(begun.num_steps), rmse), begun.y
+        jnp.any(rmse > EXACT) | (extra is not None),
+        refine,
+        lambda y: (y, jnp.zeros_like(begun.num_steps), rmse),
+        begun.y,
     )
     count, finite = len(positions), jnp.isfinite(rmse)
     poses = jax.tree.map(

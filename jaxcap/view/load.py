@@ -39,6 +39,7 @@ from ..io.registry import (
     read_skeleton,
     read_skinned,
 )
+from ..io.skeletons.amass import has_other_shape
 from ..io.skeletons.body_motion import read_body_motion
 from ..io.skinned.clip import split_clip, suffix_of
 from ..io.text import read_json
@@ -244,6 +245,10 @@ class _Loader:
                 why.append(user_message(error))
                 continue
             _check_frames(motion, path)
+            if has_other_shape(path):
+                self.contents.notes.append(
+                    f"{path}: the shape of this motion (betas) is not applied to {body_name}."
+                )
             self.used_ids.add(id(body))
             title = name if len(self.bodies) == 1 else f"{name} on {body_name}"
             return make_take(title, body.skeleton, body, motion, **more)

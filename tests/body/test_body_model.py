@@ -1,5 +1,7 @@
 """Body models: coefficients in and out, fewer vertices, and what does not fit."""
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import chain_body, chain_model
@@ -30,6 +32,19 @@ def test_coefficients_of_a_body_are_found_again(rng):
         body_coefficients(model, chain_body("linear", 6, 4))
 
 
+def test_models_without_coefficients_or_with_a_mode_of_nothing():
+    model = chain_model()
+    still = eqx.tree_at(lambda m: m.modes.vertices, model, model.modes.vertices.at[1].set(0.0))
+    z = model.template_coefficients.at[1].set(0.0) + 0.5
+    found = body_coefficients(still, jc.shape_body(still, z))
+    others = jnp.array([0, 2, 3])
+    np.testing.assert_allclose(found[others], z[others], atol=1e-9)
+    none = BodyModel(
+        model.template, ShapeModes(model.modes.centres[:0], model.modes.vertices[:0]), jnp.zeros(0)
+    )
+    assert body_coefficients(none, model.template).shape == (0,)
+
+
 def test_missing_coefficients_are_those_of_the_template():
     model = chain_model()
     body = jc.shape_body(model, size=np.array([2.0]))
@@ -40,6 +55,7 @@ def test_missing_coefficients_are_those_of_the_template():
 @pytest.mark.parametrize(
     ("groups", "sentence"),
     [
+        ({"betas": np.zeros((2, 3))}, r"`betas` has the shape \(2, 3\); expected the coefficients of one"),
         ({"betas": np.zeros(4)}, "4 betas were given, and the model has 3"),
         ({"expression": np.zeros(1)}, "no group of coefficients 'expression'; it has betas, size"),
     ],

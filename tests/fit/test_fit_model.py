@@ -60,6 +60,19 @@ def test_missing_vertices_do_not_count(rng):
     assert np.isfinite(np.asarray(fit.motion.poses.rotations)).all()
 
 
+def test_further_terms_are_those_of_all_vertices(rng):
+    """A landmark on a vertex that the first fit does not have, at its true place, changes nothing."""
+    sequence, z, _ = meshes(rng, count=1)
+    vertex = len(MODEL.template.vertices) - 1
+    term = jc.VertexLandmarks(
+        jnp.array([vertex]), jnp.asarray(sequence.vertices[0, vertex])[None], jnp.array([1e6])
+    )
+    fit = jc.fit_model(MODEL, sequence, terms=term)
+    assert np.all(fit.converged)
+    np.testing.assert_allclose(fit.rmse, 0.0, atol=1e-5)
+    np.testing.assert_allclose(fit.coefficients, z, atol=1e-3)
+
+
 def test_meshes_of_another_body_are_told(rng):
     sequence, *_ = meshes(rng)
     fewer = jc.MeshSequence(sequence.vertices[:, :50], jnp.zeros((0, 3), int), 30.0)

@@ -1,6 +1,7 @@
 """Shapes of several people from a sequence of clouds that shows all of them."""
 
 import logging
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -55,7 +56,9 @@ def estimate_people_shapes(
 
     **Returns:** the bodies of the people that were found, in the order in which they were.
 
-    **Raises:** `InputError` if the body is not like a human, nobody is found, or one of the people is never tracked well.
+    Warns of people who are never tracked well, who keep the body of `tracker`.
+
+    **Raises:** `InputError` if the body is not like a human, nobody is found, or nobody is tracked well.
     """
     check_at_least("estimate_people_shapes", 1, num_frames=num_frames)
     clouds = list(without_room((cloud for cloud in clouds if not cloud.missing), None))
@@ -70,14 +73,22 @@ def estimate_people_shapes(
     if all(own.good for own in first):
         return bodies
     again = _track([replace_body(tracker, body) for body in bodies], clouds, len(bodies), search, up)
+    if not any(own.good for own in (*first, *again)):
+        raise InputError(
+            f"estimate_people_shapes: none of {len(clouds)} frames shows anybody with the verdict 'good', so they do not show the "
+            "shapes of the people; give other frames, or a body of about their height."
+        )
     for number, own in enumerate(again):
-        if not own.good:
-            raise InputError(
-                f"estimate_people_shapes: none of {len(clouds)} frames shows person {number + 1} with the verdict 'good', so "
-                "they do not show this person's shape; give other frames, or a body of about this person's height."
-            )
-        if not first[number].good:
+        if first[number].good:
+            continue
+        if own.good:
             bodies[number] = _fit(tracker, own, space, num_frames)
+            continue
+        bodies[number] = tracker.body
+        warnings.warn(
+            f"none of {len(clouds)} frames shows person {number + 1} with the verdict 'good', so this person keeps the given body",
+            stacklevel=2,
+        )
     return bodies
 
 
@@ -113,7 +124,7 @@ def _track(
             own = found[k]
             own.clouds[number] = person_cloud(cloud, divided, k)
             (own.good if _shows_shape(people[k]) else own.others)[number] = people[k].pose
-    return [own for own in found if own.clouds]
+    return found
 
 
 def _shows_shape(person: PersonFrame) -> bool:

@@ -170,8 +170,14 @@ def find_space(tracker: Tracker, space: BodyModel | None) -> BodyModel:
     space = shape_space_like(tracker.body) if space is None else space
     if space is None:
         raise InputError(
-            "The body is not like a human, so its shape space is unknown; learn one from bodies with `learn_shape_space`, or "
-            "fit no shape."
+            "The body is not like a human, so its shape space is unknown; give a body model, learn one from bodies with "
+            "`learn_shape_space`, or fit no shape."
+        )
+    here, there = tracker.body, space.template
+    if here.vertices.shape != there.vertices.shape or here.skeleton.names != there.skeleton.names:
+        raise InputError(
+            f"The body has {len(here.vertices)} vertices and {here.skeleton.num_joints} joints, and the shape space "
+            f"{len(there.vertices)} and {there.skeleton.num_joints}; expected the same, of one body model (`reduce_model`)."
         )
     return space
 

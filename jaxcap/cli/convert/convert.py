@@ -23,7 +23,7 @@ from ...io.registry import (
 )
 from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
-from ..body_models import is_model_spec, load_shaped_body
+from ..body_models import is_model_spec, load_shaped_body, split_model
 from ..console.console import pluralise, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_body_motion, load_motion, load_skeleton, warn_of_clip
@@ -83,11 +83,18 @@ class Convert:
     def run(self) -> None:
         check_absent([self.target], self.overwrite)
         human = is_human_spec(str(self.source))
-        if not human and not split_clip(self.source)[0].exists():
+        model = is_model_spec(str(self.source))
+        if not human and not model and not split_clip(self.source)[0].exists():
             raise InputError(f"{self.source}: there is no such file; check the path.")
         # the human counts as a body file
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
-        way: ConversionKind = "own" if own else find_conversion(self.source, self.target, human)
+        way: ConversionKind = (
+            "own"
+            if own
+            else find_conversion(
+                split_model(str(self.source))[0] if model else self.source, self.target, human
+            )
+        )
         self.check(way)
         {
             "own": self.write_own,
@@ -151,6 +158,11 @@ class Convert:
         say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:
+        if self.body is not None and self.motion is not None:
+            raise InputError(
+                f"{self.target}: --body and --motion were both given; give the body as SOURCE and --motion, or the motion as SOURCE "
+                "and --body."
+            )
         if self.body is not None:
             body = self.body_of_motion(self.source)
             motion = self.motion_of(self.source, body)[1]
@@ -158,7 +170,11 @@ class Convert:
             body, motion = read_skinned(self.source)
             warn_of_clip(self.source)
         else:
-            body, motion = load_body(str(self.source), unit=self.unit or "m")[0], None
+            spec, motion = str(self.source), None
+            if self.motion is not None and is_model_spec(spec) and is_amass(self.motion):
+                body = load_shaped_body(spec, self.motion)
+            else:
+                body = load_body(spec, unit=self.unit or "m")[0]
         if self.motion is not None:
             motion = self.motion_of(self.motion, body)[1]
         write_linear_body(self.target, body, motion, self.tolerance, self.influences)

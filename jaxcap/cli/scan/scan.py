@@ -24,8 +24,7 @@ from ...scanner.sensors import SENSORS
 from ...scanner.settings import Scanner, check_scanner
 from ..console.console import progress, say, warn
 from ..console.options import BodySpec, Flag, MotionSpec, OptionalCount, OptionalFile, arg
-from ..motions import load_body_motion
-from ..sources import load_body
+from ..motions import load_moving_body
 from ..track.results import make_writable
 from .depth_images import image_path, write_images
 from .folder import frame_path, gather_clouds, prepare_folder
@@ -115,8 +114,8 @@ class Scan:
     def run(self) -> None:
         scanner = self.scanner()
         self.check()
-        body, _ = load_body(self.body)
-        motion = thin_motion(load_body_motion(body, self.motion), self.rate)
+        body, motion = load_moving_body(self.body, self.motion)
+        motion = thin_motion(motion, self.rate)
         shown = even_indices(len(motion), CHECKED_FRAMES, nearest=True)
         places = np.asarray(posed_vertices(body, take_poses(motion.poses, shown)), float)
         cameras = self.make_cameras(places)

@@ -1,5 +1,6 @@
 """The shapes of the people, estimated before tracking."""
 
+import itertools
 from pathlib import Path
 
 from ...adapt.shape.people_shapes import estimate_people_shapes
@@ -61,15 +62,17 @@ def find_people_shapes(
 
     They are written to the folders of the people. Fewer than `num_people` may be found: the others keep the body of the tracker.
     """
-    paths = sorted(folder.glob(f"{person_folder(folder, 0).name[:-1]}*/{PERSON}"))
+    paths = list(
+        itertools.takewhile(Path.is_file, (person_folder(folder, k) / PERSON for k in itertools.count()))
+    )
     if not paths:
         set_activity("estimating the shapes of the people")
         found = estimate_people_shapes(tracker, first_readable(clouds, SHAPE_FRAMES), num_people, model)
-        for number, body in enumerate(found):
-            path = person_folder(folder, number) / PERSON
+        paths = [person_folder(folder, number) / PERSON for number in range(len(found))]
+        # the first one is written last, so that an interrupted run estimates all shapes again
+        for path, body in reversed(list(zip(paths, found, strict=True))):
             make_writable(path.parent)
             save_body(path, body)
-            paths.append(path)
         people = pluralise(len(found), "person", "people")
         say(f"the shapes of {people} are in {paths[0]}{' and so on' if len(paths) > 1 else ''}")
     bodies = [load_body(str(path))[0] for path in paths]

@@ -117,7 +117,7 @@ class Track:
     furniture. The results of each person are written to a folder of its own, person_1 and so on."""
     fit_shape: Flag = False
     """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it;
-    with --people, of each person who is in them. BODY must have the joints of the embedded human, as `human` does."""
+    with --people, of each person who is in them. BODY must be a body model or have the joints of the embedded human, as `human` does."""
     skl: Skl = None
     vj: Vj = None
     limits: LimitsFile = None

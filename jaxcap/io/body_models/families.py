@@ -1,6 +1,9 @@
 """The families of SMPL's body models: their joints, and their groups of coefficients."""
 
+import re
 from typing import NamedTuple
+
+from ..skeletons.amass import SMPL_PARENTS
 
 _TRUNK = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
@@ -28,11 +31,17 @@ class Family(NamedTuple):
 
 #: by the number of joints
 FAMILIES: dict[int, Family] = {
-    24: Family("SMPL", (*_TRUNK, "left_hand", "right_hand"), ("left_hand", "right_hand"), ("smpl", "star")),
+    24: Family("SMPL", (*_TRUNK, "left_hand", "right_hand"), ("left_hand", "right_hand"), ("smpl",)),
     52: Family("SMPL-H", (*_TRUNK, *_HANDS), _HANDS, ("smplh",)),
     55: Family("SMPL-X", (*_TRUNK, *_FACE, *_HANDS), (*_FACE, *_HANDS), ("smplx",)),
     16: Family("MANO", ("wrist", *_FINGERS), (), ("mano",)),
     5: Family("FLAME", ("root", "neck", "jaw", "left_eye", "right_eye"), (), ("flame",)),
+}
+#: parents of the joints, by their number
+PARENTS: dict[int, tuple[int, ...]] = {
+    **{count: SMPL_PARENTS[count] for count in (24, 52, 55)},
+    16: (-1, *(0 if number == 0 else 3 * finger + number for finger in range(5) for number in range(3))),
+    5: (-1, 0, 1, 1, 1),
 }
 #: the family whose displacements depend on quaternions, with the joints of SMPL
 STAR = "STAR"
@@ -41,14 +50,11 @@ FIRST_EXPRESSION = {"SMPL-X": (300, 10), "FLAME": (300, 300)}
 
 
 def family_in_name(name: str) -> str | None:
-    """Find the family that the name of a file states; None if it states none."""
-    letters = name.lower().replace("-", "").replace("_", "").replace("+", "")
-    if "star" in letters and "start" not in letters:
-        return STAR
-    for family in (FAMILIES[55], FAMILIES[52], FAMILIES[24], FAMILIES[16], FAMILIES[5]):
-        if any(word in letters for word in family.words):
-            return family.name
-    return None
+    """Find the family that a word in the name of a file states; None if none does."""
+    joined = re.sub(r"smpl[-+_ ]([hx])(?![a-z])", r"smpl\1", name.lower())
+    words = set(re.split(r"[^a-z]+", joined))
+    families = [(STAR, ("star",)), *((family.name, family.words) for family in FAMILIES.values())]
+    return next((stated for stated, of_family in families if words & set(of_family)), None)
 
 
 def split_directions(family: str, count: int) -> dict[str, tuple[int, int]]:

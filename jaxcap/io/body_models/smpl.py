@@ -28,7 +28,7 @@ from ..archives.pickle_arrays import read_pickled_arrays
 from ..kinds import kind_of_arrays
 from ..skeletons.twist_axes import twist_orientations
 from ..system.reader_errors import reader_of
-from .families import FAMILIES, STAR, Family, family_in_name, split_directions
+from .families import FAMILIES, PARENTS, STAR, Family, family_in_name, split_directions
 
 #: the arrays of a model
 ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -84,14 +84,14 @@ def read_body_model(
     faces = get_array(arrays, "f", path, (None, 3), "whole").astype(int)
     _check_sums(weights, regressor, path)
     correctives = _correctives(arrays, path, count, num_joints)
-    family = _family(path, num_joints, correctives)
+    family = _family(path, parents, correctives)
     groups = split_directions(family.name, directions.shape[2])
     wanted = {"betas": num_betas, "expression": num_expression}
     kept = {name: min(wanted[name], size) for name, (_, size) in groups.items()}
     columns = [groups[name][0] + k for name, size in kept.items() for k in range(size)]
     by_shape = np.moveaxis(directions[:, :, columns], 2, 0)
     skeleton = _skeleton(family, parents, regressor @ vertices, joints)
-    skin = LinearSkin(jnp.asarray(weights))
+    skin = LinearSkin(jnp.asarray(np.maximum(weights, 0.0)))
     modes_centres = np.einsum("jv,kva->kja", regressor, by_shape)
     if correctives is not None:
         features, by_pose = correctives
@@ -114,12 +114,15 @@ def _load(path: Path) -> Mapping[str, np.ndarray]:
     """Read the arrays of a model from a pickle or an `.npz` file."""
     if path.suffix.lower() == ".pkl":
         found = read_pickled_arrays(path, ARRAYS)
-        return {name: np.asarray(values) for name, values in found.items() if values is not None}
-    names = array_names(path)
+        names = list(found)
+    else:
+        names = array_names(path)
     if kind_of_arrays(names) != "body model":
         raise InputError(
             f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family."
         )
+    if path.suffix.lower() == ".pkl":
+        return {name: np.asarray(values) for name, values in found.items() if values is not None}
     return load_arrays(path, lambda name: name in ARRAYS)
 
 
@@ -129,6 +132,10 @@ def _parents(arrays: Mapping[str, np.ndarray], path: str | Path) -> list[int]:
     parents = table[0].copy()
     parents[0] = -1
     joints = np.arange(len(parents))
+    if (table[1] != joints).any():
+        raise InputError(
+            f"{path}: the joints of 'kintree_table' are numbered {table[1].tolist()}; expected 0 to {len(parents) - 1} in order."
+        )
     if (parents[1:] < 0).any() or (parents >= joints).any():
         wrong = int(np.argmax((parents >= joints) | ((parents < 0) & (joints > 0))))
         raise InputError(
@@ -138,7 +145,12 @@ def _parents(arrays: Mapping[str, np.ndarray], path: str | Path) -> list[int]:
 
 
 def _check_sums(weights: Float[np.ndarray, "V J"], regressor: Float[np.ndarray, "J V"], path) -> None:
-    """Check that weights and the rows of the joint regressor sum to one. Raises `InputError`."""
+    """Check that weights are at least zero, and that they and the rows of the joint regressor sum to one. Raises `InputError`."""
+    if weights.min() < -WEIGHT_SUM_TOLERANCE:
+        vertex, joint = np.unravel_index(int(weights.argmin()), weights.shape)
+        raise InputError(
+            f"{path}: the weight of joint {joint} for vertex {vertex} is {weights.min():.3g}; expected weights of at least 0."
+        )
     for name, rows, tolerance, what in (
         ("weights", weights, WEIGHT_SUM_TOLERANCE, "vertex"),
         ("J_regressor", regressor, REGRESSOR_SUM_TOLERANCE, "joint"),
@@ -173,17 +185,25 @@ def _correctives(
 _MATRICES, _QUATERNIONS = RotationMatrixFeatures(), QuaternionFeatures()
 
 
-def _family(path: str | Path, num_joints: int, correctives: tuple | None) -> Family:
-    """Find the family by the number of joints, and check that the file's name states no other one."""
+def _family(path: str | Path, parents: list[int], correctives: tuple | None) -> Family:
+    """Find the family by the joints, and check that the file's name states no other one."""
+    num_joints = len(parents)
     if num_joints not in FAMILIES:
         known = ", ".join(f"{family.name} {number}" for number, family in FAMILIES.items())
         raise InputError(
             f"{path}: the model has {num_joints} joints, which no known family has ({known} joints)."
         )
     family, stated = FAMILIES[num_joints], family_in_name(Path(path).name)
+    wrong = [joint for joint in range(num_joints) if parents[joint] != PARENTS[num_joints][joint]]
+    if wrong:
+        raise InputError(
+            f"{path}: the model has {num_joints} joints as in {family.name}, but joint {wrong[0]} has the parent {parents[wrong[0]]}; "
+            f"expected {PARENTS[num_joints][wrong[0]]}."
+        )
     if correctives is not None and isinstance(correctives[0], QuaternionFeatures):
         family = family._replace(name=STAR)
-    if stated is not None and stated != family.name:
+    # SMPL is also the name of the whole family
+    if stated not in (None, family.name, FAMILIES[24].name):
         raise InputError(
             f"{path}: the name of the file states {stated}, but the model has {num_joints} joints"
             f"{' and displacements' if family.name == STAR else ''} as in {family.name}; rename the file, or give the right one."

@@ -64,6 +64,8 @@ SMPL_X_PARTS = {
 }
 #: values of `gender`
 GENDERS = ("female", "male", "neutral")
+#: groups of coefficients of a shape
+SHAPE_GROUPS = ("betas", "expression")
 #: number of shape coefficients of a motion without a shape
 NUM_BETAS = 16
 
@@ -76,6 +78,7 @@ def write_amass(
     shape: Mapping[str, Float[np.ndarray, "*frames N"]] | None = None,
     gender: str = "neutral",
     up: Literal["y", "z"] = "z",
+    with_skeleton: bool = True,
 ) -> None:
     """Write a motion in AMASS's format.
 
@@ -85,7 +88,8 @@ def write_amass(
 
     **Arguments:** `shape`, the coefficients of a body model by the names of their groups, such as `betas` and `expression`,
     for all frames or with one row for each; `betas` are zeros where not given; `up`, the vertical of the written world: AMASS has
-    z, and with y the parameters are those of the motion's own coordinates. It is written as `up_axis`.
+    z, and with y the parameters are those of the motion's own coordinates. It is written as `up_axis`;
+    `with_skeleton`, write the skeleton: not for frames of different people.
 
     **Raises:** `InputError` if a joint other than the root is translated, there are several roots, the scale
     changes, the motion has no frames or is not finite, or the file cannot be written.
@@ -127,17 +131,26 @@ def write_amass(
         "betas": np.zeros(NUM_BETAS),
         **({} if shape is None else {name: np.asarray(values, float) for name, values in shape.items()}),
         "gender": np.array(gender),
-        **_parts(turns),
+        **_parts(skeleton, turns),
         **{name: np.array(float(motion.rate)) for name in _RATE_KEYS},
-        **own,
+        **(own if with_skeleton else {}),
     }
     with atomic_path(path) as beside, open(beside, "wb") as file:
         np.savez_compressed(file, **arrays)
 
 
-def _parts(turns: Float[np.ndarray, "F J 3"]) -> dict[str, np.ndarray]:
+def _up_axis(path: str | Path, arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the vertical that a file states, z if it states none. Raises `InputError` for another one than y and z."""
+    stated = arrays.get(_UP_KEY, np.array("z"))
+    axis = str(stated.reshape(-1)[0]).lower() if stated.size == 1 else ""
+    if axis not in ("y", "z"):
+        raise InputError(f"{path}: the array '{_UP_KEY}' is {stated.tolist()}; expected y or z.")
+    return axis
+
+
+def _parts(skeleton: Skeleton, turns: Float[np.ndarray, "F J 3"]) -> dict[str, np.ndarray]:
     """Split the poses of SMPL-X into their parts; nothing for other joints."""
-    if turns.shape[1] != 55:
+    if skeleton.parents != SMPL_PARENTS[55]:
         return {}
     parts = {name: turns[:, first:last] for name, (first, last) in SMPL_X_PARTS.items()}
     return {
@@ -151,14 +164,30 @@ def _parts(turns: Float[np.ndarray, "F J 3"]) -> dict[str, np.ndarray]:
 def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
     """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
 
-    Coefficients with a row for each frame are left out. The gender is empty if the file has none, or has it as an object.
+    The gender is empty if the file has none, or has it as an object.
 
-    **Raises:** `InputError` if the file is damaged.
+    **Raises:** `InputError` if the file is damaged, or its frames have different shapes.
     """
-    arrays = load_arrays(path, lambda name: name == "betas")
-    there = "betas" in arrays and arrays["betas"].ndim == 1
-    shape = {"betas": get_array(arrays, "betas", path, (None,))} if there else {}
+    arrays = load_arrays(path, lambda name: name in SHAPE_GROUPS)
+    for name, values in arrays.items():
+        if values.ndim == 2:
+            raise InputError(
+                f"{path}: the array '{name}' has the shape {values.shape}, so that every frame has a shape of its own; expected the "
+                "parameters of one person."
+            )
+    shape = {name: get_array(arrays, name, path, (None,)) for name in SHAPE_GROUPS if name in arrays}
     return shape, _gender(path)
+
+
+def has_other_shape(path: str | Path) -> bool:
+    """Test if a file is a motion in AMASS's format with a shape, whose joints are not in the file, so that they depend on it."""
+    if not is_amass(path) or f"{_SKELETON_PREFIX}names" in array_names(path):
+        return False
+    try:
+        return any(np.any(values) for values in read_amass_shape(path)[0].values())
+    except InputError:
+        # frames with different shapes
+        return True
 
 
 def _gender(path: str | Path) -> str:
@@ -205,8 +234,7 @@ def read_amass(
     if not len(poses):
         raise InputError(f"{path}: the file has no frames; expected at least one.")
     found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
-    stated = str(arrays.get(_UP_KEY, "z"))
-    return found, _motion(found, poses, trans, _rate(path, arrays), up or stated)
+    return found, _motion(found, poses, trans, _rate(path, arrays), up or _up_axis(path, arrays))
 
 
 def _motion(

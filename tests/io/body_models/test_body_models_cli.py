@@ -44,6 +44,8 @@ def test_parameters_of_meshes_are_written_as_amass_has_them(folder, each, tmp_pa
     runs(capsys, "fit", folder / "smpl_neutral.npz", folder / "meshes.npz", "-o", tmp_path / "fit.npz", *each)
     with np.load(tmp_path / "fit.npz") as file:
         found = dict(file)
+    assert ("skeleton.names" in found) == (not each)
+    assert str(found["gender"]) == "neutral"
     rows = found["betas"] if each else np.tile(found["betas"], (FRAMES, 1))
     np.testing.assert_allclose(rows, np.tile(betas, (FRAMES, 1)), atol=2e-3)
     again = [smpl_forward(arrays, rows[k], found["poses"][k], found["trans"][k])[0] for k in range(FRAMES)]
@@ -81,6 +83,27 @@ def test_a_template_becomes_a_body(folder, tmp_path, capsys):
     assert body.skeleton.kinds[-1] == "fixed"
 
 
+def test_a_fit_is_read_with_its_model_again(tmp_path, capsys):
+    """Also of a model with expressions, whose folder states the gender."""
+    (tmp_path / "female").mkdir()
+    arrays = smpl_arrays(55, vertices=90, directions=20)
+    model = tmp_path / "female" / "model.npz"
+    np.savez(model, **arrays)
+    rng = np.random.default_rng(2)
+    poses = 0.1 * rng.normal(size=(1, 165))
+    mesh = smpl_forward(arrays, 0.5 * rng.normal(size=20), poses[0], np.zeros(3))[0]
+    save_meshes(tmp_path / "mesh.npz", MeshSequence(mesh[None], arrays["f"].astype(int), 30.0))
+    spec = f"{model}:expression=10"
+    runs(capsys, "fit", spec, tmp_path / "mesh.npz", "-o", tmp_path / "fit.npz")
+    shape, gender = read_amass_shape(tmp_path / "fit.npz")
+    assert (len(shape["betas"]), len(shape["expression"]), gender) == (10, 10, "female")
+    runs(capsys, "convert", tmp_path / "fit.npz", tmp_path / "fit.bvh", "--body", model)
+    runs(
+        capsys, "evaluate", model, tmp_path / "fit.npz", tmp_path / "mesh.npz", "-o", tmp_path / "report.json"
+    )
+    assert "10 expression" in runs(capsys, "info", spec)
+
+
 def test_what_does_not_fit_is_told(folder, tmp_path, capsys):
     folder = folder[0]
     model = folder / "smpl_neutral.npz"
@@ -90,6 +113,20 @@ def test_what_does_not_fit_is_told(folder, tmp_path, capsys):
     assert "--each-person is for body models" in fails(
         capsys, "fit", "human", folder / "meshes.npz", "-o", tmp_path / "f.npz", "--each-person"
     )
+    assert "--each-person and --report were both given" in fails(
+        capsys, "fit", model, folder / "meshes.npz", "-o", tmp_path / "f.npz", "--each-person", "--report", tmp_path
+    )  # fmt: skip
+    assert "--body and --motion were both given" in fails(
+        capsys, "convert", folder / "amass.npz", tmp_path / "m.glb", "--body", model, "--motion", folder / "amass.npz"
+    )  # fmt: skip
+    people = dict(np.load(folder / "amass.npz")) | {"betas": np.zeros((FRAMES, 6))}
+    np.savez(tmp_path / "people.npz", **people)
+    line = fails(capsys, "convert", tmp_path / "people.npz", tmp_path / "m.glb", "--body", model)
+    assert "every frame has a shape of its own" in line
+    tilted = dict(np.load(folder / "amass.npz")) | {"up_axis": "x"}
+    np.savez(tmp_path / "tilted.npz", **tilted)
+    line = fails(capsys, "convert", tmp_path / "tilted.npz", tmp_path / "m.glb", "--body", model)
+    assert "'up_axis' is x; expected y or z" in line
     longer = dict(np.load(folder / "amass.npz")) | {"betas": np.zeros(16)}
     np.savez(tmp_path / "longer.npz", **longer)
     line = fails(capsys, "convert", tmp_path / "longer.npz", tmp_path / "m.glb", "--body", model)

@@ -8,6 +8,7 @@ import pytest
 import jaxcap as jc
 from jaxcap.geometry import rotation
 from jaxcap.io.archives.npz import load_body, save_body
+from jaxcap.io.body_models.families import family_in_name
 from tests.io.body_models.made_smpl import smpl_arrays, smpl_forward
 
 FAMILIES = {
@@ -113,17 +114,44 @@ SMPL = smpl_arrays()
         ("m.npz", {"shapedirs": SMPL["shapedirs"][:50]}, "'shapedirs' has the shape"),
         ("m.npz", {"f": SMPL["f"] + 1000}, "m.npz"),
         ("m.npz", {"v_template": np.full((60, 3), np.nan)}, "not finite"),
-        ("m.npz", {"kintree_table": SMPL["kintree_table"][:, ::-1]}, "expected a joint before it"),
-        ("m.npz", smpl_arrays(16) | {"kintree_table": np.array([[0] * 16, range(16)])}, None),
+        ("m.npz", {"kintree_table": SMPL["kintree_table"][:, ::-1]}, "numbered .*; expected 0 to 23"),
+        (
+            "m.npz",
+            {"kintree_table": np.array([[0, 0, 0, 5, *[0] * 20], range(24)])},
+            "joint 3 has the parent 5 in",
+        ),
+        (
+            "m.npz",
+            {"kintree_table": np.array([[0, *range(23)], range(24)])},
+            "as in SMPL, but joint 2 has the parent 1; expected 0",
+        ),
+        (
+            "m.npz",
+            {"weights": SMPL["weights"] + np.array([1.3, -1.3] + [0.0] * 22)},
+            "expected weights of at",
+        ),
     ],
 )
 def test_what_is_no_model_is_told(tmp_path, name, changed, sentence):
     path = write(tmp_path / name, SMPL, **changed)
-    if sentence is None:
-        assert jc.read_body_model(path).family == "MANO"
-        return
     with pytest.raises(jc.InputError, match=sentence):
         jc.read_body_model(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("SMPLX_NEUTRAL.npz", "SMPL-X"),
+        ("SMPL-H_male.pkl", "SMPL-H"),
+        ("smplh16.npz", "SMPL-H"),
+        ("smpl_hires.npz", "SMPL"),
+        ("mustard.npz", None),
+        ("romano_start.npz", None),
+        ("MANO_RIGHT.pkl", "MANO"),
+    ],
+)
+def test_words_in_names_state_a_family(name, family):
+    assert family_in_name(name) == family
 
 
 def test_a_model_of_an_unknown_family_is_told(tmp_path):
