@@ -102,11 +102,11 @@ def fit_scans(model: BodyModel, person: int, z: np.ndarray) -> tuple[np.ndarray,
     motion, source = cmu_motion(shared_folder(), TAKES[person % len(TAKES)])
     motion = retarget(motion, source, model.template.skeleton)
     motion = motion.slice(slice(40, 40 + 2 * SCANS, 2))
-    cameras = ring_of_cameras(8, 360, 2.8, 1.0, np.asarray(body.skeleton.centres[0], float), (320, 240), 60.0)
+    cameras = ring_of_cameras(8, 360, 2.8, 0.4, np.zeros(3), (320, 240), 60.0)
     vertices = np.asarray(jc.body.posed_vertices(body, motion.poses))
     scanner, faces, clouds = jc.scanner.Scanner(noise=NOISE, points=5000), np.asarray(body.faces), []
     for frame, shown in enumerate(vertices):
-        middle = shown.mean(0) * [1.0, 0.0, 1.0]
+        middle = shown.mean(0)
         scan = jc.scanner.scan_frame(scanner, cameras, shown.astype(float) - middle, faces, frame=frame)
         clouds.append(jc.make_cloud(scan.points + middle, scan.normals))
     tracker = jc.make_tracker(model.template)
@@ -152,7 +152,7 @@ def main() -> None:
     parser.add_argument(
         "--python", type=Path, help="a Python that has the package, in place of an environment"
     )
-    parser.add_argument("--people", type=int, default=PEOPLE)
+    parser.add_argument("--people", type=int, default=PEOPLE, help="number of people with registered meshes")
     parser.add_argument("--scanned", type=int, default=SCANNED, help="number of people who are scanned")
     options = parser.parse_args()
     python = options.python or install("fitter", PACKAGES, options.venvs)
