@@ -152,10 +152,11 @@ def main() -> None:
     parser.add_argument(
         "--python", type=Path, help="a Python that has the package, in place of an environment"
     )
+    parser.add_argument("--alone", action="store_true", help="without the other package")
     parser.add_argument("--people", type=int, default=PEOPLE, help="number of people with registered meshes")
     parser.add_argument("--scanned", type=int, default=SCANNED, help="number of people who are scanned")
     options = parser.parse_args()
-    python = options.python or install("fitter", PACKAGES, options.venvs)
+    python = None if options.alone else options.python or install("fitter", PACKAGES, options.venvs)
     figures, seconds = {}, {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -77,6 +77,16 @@ def test_rooms_clutter(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_fit_parameters(checkout, shared):
+    line = run(checkout, "fit_parameters", "--alone", "--people", "2", "--scanned", "1")
+    assert not line["missed"]
+    assert meets(line, "exact_worst_mm", "scans_surface_median_mm", "scans_joints_mean_mm")
+    # noise is not seen through
+    assert line["figures"]["noisy_rms_mm"] > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_clothed(checkout, shared, tmp_path):
     picture = tmp_path / "clothed.png"
     options = (
