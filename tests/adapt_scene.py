@@ -6,8 +6,8 @@ import numpy as np
 from helpers import chain_body
 
 import jaxcap as jc
-from jaxcap.adapt.shape.actor_size import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
+from jaxcap.body.body import scale_body
 from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract
 from jaxcap.energy.priors.reference_pose import RestPrior

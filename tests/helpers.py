@@ -130,6 +130,9 @@ class OtherSkin(AbstractSkin):
     def transfer(self, corners, barycentric, skeleton):
         return self
 
+    def scaled(self, factor):
+        return self
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         return jnp.zeros((*directions.shape[:2], len(rates.joints)))
 

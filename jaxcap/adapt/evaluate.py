@@ -13,13 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
-from ..body.body import Body, pose_body
+from ..body.body import Body, pose_body, scale_body
 from ..body.pose import Motion, Pose, stack_poses
 from ..geometry import rotation
 from ..geometry.laplacian import vertex_adjacency
 from ..metrics import Summary, scan_to_surface
 from .adapt_body import adapt_body
-from .shape.actor_size import scale_body
 from .task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 
 #: width of a bin of distances, the resolution of percentiles, and the distance of the last bin, metres

@@ -99,6 +99,15 @@ def posed_vertices(body: Body, poses: Pose) -> Float[Array, "*frames V 3"]:
     return jax.lax.map(lambda pose: pose_body(body, pose).vertices, poses)
 
 
+def scale_body(body: Body, factor: Float[Array, ""]) -> Body:
+    """Scale a body at rest about the origin."""
+    return eqx.tree_at(
+        lambda b: (b.vertices, b.skeleton.centres, b.skin),
+        body,
+        (body.vertices * factor, body.skeleton.centres * factor, body.skin.scaled(factor)),
+    )
+
+
 def body_height(body: Body) -> Float[Array, ""]:
     """Compute the longest side of the bounding box of a body at rest, metres."""
     return jnp.max(jnp.max(body.vertices, 0) - jnp.min(body.vertices, 0))

@@ -20,11 +20,12 @@ from jaxcap.adapt.objective import (
 )
 from jaxcap.adapt.poses.fit_frame import fit_pose, pairs_of
 from jaxcap.adapt.poses.sliding_window import smooth_poses
-from jaxcap.adapt.shape.actor_size import fit_size, scale_body
+from jaxcap.adapt.shape.actor_size import fit_size
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from jaxcap.adapt.shape.shape_prior import body_shape_prior
 from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask, plan_stages
+from jaxcap.body.body import scale_body
 from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import ShapeModes, apply_modes, joint_modes

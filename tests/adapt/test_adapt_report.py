@@ -26,8 +26,8 @@ from jaxcap.adapt.evaluate import (
     variant_names,
 )
 from jaxcap.adapt.objective import Terms
-from jaxcap.adapt.shape.actor_size import scale_body
 from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
+from jaxcap.body.body import scale_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.retraction import retract
 from jaxcap.body.symmetry import find_left_right_pairs

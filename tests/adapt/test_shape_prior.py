@@ -7,7 +7,6 @@ import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
-from jaxcap.adapt.shape.actor_size import scale_body
 from jaxcap.adapt.shape.shape_prior import (
     body_shape_prior,
     prior_edges,
@@ -15,7 +14,7 @@ from jaxcap.adapt.shape.shape_prior import (
     shape_energy,
     uniform_laplacian,
 )
-from jaxcap.body.body import posed_vertices
+from jaxcap.body.body import posed_vertices, scale_body
 from jaxcap.body.people.sample import select_diverse_poses
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.io.archives.npz import load_body_limits

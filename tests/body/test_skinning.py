@@ -88,6 +88,15 @@ def test_whole_weights_are_rigid(scheme, rng):
         np.testing.assert_allclose(moved.vertices, pose_body(body, pose).vertices, atol=1e-14)
 
 
+def test_a_scaled_body_is_the_same_one_in_another_size(body, rng):
+    larger = bodies.scale_body(body, jnp.asarray(1.3))
+    for pose in (rest_pose(body.skeleton), random_pose(body.skeleton, rng, 0.8)):
+        grown = Pose(1.3 * pose.translations, pose.rotations, pose.scale)
+        np.testing.assert_allclose(
+            pose_body(larger, grown).vertices, 1.3 * pose_body(body, pose).vertices, atol=1e-12
+        )
+
+
 def test_the_order_of_bones_does_not_matter(body, rng):
     """Joints given in another order, weights and pose with them, put vertices at the same place."""
     if isinstance(body.skin, CorrectedSkin):

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from ...body.body import Body
+from ...body.body import Body, scale_body
 from ...body.pose import Pose
 from ...energy.data.pairs import stack_pairs
 from ...fit.alternate import alternate
@@ -61,10 +60,3 @@ def fit_size(
     found = alternate(remake, start, solver, rounds=rounds, min_gain=1e-3, patience=MAX_UPHILL_STEPS).y
     size = float(jnp.exp(found.values["size"]))
     return scale_body(body, jnp.asarray(size, body.vertices.dtype)), unstack_trees(found.poses, count), size
-
-
-def scale_body(body: Body, size: Float[Array, ""]) -> Body:
-    """Scale a body at rest about the origin."""
-    return eqx.tree_at(
-        lambda b: (b.vertices, b.skeleton.centres), body, (body.vertices * size, body.skeleton.centres * size)
-    )

@@ -2,10 +2,9 @@
 
 import jax.numpy as jnp
 
-from ...body.body import Body
+from ...body.body import Body, scale_body
 from ...body.body_model import shape_from_template
 from ..task import AdaptState, AdaptTask
-from .actor_size import scale_body
 from .shape_prior import ShapePrior, body_shape_prior, scale_shape_prior
 
 

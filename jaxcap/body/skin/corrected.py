@@ -58,6 +58,9 @@ class CorrectedSkin(AbstractSkin):
         skin = self.skin.transfer(corners, barycentric, skeleton)
         return CorrectedSkin(skin, self.features, jnp.asarray(carried, self.directions.dtype))
 
+    def scaled(self, factor):
+        return CorrectedSkin(self.skin.scaled(factor), self.features, factor * self.directions)
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Differentiate the skin, and add the displacements' own derivatives, carried along by the skin."""
         shaped = vertices + self.displacements(pose)

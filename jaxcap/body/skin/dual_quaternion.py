@@ -46,6 +46,10 @@ class DualQuaternionSkin(AbstractSkin):
             jnp.asarray(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
         )
 
+    def scaled(self, factor):
+        del factor
+        return self
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Differentiate the blend of each vertex by six unit fields at each bone.
 

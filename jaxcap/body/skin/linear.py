@@ -41,6 +41,10 @@ class LinearSkin(AbstractSkin):
             jnp.asarray(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
         )
 
+    def scaled(self, factor):
+        del factor
+        return self
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Differentiate by a weighted sum over the bones below each joint,
 

@@ -33,6 +33,10 @@ class RigidSkin(AbstractSkin):
         nearest = np.argmax(np.asarray(barycentric), 1)[:, None]
         return RigidSkin(self.bones[np.take_along_axis(np.asarray(corners), nearest, 1)[:, 0]])
 
+    def scaled(self, factor):
+        del factor
+        return self
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Evaluate the field of every parameter whose joint moves the vertex's bone; others are zero."""
         points = self.deform(vertices, skeleton, pose, transforms)

@@ -18,7 +18,8 @@ class AbstractSkin(eqx.Module):
 
     A skin deforms the vertices (`deform`), assigns each to one bone (`dominant_bones`), gives the weight of each
     bone (`bone_weights`), and differentiates by unknown parameters (`jacobian`). It also makes the skin of a
-    subset of the vertices (`take`) and of other points on the same surface (`transfer`).
+    subset of the vertices (`take`), of other points on the same surface (`transfer`), and of the same body in another size
+    (`scaled`).
     """
 
     def __check_init__(self):
@@ -54,6 +55,10 @@ class AbstractSkin(eqx.Module):
         **Arguments:** `corners` are the vertices of the triangles, `barycentric` the barycentric coordinates of
         the points; negative ones count as zero.
         """
+
+    @abc.abstractmethod
+    def scaled(self, factor: Float[Array, ""]) -> "AbstractSkin":
+        """Return the skin of the body scaled by a factor; the same one unless it has lengths."""
 
     @abc.abstractmethod
     def jacobian(

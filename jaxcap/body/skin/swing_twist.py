@@ -73,6 +73,10 @@ class SwingTwistSkin(AbstractSkin):
         ]
         return assign_bases(rows[0], rows[1], skeleton, self.swing.dtype)
 
+    def scaled(self, factor):
+        del factor
+        return self
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Move the base with the joints above it, and add the weighted twist and swing rates of each child.
 

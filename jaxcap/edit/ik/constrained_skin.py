@@ -38,6 +38,9 @@ class ConstrainedSkin(AbstractSkin):
         """Raise `NotImplementedError`: there are no triangles between constrained points."""
         raise NotImplementedError("Constrained points have no surface; carry the skin of their body.")
 
+    def scaled(self, factor):
+        return ConstrainedSkin(self.skin.scaled(factor), self.bones.scaled(factor), self.rigid)
+
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         on_bones, on_skin = (
             skin.jacobian(vertices, directions, skeleton, pose, transforms, rates)

@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ...arguments import check_fields
-from ...body.body import Body
+from ...body.body import Body, scale_body
 from ...body.shape_modes import ShapeModes, apply_modes
 from ...errors import InputError
 from ...geometry import rotation
@@ -79,9 +79,7 @@ class Size(AbstractUnknown[Float[Array, ""]]):
         return jnp.zeros((), body.vertices.dtype)
 
     def apply(self, body, value):
-        factor = jnp.exp(value)
-        grown = body.skeleton.centres * factor, body.vertices * factor
-        return eqx.tree_at(lambda b: (b.skeleton.centres, b.vertices), body, grown)
+        return scale_body(body, jnp.exp(value))
 
     def retract(self, value, d):
         return value + d[0]
