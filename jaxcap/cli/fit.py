@@ -136,7 +136,8 @@ class Fit:
         write_amass(
             self.out, body.skeleton, fit.motion, groups, gender, up="y", with_skeleton=not self.each_person
         )
-        typical = float(np.nanmedian(fit.rmse))
+        known = np.isfinite(np.asarray(fit.rmse))
+        typical = float(np.median(np.asarray(fit.rmse)[known])) if known.any() else 0.0
         if typical > MAX_RMSE and not self.each_person:
             warn(
                 f"{self.meshes[0]}: the distances of the vertices are {1000 * typical:.0f} mm (median of the meshes); if the meshes "
@@ -153,7 +154,8 @@ def print_parameter_errors(fit: ModelFit, names: Sequence[str]) -> None:
         [f"{names[k]}{'' if fit.converged[k] else ' (not fitted)'}", f"{rmse[k]:.2f}"] for k in order.tolist()
     ]
     print_table(
-        ["mesh, largest errors first", "vertex RMSE, mm"], [*rows, ["mean", f"{np.nanmean(rmse):.2f}"]]
+        ["mesh, largest errors first", "vertex RMSE, mm"],
+        [*rows, ["mean", f"{rmse[np.isfinite(rmse)].mean():.2f}" if np.isfinite(rmse).any() else "-"]],
     )
 
 

@@ -173,12 +173,14 @@ def _solve(
     def refine(y: SequenceEstimate):
         whole = _problem(model.template, model.modes, positions, extra)
         found = minimise(whole, y, solver, LAST_STEPS if extra is None else max_steps)
-        return found.y, found.num_steps, _root_mean_squares(model, found.y, positions)
+        # a few steps after a solution need no success of their own
+        successful = (found.result == optx.RESULTS.successful) | (extra is None)
+        return found.y, found.num_steps, _root_mean_squares(model, found.y, positions), successful
 
-    estimate, more, rmse = jax.lax.cond(
+    estimate, more, rmse, successful = jax.lax.cond(
         jnp.any(rmse > EXACT) | (extra is not None),
         refine,
-        lambda y: (y, jnp.zeros_like(begun.num_steps), rmse),
+        lambda y: (y, jnp.zeros_like(begun.num_steps), rmse, jnp.array(True)),
         begun.y,
     )
     count, finite = len(positions), jnp.isfinite(rmse)
@@ -193,7 +195,7 @@ def _solve(
         jnp.broadcast_to(z, (count, len(z))),
         rmse,
         jnp.full(count, begun.num_steps + more),
-        (begun.result == optx.RESULTS.successful) & finite,
+        (begun.result == optx.RESULTS.successful) & successful & finite,
     )
 
 
