@@ -33,18 +33,17 @@ def load_body_motion(body: Body, path: str | Path, unit: str | None = None) -> M
     return _load_motion_of(body, path, unit)
 
 
-def load_moving_body(
-    spec: str, motion: str | Path, unit: str | None = None, **options: Any
-) -> tuple[Body, Motion]:
-    """Load a body with the `options` of `load_body`, and its motion; a body model in the shape that the motion has.
+def load_moving_body(spec: str, motion: str | Path, **options: Any) -> tuple[Body, Motion]:
+    """Load a body with the `options` of `load_body`, and its motion in the file's own unit; a body model in the shape that the
+    motion has.
 
     **Raises:** `InputError`.
     """
     if is_model_spec(spec) and is_amass(motion) and options.get("vertices") is None:
         body = load_shaped_body(spec, Path(motion))
-        return body, _load_motion_of(body, motion, unit)
+        return body, _load_motion_of(body, motion, None)
     body = load_body(spec, **options)[0]
-    return body, load_body_motion(body, motion, unit)
+    return body, load_body_motion(body, motion)
 
 
 def _load_motion_of(body: Body, path: str | Path, unit: str | None) -> Motion:
