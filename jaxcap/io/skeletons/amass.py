@@ -13,7 +13,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
@@ -75,7 +75,7 @@ def write_amass(
     path: str | Path,
     skeleton: Skeleton,
     motion: Motion,
-    shape: Mapping[str, Float[np.ndarray, "*frames N"]] | None = None,
+    shape: Mapping[str, Float[Array | np.ndarray, "..."]] | None = None,
     gender: str = "neutral",
     up: Literal["y", "z"] = "z",
     with_skeleton: bool = True,
