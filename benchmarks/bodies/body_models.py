@@ -9,7 +9,6 @@ fastest of the others. The time includes the shape: every pose has coefficients 
 
 import argparse
 import os
-import subprocess
 import tempfile
 from pathlib import Path
 
@@ -19,7 +18,7 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks.bodies._made_model import made_arrays
-from benchmarks.markers._rivals.environments import Rival, install
+from benchmarks.markers._rivals.environments import Rival, install, run_script
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.body_model import BodyModel
 from jaxcap.geometry import rotation
@@ -98,17 +97,7 @@ def run_others(
     """Pose a model by the other packages."""
     given, found = folder / "poses.npz", folder / "found.npz"
     np.savez(given, betas=z, poses=poses, threads=os.cpu_count() or 1)
-    script = Path(__file__).parent / "_rivals" / "run_forward.py"
-    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    outcome = subprocess.run(
-        [str(python), str(script), str(given), str(path), str(found)],
-        env=surroundings,
-        capture_output=True,
-        text=True,
-    )
-    for line in outcome.stderr.splitlines()[-3:]:
-        progress(line)
-    outcome.check_returncode()
+    run_script(python, Path(__file__).parent / "_rivals" / "run_forward.py", given, path, found)
     with np.load(found) as file:
         return dict(file)
 

@@ -12,7 +12,6 @@ without a first pose. Errors are distances of the true vertices from the surface
 
 import argparse
 import os
-import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._scenes import cmu_motion, shared_folder
 from benchmarks.bodies._made_model import made_arrays
-from benchmarks.markers._rivals.environments import Rival, install
+from benchmarks.markers._rivals.environments import Rival, install, run_script
 from benchmarks.report import finish, progress
 from jaxcap.body.body_model import BodyModel, body_coefficients
 from jaxcap.body.pose import take_poses
@@ -84,13 +83,7 @@ def fit_others(
     """Fit meshes by `smplfitter`: vertices and seconds by the number of iterations."""
     given, found = folder / "meshes.npz", folder / "fits.npz"
     np.savez(given, vertices=vertices, threads=os.cpu_count() or 1)
-    script = Path(__file__).parent / "_rivals" / "run_fitter.py"
-    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    command = [str(python), str(script), str(given), str(model), str(found)]
-    outcome = subprocess.run(command, env=surroundings, capture_output=True, text=True)
-    if outcome.returncode:
-        progress(outcome.stderr[-500:])
-        outcome.check_returncode()
+    run_script(python, Path(__file__).parent / "_rivals" / "run_fitter.py", given, model, found)
     with np.load(found) as file:
         numbers = [int(name.removeprefix("seconds_")) for name in file.files if name.startswith("seconds_")]
         return {n: (file[f"vertices_{n}"], float(file[f"seconds_{n}"])) for n in numbers}
@@ -113,12 +106,12 @@ def fit_scans(model: BodyModel, person: int, z: np.ndarray) -> tuple[np.ndarray,
     found = jc.adapt.estimate_shape(tracker, clouds, model)
     frames = list(track_frames(replace_body(tracker, found), clouds))
     surface, joints = [], []
-    for frame, shown, truth in zip(frames, vertices, range(SCANS), strict=True):
+    for number, (frame, shown) in enumerate(zip(frames, vertices, strict=True)):
         posed = jc.pose_body(found, frame.pose)
         surface.append(
             jc.metrics.scan_to_surface(shown.astype(float), np.asarray(posed.vertices, float), faces)
         )
-        there = jc.pose_body(body, take_poses(motion.poses, truth)).joints
+        there = jc.pose_body(body, take_poses(motion.poses, number)).joints
         joints.append(np.linalg.norm(np.asarray(posed.joints - there), axis=1))
     off = np.asarray(body_coefficients(model, found)) - z
     return np.array(surface), np.array(joints), off, sum(frame.verdict != "good" for frame in frames)

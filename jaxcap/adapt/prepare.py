@@ -55,7 +55,7 @@ def make_adapt_task(
     `read_clouds`; `rate`, frames per second; `start`, a pose near that of the first frame, searched for if
     None; `pose_prior`, a further pose prior, such as `MahalanobisPrior(learn_pair_prior(...))`; `terms`, further
     energies of every frame's posed body in units of a log-likelihood, such as `make_floor(template)`, which
-    act in all stages; `full_body`, the body that the template was reduced from; `model`, the body model of which it is the template; `planes`, floors and walls
+    act in all stages; `full_body`, the body that the template was reduced from; `model`, the body model that the template belongs to; `planes`, floors and walls
     whose points are removed: by default those of the first cloud (`jc.observe.find_room`); the others as in `AdaptTask`. The
     order of the scans in time is detected from some of them, unless `settings.unordered` is given.
 

@@ -62,7 +62,7 @@ def shape_body(
 
     **Raises:** `InputError` if there are more coefficients than the model has, or no group of a name.
     """
-    values = model_coefficients(model, coefficients, **groups)
+    values = _all_coefficients(model, coefficients, **groups)
     return shape_from_template(model, values - model.template_coefficients)
 
 
@@ -105,7 +105,7 @@ def shape_from_template(model: BodyModel, changes: Float[Array, "K"]) -> Body:
     return apply_modes(model.template, model.modes, changes)
 
 
-def model_coefficients(
+def _all_coefficients(
     model: BodyModel,
     coefficients: Float[Array | np.ndarray, "..."] | None = None,
     **groups: Float[Array | np.ndarray, "..."],

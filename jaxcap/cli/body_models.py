@@ -12,7 +12,7 @@ from ..body.decimate import reduce_model
 from ..body.pose import Motion
 from ..errors import InputError, user_message
 from ..io.body_models.smpl import is_body_model, read_body_model
-from ..io.skeletons.amass import GENDERS, read_amass_shape, write_amass
+from ..io.skeletons.amass import GENDERS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
@@ -69,6 +69,11 @@ def load_model_of(spec: str, vertices: int | None = None) -> BodyModel | None:
         return None
     model = load_model(spec)
     return model if vertices is None else reduce_model(model, vertices)
+
+
+def takes_shape(spec: str, motion: str | Path) -> bool:
+    """Test if an argument names a body model and a motion is in AMASS's format, which has the shape of the model."""
+    return is_model_spec(spec) and is_amass(motion)
 
 
 def load_shaped_body(spec: str, motion: Path) -> Body:

@@ -9,9 +9,9 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..io.registry import default_clip_message, read_motion, read_skeleton
-from ..io.skeletons.amass import has_other_shape, is_amass
+from ..io.skeletons.amass import has_other_shape
 from ..io.skeletons.body_motion import read_body_motion
-from .body_models import is_model_spec, load_shaped_body
+from .body_models import load_shaped_body, takes_shape
 from .console.console import warn
 from .sources import is_human_spec, load_body
 
@@ -39,7 +39,7 @@ def load_moving_body(spec: str, motion: str | Path, **options: Any) -> tuple[Bod
 
     **Raises:** `InputError`.
     """
-    if is_model_spec(spec) and is_amass(motion) and options.get("vertices") is None:
+    if takes_shape(spec, motion) and options.get("vertices") is None:
         body = load_shaped_body(spec, Path(motion))
         return body, _load_motion_of(body, motion, None)
     body = load_body(spec, **options)[0]

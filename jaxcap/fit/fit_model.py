@@ -150,11 +150,6 @@ def _fit_chunk(model, few: _Samples, starts: Pose, positions, extra, max_steps: 
     return jax.lax.map(one, (starts, positions))
 
 
-@eqx.filter_jit
-def _fit_together(model, few: _Samples, starts: Pose, positions, extra, max_steps: int) -> _Fits:
-    return _solve(model, few, starts, positions, extra, max_steps)
-
-
 def _solve(
     model: BodyModel,
     few: _Samples,
@@ -197,6 +192,9 @@ def _solve(
         jnp.full(count, begun.num_steps + more),
         (begun.result == optx.RESULTS.successful) & successful & finite,
     )
+
+
+_fit_together = eqx.filter_jit(_solve)
 
 
 def _root_mean_squares(

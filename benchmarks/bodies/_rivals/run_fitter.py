@@ -22,7 +22,7 @@ def main() -> None:
     given, model = np.load(meshes), dict(np.load(path))
     torch.set_num_threads(int(given["threads"]))
     with tempfile.TemporaryDirectory() as folder:
-        # the package reads a pickle of this name, and a template of children beside it
+        # the package reads a pickle of this name, and a template of children in the same folder
         arrays = {**model, "J_regressor": scipy.sparse.csc_matrix(model["J_regressor"])}
         with open(Path(folder) / "basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl", "wb") as file:
             pickle.dump(arrays, file)

@@ -76,11 +76,25 @@ def library(name: str) -> str | None:
     return next((str(Path(folder) / name) for folder in folders if (Path(folder) / name).exists()), None)
 
 
+def clean_surroundings() -> dict[str, str]:
+    """Return the variables of this process without those of its own Python."""
+    return {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+
+
+def run_script(python: Path, script: Path, *paths: Path) -> None:
+    """Run a script in the environment of another Python, and report the end of its error output if it fails."""
+    command = [str(python), str(script), *map(str, paths)]
+    outcome = subprocess.run(command, env=clean_surroundings(), capture_output=True, text=True)
+    if outcome.returncode:
+        progress(outcome.stderr[-500:])
+        outcome.check_returncode()
+
+
 def run_rival(name: str, python: Path, scene_path: Path, limit: float) -> dict[str, np.ndarray] | None:
     result = scene_path.with_name(f"{name}.npz")
     script = Path(__file__).with_name(f"run_{name}.py")
     preload = ":".join(found for one in RIVALS[name].preload if (found := library(one)))
-    surroundings = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    surroundings = clean_surroundings()
     surroundings |= {"LD_PRELOAD": preload} if preload else {}
     try:
         command = [str(python), str(script), str(scene_path), str(result)]

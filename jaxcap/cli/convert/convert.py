@@ -23,7 +23,7 @@ from ...io.registry import (
 )
 from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
-from ..body_models import is_model_spec, load_shaped_body, split_model
+from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_body_motion, load_motion, load_skeleton, warn_of_clip
@@ -136,7 +136,7 @@ class Convert:
     def body_of_motion(self, motion: Path) -> Body:
         """Load the given body; a body model in the shape that a motion in AMASS format has."""
         spec = str(self.body)
-        if is_model_spec(spec) and is_amass(motion):
+        if takes_shape(spec, motion):
             return load_shaped_body(spec, motion)
         return load_body(spec, unit=self.unit or "m")[0]
 
@@ -171,7 +171,7 @@ class Convert:
             warn_of_clip(self.source)
         else:
             spec, motion = str(self.source), None
-            if self.motion is not None and is_model_spec(spec) and is_amass(self.motion):
+            if self.motion is not None and takes_shape(spec, self.motion):
                 body = load_shaped_body(spec, self.motion)
             else:
                 body = load_body(spec, unit=self.unit or "m")[0]

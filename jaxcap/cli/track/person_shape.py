@@ -32,7 +32,7 @@ def find_shapes(
 ) -> list[Body]:
     """Estimate the shapes of one person or of several, or read those of an earlier run.
 
-    **Arguments:** `model`, of which the body is the template, None for humans; `num_people`, None if unknown.
+    **Arguments:** `model`, the body model of the tracked body, None for humans; `num_people`, None if unknown.
     """
     if several:
         return find_people_shapes(folder, model, tracker, clouds, num_people)

@@ -36,10 +36,12 @@ def corrective_arrays(skin: CorrectedSkin, path: str | Path) -> dict[str, Any]:
     return {_FEATURES: np.array(kind), _DIRECTIONS: skin.directions}
 
 
-def add_correctives(skin: AbstractSkin, arrays: Mapping[str, np.ndarray], path: str | Path) -> AbstractSkin:
+def add_correctives(
+    skin: AbstractSkin, arrays: Mapping[str, np.ndarray], num_joints: int, path: str | Path
+) -> AbstractSkin:
     """Add the displacements among the arrays of a body file to its skin; return it unchanged if there are none.
 
-    **Raises:** `InputError` if they do not fit the skin.
+    **Raises:** `InputError` if they do not fit the skin or the number of joints.
     """
     if _FEATURES not in arrays or _DIRECTIONS not in arrays:
         return skin
@@ -54,19 +56,13 @@ def add_correctives(skin: AbstractSkin, arrays: Mapping[str, np.ndarray], path: 
             f"{path}: the array '{_DIRECTIONS}' has the shape {directions.shape} and the type {directions.dtype}; expected "
             f"numbers of shape ({count}, 3, features)."
         )
+    given, expected = directions.shape[2], FEATURES[kind].num_features(num_joints)
+    if given != expected:
+        raise InputError(
+            f"{path}: the array '{_DIRECTIONS}' has {given} features; expected {expected} for {num_joints} joints."
+        )
     if not np.isfinite(directions).all():
         raise InputError(
             f"{path}: the array '{_DIRECTIONS}' has numbers that are not finite; write it again."
         )
     return CorrectedSkin(skin, FEATURES[kind], jnp.asarray(directions))
-
-
-def check_features(skin: AbstractSkin, num_joints: int, path: str | Path) -> None:
-    """Check that displacements have the features of a skeleton. Raises `InputError`."""
-    if not isinstance(skin, CorrectedSkin):
-        return
-    given, expected = skin.directions.shape[2], skin.features.num_features(num_joints)
-    if given != expected:
-        raise InputError(
-            f"{path}: the array '{_DIRECTIONS}' has {given} features; expected {expected} for {num_joints} joints."
-        )

@@ -26,7 +26,7 @@ from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER, RATE_RANGE, shortened
 from .archive import open_archive
-from .correctives import add_correctives, check_features, corrective_arrays
+from .correctives import add_correctives, corrective_arrays
 
 VERSION = 1
 
@@ -135,8 +135,7 @@ def body_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Body:
         if not whole:
             _check_weights(values, path, partial=name != "weights")
         fields.append(jnp.asarray(values))
-    skin = add_correctives(cls(*fields), arrays, path)
-    check_features(skin, joints, path)
+    skin = add_correctives(cls(*fields), arrays, joints, path)
     return Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
 
 

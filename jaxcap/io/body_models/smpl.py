@@ -114,16 +114,14 @@ def _load(path: Path) -> Mapping[str, np.ndarray]:
     """Read the arrays of a model from a pickle or an `.npz` file."""
     if path.suffix.lower() == ".pkl":
         found = read_pickled_arrays(path, ARRAYS)
-        names = list(found)
+        arrays = {name: np.asarray(values) for name, values in found.items() if values is not None}
     else:
-        names = array_names(path)
-    if kind_of_arrays(names) != "body model":
+        arrays = load_arrays(path, lambda name: name in ARRAYS)
+    if kind_of_arrays(arrays) != "body model":
         raise InputError(
             f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family."
         )
-    if path.suffix.lower() == ".pkl":
-        return {name: np.asarray(values) for name, values in found.items() if values is not None}
-    return load_arrays(path, lambda name: name in ARRAYS)
+    return arrays
 
 
 def _parents(arrays: Mapping[str, np.ndarray], path: str | Path) -> list[int]:
