@@ -82,7 +82,7 @@ def solve_markers(
         | _poorly_fitted_frames(subject, used, solved)
     )
     residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, positions)), np.nan)
-    messages = _describe_solution(subject, frames, seen, lost)
+    messages = describe_solution(subject, frames, seen, lost)
     weights = np.asarray(solved.weights) * ~lost[:, None]
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)
 
@@ -171,7 +171,8 @@ def _poorly_fitted_frames(subject: Subject, used, solved: SolvedFrame) -> np.nda
     return middle > 0.1
 
 
-def _describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
+def describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
+    """Describe markers that are never visible or unknown, and lost frames."""
     messages = []
     never = [label for label, visible in zip(subject.labels, seen.any(0), strict=True) if not visible]
     if never:

@@ -1,0 +1,1 @@
+"""Models and motions of OpenSim."""

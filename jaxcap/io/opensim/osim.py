@@ -1,0 +1,266 @@
+"""Models of OpenSim (`.osim`): bodies, joints with their coordinates, and markers."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from ...arguments import checked
+from ...body.coordinates.coordinate_model import Coordinate, CoordinateModel
+from ...body.coordinates.piecewise_polynomial import evaluate_polynomials
+from ...body.skeleton import make_skeleton
+from ...errors import InputError
+from ...markers.subject import Subject, make_subject
+from ..system.reader_errors import reader_of
+from ..text import read_text
+from .functions import (
+    Piecewise,
+    constant,
+    function_in,
+    is_identity,
+    numbers,
+    pack_functions,
+    read_function,
+)
+from .joints import GROUND, Joint, find_frame, read_joints, read_offset_frames
+
+#: constraint that makes a coordinate a function of another one
+COUPLER = "CoordinateCouplerConstraint"
+
+
+class OsimModel(NamedTuple):
+    """The parts of an OpenSim model that say how its markers move."""
+
+    model: CoordinateModel
+    #: the skeleton with the markers of the file; None if it has none
+    markers: Subject | None
+
+
+@checked
+@reader_of("an OpenSim model")
+def read_osim(path: str | Path) -> OsimModel:
+    """Read bodies, joints, coordinates and markers of an OpenSim model, of version 3 or 4; muscles and meshes are left out.
+
+    A joint of the skeleton has the name of the body that it moves. It is at rest where all coordinates have their default values,
+    in the axes of the ground, metres.
+
+    **Raises:** `InputError` if the file is no OpenSim model, or has joints, functions or constraints that are not supported.
+    """
+    root = _parse(Path(path))
+    where = str(path)
+    joints = _sort_joints(read_joints(root, where), where)
+    elements = {each.get("name", ""): each for joint in joints for each in joint.coordinates}
+    if sum(len(joint.coordinates) for joint in joints) != len(elements):
+        raise InputError(f"{path}: two coordinates have the same name; give each its own.")
+    names = list(elements)
+    drivers = tuple(tuple(_driver(amount.driver, names, where) for amount in joint.amounts) for joint in joints)  # fmt: skip
+    amounts = pack_functions(
+        [amount.function for joint in joints for amount in joint.amounts], (len(joints), 6)
+    )
+    couplers = _read_couplers(root, names, where)
+    turning = {
+        amount.driver for joint in joints for amount in joint.amounts[:3] if is_identity(amount.function)
+    }
+    followers = pack_functions(
+        [function for _, function in couplers] or [constant(0.0)], (max(len(names), 1),)
+    )
+    coordinates = [
+        _coordinate(element, name in turning, couplers[names.index(name)][0], where)
+        for name, element in elements.items()
+    ]
+    stated = np.array([coordinate.default for coordinate in coordinates] or [0.0])
+    leaders = [coordinate.leader for coordinate in coordinates] or [-1]
+    followed = np.asarray(evaluate_polynomials(followers, jnp.asarray(stated[leaders])), float)
+    defaults = np.where(np.array(leaders) < 0, stated, followed)
+    coordinates = [
+        each._replace(default=float(value)) for each, value in zip(coordinates, defaults, strict=False)
+    ]
+    at_rest = np.asarray(evaluate_polynomials(amounts, jnp.asarray(defaults[np.array(drivers)])), float)
+    frames, in_world = _rest_frames(joints, at_rest)
+    axes = np.stack([[frame[:3, :3] @ amount.axis for amount in joint.amounts] for joint, frame in zip(joints, frames, strict=True)])  # fmt: skip
+    centres = np.stack([(in_world[joint.child] @ joint.in_child)[:3, 3] for joint in joints])
+    kinds, first_axes = zip(*(_kind(joint, row, at) for joint, row, at in zip(joints, axes, at_rest, strict=True)), strict=True)  # fmt: skip
+    bodies = [joint.child for joint in joints]
+    skeleton = make_skeleton(
+        bodies,
+        [bodies.index(joint.parent) if joint.parent in bodies else -1 for joint in joints],
+        kinds,
+        centres,
+        axes=np.stack([first_axes, np.roll(first_axes, 1, 1)], 1),
+    )
+    model = CoordinateModel(skeleton, jnp.asarray(axes), amounts, followers, tuple(coordinates), drivers)
+    return OsimModel(model, _read_markers(root, model, in_world, where))
+
+
+def _parse(path: Path) -> Element:
+    text = read_text(path)
+    # declarations of entities can grow without bound, and no model has them
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{path}: the file declares a document type, which is not read; export it again.")
+    try:
+        # names of some forces have two colons, which XML reserves
+        root = ElementTree.fromstring(re.sub(r"(</?\w+)::", r"\1.", text).encode())
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: this is not XML ({error}); export it again.") from None
+    if root.tag != "OpenSimDocument" or root.find("Model") is None:
+        raise InputError(f"{path}: this is not an OpenSim model; expected <OpenSimDocument> with a <Model>.")
+    return root
+
+
+def _sort_joints(joints: list[Joint], where: str) -> list[Joint]:
+    """Sort joints so that parents come first, and check that they form a tree."""
+    known, order, left = {GROUND}, [], list(joints)
+    twice = [joint.child for joint in joints if sum(other.child == joint.child for other in joints) > 1]
+    if twice:
+        raise InputError(
+            f"{where}: body '{twice[0]}' is moved by several joints; expected one joint for each body."
+        )
+    while left:
+        ready = [joint for joint in left if joint.parent in known]
+        if not ready:
+            raise InputError(
+                f"{where}: joint '{left[0].name}' has the parent '{left[0].parent}', which no chain of joints connects with the "
+                "ground; export the model again."
+            )
+        order += ready
+        known |= {joint.child for joint in ready}
+        left = [joint for joint in left if joint.child not in known]
+    if not order:
+        raise InputError(f"{where}: the model has no joints; give a model with bodies that move.")
+    return order
+
+
+def _driver(name: str | None, names: Sequence[str], where: str) -> int:
+    if name is None:
+        return 0
+    if name not in names:
+        raise InputError(f"{where}: a joint depends on the coordinate '{name}', which does not exist.")
+    return names.index(name)
+
+
+def _coordinate(element: Element, turns: bool, leader: int, where: str) -> Coordinate:
+    name = element.get("name", "")
+    where = f"{where}: coordinate '{name}'"
+    low, high = (
+        numbers(element, "range", where, 2) if element.find("range") is not None else (-np.inf, np.inf)
+    )
+    default = (
+        numbers(element, "default_value", where, 1)[0] if element.find("default_value") is not None else 0.0
+    )
+    return Coordinate(
+        name,
+        turns,
+        default,
+        low,
+        high,
+        is_clamped=_is_true(element, "clamped"),
+        is_locked=_is_true(element, "locked"),
+        leader=leader,
+    )
+
+
+def _is_true(element: Element, name: str) -> bool:
+    return (element.findtext(name) or "").strip().lower() == "true"
+
+
+def _read_couplers(root: Element, names: list[str], where: str) -> list[tuple[int, Piecewise]]:
+    """Read for each coordinate the one that determines it, and the function; other constraints are refused."""
+    couplers = [(-1, constant(0.0))] * len(names)
+    for element in root.iterfind(".//ConstraintSet/objects/*"):
+        if _is_true(element, "isDisabled") or (element.findtext("isEnforced") or "true").strip() == "false":
+            continue
+        at = f"{where}: constraint '{element.get('name', '')}'"
+        leaders = (element.findtext("independent_coordinate_names") or "").split()
+        stated = function_in(element.find("coupled_coordinates_function"))
+        if element.tag != COUPLER or len(leaders) != 1 or stated is None:
+            raise InputError(
+                f"{at} is a {element.tag} of {len(leaders)} coordinates, which is not supported; expected a {COUPLER} of one "
+                "coordinate; disable it in OpenSim if it does not matter."
+            )
+        follower = (element.findtext("dependent_coordinate_name") or "").strip()
+        unknown = [name for name in (leaders[0], follower) if name not in names]
+        if unknown:
+            raise InputError(f"{at} names the coordinate '{unknown[0]}', which does not exist.")
+        function = read_function(stated, at)
+        scale = (
+            numbers(element, "scale_factor", at, 1)[0] if element.find("scale_factor") is not None else 1.0
+        )
+        couplers[names.index(follower)] = (
+            names.index(leaders[0]),
+            function._replace(coefficients=scale * function.coefficients),
+        )
+    chained = [names[k] for k, (leader, _) in enumerate(couplers) if leader >= 0 and couplers[leader][0] >= 0]
+    if chained:
+        raise InputError(
+            f"{where}: the coordinate '{chained[0]}' follows one that follows another; this is not supported."
+        )
+    return couplers
+
+
+def _rest_frames(
+    joints: list[Joint], amounts: Float[np.ndarray, "J 6"]
+) -> tuple[list[Float[np.ndarray, "4 4"]], dict[str, Float[np.ndarray, "4 4"]]]:
+    """Compute the frame of each joint in its parent, in the world at rest, and the frames of the bodies."""
+    in_world = {GROUND: np.eye(4)}
+    frames = []
+    for joint, own in zip(joints, amounts, strict=True):
+        frame = in_world[joint.parent] @ joint.in_parent
+        moved = np.eye(4)
+        for amount, angle in zip(joint.amounts[:3], own[:3], strict=True):
+            moved[:3, :3] = moved[:3, :3] @ Rotation.from_rotvec(angle * amount.axis).as_matrix()
+        moved[:3, 3] = sum(length * amount.axis for amount, length in zip(joint.amounts[3:], own[3:], strict=True))  # fmt: skip
+        frames.append(frame)
+        in_world[joint.child] = frame @ moved @ _inverse(joint.in_child)
+    return frames, in_world
+
+
+def _inverse(frame: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Invert a rigid transform."""
+    turn = frame[:3, :3].T
+    return np.block([[turn, -turn @ frame[:3, 3:]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+def _kind(
+    joint: Joint, axes: Float[np.ndarray, "6 3"], at_rest: Float[np.ndarray, "6"]
+) -> tuple[str, Float[np.ndarray, "3"]]:
+    """Find the kind of joint with the fewest degrees of freedom that makes all poses, and its first axis."""
+    moving = [amount.driver is not None and bool(amount.function.coefficients[:, 1:].any()) for amount in joint.amounts]  # fmt: skip
+    if any(moving[3:]):
+        return "free" if any(moving[:3]) else "translate", np.array([1.0, 0, 0])
+    turning = np.flatnonzero(moving[:3])
+    if len(turning) != 1:
+        return "ball" if len(turning) else "fixed", np.array([1.0, 0, 0])
+    # constant rotations before the turning axis turn it
+    axis = axes[turning[0]]
+    for number in reversed(range(turning[0])):
+        axis = Rotation.from_rotvec(at_rest[number] * axes[number]).apply(axis)
+    return "revolute", axis
+
+
+def _read_markers(
+    root: Element, model: CoordinateModel, in_world: dict[str, Float[np.ndarray, "4 4"]], where: str
+) -> Subject | None:
+    frames = read_offset_frames(root, where)
+    labels, bones, offsets = [], [], []
+    for element in root.iterfind(".//MarkerSet/objects/Marker"):
+        label = element.get("name", "")
+        at = f"{where}: marker '{label}'"
+        path = element.findtext("socket_parent_frame") or element.findtext("body") or ""
+        body, offset = find_frame(path, frames)
+        if body == GROUND:
+            # it does not move
+            continue
+        if body not in model.skeleton.names:
+            raise InputError(f"{at} is on '{path.strip()}', which is no body of the model.")
+        place = np.append(numbers(element, "location", at, 3), 1.0)
+        labels.append(label)
+        bones.append(model.skeleton.index(body))
+        offsets.append((in_world[body] @ offset @ place)[:3])
+    return make_subject(model.skeleton, bones, np.array(offsets), labels) if labels else None

@@ -1,0 +1,232 @@
+"""Generalised coordinates of a model through frames of markers: inverse kinematics as in biomechanics."""
+
+import dataclasses
+import itertools
+import logging
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...arguments import checked
+from ...body.body import Body, pose_body
+from ...body.coordinates.coordinate_model import (
+    CoordinateModel,
+    follow_leaders,
+    motion_from_coordinates,
+    pose_from_coordinates,
+)
+from ...body.skeleton import has_same_joints
+from ...energy.check_energies import UserTerms, sum_user_terms
+from ...energy.data.landmarks import VertexLandmarks
+from ...energy.energy import AbstractEnergy, Sum, terms_of
+from ...errors import InputError
+from ...fit.coordinate_problem import CoordinateProblem
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.solvers.minimise import minimise
+from ...observe.markers import MarkerFrames
+from ...parallel import parallel_map
+from ..subject import Subject, marker_body
+from .inverse_kinematics import MIN_MARKERS, MarkerSolution, describe_solution
+from .label_matching import match_markers
+
+_LOG = logging.getLogger(__name__)
+
+#: frames solved in sequence in one call
+CHUNK_SIZE = 256
+#: largest numbers of steps from the previous frame, and from a start far away
+STEPS, FIRST_STEPS = 20, 60
+#: angles at which the root starts, radians, about each of its axes of rotation
+START_ANGLES = np.pi / 2 * np.arange(-1, 3)
+#: number of starts of the root that all coordinates continue from
+NUM_STARTS = 4
+#: share by which the energy of a start is raised for each square radian from rest: two sets of angles may be one rotation
+TURN_PENALTY = 1e-3
+#: a frame is lost if the root mean square distance of its markers exceeds this, metres
+MAX_DISTANCE = 0.2
+#: share of frames at the end of a range that is told
+MANY = 0.1
+
+
+class CoordinateSolution(NamedTuple):
+    """The coordinates of every frame, and the motion that they make."""
+
+    #: radians and metres, in the order of the model
+    values: Float[np.ndarray, "F Q"]
+    #: the motion of the skeleton, with residuals and lost frames
+    markers: MarkerSolution
+
+
+@checked
+def solve_coordinates(
+    model: CoordinateModel, subject: Subject, frames: MarkerFrames, *, terms: UserTerms = ()
+) -> CoordinateSolution:
+    """Find the coordinates of every frame that bring a model's markers nearest to the observed ones.
+
+    It minimises `sum_m w_m |x_m - y_m|^2` within the ranges of clamped coordinates, as the inverse kinematics of OpenSim does
+    (Delp et al. 2007; Lu and O'Connor 1999), from the frame before. Locked coordinates do not change.
+
+    **Arguments:** `subject`, the model's skeleton with its markers and their weights (`read_osim`); `frames` with its labels in
+    any order: other markers are ignored, missing ones do not count; `terms`, further energies of the posed skeleton, square
+    metres.
+
+    A frame with fewer than three markers, or that no coordinates fit, is lost and keeps the last coordinates.
+
+    **Raises:** `InputError` if the subject has another skeleton than the model, if nothing is free, or no label is shared.
+    """
+    if not has_same_joints(model.skeleton, subject.skeleton):
+        raise InputError(
+            "solve_coordinates: `subject` has another skeleton than the model; expected markers on its joints."
+        )
+    if not len(model.free):
+        raise InputError(
+            "solve_coordinates: all coordinates of the model are locked; unlock those that move."
+        )
+    matched = match_markers(subject, frames)
+    weights = jnp.asarray(matched.seen * np.asarray(subject.weights), matched.positions.dtype)
+    enough = np.asarray((weights > 0).sum(1)) >= MIN_MARKERS
+    body = marker_body(subject)
+    own = sum_user_terms("solve_coordinates", terms, body)
+    _LOG.info("solving %d frames", len(frames))
+    values = _solve_in_chunks(model, body, matched.positions, weights * enough[:, None], own)
+    lengths = np.asarray(_distances(model, body, values, matched.positions), float)
+    values = np.asarray(values, float)
+    used = np.asarray(weights) > 0
+    mean_square = (used * lengths**2).sum(1) / np.maximum(used.sum(1), 1)
+    lost = ~enough | ~(np.sqrt(mean_square) < MAX_DISTANCE)
+    seen = np.asarray(matched.seen)
+    solution = MarkerSolution(
+        motion_from_coordinates(model, values, frames.rate),
+        np.where(seen, lengths, np.nan),
+        1.0 * (used & ~lost[:, None]),
+        lost,
+        (*describe_solution(subject, frames, seen, lost), *_describe_bounds(model, values)),
+    )
+    return CoordinateSolution(values, solution)
+
+
+def _solve_in_chunks(model, body: Body, positions, weights, own) -> Float[Array, "F Q"]:
+    """Solve chunks of frames in parallel threads, each from a search in its first frame with markers."""
+    count = len(positions)
+    size = CHUNK_SIZE if count > CHUNK_SIZE else max(8, 1 << (count - 1).bit_length())
+    chunks = -(-count // size)
+    extra = chunks * size - count
+    positions = jnp.pad(positions, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
+    weights = jnp.pad(weights, ((0, extra), (0, 0))).reshape(chunks, size, -1)
+
+    def run(chunk: int) -> Float[Array, "N Q"]:
+        return jax.block_until_ready(_solve_chunk(model, body, positions[chunk], weights[chunk], own))
+
+    return jnp.concatenate(list(parallel_map(run, range(chunks))))[:count]
+
+
+@eqx.filter_jit
+def _solve_chunk(model: CoordinateModel, body: Body, positions, weights, own) -> Float[Array, "N Q"]:
+    first = jnp.argmax((weights > 0).any(1))
+    start = _search(model, body, positions[first], weights[first], own)
+
+    def follow(values, frame):
+        found = _solve(model, body, values, *frame, own, STEPS)[0]
+        kept = jnp.where((frame[1] > 0).any() & jnp.isfinite(found).all(), found, values)
+        return kept, kept
+
+    return jax.lax.scan(follow, start, (positions, weights))[1]
+
+
+def _search(model: CoordinateModel, body: Body, positions, weights, own) -> Float[Array, "Q"]:
+    """Find the coordinates of a frame without a previous one.
+
+    First only the root moves, from many rotations and with the centre of its markers at the observed one. All coordinates continue
+    from the best of these.
+    """
+    start = jnp.asarray(model.defaults, positions.dtype)
+    root = _floating_root(model)
+    if root is None:
+        return _solve(model, body, start, positions, weights, own, FIRST_STEPS)[0]
+    turns, shifts = (np.array(part) for part in (model.drivers[root][:3], model.drivers[root][3:]))
+    share = weights / jnp.maximum(weights.sum(), 1e-12)
+
+    def turned(angles):
+        values = start.at[turns].set(angles)
+        gap = share @ (positions - _vertices(model, body, values))
+        return values.at[shifts].add(model.axes[root, 3:] @ gap)
+
+    def penalty(values):
+        return 1.0 + TURN_PENALTY * jnp.sum((values - start)[:, turns] ** 2, 1)
+
+    starts = jax.vmap(turned)(jnp.asarray(list(itertools.product(START_ANGLES, repeat=3)), positions.dtype))
+    rigid = _with_free(model, {*model.drivers[root]})
+    near, costs = jax.lax.map(
+        lambda start: _solve(rigid, body, start, positions, weights, None, STEPS), starts
+    )
+    best = near[jnp.argsort(costs * penalty(near))[:NUM_STARTS]]
+    found, costs = jax.lax.map(lambda start: _solve(model, body, start, positions, weights, own, FIRST_STEPS), best)  # fmt: skip
+    return found[jnp.argmin(costs * penalty(found))]
+
+
+def _floating_root(model: CoordinateModel) -> int | None:
+    """Find the root joint that moves freely in all six directions; None if there is none."""
+    free = set(model.free.tolist())
+    for joint, parent in enumerate(model.skeleton.parents):
+        drivers = model.drivers[joint]
+        if parent < 0 and len({*drivers} & free) == 6:
+            return joint
+    return None
+
+
+def _with_free(model: CoordinateModel, free: set[int]) -> CoordinateModel:
+    """Lock all coordinates but some."""
+    of = tuple(
+        each._replace(is_locked=each.is_locked or number not in free)
+        for number, each in enumerate(model.coordinates)
+    )
+    return dataclasses.replace(model, coordinates=of)
+
+
+def _solve(
+    model: CoordinateModel,
+    body: Body,
+    start: Float[Array, "Q"],
+    positions: Float[Array, "M 3"],
+    weights: Float[Array, "M"],
+    own: AbstractEnergy | None,
+    steps: int,
+) -> tuple[Float[Array, "Q"], Float[Array, ""]]:
+    """Solve one frame; also return the squared distances."""
+    landmarks = VertexLandmarks(jnp.arange(len(weights)), positions, weights)
+    energy = Sum((landmarks, *(() if own is None else terms_of(own))))
+    problem = CoordinateProblem(energy, model, body)
+    found = minimise(problem, start, LevenbergMarquardt(1e-6, 1e-7, damping=1e-6), steps).y
+    found = follow_leaders(model, found)
+    return found, problem.value(found)
+
+
+def _vertices(model: CoordinateModel, body: Body, values: Float[Array, "Q"]) -> Float[Array, "M 3"]:
+    return pose_body(body, pose_from_coordinates(model, values)).vertices
+
+
+@eqx.filter_jit
+def _distances(model: CoordinateModel, body: Body, values, positions) -> Float[Array, "F M"]:
+    def of_frame(frame):
+        return jnp.linalg.norm(_vertices(model, body, frame[0]) - frame[1], axis=1)
+
+    return jax.lax.map(of_frame, (values, positions))
+
+
+def _describe_bounds(model: CoordinateModel, values: Float[np.ndarray, "F Q"]) -> tuple[str, ...]:
+    """Describe the coordinates that end at their range in many frames."""
+    low, high = model.bounds
+    at_end = ((values <= low + 1e-6) | (values >= high - 1e-6)).mean(0)
+    named = [
+        f"{model.names[number]} in {100 * at_end[number]:.0f} %"
+        for number in model.free
+        if at_end[number] > MANY
+    ]
+    if not named:
+        return ()
+    return (
+        f"coordinates end at their ranges in the frames: {', '.join(named)}; the ranges may be too narrow.",
+    )
