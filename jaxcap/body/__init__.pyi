@@ -5,6 +5,12 @@ from .body import posed_vertices as posed_vertices
 from .body_model import BodyModel as BodyModel
 from .body_model import body_coefficients as body_coefficients
 from .body_model import split_coefficients as split_coefficients
+from .coordinates.coordinate_model import Coordinate as Coordinate
+from .coordinates.coordinate_model import CoordinateModel as CoordinateModel
+from .coordinates.coordinate_model import CoordinateTargets as CoordinateTargets
+from .coordinates.coordinate_model import motion_from_coordinates as motion_from_coordinates
+from .coordinates.coordinate_model import pose_from_coordinates as pose_from_coordinates
+from .coordinates.piecewise_polynomial import PiecewisePolynomials as PiecewisePolynomials
 from .decimate import reduce_body as reduce_body
 from .decimate import reduce_model as reduce_model
 from .kinematics import Transforms as Transforms

@@ -37,7 +37,9 @@ from .contents.texts import (
     describe_json,
     describe_kineben,
     describe_markers,
+    describe_osim,
     describe_statistics,
+    describe_storage,
     describe_text,
 )
 from .depth.sources import Cameras, DepthScale
@@ -111,6 +113,10 @@ class Info:
                 return describe_asf(path)
             case "skl" | "cst" | "vj":
                 return describe_kineben(path, self.unit)
+            case "osim":
+                return describe_osim(path)
+            case "storage":
+                return describe_storage(path)
             case "markers":
                 return describe_markers(path, self.unit)
             case "statistics" if path.suffix.lower() == ".csv":

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
-from ..body.coordinates.coordinate_model import CoordinateModel, pose_from_coordinates
-from ..energy.energy import AbstractEnergy
+from ..body.coordinates.coordinate_model import CoordinateModel, CoordinateTargets, pose_from_coordinates
+from ..energy.energy import AbstractEnergy, safe_sqrt
 from .linear_solvers.dense import DenseMatrix
 from .pose_problem import LEVER_ARM
 from .solvers.descent import ConstrainedInfo, StepConstraints
@@ -25,9 +25,13 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
     model: CoordinateModel
     #: the surface, or the markers, on the model's skeleton
     body: Body
+    targets: CoordinateTargets | None = None
 
     def residual(self, y):
-        return self.energy.residual(pose_body(self.body, pose_from_coordinates(self.model, y)))
+        r = self.energy.residual(pose_body(self.body, pose_from_coordinates(self.model, y)))
+        if self.targets is None:
+            return r
+        return jnp.concatenate([r, safe_sqrt(self.targets.weights) * (y - self.targets.values)])
 
     def linearise(self, y):
         def moved(d):

@@ -21,6 +21,15 @@ from .markers.subject import load_subject as load_subject
 from .markers.subject import save_subject as save_subject
 from .meshes.clouds import save_clouds as save_clouds
 from .meshes.meshes import save_meshes as save_meshes
+from .opensim.osim import OsimModel as OsimModel
+from .opensim.osim import read_osim as read_osim
+from .opensim.storage import read_coordinates as read_coordinates
+from .opensim.storage import read_storage as read_storage
+from .opensim.storage import write_coordinates as write_coordinates
+from .opensim.storage import write_storage as write_storage
+from .opensim.tasks import coordinate_targets as coordinate_targets
+from .opensim.tasks import read_ik_tasks as read_ik_tasks
+from .opensim.tasks import weigh_markers as weigh_markers
 from .registry import read_motion as read_motion
 from .registry import read_skeleton as read_skeleton
 from .registry import read_skinned as read_skinned

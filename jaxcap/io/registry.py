@@ -28,6 +28,9 @@ from .markers.marker_file import BODY_SIZE_RANGE, MarkerFile, check_marker_exten
 from .markers.marker_table import read_marker_table, write_marker_table
 from .markers.trc import read_trc, write_trc
 from .meshes.mesh import SUFFIXES, check_body_size, check_mesh, read_mesh
+from .opensim.osim import read_osim
+from .opensim.storage import SUFFIXES as STORAGE_SUFFIXES
+from .opensim.storage import read_coordinates
 from .skeletons.amass import is_amass, read_amass, write_amass
 from .skeletons.amc import read_amc
 from .skeletons.asf import read_asf
@@ -48,6 +51,7 @@ SKELETON_READERS: dict[str, Callable[[Path, Any], Skeleton]] = {
     ".asf": lambda path, unit: read_asf(path).skeleton,
     ".npz": lambda path, unit: read_amass(path)[0] if is_amass(path) else load_skeleton(path),
     ".amc": lambda path, unit: read_asf(_find_asf(path)).skeleton,
+    ".osim": lambda path, unit: read_osim(path).model.skeleton,
     **dict.fromkeys(GLTF_READ, lambda path, unit: _read_gltf(path)[0]),
     **dict.fromkeys(USD_READ, lambda path, unit: read_usd_body(path)[0].skeleton),
 }
@@ -55,6 +59,7 @@ SKELETON_WRITERS: dict[str, Callable[[Path, Skeleton, Any], None]] = {".skl": wr
 MOTION_READERS: dict[str, Callable[[Path, Any], tuple[Skeleton, Motion]]] = {
     ".bvh": read_bvh,
     ".amc": lambda path, unit: _read_acclaim(path),
+    **dict.fromkeys(STORAGE_SUFFIXES, lambda path, unit: _read_coordinates(path)),
     ".npz": lambda path, unit: read_amass(path) if is_amass(path) else _read_npz_motion(path),
     **dict.fromkeys((*GLTF_READ, *USD_READ), lambda path, unit: _read_animation(path)),
 }
@@ -94,7 +99,7 @@ DEFAULT_UNITS = {".bvh": "cm"}
 def read_skeleton(path: str | Path, unit: str | float | None = None) -> Skeleton:
     """Read a skeleton.
 
-    Formats are `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, a body or motion `.npz`, a skinned `.glb`,
+    Formats are `.skl`, `.bvh`, `.asf`, `.amc` with its `.asf`, `.osim`, a body or motion `.npz`, a skinned `.glb`,
     `.gltf` or USD, and a mesh with an `.skl` in its folder (`is_rigged`). `unit` is that of the file's
     lengths if the format does not specify it; the default is metres, and centimetres for BVH.
 
@@ -114,8 +119,8 @@ def write_skeleton(path: str | Path, skeleton: Skeleton, unit: str | float | Non
 def read_motion(path: str | Path, unit: str | float | None = None) -> tuple[Skeleton, Motion]:
     """Read a motion with its skeleton; `unit` and errors as in `read_skeleton`.
 
-    Formats are `.bvh`, `.npz` (ours, or AMASS with a skeleton), `.glb`, `.gltf`, USD, and `.amc` with the
-    `.asf` in its folder. `character.glb:Walk` selects the clip `Walk`; without a name the first clip is read.
+    Formats are `.bvh`, `.npz` (ours, or AMASS with a skeleton), `.glb`, `.gltf`, USD, `.amc` with the `.asf` in its folder, and
+    `.mot` or `.sto` with the `.osim` in its folder. `character.glb:Walk` selects the clip `Walk`; without a name the first clip is read.
     """
     return _lookup(MOTION_READERS, path, "a motion")(Path(path), _unit(path, unit))
 
@@ -334,6 +339,23 @@ def _read_npz_motion(path: Path) -> tuple[Skeleton, Motion]:
 def _read_acclaim(path: Path) -> tuple[Skeleton, Motion]:
     asf = read_asf(_find_asf(path))
     return asf.skeleton, read_amc(path, asf)
+
+
+def _read_coordinates(path: Path) -> tuple[Skeleton, Motion]:
+    """Read coordinates of OpenSim with the model in the same folder."""
+    model = read_osim(_find_osim(path)).model
+    return model.skeleton, read_coordinates(path, model)[1]
+
+
+def _find_osim(path: Path) -> Path:
+    """Find the model of a motion: the only one in its folder."""
+    fits = sorted(path.parent.glob("*.osim")) if path.parent.is_dir() else []
+    if len(fits) != 1:
+        raise InputError(
+            f"{path}: the folder has {len(fits)} OpenSim models (.osim); expected the model of this motion beside it, and no other; or "
+            "give it with --body in `jaxcap convert`."
+        )
+    return fits[0]
 
 
 def _find_asf(path: Path) -> Path:

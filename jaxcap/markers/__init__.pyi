@@ -17,6 +17,8 @@ from .motion.gap_filling import fill_gaps as fill_gaps
 from .motion.gap_filling import joint_frames as joint_frames
 from .motion.inverse_kinematics import MarkerSolution as MarkerSolution
 from .motion.inverse_kinematics import solve_markers as solve_markers
+from .motion.solve_coordinates import CoordinateSolution as CoordinateSolution
+from .motion.solve_coordinates import solve_coordinates as solve_coordinates
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
 from .segments.find_segments import find_partition as find_partition

@@ -93,6 +93,18 @@ class CoordinateModel(eqx.Module):
         return self.names.index(name)
 
 
+class CoordinateTargets(eqx.Module):
+    """Values near which coordinates are held, with the energy `sum_q w_q (y_q - value_q)^2`."""
+
+    #: radians and metres
+    values: Float[Array, "Q"]
+    #: zero for coordinates without a target
+    weights: Float[Array, "Q"]
+
+    def __check_init__(self):
+        check_fields(self)
+
+
 @checked
 @partial(jax.jit, inline=True)
 def pose_from_coordinates(model: CoordinateModel, values: Float[Array, "Q"]) -> Pose:

@@ -61,6 +61,13 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("view --depth {file}", "shows how the person is found"),
     ),
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
+    "osim": (
+        ("markers solve {file} TRIAL.trc -o angles.mot", "solves for its coordinates in a trial"),
+        ("convert ANGLES.mot motion.bvh --body {file}", "converts its coordinates to a motion"),
+    ),
+    "storage": (
+        ("convert {file} motion.bvh --body MODEL.osim", "converts coordinates to a motion of their model"),
+    ),
     "skl": (("rig MESH -o body.npz --skeleton {file}", "binds a mesh to it"),),
     "cst": (("track MESH CLOUDS -o tracked --limits {file}", "enforces these limits"),),
     "vj": (("track MESH CLOUDS -o tracked --vj {file}", "uses these joints of the vertices"),),

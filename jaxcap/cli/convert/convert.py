@@ -12,6 +12,8 @@ from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.meshes.mesh import read_mesh, write_mesh
+from ...io.opensim.osim import read_osim
+from ...io.opensim.storage import read_coordinates
 from ...io.registry import (
     NPZ_CONVENTIONS,
     is_skinned,
@@ -60,7 +62,7 @@ class Convert:
     motion: OptionalFile = None
     """Motion to write with a body in a .glb or USD, from any file with a motion."""
     body: OptionalFile = None
-    """Body of the motion, for files without joint positions, such as AMASS, for --vertices, and to write a motion with its body
+    """Body of the motion, for files without joint positions, such as AMASS or OpenSim's .mot (with an .osim), for --vertices, and to write a motion with its body
     as .glb or USD: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
     as_: Annotated[
         Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
@@ -128,6 +130,10 @@ class Convert:
 
     def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
         """Read the source's motion, with the given body if any."""
+        if self.body is not None and self.body.suffix.lower() == ".osim":
+            # it has no surface
+            model = read_osim(self.body).model
+            return model.skeleton, read_coordinates(self.source, model)[1], None
         if self.body is None:
             return *self.motion_of(self.source, None), None
         body = self.body_of_motion(self.source)

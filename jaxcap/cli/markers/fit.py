@@ -108,7 +108,7 @@ class Fit:
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
         """Read, fit and write, while the lock excludes other runs with the same output files."""
         set_activity("reading the takes")
-        takes = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.files]
+        takes = [read_take(path, self.unit, self.subject, self.up, self.pieces).frames for path in self.files]
         united = merge_takes(takes)
         set_activity("finding segments and joints")
         corrections = None if self.segments is None else read_corrections(self.segments)

@@ -10,19 +10,23 @@ import tyro
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...io.archives.journal import hash_file, hash_files
-from ...io.markers.subject import load_subject
+from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
+from ...io.opensim.storage import write_coordinates
 from ...io.registry import MOTION_WRITERS, write_markers, write_motion
 from ...io.system.run_lock import run_lock
 from ...markers.motion.gap_filling import fill_gaps
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
+from ...markers.motion.solve_coordinates import solve_coordinates
 from ...markers.subject import Subject, marker_body
 from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, score_markers, summarise_residuals
 from ..console.console import print_table, say, warn
 from ..console.heartbeat import set_activity
-from ..console.options import Flag, OptionalUnit, Up, arg
+from ..console.options import Flag, OptionalFile, OptionalUnit, Up, arg
 from ..outputs import check_parent, is_run_complete, make_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .opensim import SUFFIX as OSIM_SUFFIX
+from .opensim import SolvedModel, load_subject_or_model
 from .result_tables import describe_strays
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
@@ -31,6 +35,7 @@ from .takes import (
     OptionalFolder,
     OptionalSubject,
     Pieces,
+    Take,
     check_folder,
     check_new,
     check_points,
@@ -53,17 +58,20 @@ class Solve:
     are printed."""
 
     subject_file: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
-    """A subject: a result of `jaxcap markers fit`."""
+    """A subject: a result of `jaxcap markers fit`, or an OpenSim model (.osim) with its markers."""
     trials: TrialsSpec
     """Trials: .c3d, .trc or .csv files. Markers are identified by their labels."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
-    """Output file for the motion, .bvh or .npz; or an output folder, which gets both formats for each trial."""
+    """Output file for the motion, .bvh or .npz, and for the coordinates of an OpenSim model .mot or .sto; or an output folder,
+    which gets .bvh, .npz, and for an OpenSim model .mot, for each trial."""
     joints: Files = ()
     """Output files for joint centres, .trc, .c3d or .csv. If OUT is a folder, they are written there, with the
     name of the trial as a prefix."""
     filled: Files = ()
     """Output files for markers without gaps, .trc, .c3d or .csv. If OUT is a folder, they are named as for
     --joints."""
+    tasks: OptionalFile = None
+    """Tasks of OpenSim's inverse kinematics for an OpenSim model (.xml): weights of markers and of coordinates."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
@@ -93,7 +101,8 @@ class Solve:
         if self.resume and is_run_complete(self.results, self.checkpoint_path):
             return
         check_new(self.results, self.overwrite or (self.resume and self.checkpoint_path.is_file()))
-        subject = load_subject(self.subject_file)
+        subject, model = load_subject_or_model(self.subject_file, self.tasks)
+        self.check_model(model)
         terms = read_terms(
             marker_body(subject),
             limits=self.limits,
@@ -112,7 +121,7 @@ class Solve:
             # another run may have ended since
             check_new(self.results, self.overwrite or (self.resume and self.checkpoint_path.is_file()))
             solved = read_solved(self.checkpoint_path, header) if self.resume else {}
-            for path, frames in zip(self.trials, trials, strict=True):
+            for path, trial in zip(self.trials, trials, strict=True):
                 if solved.get(path) == digests[path] and all(
                     file.is_file() for file in self.results_of(path)
                 ):
@@ -122,7 +131,7 @@ class Solve:
                 # from now on existing results belong to this run
                 write_solved(self.checkpoint_path, header, solved)
                 try:
-                    self.solve(subject, path, frames, terms)
+                    self.solve(subject, model, path, trial, terms)
                 except (ValueError, KeyboardInterrupt) as stop:
                     if not solved:
                         self.checkpoint_path.unlink(missing_ok=True)
@@ -146,14 +155,24 @@ class Solve:
         return {
             **{name: getattr(self, name) for name in names},
             **{name: [str(path) for path in paths] for name, paths in files.items()},
-            **hash_files({"limits": self.limits, "prior": self.prior}),
+            **hash_files({"limits": self.limits, "prior": self.prior, "tasks": self.tasks}),
             "report": None if self.report is None else str(self.report),
         }
 
     @property
     def into_folder(self) -> bool:
         """True if results go into a folder, for one trial or several."""
-        return len(self.trials) > 1 or self.out.suffix.lower() not in MOTION_WRITERS
+        return len(self.trials) > 1 or self.out.suffix.lower() not in (*MOTION_WRITERS, *STORAGE_SUFFIXES)
+
+    def check_model(self, model: SolvedModel | None) -> None:
+        """Check that the results belong to the kind of subject. Raises `InputError`."""
+        if model is None and self.out.suffix.lower() in STORAGE_SUFFIXES:
+            raise InputError(
+                f"{self.out}: coordinates are those of an OpenSim model (.osim), and {self.subject_file.name} is none; write "
+                f"{' or '.join(MOTION_WRITERS)}."
+            )
+        if model is not None and self.stream:
+            raise InputError("--stream is for subjects; solve an OpenSim model without it.")
 
     def check(self) -> None:
         """Check that options are compatible and results can be written. Raises `InputError`."""
@@ -209,7 +228,10 @@ class Solve:
     def motions(self, trial: str) -> tuple[Path, ...]:
         """List the files of a trial's motion."""
         stem = Path(trial).stem
-        return (self.out / f"{stem}.bvh", self.out / f"{stem}.npz") if self.into_folder else (self.out,)
+        if not self.into_folder:
+            return (self.out,)
+        suffixes = (".bvh", ".npz", *((".mot",) if self.subject_file.suffix.lower() == OSIM_SUFFIX else ()))
+        return tuple(self.out / f"{stem}{suffix}" for suffix in suffixes)
 
     def point_paths(self, files: tuple[Path, ...], trial: str) -> tuple[Path, ...]:
         """List the paths of files for one trial, in the output folder if there is one."""
@@ -218,10 +240,20 @@ class Solve:
         return tuple(self.out / f"{Path(trial).stem}-{file.name}" for file in files)
 
     def solve(
-        self, subject: Subject, path: str, frames: MarkerFrames, terms: tuple[AbstractEnergy, ...]
+        self,
+        subject: Subject,
+        model: SolvedModel | None,
+        path: str,
+        trial: Take,
+        terms: tuple[AbstractEnergy, ...],
     ) -> None:
         latency: Latency | None = None
-        if self.stream:
+        values, frames = None, trial.frames
+        if model is not None:
+            values, solution = solve_coordinates(
+                model.model, subject, frames, targets=model.targets, terms=terms
+            )
+        elif self.stream:
             solution, latency = solve_streamed(subject, frames, terms)
         else:
             solution = solve_markers(subject, frames, terms=terms)
@@ -233,8 +265,12 @@ class Solve:
         kept = assigned_residuals(subject, solution.residuals, solution.lost)
         solution = solution._replace(messages=(*solution.messages, *describe_strays(subject.labels, kept)))
         for file in self.motions(path):
-            write_motion(file, subject.skeleton, solution.motion)
-            say(f"motion: {file}")
+            if model is not None and values is not None and file.suffix.lower() in STORAGE_SUFFIXES:
+                write_coordinates(file, model.model, values, frames.rate, start=trial.start)
+                say(f"coordinates: {file}")
+            else:
+                write_motion(file, subject.skeleton, solution.motion)
+                say(f"motion: {file}")
         write_joints(self.point_paths(self.joints, path), subject.skeleton, solution.motion, solution.lost)
         for file in self.point_paths(self.filled, path):
             whole = fill_gaps(subject, solution.motion, frames, weights=solution.weights, lost=solution.lost)

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import tyro
@@ -32,9 +32,14 @@ Pieces = Literal["refuse", "join", "keep"]
 UNIT_ASKED = "give --unit {} if it is"
 
 
-def read_take(
-    path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces
-) -> MarkerFrames:
+class Take(NamedTuple):
+    """The markers of a file, and the time of its first frame, seconds."""
+
+    frames: MarkerFrames
+    start: float
+
+
+def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces) -> Take:
     """Read the markers of a file, rotated to y up if `up` gives the up axis.
 
     **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
@@ -57,7 +62,7 @@ def read_take(
         f"{Path(path).name}: {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second, {pluralise(len(frames.labels), 'marker')}, "
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen; {describe_up(found, up)}"
     )
-    return frames
+    return Take(frames, file.start)
 
 
 def describe_up(found: UpAxis | None, given: Up | None) -> str:

@@ -42,6 +42,8 @@ class MarkerFile(NamedTuple):
     warnings: tuple[str, ...]
     #: the vertical axis of the screen by the header, as in "z" or "-z"; empty if it is not stated
     up: str = ""
+    #: time of the first frame, seconds
+    start: float = 0.0
 
 
 def parse_unit(word: str, default: str = "mm") -> str:
@@ -181,8 +183,11 @@ def make_marker_file(
     other_points: dict[str, tuple[str, ...]] | None = None,
     warnings: Sequence[str] = (),
     up: str = "",
+    start: float | None = None,
 ) -> MarkerFile:
     """Build a `MarkerFile` from positions in the file's `unit`, NaN for gaps.
+
+    `start` is the time of the first frame, seconds; by default that of its number.
 
     A position of zero in all three coordinates is a gap as well, as many programs write gaps in this form.
 
@@ -208,7 +213,8 @@ def make_marker_file(
     # `check_marker_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))
     said = unit if isinstance(unit, str) else f"{unit:g} m"
-    return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed), up)
+    start = max(first_frame - 1, 0) / rate if start is None else start
+    return MarkerFile(frames, scale, said, first_frame, other_points or {}, (*warnings, *changed), up, start)
 
 
 def shift_from_origin(frames: MarkerFrames) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"]]:

@@ -78,11 +78,11 @@ def read_marker_table(
             numbers += parse_floats([cells[frame_at]], where, f"column '{names[frame_at]}'")
     there = np.asarray(positions, float).reshape(len(positions), len(labels), 3)
     full, found = there, None
-    if len(there) > 1 and time_at is not None:
+    if time_at is not None:
         scale = 1e-3 if "m" in (re.sub(r"^(times?stamp|times?)", "", names[time_at].lower())) else 1.0
-        found, full = fill_missing_frames(
-            path, scale * np.asarray(clock), there, f"column '{names[time_at]}'"
-        )
+        clock = [scale * time for time in clock]
+    if len(there) > 1 and time_at is not None:
+        found, full = fill_missing_frames(path, np.asarray(clock), there, f"column '{names[time_at]}'")
     elif len(there) > 1 and frame_at is not None:
         _, full = fill_missing_frames(path, np.asarray(numbers), there, f"column '{names[frame_at]}'")
     # the rate of a single frame is arbitrary
@@ -98,7 +98,14 @@ def read_marker_table(
     )
     first = round(numbers[0]) if numbers else 1
     return make_marker_file(
-        path, full, labels, rate or 1.0, "m" if unit is None else unit, first_frame=first, warnings=messages
+        path,
+        full,
+        labels,
+        rate or 1.0,
+        "m" if unit is None else unit,
+        first_frame=first,
+        warnings=messages,
+        start=clock[0] if clock else None,
     )
 
 

@@ -93,7 +93,10 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             )
     unit = parse_unit(head.unit) if unit is None else unit
     first = numbers[0] if numbers else 1
-    return make_marker_file(path, positions, head.labels, rate, unit, first_frame=first, warnings=messages)
+    start = times[0] if times and math.isfinite(times[0]) else None
+    return make_marker_file(
+        path, positions, head.labels, rate, unit, first_frame=first, warnings=messages, start=start
+    )
 
 
 def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:

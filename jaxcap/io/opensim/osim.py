@@ -1,10 +1,8 @@
 """Models of OpenSim (`.osim`): bodies, joints with their coordinates, and markers."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import jax.numpy as jnp
@@ -19,7 +17,7 @@ from ...body.skeleton import make_skeleton
 from ...errors import InputError
 from ...markers.subject import Subject, make_subject
 from ..system.reader_errors import reader_of
-from ..text import read_text
+from .document import parse_document
 from .functions import (
     Piecewise,
     constant,
@@ -53,7 +51,9 @@ def read_osim(path: str | Path) -> OsimModel:
 
     **Raises:** `InputError` if the file is no OpenSim model, or has joints, functions or constraints that are not supported.
     """
-    root = _parse(Path(path))
+    root = parse_document(Path(path))
+    if root.find("Model") is None:
+        raise InputError(f"{path}: the file has no <Model>; give an OpenSim model.")
     where = str(path)
     joints = _sort_joints(read_joints(root, where), where)
     elements = {each.get("name", ""): each for joint in joints for each in joint.coordinates}
@@ -97,21 +97,6 @@ def read_osim(path: str | Path) -> OsimModel:
     )
     model = CoordinateModel(skeleton, jnp.asarray(axes), amounts, followers, tuple(coordinates), drivers)
     return OsimModel(model, _read_markers(root, model, in_world, where))
-
-
-def _parse(path: Path) -> Element:
-    text = read_text(path)
-    # declarations of entities can grow without bound, and no model has them
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError(f"{path}: the file declares a document type, which is not read; export it again.")
-    try:
-        # names of some forces have two colons, which XML reserves
-        root = ElementTree.fromstring(re.sub(r"(</?\w+)::", r"\1.", text).encode())
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}:{error.position[0]}: this is not XML ({error}); export it again.") from None
-    if root.tag != "OpenSimDocument" or root.find("Model") is None:
-        raise InputError(f"{path}: this is not an OpenSim model; expected <OpenSimDocument> with a <Model>.")
-    return root
 
 
 def _sort_joints(joints: list[Joint], where: str) -> list[Joint]:

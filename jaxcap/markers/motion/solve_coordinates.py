@@ -15,6 +15,7 @@ from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.coordinates.coordinate_model import (
     CoordinateModel,
+    CoordinateTargets,
     follow_leaders,
     motion_from_coordinates,
     pose_from_coordinates,
@@ -51,6 +52,13 @@ MAX_DISTANCE = 0.2
 MANY = 0.1
 
 
+class _Priors(eqx.Module):
+    """What is known apart from the markers."""
+
+    terms: AbstractEnergy | None
+    coordinates: CoordinateTargets | None
+
+
 class CoordinateSolution(NamedTuple):
     """The coordinates of every frame, and the motion that they make."""
 
@@ -62,16 +70,22 @@ class CoordinateSolution(NamedTuple):
 
 @checked
 def solve_coordinates(
-    model: CoordinateModel, subject: Subject, frames: MarkerFrames, *, terms: UserTerms = ()
+    model: CoordinateModel,
+    subject: Subject,
+    frames: MarkerFrames,
+    *,
+    targets: CoordinateTargets | None = None,
+    terms: UserTerms = (),
 ) -> CoordinateSolution:
     """Find the coordinates of every frame that bring a model's markers nearest to the observed ones.
 
-    It minimises `sum_m w_m |x_m - y_m|^2` within the ranges of clamped coordinates, as the inverse kinematics of OpenSim does
-    (Delp et al. 2007; Lu and O'Connor 1999), from the frame before. Locked coordinates do not change.
+    It minimises `sum_m w_m |x_m - y_m|^2 / s_m^2` within the ranges of clamped coordinates, with weights and standard deviations of
+    the markers, as the inverse kinematics of OpenSim does (Delp et al. 2007; Lu and O'Connor 1999). Each frame starts from the
+    one before. Locked coordinates do not change.
 
-    **Arguments:** `subject`, the model's skeleton with its markers and their weights (`read_osim`); `frames` with its labels in
-    any order: other markers are ignored, missing ones do not count; `terms`, further energies of the posed skeleton, square
-    metres.
+    **Arguments:** `subject`, the model's skeleton with its markers (`read_osim`); `frames` with its labels in any order: other
+    markers are ignored, missing ones do not count; `targets` of the coordinates; `terms`, energies of your own, in units of a
+    log-likelihood, which see the skeleton with its markers as vertices.
 
     A frame with fewer than three markers, or that no coordinates fit, is lost and keeps the last coordinates.
 
@@ -86,12 +100,12 @@ def solve_coordinates(
             "solve_coordinates: all coordinates of the model are locked; unlock those that move."
         )
     matched = match_markers(subject, frames)
-    weights = jnp.asarray(matched.seen * np.asarray(subject.weights), matched.positions.dtype)
+    weights = matched.seen * subject.weights / subject.deviations**2
     enough = np.asarray((weights > 0).sum(1)) >= MIN_MARKERS
     body = marker_body(subject)
-    own = sum_user_terms("solve_coordinates", terms, body)
+    priors = _Priors(sum_user_terms("solve_coordinates", terms, body), targets)
     _LOG.info("solving %d frames", len(frames))
-    values = _solve_in_chunks(model, body, matched.positions, weights * enough[:, None], own)
+    values = _solve_in_chunks(model, body, matched.positions, weights * enough[:, None], priors)
     lengths = np.asarray(_distances(model, body, values, matched.positions), float)
     values = np.asarray(values, float)
     used = np.asarray(weights) > 0
@@ -108,7 +122,7 @@ def solve_coordinates(
     return CoordinateSolution(values, solution)
 
 
-def _solve_in_chunks(model, body: Body, positions, weights, own) -> Float[Array, "F Q"]:
+def _solve_in_chunks(model, body: Body, positions, weights, priors) -> Float[Array, "F Q"]:
     """Solve chunks of frames in parallel threads, each from a search in its first frame with markers."""
     count = len(positions)
     size = CHUNK_SIZE if count > CHUNK_SIZE else max(8, 1 << (count - 1).bit_length())
@@ -118,25 +132,25 @@ def _solve_in_chunks(model, body: Body, positions, weights, own) -> Float[Array,
     weights = jnp.pad(weights, ((0, extra), (0, 0))).reshape(chunks, size, -1)
 
     def run(chunk: int) -> Float[Array, "N Q"]:
-        return jax.block_until_ready(_solve_chunk(model, body, positions[chunk], weights[chunk], own))
+        return jax.block_until_ready(_solve_chunk(model, body, positions[chunk], weights[chunk], priors))
 
     return jnp.concatenate(list(parallel_map(run, range(chunks))))[:count]
 
 
 @eqx.filter_jit
-def _solve_chunk(model: CoordinateModel, body: Body, positions, weights, own) -> Float[Array, "N Q"]:
+def _solve_chunk(model: CoordinateModel, body: Body, positions, weights, priors) -> Float[Array, "N Q"]:
     first = jnp.argmax((weights > 0).any(1))
-    start = _search(model, body, positions[first], weights[first], own)
+    start = _search(model, body, positions[first], weights[first], priors)
 
     def follow(values, frame):
-        found = _solve(model, body, values, *frame, own, STEPS)[0]
+        found = _solve(model, body, values, frame[0], frame[1], priors, STEPS)[0]
         kept = jnp.where((frame[1] > 0).any() & jnp.isfinite(found).all(), found, values)
         return kept, kept
 
     return jax.lax.scan(follow, start, (positions, weights))[1]
 
 
-def _search(model: CoordinateModel, body: Body, positions, weights, own) -> Float[Array, "Q"]:
+def _search(model: CoordinateModel, body: Body, positions, weights, priors) -> Float[Array, "Q"]:
     """Find the coordinates of a frame without a previous one.
 
     First only the root moves, from many rotations and with the centre of its markers at the observed one. All coordinates continue
@@ -145,7 +159,7 @@ def _search(model: CoordinateModel, body: Body, positions, weights, own) -> Floa
     start = jnp.asarray(model.defaults, positions.dtype)
     root = _floating_root(model)
     if root is None:
-        return _solve(model, body, start, positions, weights, own, FIRST_STEPS)[0]
+        return _solve(model, body, start, positions, weights, priors, FIRST_STEPS)[0]
     turns, shifts = (np.array(part) for part in (model.drivers[root][:3], model.drivers[root][3:]))
     share = weights / jnp.maximum(weights.sum(), 1e-12)
 
@@ -160,10 +174,10 @@ def _search(model: CoordinateModel, body: Body, positions, weights, own) -> Floa
     starts = jax.vmap(turned)(jnp.asarray(list(itertools.product(START_ANGLES, repeat=3)), positions.dtype))
     rigid = _with_free(model, {*model.drivers[root]})
     near, costs = jax.lax.map(
-        lambda start: _solve(rigid, body, start, positions, weights, None, STEPS), starts
+        lambda start: _solve(rigid, body, start, positions, weights, _Priors(None, None), STEPS), starts
     )
     best = near[jnp.argsort(costs * penalty(near))[:NUM_STARTS]]
-    found, costs = jax.lax.map(lambda start: _solve(model, body, start, positions, weights, own, FIRST_STEPS), best)  # fmt: skip
+    found, costs = jax.lax.map(lambda start: _solve(model, body, start, positions, weights, priors, FIRST_STEPS), best)  # fmt: skip
     return found[jnp.argmin(costs * penalty(found))]
 
 
@@ -192,13 +206,13 @@ def _solve(
     start: Float[Array, "Q"],
     positions: Float[Array, "M 3"],
     weights: Float[Array, "M"],
-    own: AbstractEnergy | None,
+    priors: _Priors,
     steps: int,
 ) -> tuple[Float[Array, "Q"], Float[Array, ""]]:
     """Solve one frame; also return the squared distances."""
     landmarks = VertexLandmarks(jnp.arange(len(weights)), positions, weights)
-    energy = Sum((landmarks, *(() if own is None else terms_of(own))))
-    problem = CoordinateProblem(energy, model, body)
+    energy = Sum((landmarks, *(() if priors.terms is None else terms_of(priors.terms))))
+    problem = CoordinateProblem(energy, model, body, priors.coordinates)
     found = minimise(problem, start, LevenbergMarquardt(1e-6, 1e-7, damping=1e-6), steps).y
     found = follow_leaders(model, found)
     return found, problem.value(found)
