@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body, pose_body
 from ..body.coordinates.coordinate_model import CoordinateModel, CoordinateTargets, pose_from_coordinates
@@ -17,14 +17,15 @@ from .solvers.least_squares_problem import AbstractDenseProblem
 class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
     """The problem of finding the coordinates of a body that minimise an energy.
 
-    Locked coordinates and those that follow others do not change; clamped ones stay in their ranges. The energy is that of
-    a pose, so that every energy serves.
+    Coordinates that are not free do not change; clamped ones stay in their ranges. The energy is that of a pose, so that every
+    energy serves.
     """
 
     energy: AbstractEnergy
     model: CoordinateModel
     #: the surface, or the markers, on the model's skeleton
     body: Body
+    free: Bool[Array, "Q"]
     targets: CoordinateTargets | None = None
 
     def residual(self, y):
@@ -38,31 +39,35 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
             r = self.residual(self.retract(y, d))
             return r, r
 
-        zero = jnp.zeros(len(self.model.free), y.dtype)
-        jacobian, residual = jax.jacfwd(moved, has_aux=True)(zero)
+        jacobian, residual = jax.jacfwd(moved, has_aux=True)(jnp.zeros_like(y))
         return residual, jacobian
 
     def information(self, y):
         residual, jacobian = self.linearise(y)
-        scales, free = self.scales(), self.model.free
+        scales = self.scales()
         jacobian = jacobian * scales
-        low, high = (jnp.asarray(bound[free], y.dtype) for bound in self.model.bounds)
-        bounds = StepConstraints(
-            jnp.minimum((low - y[free]) / scales, 0.0), jnp.maximum((high - y[free]) / scales, 0.0)
-        )
         return ConstrainedInfo(  # pyright: ignore[reportCallIssue]
             0.5 * (residual @ residual),
             jacobian.T @ residual,
-            DenseMatrix(jacobian.T @ jacobian),
-            constraints=bounds,
+            DenseMatrix(jacobian.T @ jacobian).restricted(self.free),
+            constraints=self._bounds(y),
         )
 
     def retract(self, y, d):
-        return y.at[self.model.free].add(d)
+        return y + jnp.where(self.free, d, 0.0)
 
     def scales(self):
-        angles = np.array([self.model.coordinates[index].is_angle for index in self.model.free])
+        angles = np.array([coordinate.is_angle for coordinate in self.model.coordinates])
         return jnp.where(angles, 1.0, jnp.asarray(LEVER_ARM, self.body.vertices.dtype))
 
     def describe_constraints(self):
-        return "ranges of coordinates" if any(np.isfinite(np.concatenate(self.model.bounds))) else None
+        clamped = any(coordinate.is_clamped for coordinate in self.model.coordinates)
+        return "ranges of coordinates" if clamped else None
+
+    def _bounds(self, y: Float[Array, "Q"]) -> StepConstraints | None:
+        """Bound steps by the ranges; a start outside of its range may stay."""
+        if self.describe_constraints() is None:
+            return None
+        low, high = (jnp.asarray(bound, y.dtype) for bound in self.model.bounds)
+        scales = self.scales()
+        return StepConstraints(jnp.minimum((low - y) / scales, 0.0), jnp.maximum((high - y) / scales, 0.0))

@@ -33,6 +33,8 @@ class Coordinate(NamedTuple):
     is_locked: bool
     #: index of the coordinate that determines this one; -1 for none
     leader: int = -1
+    #: true if a whole turn more is the same pose
+    is_periodic: bool = False
 
     @property
     def is_free(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PPoly, make_interp_spline
 
-from ...body.coordinates.piecewise_polynomial import PiecewisePolynomials
+from ...body.coordinates.piecewise_polynomial import PiecewisePolynomials, evaluate_polynomials
 from ...errors import InputError
 from ..text import parse_floats
 
@@ -90,6 +90,11 @@ def pack_functions(functions: Sequence[Piecewise], shape: tuple[int, ...]) -> Pi
         jnp.asarray(origins.reshape(*shape, most + 1)),
         jnp.asarray(coefficients.reshape(*shape, most + 1, width)),
     )
+
+
+def value_at(function: Piecewise, x: float) -> float:
+    """Evaluate a function."""
+    return float(evaluate_polynomials(pack_functions([function], ()), jnp.asarray(x)))
 
 
 def numbers(element: Element, name: str, where: str, count: int | None = None) -> list[float]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...errors import InputError
-from .functions import Piecewise, constant, function_in, numbers, read_function
+from .functions import Piecewise, constant, function_in, numbers, read_function, value_at
 
 X, Y, Z = np.eye(3)
 #: axes of the coordinates of each kind of joint, in their order, as (rotates, axis): three rotations, then translations
@@ -135,7 +135,10 @@ def _read_axis(element: Element, where: str) -> Amount:
     stated = function_in(element.find("function"))
     stated = function_in(element) if stated is None else stated
     function = constant(0.0) if stated is None else read_function(stated, where)
-    return Amount(axis / length, function, drivers[0] if drivers else None)
+    if not drivers:
+        # nothing changes it
+        return Amount(axis / length, constant(value_at(function, 0.0)), None)
+    return Amount(axis / length, function, drivers[0])
 
 
 def _transform(element: Element, place: str, turn: str, where: str) -> Float[np.ndarray, "4 4"]:

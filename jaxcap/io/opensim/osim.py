@@ -80,7 +80,10 @@ def read_osim(path: str | Path) -> OsimModel:
     followed = np.asarray(evaluate_polynomials(followers, jnp.asarray(stated[leaders])), float)
     defaults = np.where(np.array(leaders) < 0, stated, followed)
     coordinates = [
-        each._replace(default=float(value)) for each, value in zip(coordinates, defaults, strict=False)
+        each._replace(
+            default=float(value), is_periodic=number not in leaders and _is_periodic(each.name, joints)
+        )
+        for number, (each, value) in enumerate(zip(coordinates, defaults, strict=False))
     ]
     at_rest = np.asarray(evaluate_polynomials(amounts, jnp.asarray(defaults[np.array(drivers)])), float)
     frames, in_world = _rest_frames(joints, at_rest)
@@ -148,6 +151,16 @@ def _coordinate(element: Element, turns: bool, leader: int, where: str) -> Coord
         is_clamped=_is_true(element, "clamped"),
         is_locked=_is_true(element, "locked"),
         leader=leader,
+    )
+
+
+def _is_periodic(name: str, joints: Sequence[Joint]) -> bool:
+    """Test that a coordinate only turns joints, so that a whole turn more is the same pose."""
+    return all(
+        number < 3 and is_identity(amount.function)
+        for joint in joints
+        for number, amount in enumerate(joint.amounts)
+        if amount.driver == name
     )
 
 

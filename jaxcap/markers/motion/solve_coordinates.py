@@ -1,6 +1,5 @@
 """Generalised coordinates of a model through frames of markers: inverse kinematics as in biomechanics."""
 
-import dataclasses
 import itertools
 import logging
 from typing import NamedTuple
@@ -9,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.body import Body, pose_body
@@ -40,12 +39,15 @@ _LOG = logging.getLogger(__name__)
 CHUNK_SIZE = 256
 #: largest numbers of steps from the previous frame, and from a start far away
 STEPS, FIRST_STEPS = 20, 60
+#: lengths of each step that are tried; noisy markers bend the energy more, or less, than its linearisation
+LENGTHS = (2.0, 1.0, 0.5)
 #: angles at which the root starts, radians, about each of its axes of rotation
 START_ANGLES = np.pi / 2 * np.arange(-1, 3)
-#: number of starts of the root that all coordinates continue from
-NUM_STARTS = 4
-#: share by which the energy of a start is raised for each square radian from rest: two sets of angles may be one rotation
-TURN_PENALTY = 1e-3
+#: number of starts that all coordinates continue from; a divisor of the number of rotations
+NUM_STARTS = 8
+#: distance of markers that does not matter in a choice among starts, metres; share by which the energy of a start is raised for each
+#: square radian from rest
+NEGLIGIBLE, TURN_PENALTY = 1e-3, 1e-3
 #: a frame is lost if the root mean square distance of its markers exceeds this, metres
 MAX_DISTANCE = 0.2
 #: share of frames at the end of a range that is told
@@ -56,7 +58,7 @@ class _Priors(eqx.Module):
     """What is known apart from the markers."""
 
     terms: AbstractEnergy | None
-    coordinates: CoordinateTargets | None
+    targets: CoordinateTargets | None
 
 
 class CoordinateSolution(NamedTuple):
@@ -122,7 +124,9 @@ def solve_coordinates(
     return CoordinateSolution(values, solution)
 
 
-def _solve_in_chunks(model, body: Body, positions, weights, priors) -> Float[Array, "F Q"]:
+def _solve_in_chunks(
+    model: CoordinateModel, body: Body, positions, weights, priors: _Priors
+) -> Float[Array, "F Q"]:
     """Solve chunks of frames in parallel threads, each from a search in its first frame with markers."""
     count = len(positions)
     size = CHUNK_SIZE if count > CHUNK_SIZE else max(8, 1 << (count - 1).bit_length())
@@ -132,72 +136,103 @@ def _solve_in_chunks(model, body: Body, positions, weights, priors) -> Float[Arr
     weights = jnp.pad(weights, ((0, extra), (0, 0))).reshape(chunks, size, -1)
 
     def run(chunk: int) -> Float[Array, "N Q"]:
-        return jax.block_until_ready(_solve_chunk(model, body, positions[chunk], weights[chunk], priors))
+        places, shares = positions[chunk], weights[chunk]
+        first = int(jnp.argmax((shares > 0).any(1)))
+        start = _search(model, body, places[first], shares[first], priors)
+        return jax.block_until_ready(_follow(model, body, start, places, shares, priors))
 
     return jnp.concatenate(list(parallel_map(run, range(chunks))))[:count]
 
 
 @eqx.filter_jit
-def _solve_chunk(model: CoordinateModel, body: Body, positions, weights, priors) -> Float[Array, "N Q"]:
-    first = jnp.argmax((weights > 0).any(1))
-    start = _search(model, body, positions[first], weights[first], priors)
+def _follow(
+    model: CoordinateModel, body: Body, start, positions, weights, priors: _Priors
+) -> Float[Array, "N Q"]:
+    """Solve successive frames, each from the one before."""
+    free = _free(model)
 
     def follow(values, frame):
-        found = _solve(model, body, values, frame[0], frame[1], priors, STEPS)[0]
+        found = _solve(model, body, values, frame[0], frame[1], free, priors, STEPS)[0]
         kept = jnp.where((frame[1] > 0).any() & jnp.isfinite(found).all(), found, values)
         return kept, kept
 
     return jax.lax.scan(follow, start, (positions, weights))[1]
 
 
-def _search(model: CoordinateModel, body: Body, positions, weights, priors) -> Float[Array, "Q"]:
+def _search(model: CoordinateModel, body: Body, positions, weights, priors: _Priors) -> Float[Array, "Q"]:
     """Find the coordinates of a frame without a previous one.
 
     First only the root moves, from many rotations and with the centre of its markers at the observed one. All coordinates continue
     from the best of these.
     """
-    start = jnp.asarray(model.defaults, positions.dtype)
-    root = _floating_root(model)
-    if root is None:
-        return _solve(model, body, start, positions, weights, priors, FIRST_STEPS)[0]
-    turns, shifts = (np.array(part) for part in (model.drivers[root][:3], model.drivers[root][3:]))
-    share = weights / jnp.maximum(weights.sum(), 1e-12)
+    root, free = _floating_root(model), _free(model)
+    rest = jnp.asarray(model.defaults, positions.dtype)
 
-    def turned(angles):
-        values = start.at[turns].set(angles)
-        gap = share @ (positions - _vertices(model, body, values))
-        return values.at[shifts].add(model.axes[root, 3:] @ gap)
+    def rank(values, energies):
+        """Sort by energy, and nearly equal ones by the angles from rest: other angles may be the same rotations."""
+        angles = np.array([coordinate.is_angle for coordinate in model.coordinates])
+        nothing = NEGLIGIBLE**2 * weights.sum()
+        return jnp.argsort((energies + nothing) * (1.0 + TURN_PENALTY * ((values - rest) ** 2 @ angles)))
 
-    def penalty(values):
-        return 1.0 + TURN_PENALTY * jnp.sum((values - start)[:, turns] ** 2, 1)
+    starts = rest[None]
+    if root is not None:
+        starts = _turned_starts(model, root, body, positions, weights)
+        rigid = free & jnp.asarray(np.isin(np.arange(len(rest)), model.drivers[root]))
+        # in parts of one size, which compile once
+        parts = [
+            _solve_each(model, body, part, positions, weights, rigid, priors)
+            for part in jnp.split(starts, len(starts) // NUM_STARTS)
+        ]
+        starts, energies = (jnp.concatenate(part) for part in zip(*parts, strict=True))
+        starts = starts[rank(starts, energies)[:NUM_STARTS]]
+    found, energies = _solve_each(model, body, starts, positions, weights, free, priors)
+    return _wrap(model, found[rank(found, energies)[0]])
 
-    starts = jax.vmap(turned)(jnp.asarray(list(itertools.product(START_ANGLES, repeat=3)), positions.dtype))
-    rigid = _with_free(model, {*model.drivers[root]})
-    near, costs = jax.lax.map(
-        lambda start: _solve(rigid, body, start, positions, weights, _Priors(None, None), STEPS), starts
+
+def _wrap(model: CoordinateModel, values: Float[Array, "Q"]) -> Float[Array, "Q"]:
+    """Wrap angles to within half a turn of rest, where a whole turn changes nothing."""
+    periodic = np.array(
+        [
+            coordinate.is_periodic and coordinate.is_free and not coordinate.is_clamped
+            for coordinate in model.coordinates
+        ]
     )
-    best = near[jnp.argsort(costs * penalty(near))[:NUM_STARTS]]
-    found, costs = jax.lax.map(lambda start: _solve(model, body, start, positions, weights, priors, FIRST_STEPS), best)  # fmt: skip
-    return found[jnp.argmin(costs * penalty(found))]
+    gap = values - jnp.asarray(model.defaults, values.dtype)
+    return jnp.where(periodic, values - 2 * jnp.pi * jnp.round(gap / (2 * jnp.pi)), values)
+
+
+def _turned_starts(model: CoordinateModel, root: int, body: Body, positions, weights) -> Float[Array, "S Q"]:
+    """Make starts with many rotations of the root, and the centre of the markers at the observed one."""
+    turns, shifts = (np.array(part) for part in (model.drivers[root][:3], model.drivers[root][3:]))
+    angles = jnp.asarray(list(itertools.product(START_ANGLES, repeat=3)), positions.dtype)
+    starts = jnp.tile(jnp.asarray(model.defaults, positions.dtype), (len(angles), 1)).at[:, turns].set(angles)
+    share = weights / jnp.maximum(weights.sum(), 1e-12)
+    middles = jnp.einsum("m,sma->sa", share, _all_vertices(model, body, starts))
+    gaps = share @ positions - middles
+    return starts.at[:, shifts].add(gaps @ model.axes[root, 3:].T)
 
 
 def _floating_root(model: CoordinateModel) -> int | None:
     """Find the root joint that moves freely in all six directions; None if there is none."""
     free = set(model.free.tolist())
     for joint, parent in enumerate(model.skeleton.parents):
-        drivers = model.drivers[joint]
-        if parent < 0 and len({*drivers} & free) == 6:
+        if parent < 0 and len({*model.drivers[joint]} & free) == 6:
             return joint
     return None
 
 
-def _with_free(model: CoordinateModel, free: set[int]) -> CoordinateModel:
-    """Lock all coordinates but some."""
-    of = tuple(
-        each._replace(is_locked=each.is_locked or number not in free)
-        for number, each in enumerate(model.coordinates)
+def _free(model: CoordinateModel) -> Bool[Array, "Q"]:
+    return jnp.asarray(np.isin(np.arange(len(model.names)), model.free))
+
+
+@eqx.filter_jit
+def _solve_each(
+    model: CoordinateModel, body: Body, starts: Float[Array, "S Q"], positions, weights, free, priors: _Priors
+) -> tuple[Float[Array, "S Q"], Float[Array, "S"]]:
+    """Solve one frame from several starts."""
+    return jax.lax.map(
+        lambda start: _solve(model, body, start, positions, weights, free, priors, FIRST_STEPS), starts
     )
-    return dataclasses.replace(model, coordinates=of)
 
 
 def _solve(
@@ -206,16 +241,22 @@ def _solve(
     start: Float[Array, "Q"],
     positions: Float[Array, "M 3"],
     weights: Float[Array, "M"],
+    free: Bool[Array, "Q"],
     priors: _Priors,
     steps: int,
 ) -> tuple[Float[Array, "Q"], Float[Array, ""]]:
-    """Solve one frame; also return the squared distances."""
+    """Solve one frame; also return its energy."""
     landmarks = VertexLandmarks(jnp.arange(len(weights)), positions, weights)
     energy = Sum((landmarks, *(() if priors.terms is None else terms_of(priors.terms))))
-    problem = CoordinateProblem(energy, model, body, priors.coordinates)
-    found = minimise(problem, start, LevenbergMarquardt(1e-6, 1e-7, damping=1e-6), steps).y
+    problem = CoordinateProblem(energy, model, body, free, priors.targets)
+    found = minimise(problem, start, LevenbergMarquardt(1e-6, 1e-7, damping=1e-6, lengths=LENGTHS), steps).y
     found = follow_leaders(model, found)
     return found, problem.value(found)
+
+
+@eqx.filter_jit
+def _all_vertices(model: CoordinateModel, body: Body, values: Float[Array, "S Q"]) -> Float[Array, "S M 3"]:
+    return jax.lax.map(lambda one: _vertices(model, body, one), values)
 
 
 def _vertices(model: CoordinateModel, body: Body, values: Float[Array, "Q"]) -> Float[Array, "M 3"]:

@@ -1,0 +1,183 @@
+"""OpenSim models: positions of markers as OpenSim computes them, functions against their definitions, and what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxcap as jc
+from jaxcap.body.coordinates.coordinate_model import pose_from_coordinates
+from jaxcap.body.coordinates.piecewise_polynomial import evaluate_polynomials
+from jaxcap.io.opensim.document import parse_document
+from jaxcap.io.opensim.functions import pack_functions, read_function
+from tests.io.opensim.made_osim import _coordinate, _joint, coupler, joints, write_osim
+from tests.io.opensim.opensim_truth import MARKERS, VALUES
+
+
+@pytest.fixture(scope="module")
+def leg(tmp_path_factory):
+    return jc.io.read_osim(write_osim(tmp_path_factory.mktemp("osim") / "leg.osim"))
+
+
+def function(text, tmp_path):
+    path = tmp_path / "function.osim"
+    path.write_text(f"<OpenSimDocument>{text}</OpenSimDocument>")
+    packed = pack_functions([read_function(parse_document(path)[0], "here")], ())
+    return jax.vmap(lambda x: evaluate_polynomials(packed, x))
+
+
+def test_markers_are_where_opensim_computes_them(leg):
+    for values, places in zip(VALUES, MARKERS, strict=True):
+        pose = pose_from_coordinates(leg.model, jnp.asarray(values))
+        found = jc.markers.marker_positions(leg.markers, pose)
+        np.testing.assert_allclose(found, places, atol=2e-7)
+
+
+def test_default_values_are_the_rest_pose(leg):
+    assert dict(zip(leg.model.names, leg.model.defaults, strict=True))["beta"] == pytest.approx(
+        0.9 * -0.1 + 0.02
+    )
+    pose = pose_from_coordinates(leg.model, jnp.asarray(leg.model.defaults))
+    rest = jc.rest_pose(leg.model.skeleton)
+    np.testing.assert_allclose(pose.translations, rest.translations, atol=1e-15)
+    np.testing.assert_allclose(pose.rotations, rest.rotations, atol=1e-15)
+    assert leg.model.skeleton.kinds == ("free", "ball", "free", "free", "ball", "fixed")
+
+
+def test_a_value_of_a_coordinate_that_follows_does_not_matter(leg):
+    values = jnp.asarray(VALUES[0])
+    other = values.at[leg.model.index("beta")].set(7.0)
+    first, second = (pose_from_coordinates(leg.model, one) for one in (values, other))
+    np.testing.assert_array_equal(first.rotations, second.rotations)
+
+
+def test_a_spline_reproduces_a_cubic_and_goes_on_straight(tmp_path):
+    x = np.array([-2.0, -1.3, -0.1, 0.4, 1.7, 2.0])
+
+    def cubic(x):
+        return 0.3 - 1.1 * x + 0.7 * x**2 - 0.4 * x**3
+
+    def slope(x):
+        return -1.1 + 1.4 * x - 1.2 * x**2
+
+    row = " ".join(map(str, x))
+    spline = function(f"<SimmSpline><x>{row}</x><y>{' '.join(map(str, cubic(x)))}</y></SimmSpline>", tmp_path)
+    inside = np.linspace(-2, 2, 41)
+    np.testing.assert_allclose(spline(jnp.asarray(inside)), cubic(inside), atol=1e-12)
+    outside = np.array([-3.0, 2.5])
+    ends = np.array([-2.0, 2.0])
+    np.testing.assert_allclose(
+        spline(jnp.asarray(outside)), cubic(ends) + slope(ends) * (outside - ends), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("<Constant><value>2.5</value></Constant>", lambda x: 2.5 + 0 * x),
+        ("<LinearFunction><coefficients>-2 3</coefficients></LinearFunction>", lambda x: 3 - 2 * x),
+        ("<PolynomialFunction><coefficients>2 0 -1 0 4</coefficients></PolynomialFunction>", lambda x: 2 * x**4 - x**2 + 4),
+        ("<PiecewiseLinearFunction><x>-1 0 2</x><y>1 0 4</y></PiecewiseLinearFunction>", lambda x: np.where(x < 0, -x, 2 * x)),
+        ("<SimmSpline><x>0 1</x><y>1 3</y></SimmSpline>", lambda x: 1 + 2 * x),
+        ("<SimmSpline><x>0 1 3</x><y>0 1 9</y></SimmSpline>", lambda x: np.where(x < 0, 0, np.where(x > 3, 9 + 6 * (x - 3), x**2))),
+        ("<MultiplierFunction><function><Constant><value>2</value></Constant></function><scale>-3</scale></MultiplierFunction>",
+         lambda x: -6 + 0 * x),
+    ],
+)  # fmt: skip
+def test_functions_have_their_values(text, expected, tmp_path):
+    x = np.linspace(-3, 4, 29)
+    np.testing.assert_allclose(function(text, tmp_path)(jnp.asarray(x)), expected(x), atol=1e-12)
+
+
+def test_a_model_of_opensim_3_is_the_same(leg, tmp_path):
+    """Joints of OpenSim 3 are parts of the bodies that they move."""
+    joint = """<Joint><CustomJoint name="hip"><parent_body>ground</parent_body><location_in_parent>0 1 0</location_in_parent>
+<orientation_in_parent>0 0.1 0</orientation_in_parent><location>0 0.01 0</location><orientation>0.02 0 0</orientation>
+<CoordinateSet><objects><Coordinate name="flexion"><default_value>0</default_value><range>-1 1</range></Coordinate></objects>
+</CoordinateSet><SpatialTransform>{}</SpatialTransform></CustomJoint></Joint>"""
+    names = [f"{kind}{number}" for kind in ("rotation", "translation") for number in (1, 2, 3)]
+    axes = "".join(
+        f"""<TransformAxis name="{name}"><coordinates>{"flexion" if name == "rotation1" else ""}</coordinates><axis>0 0 1</axis>
+<function><LinearFunction><coefficients>1 0</coefficients></LinearFunction></function></TransformAxis>"""
+        for name in names
+    )
+    marker = '<Marker name="A"><body>femur</body><location>0 -0.3 0</location></Marker>'
+    path = tmp_path / "three.osim"
+    path.write_text(
+        f"""<OpenSimDocument Version="30000"><Model><BodySet><objects><Body name="femur">{joint.format(axes)}</Body></objects></BodySet>
+<MarkerSet><objects>{marker}</objects></MarkerSet></Model></OpenSimDocument>"""
+    )
+    model, markers = jc.io.read_osim(path)
+    pin = _joint(
+        "PinJoint",
+        "hip",
+        ("ground", "0 1 0", "0 0.1 0"),
+        ("bodyset/femur", "0 0.01 0", "0.02 0 0"),
+        _coordinate("flexion"),
+    )
+    placed = '<Marker name="A"><socket_parent_frame>/bodyset/femur</socket_parent_frame><location>0 -0.3 0</location></Marker>'
+    other, there = jc.io.read_osim(write_osim(tmp_path / "four.osim", [pin], "", placed))
+    for angle in (0.0, 0.7):
+        poses = [pose_from_coordinates(one, jnp.array([angle])) for one in (model, other)]
+        places = [
+            jc.markers.marker_positions(m, pose) for m, pose in zip((markers, there), poses, strict=True)
+        ]
+        np.testing.assert_allclose(*places, atol=1e-14)
+
+
+def changed(number, old, new):
+    parts = joints()
+    assert old in parts[number]
+    return {"parts": [*parts[:number], parts[number].replace(old, new), *parts[number + 1 :]]}
+
+
+REFUSED = {
+    "joint": (changed(4, "UniversalJoint", "EllipsoidJoint"), "joint 'ankle' is a EllipsoidJoint, which is not supported"),
+    "function": (changed(2, "SimmSpline", "GCVSpline"), "the function GCVSpline of a coordinate is not supported"),
+    "two drivers": (changed(1, ">flexion</coordinates>", ">flexion turn</coordinates>"), "depends on 2 coordinates"),
+    "no driver": (changed(1, "<coordinates>flexion<", "<coordinates>bend<"), "the coordinate 'bend', which does not exist"),
+    "zero axis": (changed(1, "<axis>1 0 0<", "<axis>0 0 0<"), "the axis is zero"),
+    "twice": (changed(2, 'name="knee"><default', 'name="turn"><default'), "two coordinates have the same name"),
+    "number": (changed(0, "0 0.9 0", "0 high 0"), "'high' in <translation> is not a number"),
+    "loop": (changed(0, "/ground<", "/bodyset/femur<"), "which no chain of joints connects with the ground"),
+    "knots": (changed(2, "-1.5 -0.9", "-0.9 -1.5"), "with x ascending"),
+    "constraint": ({"constraints": '<WeldConstraint name="glued"/>'}, "constraint 'glued' is a WeldConstraint"),
+    "chain": ({"constraints": coupler() + coupler().replace(">knee<", ">beta<").replace("_name>beta<", "_name>ankle<")},
+              "the coordinate 'ankle' follows one that follows another"),
+    "marker": ({"markers": '<Marker name="X"><socket_parent_frame>/bodyset/tail</socket_parent_frame><location>0 0 0</location></Marker>'},
+               "marker 'X' is on '/bodyset/tail', which is no body of the model"),
+    "empty": ({"parts": []}, "the model has no joints"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_not_supported_is_refused(case, tmp_path):
+    parts, said = REFUSED[case]
+    path = write_osim(tmp_path / "leg.osim", **parts)
+    with pytest.raises(jc.InputError, match="leg.osim") as caught:
+        jc.io.read_osim(path)
+    assert said in str(caught.value), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "this is not XML"),
+        ("<OpenSimDocument>", "this is not XML"),
+        ("<html></html>", "the file begins with <html>"),
+        ("<OpenSimDocument/>", "the file has no <Model>"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><OpenSimDocument/>', "declares a document type"),
+    ],
+)
+def test_other_files_are_refused(text, said, tmp_path):
+    path = tmp_path / "leg.osim"
+    path.write_text(text)
+    with pytest.raises(jc.InputError, match="leg.osim") as caught:
+        jc.io.read_osim(path)
+    assert said in str(caught.value)
+
+
+def test_a_disabled_constraint_does_not_count(tmp_path):
+    off = coupler().replace("<isEnforced>true", "<isEnforced>false")
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim", constraints=off)).model
+    assert model.coordinates[model.index("beta")].is_free

@@ -1,0 +1,74 @@
+"""Tables of OpenSim: numbers come back as written, and what is refused."""
+
+import numpy as np
+import pytest
+
+import jaxcap as jc
+from tests.io.opensim.made_osim import write_osim
+
+
+def table(path, header="inDegrees=yes\nnRows=2\nendheader\n", body="time\ta\tb\n0.5\t1\t2\n0.75\t3\t4\n"):
+    path.write_text("Coordinates\nversion=1\n" + header + body)
+    return path
+
+
+def test_a_table_comes_back_as_written(rng, tmp_path):
+    values = rng.normal(size=(7, 3))
+    jc.io.write_storage(tmp_path / "a.sto", ["x", "y", "z"], values, 120.0, in_degrees=False, start=2.5)
+    read = jc.io.read_storage(tmp_path / "a.sto")
+    assert (read.names, read.in_degrees, read.start) == (("x", "y", "z"), False, 2.5)
+    assert read.rate == pytest.approx(120.0, rel=1e-6)
+    np.testing.assert_allclose(read.values, values, rtol=1e-9)
+
+
+def test_coordinates_come_back_as_written(rng, tmp_path):
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim")).model
+    values = rng.normal(size=(5, len(model.names)))
+    path = tmp_path / "a.mot"
+    jc.io.write_coordinates(path, model, values, 50.0, start=1.0)
+    # an angle is in degrees, a length in metres, and `beta`, which only functions use, in radians
+    read = jc.io.read_storage(path)
+    column = dict(zip(read.names, read.values.T, strict=True))
+    np.testing.assert_allclose(column["flexion"], np.degrees(values[:, model.index("flexion")]), rtol=1e-9)
+    for name in ("tx", "beta"):
+        np.testing.assert_allclose(column[name], values[:, model.index(name)], rtol=1e-9)
+    found, motion = jc.io.read_coordinates(path, model)
+    np.testing.assert_allclose(found, values, rtol=1e-8)
+    assert len(motion) == 5
+    assert motion.rate == pytest.approx(50.0, rel=1e-6)
+
+
+def test_columns_may_be_paths_and_some_may_be_missing(tmp_path):
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim")).model
+    path = table(tmp_path / "a.sto", body="time\t/jointset/hip/flexion/value\tforce\n0\t90\t1\n1\t45\t1\n")
+    values, _ = jc.io.read_coordinates(path, model)
+    np.testing.assert_allclose(values[:, model.index("flexion")], [np.pi / 2, np.pi / 4])
+    assert (values[:, model.index("knee")] == -0.1).all()
+
+
+WRONG = {
+    "header": ({"header": ""}, "there is no line 'endheader'"),
+    "short": ({"header": "nRows=5\nendheader\n"}, "the file has 2 rows, and its header declares 5"),
+    "cells": ({"body": "time\ta\n0\t1\n1\t2\t3\n"}, "the row has 3 numbers; expected 2"),
+    "words": ({"body": "time\ta\n0\tx\n1\t2\n"}, "'x' in a cell is not a number"),
+    "time": ({"body": "a\ttime\n0\t1\n1\t2\n"}, "the first column is 'a'; expected 'time'"),
+    "steps": ({"header": "endheader\n", "body": "time\ta\n0\t1\n1\t2\n5\t3\n"}, "the times are not at equal steps"),
+    "back": ({"body": "time\ta\n1\t1\n0\t2\n"}, "the times are not at equal steps"),
+    "rows": ({"body": "time\ta\n"}, "the table has no rows"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_tables_are_refused(case, tmp_path):
+    parts, said = WRONG[case]
+    with pytest.raises(jc.InputError, match=r"a\.mot") as caught:
+        jc.io.read_storage(table(tmp_path / "a.mot", **parts))
+    assert said in str(caught.value)
+
+
+def test_a_table_of_another_model_and_names_with_blanks_are_refused(tmp_path):
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim")).model
+    with pytest.raises(jc.InputError, match="none of the columns"):
+        jc.io.read_coordinates(table(tmp_path / "a.mot"), model)
+    with pytest.raises(jc.InputError, match="blank in its name"):
+        jc.io.write_storage(tmp_path / "b.mot", ["a b"], np.zeros((2, 1)), 10.0, in_degrees=True)
