@@ -7,6 +7,7 @@ from .body_model import body_coefficients as body_coefficients
 from .body_model import split_coefficients as split_coefficients
 from .decimate import reduce_body as reduce_body
 from .decimate import reduce_model as reduce_model
+from .euler_angles import joint_euler_angles as joint_euler_angles
 from .kinematics import Transforms as Transforms
 from .people.sample import sample_poses as sample_poses
 from .retraction import difference as difference
