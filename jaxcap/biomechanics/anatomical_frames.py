@@ -17,6 +17,7 @@ from ..body.skeleton import Skeleton
 from ..edit.matching.names import Side
 from ..edit.matching.pairing import SIDES
 from ..edit.matching.person_joints import PersonJoints, far_end, identify_joints
+from ..edit.matching.sides import toes_point_backward
 from ..edit.matching.upright_pose import UprightPose, find_upright_pose
 from ..errors import InputError, user_message
 from ..geometry.axes import nearest_signed_permutation
@@ -76,8 +77,8 @@ def find_anatomical_frames(skeleton: Skeleton, motion: Motion | None = None) -> 
     **Raises:** `InputError` if there is no person with sides and an upright pose in the skeleton.
     """
     upright = _find_upright(skeleton, motion)
-    person, axes = upright.person, upright.axes
-    if axes is None or not person.parts:
+    axes = _legs_axes(upright) if upright.axes is None else upright.axes
+    if axes is None:
         raise InputError(
             f"The joints {', '.join(skeleton.names[:12])} are not recognised as a person with a left and a right side; "
             "rename them, for example as in SMPL or as in `jaxcap.human`."
@@ -106,6 +107,17 @@ def _find_upright(skeleton: Skeleton, motion: Motion | None) -> UprightPose:
             "Joint angles need a pose in which the person stands upright, at rest or in the motion, and known sides: "
             f"{user_message(error)}"
         ) from None
+
+
+def _legs_axes(upright: UprightPose) -> Axes | None:
+    """Find the axes left, up and front of legs with a pelvis alone, which have no trunk to show them."""
+    person, up = upright.person, upright.up
+    thighs = [person.parts.get((side, "thigh")) for side in SIDES]
+    if up is None or None in thighs or person.sideless:
+        return None
+    frame = _make_axes(up, upright.positions[thighs[1]] - upright.positions[thighs[0]])
+    axes = None if frame is None else np.stack([-frame[:, 2], frame[:, 1], frame[:, 0]], 1)
+    return None if toes_point_backward(person, upright.positions, axes) else axes
 
 
 def _find_trunk(skeleton: Skeleton, upright: UprightPose, axes: Axes) -> dict[str, Segment]:
@@ -199,7 +211,9 @@ def _radial_direction(
     """Find the direction from the ulna to the radius."""
 
     def base(finger: str) -> int | None:
-        own = [(number, joint) for (s, f, number), joint in person.fingers.items() if (s, f) == (side, finger)]
+        own = [
+            (number, joint) for (s, f, number), joint in person.fingers.items() if (s, f) == (side, finger)
+        ]
         return min(own)[1] if own else None
 
     index, little, thumb = base("index"), base("little"), base("thumb")

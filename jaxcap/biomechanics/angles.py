@@ -49,7 +49,9 @@ class JointAngles(eqx.Module):
         if not self.missing:
             return None
         left = [each.name for each in angle_conventions() if each.name not in self.names]
-        return f"{', '.join(left)} are left out, as the skeleton does not determine {', '.join(self.missing)}."
+        return (
+            f"{', '.join(left)} are left out, as the skeleton does not determine {', '.join(self.missing)}."
+        )
 
     def to_degrees(self) -> "JointAngles":
         """Convert to degrees."""
@@ -124,7 +126,7 @@ def _angles_of_poses(skeleton: Skeleton, frames: AnatomicalFrames, poses: Pose) 
 
 
 def _elevation_angles(m: Float[Array, "*shape 3 3"]) -> Float[Array, "*shape 3"]:
-    """Decompose into rotations about Y, X and Y, the second one from -pi to 0 (Wu et al. 2005, 2.3.7)."""
+    """Decompose into rotations about Y, X and Y, the second one from -pi to 0 (Wu et al. 2005, 2.4.7)."""
     sine = m[..., 0, 1] ** 2 + m[..., 2, 1] ** 2
     free = sine > GIMBAL_LOCK**2
     # the humerus points down to (sin a sin e, -cos e, cos a sin e), e being the elevation

@@ -94,27 +94,27 @@ _JOINTS = (
         sided=False,
     ),
     _Joint(
-        "thorax", "humerus", "yxy", "Wu 2005, thoracohumeral joint",
+        "thorax", "humerus", "yxy", "Wu 2005, 2.4.7",
         (
-            ("elv_angle", 1, "plane of elevation: 0 is abduction, 90 is forward flexion"),
-            ("shoulder_elv", -1, "elevation from the arm along the trunk"),
+            ("elv_angle", 1, "to the front; 0 is abduction, 90 is forward flexion"),
+            ("shoulder_elv", -1, "elevation; 0 is an arm along the trunk"),
             ("shoulder_rot", 1, "internal rotation"),
         ),
     ),
     _Joint(
-        "thorax", "humerus", "zxy", "the same joint by the order of Wu 2002, hip",
+        "thorax", "humerus", "zxy", "alternative order, as Wu 2002, hip",
         (("arm_flex", 1, "flexion"), ("arm_add", 1, "adduction"), ("arm_rot", 1, "internal rotation")),
     ),
     _Joint(
-        "humerus", "forearm", "zxy", "Wu 2005, elbow",
+        "humerus", "forearm", "zxy", "Wu 2005, 3.4.1",
         (
             ("elbow_flex", 1, "flexion"),
-            ("elbow_carrying", -1, "carrying angle: the hand away from the trunk (valgus)"),
+            ("elbow_carrying", -1, "valgus: the hand away from the trunk"),
             ("pro_sup", 1, "pronation; 0 is full supination"),
         ),
     ),
     _Joint(
-        "forearm", "hand", "zxy", "Wu 2005, wrist",
+        "forearm", "hand", "zxy", "Wu 2005, 4.4.1",
         (("wrist_flex", 1, "flexion"), ("wrist_dev", 1, "ulnar deviation"), ("wrist_rot", 1, "pronation")),
     ),
 )  # fmt: skip

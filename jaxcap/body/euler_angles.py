@@ -35,7 +35,9 @@ def joint_euler_angles(
     **Raises:** `InputError` if `order` is none of the six orders.
     """
     if sorted(order) != ["x", "y", "z"]:
-        raise InputError(f"joint_euler_angles: `order` is '{order}'; expected three different axes, such as 'zxy'.")
+        raise InputError(
+            f"joint_euler_angles: `order` is '{order}'; expected three different axes, such as 'zxy'."
+        )
     pose = motion.poses if isinstance(motion, Motion) else motion
     rotations = pose.rotations
     if frames is not None:

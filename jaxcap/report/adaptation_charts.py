@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..adapt.evaluate import Evaluation, AngleHistory, Variant, quantile, share_below, summarise
+from ..adapt.evaluate import AngleHistory, Evaluation, Variant, quantile, share_below, summarise
 from ..body.skeleton import Skeleton
 from .chart import Line, legend, line_chart
 from .heat_map import colour_scale, heat_limit, heat_pictures

@@ -51,14 +51,20 @@ def test_a_knee_that_bends_on_past_half_a_turn_has_one_curve():
 def test_derivatives_are_finite_at_rest():
     def bend(w):
         rotations = jnp.stack([rotation.identity(), rotation.exp(w)])
-        return jc.body.joint_euler_angles(CHAIN, jc.Pose(jnp.zeros((2, 3)), rotations, jnp.ones(())), "xyz")[1]
+        return jc.body.joint_euler_angles(CHAIN, jc.Pose(jnp.zeros((2, 3)), rotations, jnp.ones(())), "xyz")[
+            1
+        ]
 
     np.testing.assert_allclose(jax.jacobian(bend)(jnp.zeros(3)), np.eye(3), atol=1e-6)
 
 
 def test_wrong_orders_and_skeletons_are_refused():
     pose = jc.rest_pose(CHAIN)
-    with pytest.raises(jc.InputError, match="joint_euler_angles: `order` is 'xyx'; expected three different axes"):
+    with pytest.raises(
+        jc.InputError, match="joint_euler_angles: `order` is 'xyx'; expected three different axes"
+    ):
         jc.body.joint_euler_angles(CHAIN, pose, "xyx")
     with pytest.raises(jc.InputError, match="`motion` has 1 joints; expected 2 as in `skeleton`"):
-        jc.body.joint_euler_angles(CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz")
+        jc.body.joint_euler_angles(
+            CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz"
+        )
