@@ -17,9 +17,9 @@ from ..body.skeleton import Skeleton
 from ..edit.matching.names import Side
 from ..edit.matching.pairing import SIDES
 from ..edit.matching.person_joints import PersonJoints, far_end, identify_joints
-from ..edit.matching.sides import toes_point_backward
+from ..edit.matching.sides import UnknownSides, toes_point_backward
 from ..edit.matching.upright_pose import UprightPose, find_upright_pose
-from ..errors import InputError, user_message
+from ..errors import InputError
 from ..geometry.axes import nearest_signed_permutation
 from .conventions import SEGMENTS
 
@@ -102,10 +102,15 @@ def find_anatomical_frames(skeleton: Skeleton, motion: Motion | None = None) -> 
 def _find_upright(skeleton: Skeleton, motion: Motion | None) -> UprightPose:
     try:
         return find_upright_pose(skeleton, identify_joints(skeleton), motion, "source")
-    except ValueError as error:
+    except UnknownSides:
         raise InputError(
-            "Joint angles need a pose in which the person stands upright, at rest or in the motion, and known sides: "
-            f"{user_message(error)}"
+            "The joint names and the toes do not determine the left and the right of the person, or contradict each "
+            "other, so there are no joint angles; correct the joint names."
+        ) from None
+    except ValueError:
+        raise InputError(
+            "The person stands upright neither at rest nor in a frame of the motion, so the anatomical axes are unknown; "
+            "give a motion with an upright frame."
         ) from None
 
 

@@ -48,10 +48,8 @@ class JointAngles(eqx.Module):
         """Describe the angles that are left out in one sentence; None if there are all."""
         if not self.missing:
             return None
-        left = [each.name for each in angle_conventions() if each.name not in self.names]
-        return (
-            f"{', '.join(left)} are left out, as the skeleton does not determine {', '.join(self.missing)}."
-        )
+        missing = ", ".join(self.missing)
+        return f"the angles of {missing} are left out, as no joints of the skeleton determine their axes"
 
     def to_degrees(self) -> "JointAngles":
         """Convert to degrees."""

@@ -16,6 +16,8 @@ both sides.
 from collections.abc import Collection
 from typing import Literal, NamedTuple
 
+from ..arguments import checked
+
 Order = Literal["zxy", "yxz", "yxy"]
 #: name of the surroundings among the segments
 WORLD = "world"
@@ -130,6 +132,7 @@ SEGMENTS = ("pelvis", "thorax", "head") + tuple(
 )  # fmt: skip
 
 
+@checked
 def angle_conventions(segments: Collection[str] = SEGMENTS) -> tuple[AngleConvention, ...]:
     """List the angles between segments, in the order of their columns; by default, all angles."""
     there = {WORLD, *segments}

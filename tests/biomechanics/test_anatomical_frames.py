@@ -95,7 +95,7 @@ def test_a_file_in_which_every_joint_has_its_own_axes(rng):
     angles = jc.joint_angles(skeleton, motion).to_degrees()
     np.testing.assert_allclose(angles.values[0], 0, atol=1e-5)
     assert float(angles["hip_flexion_l"][1]) == pytest.approx(35, abs=1e-5)
-    with pytest.raises(jc.InputError, match="Joint angles need a pose in which the person stands upright"):
+    with pytest.raises(jc.InputError, match="The person stands upright neither at rest nor in a frame"):
         jc.joint_angles(skeleton, jc.rest_pose(skeleton))
 
 
@@ -145,9 +145,9 @@ def test_missing_joints_are_left_out():
     assert not [name for name in angles.names if name.startswith(("neck", "arm", "elbow", "wrist", "pro"))]
     assert {"hip_flexion_r", "ankle_angle_l", "pelvis_tilt"} <= set(angles.names)
     said = angles.describe_missing()
-    assert said.startswith("neck_extension, neck_bending, neck_rotation, elv_angle_r")
-    assert said.endswith(
-        "the skeleton does not determine head, humerus_r, forearm_r, hand_r, humerus_l, forearm_l, hand_l."
+    assert said is not None
+    assert said.startswith(
+        "the angles of thorax, head, humerus_r, forearm_r, hand_r, humerus_l, forearm_l, hand_l are"
     )
 
 
@@ -157,6 +157,20 @@ def test_a_skeleton_without_a_person_is_refused():
     )
     with pytest.raises(jc.InputError, match="The joints a, b are not recognised as a person"):
         jc.joint_angles(chain, jc.rest_pose(chain))
+
+
+def test_swapped_sides_are_refused():
+    plain, _ = person()
+    swap = {"Left": "Right", "Righ": "Left"}
+    names = [
+        swap[name[:4]] + name[len("Left" if name[0] == "L" else "Right") :] if name[:4] in swap else name
+        for name in plain.names
+    ]
+    skeleton = jc.make_skeleton(names, plain.parents, plain.kinds, np.asarray(plain.centres))
+    with pytest.raises(
+        jc.InputError, match="do not determine the left and the right of the person, or contradict"
+    ):
+        jc.joint_angles(skeleton, jc.rest_pose(skeleton))
 
 
 def test_axes_are_right_handed():

@@ -10,7 +10,7 @@ from ...biomechanics.angles import joint_angles
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...errors import InputError
+from ...errors import InputError, user_message
 from ...io.archives.npz import save_body
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.registry import (
@@ -201,7 +201,10 @@ class Convert:
 
     def write_angles(self) -> None:
         skeleton, motion, _ = self.read_motion()
-        angles = joint_angles(skeleton, motion)
+        try:
+            angles = joint_angles(skeleton, motion)
+        except InputError as error:
+            raise InputError(f"{self.source}: {user_message(error)}") from None
         write_angles(self.target, angles)
         missing = angles.describe_missing()
         if missing is not None:
