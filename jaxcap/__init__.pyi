@@ -1,6 +1,7 @@
 """Fit articulated bodies to sensor data: poses, motions and their energies in JAX."""
 
 from . import adapt as adapt
+from . import biomechanics as biomechanics
 from . import body as body
 from . import depth as depth
 from . import edit as edit
@@ -21,10 +22,10 @@ from . import view as view
 from .adapt.adapt_body import adapt_body as adapt_body
 from .adapt.poses.fit_frame import fit_pose as fit_pose
 from .adapt.prepare import make_adapt_task as make_adapt_task
+from .biomechanics.angles import joint_angles as joint_angles
 from .body.body import Body as Body
 from .body.body import pose_body as pose_body
 from .body.body_model import shape_body as shape_body
-from .body.euler_angles import joint_angles as joint_angles
 from .body.kinematics import forward_kinematics as forward_kinematics
 from .body.people.human import human as human
 from .body.pose import Motion as Motion

@@ -107,6 +107,11 @@ PLACES = [
         {"source": FILE, "target": "out.trc", "overwrite": True},
         (*MOTIONS, *MARKERS),
     ),
+    Place(
+        "convert.convert.Convert",
+        {"source": FILE, "target": "out.csv", "as_": "angles", "overwrite": True},
+        MOTIONS,
+    ),
     Place("convert.convert.Convert", {"source": FILE, "target": "out.skl", "overwrite": True}, SKELETONS),
     # one at a time
     Place(

@@ -54,7 +54,7 @@ class Variant(NamedTuple):
     lost: tuple[int, ...]
 
 
-class JointAngles(NamedTuple):
+class AngleHistory(NamedTuple):
     """Joint angles over time, before and after smoothing; radians."""
 
     seconds: Float[np.ndarray, "F"]
@@ -73,7 +73,7 @@ class Evaluation(NamedTuple):
     measured_frames: tuple[int, ...]
     variants: tuple[Variant, ...] = ()
     #: None for unordered scans
-    angles: JointAngles | None = None
+    angles: AngleHistory | None = None
 
 
 def variant_names(settings: AdaptSettings) -> list[str]:
@@ -118,7 +118,7 @@ def compare_stages(task: AdaptTask, state: AdaptState, *, step: int = 1) -> Iter
     frames = tuple(sorted({*range(min(task.num_frames, NUM_ANGLE_FRAMES)), *stages.measured_frames}))
     alone = _fit_poses_independently(task, state, frames) if smooth else _select_frames(state.motion, frames)
     if not task.settings.unordered:
-        stages = stages._replace(angles=_joint_angles(alone, state.motion if smooth else None))
+        stages = stages._replace(angles=_angle_history(alone, state.motion if smooth else None))
     poses = _select_frames(alone, [frames.index(frame) for frame in stages.measured_frames])
     yield (stages := _append_variant(stages, task, state, poses))
     if smooth:
@@ -236,7 +236,7 @@ def _vertices(body: Body, pose: Pose) -> Float[np.ndarray, "V 3"]:
     return np.asarray(pose_body(body, pose).vertices, float)
 
 
-def _joint_angles(alone: Motion, smooth: Motion | None) -> JointAngles:
+def _angle_history(alone: Motion, smooth: Motion | None) -> AngleHistory:
     """Compute the joint angles of consecutive frames."""
     frames = min(len(alone if smooth is None else smooth), NUM_ANGLE_FRAMES)
     turns = [motion.poses.rotations[:frames] for motion in (alone, smooth) if motion is not None]
@@ -245,7 +245,7 @@ def _joint_angles(alone: Motion, smooth: Motion | None) -> JointAngles:
     angles = [np.einsum("fja,ja->fj", vector, axes) for vector in vectors]
     shakes = [np.asarray(_roughness(turn), float) for turn in turns]
     after = (None, None) if smooth is None else (angles[1], shakes[1])
-    return JointAngles(np.arange(frames) / alone.rate, angles[0], after[0], shakes[0], after[1])
+    return AngleHistory(np.arange(frames) / alone.rate, angles[0], after[0], shakes[0], after[1])
 
 
 def main_axes(vectors: Float[np.ndarray, "F J 3"]) -> Float[np.ndarray, "J 3"]:

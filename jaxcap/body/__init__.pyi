@@ -13,6 +13,7 @@ from .coordinates.coordinate_model import pose_from_coordinates as pose_from_coo
 from .coordinates.piecewise_polynomial import PiecewisePolynomials as PiecewisePolynomials
 from .decimate import reduce_body as reduce_body
 from .decimate import reduce_model as reduce_model
+from .euler_angles import joint_euler_angles as joint_euler_angles
 from .kinematics import Transforms as Transforms
 from .people.sample import sample_poses as sample_poses
 from .retraction import difference as difference

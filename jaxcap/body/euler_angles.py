@@ -1,4 +1,4 @@
-"""Joint angles: Euler angles of the joints of a motion."""
+"""Euler angles of the joints of a motion, and of rotations."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -14,7 +14,7 @@ GIMBAL_LOCK = 1e-6
 
 
 @checked
-def joint_angles(
+def joint_euler_angles(
     skeleton: Skeleton,
     motion: Motion | Pose,
     order: str = "zxy",
@@ -29,12 +29,15 @@ def joint_angles(
 
     **Arguments:** `order`, three different letters of x, y and z; `frames`, unit quaternions of the axes in
     the rest frame of the world, one for each joint. The default is the world's axes at rest.
-    `skeleton.orientations` are the joints' own axes, x along the bone.
+    `skeleton.orientations` are the joints' own axes, x along the bone. `jaxcap.joint_angles` has the angles of
+    biomechanics instead, between anatomical axes.
 
     **Raises:** `InputError` if `order` is none of the six orders.
     """
     if sorted(order) != ["x", "y", "z"]:
-        raise InputError(f"joint_angles: `order` is '{order}'; expected three different axes, such as 'zxy'.")
+        raise InputError(
+            f"joint_euler_angles: `order` is '{order}'; expected three different axes, such as 'zxy'."
+        )
     pose = motion.poses if isinstance(motion, Motion) else motion
     rotations = pose.rotations
     if frames is not None:
@@ -46,10 +49,14 @@ def joint_angles(
 
 def euler_angles(rotations: Float[Array, "*shape 4"], order: str) -> Float[Array, "*shape 3"]:
     """Decompose rotations into three intrinsic rotations about different axes, radians."""
+    return matrix_euler_angles(rotation.to_matrix(rotations), order)
+
+
+def matrix_euler_angles(m: Float[Array, "*shape 3 3"], order: str) -> Float[Array, "*shape 3"]:
+    """Decompose rotation matrices as `euler_angles` does quaternions."""
     i, j, k = ("xyz".index(axis) for axis in order)
     # the sign of the permutation: even orders have a positive sine of the middle angle in entry (i, k)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    m = rotation.to_matrix(rotations)
     across = jnp.hypot(m[..., i, i], m[..., i, j])
     free = across > GIMBAL_LOCK
     middle = jnp.arctan2(sign * m[..., i, k], across)

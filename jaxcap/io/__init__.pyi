@@ -33,6 +33,7 @@ from .opensim.tasks import weigh_markers as weigh_markers
 from .registry import read_motion as read_motion
 from .registry import read_skeleton as read_skeleton
 from .registry import read_skinned as read_skinned
+from .registry import write_angles as write_angles
 from .registry import write_motion as write_motion
 from .skeletons.amass import read_amass as read_amass
 from .skeletons.amass import read_amass_shape as read_amass_shape

@@ -10,12 +10,14 @@ from typing import Any
 import jax.numpy as jnp
 
 from ..arguments import checked
+from ..biomechanics.angles import JointAngles
 from ..body.body import Body
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
 from ..observe.markers import MarkerFrames
+from .angle_table import write_angle_table
 from .archives.npz import load_body, load_format, load_skeleton, motion_of, save_motion, skeleton_of
 from .body_models.smpl import is_body_model, read_body_model
 from .gltf.gltf import write_gltf
@@ -91,6 +93,8 @@ MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
     ".trc": write_trc,
     ".csv": write_marker_table,
 }
+#: formats of joint angles
+ANGLE_WRITERS: dict[str, Callable[[Path, JointAngles], None]] = {".csv": write_angle_table}
 #: default unit of a format; the default of the others is metres
 DEFAULT_UNITS = {".bvh": "cm"}
 
@@ -294,6 +298,16 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
     suffix = Path(path).suffix.lower()
     write = _lookup(MARKER_WRITERS, path, "markers", "written")
     write(Path(path), frames, ("m" if suffix == ".csv" else "mm") if unit is None else unit)
+
+
+@checked
+def write_angles(path: str | Path, angles: JointAngles) -> None:
+    """Write the joint angles of a motion as `.csv`, in degrees, with their conventions as comments.
+
+    **Raises:** `InputError` if the suffix is unknown, the angles are those of a single pose, or the file cannot be
+    written.
+    """
+    _lookup(ANGLE_WRITERS, path, "joint angles", "written")(Path(path), angles)
 
 
 def _lookup(table: dict[str, Any], path: str | Path, content: str, action: str = "") -> Any:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..adapt.evaluate import Evaluation, JointAngles, Variant, quantile, share_below, summarise
+from ..adapt.evaluate import AngleHistory, Evaluation, Variant, quantile, share_below, summarise
 from ..body.skeleton import Skeleton
 from .chart import Line, legend, line_chart
 from .heat_map import colour_scale, heat_limit, heat_pictures
@@ -108,7 +108,7 @@ def frame_chart(stages: Evaluation, rate: float) -> Markup:
     return join_markup(legend(lines), element("figure", chart, class_="single"))
 
 
-def angle_charts(angles: JointAngles, skeleton: Skeleton) -> Markup:
+def angle_charts(angles: AngleHistory, skeleton: Skeleton) -> Markup:
     """Plot the angles of the joints that move most, before and after smoothing."""
     shown = moving_joints(angles, skeleton)
     figures, looks = [], []
@@ -122,7 +122,7 @@ def angle_charts(angles: JointAngles, skeleton: Skeleton) -> Markup:
     return join_markup(legend(looks), element("div", *figures, class_="grid"))
 
 
-def jitter_table(angles: JointAngles, skeleton: Skeleton) -> Markup:
+def jitter_table(angles: AngleHistory, skeleton: Skeleton) -> Markup:
     """Tabulate the angle ranges of the shown joints, and the deviations of frames from the mean of their
     neighbours."""
     final = angles.before if angles.after is None else angles.after
@@ -139,7 +139,7 @@ def jitter_table(angles: JointAngles, skeleton: Skeleton) -> Markup:
     )
 
 
-def moving_joints(angles: JointAngles, skeleton: Skeleton) -> list[int]:
+def moving_joints(angles: AngleHistory, skeleton: Skeleton) -> list[int]:
     """Find the joints whose angles vary most, in descending order, without the root."""
     final = angles.before if angles.after is None else angles.after
     turning = [
@@ -162,7 +162,7 @@ def history_chart(history: Sequence[tuple[str, float]]) -> Markup:
     return element("figure", chart, class_="single")
 
 
-def _jitter_cells(angles: JointAngles, joints: Sequence[int]) -> list[str]:
+def _jitter_cells(angles: AngleHistory, joints: Sequence[int]) -> list[str]:
     """Compute root mean squares over joints, before and after smoothing."""
     both = [shake for shake in (angles.roughness_before, angles.roughness_after) if shake is not None]
     return [f"{np.degrees(np.sqrt(np.mean(shake[list(joints)] ** 2))):.2f}" for shake in both]

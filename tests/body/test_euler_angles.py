@@ -39,26 +39,32 @@ def test_a_knee_that_bends_on_past_half_a_turn_has_one_curve():
     rotations = jax.vmap(lambda angle: rotation.about_axis(jnp.array([1.0, 0, 0]), angle))(jnp.asarray(bends))
     poses = jc.stack_poses([jc.rest_pose(CHAIN)] * 30).poses
     poses = jc.Pose(poses.translations, poses.rotations.at[:, 1].set(rotations), poses.scale)
-    angles = jc.joint_angles(CHAIN, jc.Motion(poses, 30.0), "xyz")
+    angles = jc.body.joint_euler_angles(CHAIN, jc.Motion(poses, 30.0), "xyz")
     np.testing.assert_allclose(angles[:, 1, 0], bends, atol=1e-5)
     assert np.abs(angles[:, 0]).max() == 0
     # in a frame whose x axis is the world's y, the same rotation is about minus its y
     frames = jnp.tile(jnp.asarray(np.roll(Rotation.from_euler("z", np.pi / 2).as_quat(), 1)), (2, 1))
-    turned = jc.joint_angles(CHAIN, poses, "yxz", frames)
+    turned = jc.body.joint_euler_angles(CHAIN, poses, "yxz", frames)
     np.testing.assert_allclose(turned[:, 1, 0], -bends, atol=1e-5)
 
 
 def test_derivatives_are_finite_at_rest():
     def bend(w):
         rotations = jnp.stack([rotation.identity(), rotation.exp(w)])
-        return jc.joint_angles(CHAIN, jc.Pose(jnp.zeros((2, 3)), rotations, jnp.ones(())), "xyz")[1]
+        return jc.body.joint_euler_angles(CHAIN, jc.Pose(jnp.zeros((2, 3)), rotations, jnp.ones(())), "xyz")[
+            1
+        ]
 
     np.testing.assert_allclose(jax.jacobian(bend)(jnp.zeros(3)), np.eye(3), atol=1e-6)
 
 
 def test_wrong_orders_and_skeletons_are_refused():
     pose = jc.rest_pose(CHAIN)
-    with pytest.raises(jc.InputError, match="joint_angles: `order` is 'xyx'; expected three different axes"):
-        jc.joint_angles(CHAIN, pose, "xyx")
+    with pytest.raises(
+        jc.InputError, match="joint_euler_angles: `order` is 'xyx'; expected three different axes"
+    ):
+        jc.body.joint_euler_angles(CHAIN, pose, "xyx")
     with pytest.raises(jc.InputError, match="`motion` has 1 joints; expected 2 as in `skeleton`"):
-        jc.joint_angles(CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz")
+        jc.body.joint_euler_angles(
+            CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz"
+        )

@@ -65,6 +65,30 @@ def test_joint_centres_in_other_programs_files(inputs, tmp_path, capsys, suffix)
         np.testing.assert_allclose(row[2:], 1000 * joints[1].reshape(-1), atol=1e-4)
 
 
+def test_joint_angles(inputs, tmp_path, capsys):
+    skeleton, motion = load_skeleton(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    expected = jc.joint_angles(skeleton, motion).to_degrees()
+    write_bvh(tmp_path / "truth.bvh", skeleton, motion)
+    write_amass(tmp_path / "amass.npz", skeleton, motion)
+    for source, *options in (
+        (inputs / "truth.npz",),
+        (tmp_path / "truth.bvh",),
+        (tmp_path / "amass.npz", "--body", inputs / "body.npz"),
+    ):
+        path = tmp_path / f"{source.stem}{source.suffix[1:]}.csv"
+        told = runs(capsys, "convert", source, path, "--as", "angles", *options)
+        assert f"{len(expected.names)} joint angles in degrees, 5 frames at 30 frames per second" in told
+        table = np.genfromtxt(path, delimiter=",", skip_header=2 + len(expected.names), names=True)
+        for name in expected.names:
+            np.testing.assert_allclose(table[name], expected[name], atol=1e-3)
+    chain = jc.make_skeleton(
+        ["a", "b"], [-1, 0], ["free", "ball"], np.array([[0, 0, 0], [0, -0.4, 0]], float)
+    )
+    save_motion(tmp_path / "chain.npz", jc.stack_poses([jc.rest_pose(chain)]), chain)
+    said = fails(capsys, "convert", tmp_path / "chain.npz", tmp_path / "chain.csv", "--as", "angles")
+    assert "chain.npz: The joints a, b are not recognised as a person" in said
+
+
 def test_vertices_become_markers(inputs, tmp_path, capsys):
     body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
     (tmp_path / "head.txt").write_text("# two on the head\nLFHD 7\nRFHD 1499\n\n12\n")
@@ -210,6 +234,15 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         (motion, "out.trc", "--motion", motion, "--motion is for bodies that are written as .glb"),
         (motion, "out.trc", "--as", "amass", "--as amass is for motions that are written as .npz"),
         (motion, "out.bvh", "--as", "amass", "is written as .npz"),
+        (
+            motion,
+            "out.bvh",
+            "--as",
+            "angles",
+            "--as angles is written as .csv; give a name that ends in .csv",
+        ),
+        (motion, "out.csv", "--as", "angles", "--target-unit", "mm", "joint angles are written in degrees"),
+        (motion, "out.csv", "--as", "angles", "--body", body, "--vertices", "7", "--vertices is for motions"),
         (motion, "out.bvh", "--up", "y", "other motions have y up"),
         (body, "out.glb", "--up", "y", "other motions have y up"),
         (motion, "out.bvh", "--vertices", "7", "--vertices is for motions that are written as .trc"),

@@ -10,6 +10,7 @@ from ...io.kinds import identify, wrong_kind_error
 from ...io.meshes.mesh import SUFFIXES
 from ...io.meshes.mesh import WRITABLE_SUFFIXES as MESH_WRITTEN
 from ...io.registry import (
+    ANGLE_WRITERS,
     BODY_WRITERS,
     MARKER_READERS,
     MARKER_WRITERS,
@@ -23,17 +24,24 @@ from ...io.registry import (
 )
 from ...io.skinned.clip import suffix_of
 
-ConversionKind = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton"]
+ConversionKind = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton", "angles"]
 #: purpose of each option, and the conversions that take it
 PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
     "motion": ("bodies that are written as .glb or USD", ("body",)),
-    "body": ("motions of a body", ("body", "motion", "points")),
+    "body": ("motions of a body", ("body", "motion", "points", "angles")),
     "as amass": ("motions that are written as .npz", ("motion",)),
+    "as angles": ("joint angles of motions", ("angles",)),
     "as body": ("bodies that are written as .npz", ("own",)),
     "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
-    "up": ("motions in AMASS format", ("body", "motion", "points")),
+    "up": ("motions in AMASS format", ("body", "motion", "points", "angles")),
     "tolerance": ("bodies that are written as .glb or USD", ("body",)),
     "influences": ("bodies that are written as .glb or USD", ("body",)),
+}
+#: suffixes of the targets that `--as` writes
+SUFFIXES_OF_CONTENT: dict[str, tuple[str, ...]] = {
+    "as amass": (".npz",),
+    "as angles": tuple(ANGLE_WRITERS),
+    "as body": (".npz",),
 }
 #: suffixes of files in metres, or with a unit
 KNOWN_UNIT_SUFFIXES = (".npz", *SKINNED_READERS, ".asf", ".amc")
@@ -88,8 +96,12 @@ def check_options(kind: ConversionKind, target: Path, options: Mapping[str, Any]
     for name, (purpose, ways) in PURPOSES.items():
         if options[name] and kind not in ways:
             raise InputError(f"{target}: --{name} is for {purpose}.")
-        if options[name] and name.startswith("as ") and target.suffix.lower() != ".npz":
-            raise InputError(f"{target}: --{name} is written as .npz; give a name that ends in .npz.")
+        suffixes = SUFFIXES_OF_CONTENT.get(name, ())
+        if options[name] and suffixes and target.suffix.lower() not in suffixes:
+            written = " or ".join(suffixes)
+            raise InputError(
+                f"{target}: --{name} is written as {written}; give a name that ends in {written}."
+            )
     if options["vertices"] and options["body"] is None:
         raise InputError(f"{target}: --vertices needs a body; give it with --body.")
 
@@ -100,6 +112,8 @@ def check_units(
     """Check that units are given only for files without their own. Raises `InputError`."""
     if unit and kind != "mesh" and suffix_of(source) in KNOWN_UNIT_SUFFIXES:
         raise InputError(f"{source}: '{suffix_of(source)}' files have a known unit; omit --unit {unit}.")
+    if target_unit and kind == "angles":
+        raise InputError(f"{target}: joint angles are written in degrees; omit --target-unit {target_unit}.")
     if target_unit and kind != "mesh" and target.suffix.lower() in (".npz", *BODY_WRITERS):
         raise InputError(
             f"{target}: '{target.suffix}' files are written in metres; omit --target-unit {target_unit}."

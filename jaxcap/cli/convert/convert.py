@@ -6,10 +6,11 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ...biomechanics.angles import joint_angles
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...errors import InputError
+from ...errors import InputError, user_message
 from ...io.archives.npz import save_body
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.opensim.osim import read_osim
@@ -19,6 +20,7 @@ from ...io.registry import (
     is_skinned,
     read_marker_file,
     read_skinned,
+    write_angles,
     write_markers,
     write_motion,
     write_skeleton,
@@ -44,7 +46,8 @@ class Convert:
     """Convert a motion, a body, a skeleton, a mesh or markers to another format. The suffixes of the files determine
     the conversion.
 
-    A motion is written as .bvh or .npz, and its joint centres as .trc, .c3d or .csv. A body is written with its skin
+    A motion is written as .bvh or .npz, its joint centres as .trc, .c3d or .csv, and with --as angles its joint angles as
+    .csv. A body is written with its skin
     as .glb, .usda, .usdc or .usdz, together with its motion if SOURCE or --motion contains one. `human` is also
     written as a body .npz; for all other bodies, this needs --as body. A skeleton is written as .skl, a mesh as .off,
     .obj, .ply or .stl, and markers as .c3d, .trc or .csv."""
@@ -65,10 +68,12 @@ class Convert:
     """Body of the motion, for files without joint positions, such as AMASS or OpenSim's .mot (with an .osim), for --vertices, and to write a motion with its body
     as .glb or USD: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
     as_: Annotated[
-        Literal["amass", "body"] | None, arg(name="as", metavar="amass|body", help_behavior_hint="")
+        Literal["amass", "angles", "body"] | None,
+        arg(name="as", metavar="amass|angles|body", help_behavior_hint=""),
     ] = None
-    """Content of an .npz target: a motion in AMASS format (`poses`, `trans`, `betas`, `gender` and the rate, z up),
-    or the body of SOURCE."""
+    """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
+    up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
+    SOURCE as .npz."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
     """Up axis of a motion in AMASS format. Default: the axis stated in the file, else z."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
@@ -93,6 +98,8 @@ class Convert:
         way: ConversionKind = (
             "own"
             if own
+            else "angles"
+            if self.as_ == "angles"
             else find_conversion(
                 split_model(str(self.source))[0] if model else self.source, self.target, human
             )
@@ -106,6 +113,7 @@ class Convert:
             "markers": self.write_markers,
             "mesh": self.write_mesh,
             "skeleton": self.write_skeleton,
+            "angles": self.write_angles,
         }[way]()
 
     def check(self, kind: ConversionKind) -> None:
@@ -114,6 +122,7 @@ class Convert:
             "motion": self.motion,
             "body": self.body,
             "as amass": self.as_ == "amass",
+            "as angles": self.as_ == "angles",
             "as body": self.as_ == "body",
             "vertices": self.vertices,
             "up": self.up,
@@ -195,6 +204,21 @@ class Convert:
         else:
             write_motion(self.target, skeleton, motion, self.target_unit)
         say(f"{self.target}: {pluralise(motion.num_frames, 'frame')} at {motion.rate:g} frames per second")
+
+    def write_angles(self) -> None:
+        skeleton, motion, _ = self.read_motion()
+        try:
+            angles = joint_angles(skeleton, motion)
+        except InputError as error:
+            raise InputError(f"{self.source}: {user_message(error)}") from None
+        write_angles(self.target, angles)
+        missing = angles.describe_missing()
+        if missing is not None:
+            warn(f"{self.source}: {missing}")
+        say(
+            f"{self.target}: {pluralise(len(angles.names), 'joint angle')} in degrees, "
+            f"{pluralise(motion.num_frames, 'frame')} at {motion.rate:g} frames per second"
+        )
 
     def write_points(self) -> None:
         # labels are checked before a long motion is read

@@ -1,0 +1,55 @@
+"""Joint angles as CSV: comments that describe each angle, and a row for each frame, in degrees."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ..biomechanics.angles import JointAngles
+from ..biomechanics.conventions import WORLD, AngleConvention
+from ..errors import InputError
+from .system.atomic import write_text
+
+
+def write_angle_table(path: str | Path, angles: JointAngles) -> None:
+    """Write joint angles as CSV, in degrees, with a column `time` in seconds.
+
+    Lines that begin with `#` state the unit, and for each angle its segments, the order of rotations, the axis, the
+    positive direction and the source: `pandas.read_csv(path, comment="#")` skips them.
+
+    **Raises:** `InputError` if the file cannot be written.
+    """
+    values = np.asarray(angles.to_degrees().values, float)
+    text = io.StringIO()
+    lines = [
+        "joint angles",
+        "angles in degrees, time in seconds; intrinsic rotations from the first segment to the second, between axes "
+        "X forward, Y up, Z to the right; left sides are mirrored",
+        *(f"{each.name}: {describe_angle(each)}" for each in angles.conventions),
+    ]
+    missing = angles.describe_missing()
+    for line in (*lines, *([] if missing is None else [missing])):
+        text.write(f"# {line}\n")
+    text.write(",".join(("time", *angles.names)) + "\n")
+    times = np.arange(len(values)) / check_motion(path, angles)
+    np.savetxt(text, np.column_stack([times, values]), fmt="%.9g", delimiter=",")
+    write_text(path, text.getvalue())
+
+
+def describe_angle(convention: AngleConvention) -> str:
+    """Describe an angle in one line: segments, order, axis, positive direction and source."""
+    first = "the world" if convention.proximal == WORLD else convention.proximal
+    return (
+        f"{first} to {convention.distal}, order {'-'.join(convention.order.upper())}, rotation {convention.position + 1} "
+        f"about {convention.axis}, positive: {convention.positive} ({convention.source})"
+    )
+
+
+def check_motion(path: str | Path, angles: JointAngles) -> float:
+    """Return the rate of the angles of a motion. Raises `InputError` for those of a single pose."""
+    if angles.rate is None or angles.values.ndim != 2:
+        raise InputError(
+            f"{path}: these are the joint angles of poses without a rate; give those of a motion, such as "
+            "joint_angles(skeleton, stack_poses([pose], 30.0))."
+        )
+    return angles.rate
