@@ -7,8 +7,10 @@ from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body, pose_body
 from ..body.coordinates.coordinate_model import CoordinateModel, CoordinateTargets, pose_from_coordinates
+from ..body.retraction import difference
 from ..energy.energy import AbstractEnergy, safe_sqrt
 from .linear_solvers.dense import DenseMatrix
+from .linearise import linearise
 from .pose_problem import LEVER_ARM
 from .solvers.descent import ConstrainedInfo, StepConstraints
 from .solvers.least_squares_problem import AbstractDenseProblem
@@ -35,12 +37,20 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
         return jnp.concatenate([r, safe_sqrt(self.targets.weights) * (y - self.targets.values)])
 
     def linearise(self, y):
-        def moved(d):
-            r = self.residual(self.retract(y, d))
-            return r, r
+        pose = pose_from_coordinates(self.model, y)
+        residual, by_pose = linearise(self.energy, self.body, pose)
 
-        jacobian, residual = jax.jacfwd(moved, has_aux=True)(jnp.zeros_like(y))
-        return residual, jacobian
+        def tangent(y):
+            return difference(self.model.skeleton, pose, pose_from_coordinates(self.model, y))
+
+        jacobian = jnp.where(self.free, by_pose @ jax.jacfwd(tangent)(y), 0.0)
+        if self.targets is None:
+            return residual, jacobian
+        held = safe_sqrt(self.targets.weights)
+        return (
+            jnp.concatenate([residual, held * (y - self.targets.values)]),
+            jnp.concatenate([jacobian, jnp.diag(jnp.where(self.free, held, 0.0))]),
+        )
 
     def information(self, y):
         residual, jacobian = self.linearise(y)

@@ -1,4 +1,4 @@
-"""Joint angles as CSV: comments that describe each angle, and a row for each frame, in degrees."""
+"""Joint angles as CSV, with comments that describe each angle, and as tables of OpenSim, in degrees."""
 
 import io
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 from ..biomechanics.angles import JointAngles
 from ..biomechanics.conventions import WORLD, AngleConvention
 from ..errors import InputError
+from .opensim.storage import write_storage
 from .system.atomic import write_text
 
 
@@ -34,6 +35,16 @@ def write_angle_table(path: str | Path, angles: JointAngles) -> None:
     times = np.arange(len(values)) / check_motion(path, angles)
     np.savetxt(text, np.column_stack([times, values]), fmt="%.9g", delimiter=",")
     write_text(path, text.getvalue())
+
+
+def write_angle_storage(path: str | Path, angles: JointAngles) -> None:
+    """Write joint angles as a table of OpenSim (`.mot`, `.sto`), in degrees. Raises `InputError` if the file cannot be written.
+
+    The names are those of OpenSim's models, and the conventions are those of `angles`: a model of OpenSim may have other signs.
+    """
+    values = np.asarray(angles.to_degrees().values, float)
+    rate = check_motion(path, angles)
+    write_storage(path, angles.names, values, rate, in_degrees=True, title="Joint angles")
 
 
 def describe_angle(convention: AngleConvention) -> str:

@@ -17,7 +17,7 @@ from ..body.skeleton import Skeleton
 from ..body.skin import RigidSkin
 from ..errors import InputError
 from ..observe.markers import MarkerFrames
-from .angle_table import write_angle_table
+from .angle_table import write_angle_storage, write_angle_table
 from .archives.npz import load_body, load_format, load_skeleton, motion_of, save_motion, skeleton_of
 from .body_models.smpl import is_body_model, read_body_model
 from .gltf.gltf import write_gltf
@@ -94,7 +94,10 @@ MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
     ".csv": write_marker_table,
 }
 #: formats of joint angles
-ANGLE_WRITERS: dict[str, Callable[[Path, JointAngles], None]] = {".csv": write_angle_table}
+ANGLE_WRITERS: dict[str, Callable[[Path, JointAngles], None]] = {
+    ".csv": write_angle_table,
+    **dict.fromkeys(STORAGE_SUFFIXES, write_angle_storage),
+}
 #: default unit of a format; the default of the others is metres
 DEFAULT_UNITS = {".bvh": "cm"}
 
