@@ -16,6 +16,7 @@ from jaxcap.geometry.camera import look_at
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from tests.io.body_models.made_smpl import smpl_arrays
+from tests.io.opensim.made_osim import write_osim
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -151,6 +152,22 @@ def body_models_page(folder: Path) -> dict[str, object]:
     return {"path": path, "poses": jc.body.sample_poses(model.template.skeleton, count=2)}
 
 
+def opensim_page(folder: Path) -> dict[str, object]:
+    """A model of a leg, and a trial of it."""
+    model, subject = jc.io.read_osim(write_osim(folder / "subject.osim"))
+    values = np.tile(model.defaults, (3, 1))
+    values[:, model.index("flexion")] = [0.0, 0.2, 0.4]
+
+    def places(row):
+        return jc.markers.marker_positions(subject, jc.body.pose_from_coordinates(model, row))
+
+    jc.write_markers(
+        folder / "walk.trc",
+        jc.make_markers(np.asarray(jax.lax.map(places, jnp.asarray(values))), subject.labels, 50.0),
+    )
+    return {}
+
+
 #: what is there before a page's first line: files in its folder, and names
 GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/depth.md": depth_page,
@@ -159,4 +176,5 @@ GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/live.md": live_page,
     "docs/adaptation.md": adaptation_page,
     "docs/body_models.md": body_models_page,
+    "docs/opensim.md": opensim_page,
 }

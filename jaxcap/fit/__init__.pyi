@@ -16,6 +16,7 @@ from ..tracking.track import track_frames as track_frames
 from ..tracking.track_frame import Tracker as Tracker
 from ..tracking.track_frame import start_state as start_state
 from ..tracking.track_frame import track_frame as track_frame
+from .coordinate_problem import CoordinateProblem as CoordinateProblem
 from .correspondence.find_pairs import Matching as Matching
 from .correspondence.find_pairs import find_pairs as find_pairs
 from .correspondence.nearest_assignment import NearestOnSurface as NearestOnSurface

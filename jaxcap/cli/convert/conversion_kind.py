@@ -48,7 +48,14 @@ KNOWN_UNIT_SUFFIXES = (".npz", *SKINNED_READERS, ".asf", ".amc")
 
 
 #: all suffixes of target files
-WRITTEN = {*BODY_WRITERS, *MOTION_WRITERS, *MARKER_WRITERS, *SKELETON_WRITERS, *MESH_WRITTEN}
+WRITTEN = {
+    *BODY_WRITERS,
+    *MOTION_WRITERS,
+    *MARKER_WRITERS,
+    *ANGLE_WRITERS,
+    *SKELETON_WRITERS,
+    *MESH_WRITTEN,
+}
 
 
 def find_conversion(source: Path, target: Path, human: bool = False) -> ConversionKind:
@@ -71,6 +78,8 @@ def find_conversion(source: Path, target: Path, human: bool = False) -> Conversi
         return "motion"
     if here in MOTION_READERS and there in MARKER_WRITERS:
         return "points"
+    if here in MOTION_READERS and there in ANGLE_WRITERS:
+        return "angles"
     if here in MARKER_READERS and there in MARKER_WRITERS:
         return "markers"
     if here in SKELETON_READERS and there in SKELETON_WRITERS:
