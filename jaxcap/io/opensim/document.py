@@ -9,8 +9,8 @@ from ...errors import InputError
 from ..text import read_text
 
 
-def parse_document(path: Path) -> Element:
-    """Parse an XML document of OpenSim. Raises `InputError` if it is none."""
+def parse_document(path: Path, roots: tuple[str, ...] = ("OpenSimDocument",)) -> Element:
+    """Parse an XML document of OpenSim. Raises `InputError` if it begins with none of the `roots`."""
     text = read_text(path)
     # declarations of entities can grow without bound, and no document of OpenSim has them
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -20,8 +20,8 @@ def parse_document(path: Path) -> Element:
         root = ElementTree.fromstring(re.sub(r"(</?\w+)::", r"\1.", text).encode())
     except ElementTree.ParseError as error:
         raise InputError(f"{path}:{error.position[0]}: this is not XML ({error}); export it again.") from None
-    if root.tag != "OpenSimDocument":
+    if root.tag not in roots:
         raise InputError(
-            f"{path}: the file begins with <{root.tag}>; expected <OpenSimDocument>; give a file of OpenSim."
+            f"{path}: the file begins with <{root.tag}>; expected <{roots[0]}>; give a file of OpenSim."
         )
     return root

@@ -31,7 +31,7 @@ def read_ik_tasks(path: str | Path) -> InverseKinematicsTasks:
 
     **Raises:** `InputError` if the file has no tasks, a weight is negative, or a coordinate follows a file.
     """
-    root = parse_document(Path(path))
+    root = parse_document(Path(path), ("OpenSimDocument", "IKTaskSet"))
     markers: dict[str, float] = {}
     coordinates: dict[str, tuple[float, float | None]] = {}
     for element in root.iter():

@@ -72,3 +72,66 @@ def test_a_table_of_another_model_and_names_with_blanks_are_refused(tmp_path):
         jc.io.read_coordinates(table(tmp_path / "a.mot"), model)
     with pytest.raises(jc.InputError, match="blank in its name"):
         jc.io.write_storage(tmp_path / "b.mot", ["a b"], np.zeros((2, 1)), 10.0, in_degrees=True)
+
+
+TASK = '<{kind} name="{name}"><apply>{apply}</apply><weight>{weight}</weight>{more}</{kind}>'
+
+
+def tasks_file(path, *tasks, root="IKTaskSet"):
+    texts = (
+        TASK.format(**{"kind": "IKMarkerTask", "apply": "true", "weight": 1, "more": ""} | task)
+        for task in tasks
+    )
+    path.write_text(f"<{root}><objects>{''.join(texts)}</objects></{root}>")
+    return path
+
+
+@pytest.mark.parametrize("root", ["IKTaskSet", "OpenSimDocument"])
+def test_tasks_give_weights_and_targets(root, tmp_path):
+    model, subject = jc.io.read_osim(write_osim(tmp_path / "leg.osim"))
+    manual = "<value_type>manual_value</value_type><value>0.3</value>"
+    path = tasks_file(
+        tmp_path / "tasks.xml",
+        {"name": "ASIS", "weight": 20},
+        {"name": "TOE", "weight": 5},
+        {"name": "HEEL", "weight": 5, "apply": "false"},
+        {"kind": "IKCoordinateTask", "name": "knee", "weight": 40},
+        {"kind": "IKCoordinateTask", "name": "ankle", "weight": 10, "more": manual},
+        root=root,
+    )
+    tasks = jc.io.read_ik_tasks(path)
+    weighed = jc.io.weigh_markers(subject, tasks)
+    weights = dict(zip(subject.labels, weighed.weights.tolist(), strict=True))
+    assert {label: weight for label, weight in weights.items() if weight} == {"ASIS": 1.0, "TOE": 0.25}
+    targets = jc.io.coordinate_targets(model, tasks)
+    # relative to the largest weight, in variances of a marker
+    assert float(targets.weights[model.index("knee")]) == pytest.approx(2.0 / 0.01**2)
+    assert float(targets.values[model.index("knee")]) == -0.1
+    assert float(targets.weights[model.index("ankle")]) == pytest.approx(0.5 / 0.01**2)
+    assert float(targets.values[model.index("ankle")]) == 0.3
+    assert float(targets.weights.sum()) == pytest.approx(2.5 / 0.01**2)
+
+
+@pytest.mark.parametrize(
+    ("tasks", "said"),
+    [
+        ([{"name": "ASIS", "weight": -1}], "the weight -1"),
+        ([{"kind": "IKCoordinateTask", "name": "knee"}], "no task of a marker with a weight"),
+        ([{"name": "A"}, {"kind": "IKCoordinateTask", "name": "knee", "more": "<value_type>from_file</value_type>"}], "'from_file'"),
+    ],
+)  # fmt: skip
+def test_wrong_tasks_are_refused(tasks, said, tmp_path):
+    with pytest.raises(jc.InputError, match=r"tasks\.xml") as caught:
+        jc.io.read_ik_tasks(tasks_file(tmp_path / "tasks.xml", *tasks))
+    assert said in str(caught.value)
+
+
+def test_tasks_of_another_model_are_refused(tmp_path):
+    model, subject = jc.io.read_osim(write_osim(tmp_path / "leg.osim"))
+    tasks = jc.io.read_ik_tasks(
+        tasks_file(tmp_path / "tasks.xml", {"name": "LANK"}, {"kind": "IKCoordinateTask", "name": "elbow"})
+    )
+    with pytest.raises(jc.InputError, match="none of the tasks"):
+        jc.io.weigh_markers(subject, tasks)
+    with pytest.raises(jc.InputError, match="no coordinate 'elbow'"):
+        jc.io.coordinate_targets(model, tasks)
