@@ -26,6 +26,7 @@ from ...geometry.sampling import even_indices
 from ...observe.meshes import MeshSequence
 from .conversion_error import ConversionError, conversion_error
 from .match_surfaces import SurfaceMatch, match_surfaces
+from .own_build import find_own_build, follow_path, transfer_surfaces
 
 #: largest number of frames from which the coefficients are found, and frames of one fit of poses
 NUM_SHAPE_FRAMES, BLOCK = 24, 32
@@ -39,6 +40,9 @@ class ConvertedMotion(NamedTuple):
     #: (K,) shape coefficients; none if the target is a body
     coefficients: Float[np.ndarray, "K"]
     error: ConversionError
+    #: size ratio of target to source, if the target keeps a build of its own; its surface is then compared with the source's in
+    #: that build
+    ratio: float | None
 
 
 @checked
@@ -53,8 +57,9 @@ def convert_motion(
     """Convert the `motion` of `source` to another body or body model, so that its surface follows the source's.
 
     The coefficients of a model are found from frames spread over the motion, all together (`fit_model`); then the pose of each
-    frame, with these coefficients (`fit_meshes`). A target that is a body keeps its shape, so that the surfaces agree only as far
-    as the two builds do; `retarget` transfers a motion to another build.
+    frame, with these coefficients (`fit_meshes`). A target that is a body keeps its shape. If that is not the source's, its limbs
+    take the directions of the source's: the source's surface is first transferred to the target's build, and the target moves
+    along the floor in proportion to its size, as in `retarget_shape`.
 
     **Arguments:** `source` in the shape of the moving person (`shape_body`); `match` of `match_surfaces`, also of another shape of
     the same bodies, where it is known already; `progress` wraps the iterable of blocks of frames.
@@ -63,61 +68,56 @@ def convert_motion(
     """
     _check(motion, source)
     match = match_surfaces(source, target) if match is None else match
-    faces = np.asarray((target.template if isinstance(target, BodyModel) else target).faces)
-    held = jax.tree.map(lambda x: jnp.asarray(x), match.attachment)
-    matched = jnp.asarray(match.matched)
+    held = jax.tree.map(jnp.asarray, match.attachment)
+    matched, count = match.matched, len(motion)
 
-    def wanted(frames: Int[np.ndarray, "N"]) -> MeshSequence:
-        poses = take_poses(motion.poses, frames)
-        return MeshSequence(_wanted_vertices(source, poses, held, matched), faces, motion.rate)
+    def surfaces(frames: Int[np.ndarray, "N"]) -> Float[Array, "N W 3"]:
+        return _mapped_vertices(source, take_poses(motion.poses, frames), held)
 
-    body, coefficients = target, np.zeros(0)
+    def known(vertices: Float[Array | np.ndarray, "N W 3"]) -> MeshSequence:
+        return MeshSequence(jnp.where(matched[:, None], vertices, jnp.nan), faces, motion.rate)
+
     if isinstance(target, BodyModel):
-        some = fit_model(target, wanted(even_indices(len(motion), NUM_SHAPE_FRAMES)))
+        faces, build = np.asarray(target.template.faces), None
+        some = fit_model(target, known(surfaces(even_indices(count, NUM_SHAPE_FRAMES))))
         coefficients = np.asarray(some.coefficients[0], float)
         body = shape_body(target, some.coefficients[0])
+    else:
+        body, faces, coefficients = target, np.asarray(target.faces), np.zeros(0)
+        rest = np.asarray(attached_positions(match.attachment, np.asarray(source.vertices, float)))
+        build = find_own_build(motion, source, target, rest, matched)
     # all blocks have one length, so that they are compiled once; the last one repeats the last frame
-    length = min(BLOCK, len(motion))
-    blocks = [
-        np.minimum(np.arange(first, first + length), len(motion) - 1)
-        for first in range(0, len(motion), length)
-    ]
+    length = min(BLOCK, count)
+    blocks = [np.minimum(np.arange(k, k + length), count - 1) for k in range(0, count, length)]
+    scales = np.asarray(motion.poses.scale, float)
     poses, distances, converged = [], [], []
     for block in progress(blocks):
-        meshes = wanted(block)
-        fit = fit_meshes(body, meshes)
-        poses.append(fit.motion.poses)
-        distances.append(np.asarray(_distances(body, fit.motion.poses, meshes.vertices)))
+        there = surfaces(block)
+        wanted = there if build is None else transfer_surfaces(build, np.asarray(there, float), scales[block])
+        fit = fit_meshes(body, known(wanted))
+        here = posed_vertices(body, fit.motion.poses)
+        distances.append(np.linalg.norm(np.asarray(here - wanted, float), axis=2))
         converged.append(np.asarray(fit.converged))
-    count = len(motion)
+        poses.append(
+            fit.motion.poses
+            if build is None
+            else follow_path(build, body, fit.motion.poses, np.asarray(there, float), np.asarray(here, float))
+        )
     error = conversion_error(
         np.concatenate(distances)[:count],
-        match.matched,
+        matched,
         np.asarray(body.skin.dominant_bones()),
         body.skeleton.num_joints,
         np.concatenate(converged)[:count],
     )
     found = Motion(take_poses(concatenate_poses(poses), slice(0, count)), motion.rate)
-    return ConvertedMotion(body, found, coefficients, error)
+    return ConvertedMotion(body, found, coefficients, error, None if build is None else build.ratio)
 
 
 @eqx.filter_jit
-def _wanted_vertices(source: Body, poses: Pose, held: Attachment, matched) -> Float[Array, "F W 3"]:
-    """Compute the target's vertices on the posed source; NaN without a counterpart."""
-
-    def one(vertices: Float[Array, "V 3"]) -> Float[Array, "W 3"]:
-        return jnp.where(matched[:, None], attached_positions(held, vertices), jnp.nan)
-
-    return jax.lax.map(one, posed_vertices(source, poses))
-
-
-@eqx.filter_jit
-def _distances(body: Body, poses: Pose, wanted: Float[Array, "F W 3"]) -> Float[Array, "F W"]:
-    def one(frame):
-        pose, there = frame
-        return jnp.linalg.norm(pose_body(body, pose).vertices - there, axis=1)
-
-    return jax.lax.map(one, (poses, wanted))
+def _mapped_vertices(source: Body, poses: Pose, held: Attachment) -> Float[Array, "F W 3"]:
+    """Compute the target's vertices on the posed source."""
+    return jax.lax.map(lambda pose: attached_positions(held, pose_body(source, pose).vertices), poses)
 
 
 def _check(motion: Motion, source: Body) -> None:

@@ -86,7 +86,7 @@ def retarget_shape(
 
     if floor is None:
         floor = motion_floor_height(source, motion.poses)
-    parts, errors, path = [], [], _RootPath(ratio, float(floor))
+    parts, errors, path = [], [], RootPath(ratio, float(floor))
     scale = np.asarray(motion.poses.scale, float)
     for start, frames in progress(blocks):
         there, count = surface(frames), min(length, len(motion) - start)
@@ -103,7 +103,7 @@ def retarget_shape(
     )
 
 
-class _RootPath:
+class RootPath:
     """The path of a body, computed frame by frame from the motion of its surface and the source's."""
 
     def __init__(self, ratio: float, floor: float):
