@@ -24,12 +24,15 @@ from ...fit.fit_model import fit_model
 from ...geometry.attachment import Attachment, attached_positions
 from ...geometry.sampling import even_indices
 from ...observe.meshes import MeshSequence
+from ..retargeting.retarget_shape import sample_vertices
 from .conversion_error import ConversionError, conversion_error
 from .match_surfaces import SurfaceMatch, match_surfaces
 from .own_build import find_own_build, follow_path, transfer_surfaces
 
 #: largest number of frames from which the coefficients are found, and frames of one fit of poses
 NUM_SHAPE_FRAMES, BLOCK = 24, 32
+#: number of vertices, even over the surface, that determine the pose of a frame
+NUM_VERTICES = 3000
 
 
 class ConvertedMotion(NamedTuple):
@@ -86,6 +89,7 @@ def convert_motion(
         body, faces, coefficients = target, np.asarray(target.faces), np.zeros(0)
         rest = np.asarray(attached_positions(match.attachment, np.asarray(source.vertices, float)))
         build = find_own_build(motion, source, target, rest, matched)
+    chosen = sample_vertices(np.asarray(body.vertices, float), NUM_VERTICES)
     # all blocks have one length, so that they are compiled once; the last one repeats the last frame
     length = min(BLOCK, count)
     blocks = [np.minimum(np.arange(k, k + length), count - 1) for k in range(0, count, length)]
@@ -94,7 +98,7 @@ def convert_motion(
     for block in progress(blocks):
         there = surfaces(block)
         wanted = there if build is None else transfer_surfaces(build, np.asarray(there, float), scales[block])
-        fit = fit_meshes(body, known(wanted))
+        fit = fit_meshes(body, known(wanted), vertices=chosen)
         here = posed_vertices(body, fit.motion.poses)
         distances.append(np.linalg.norm(np.asarray(here - wanted, float), axis=2))
         converged.append(np.asarray(fit.converged))

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from ...body.body import Body, Posed, pose_body
 from ...body.body_model import BodyModel
+from ...body.decimate import decimate, reduce_body, reduce_model
 from ...body.pose import Motion, Pose, rest_pose, shift_roots, take_poses
 from ...body.shape_modes import joint_modes
 from ...body.skeleton import dof_layout
@@ -45,6 +46,8 @@ POSE_DEVIATION, CENTRE_DEVIATION, SIZE_DEVIATION = 0.5, 0.03, 0.3
 COARSE, FINE = tuple(np.geomspace(0.3, 0.08, 12)), tuple(np.geomspace(0.08, 0.03, 8))
 #: headings about the vertical from which bodies start whose joints do not match
 HEADINGS = 4
+#: number of vertices of both bodies in the fit
+NUM_VERTICES = 3000
 #: damping of the first step
 DAMPING = 0.01
 
@@ -81,12 +84,33 @@ def fit_at_rest(target: BodyModel | Body, source: Body, surface: RestSurface) ->
     The first pose has the directions of the source's bones, where the joints of both match; otherwise the target is at rest, in
     the best of some headings. A target without shape coefficients changes its size and its joint centres.
     """
-    fit = _make_fit(target, surface.size)
-    scan = make_mesh_scan(surface.vertices, surface.normals, surface.faces)
+    fit, whole = (_make_fit(one, surface.size) for one in (_reduced(target), target))
+    coarse = _reduced_surface(surface)
+    scan = make_mesh_scan(coarse.vertices, coarse.normals, coarse.faces)
     starts = [_problem(fit, pose, None).start(pose) for pose in _starts(fit.body, source, surface)]
     found = [_refine(fit, start, scan, COARSE, NearestVertex()) for start in starts]
     best = min(found, key=lambda one: _residual(fit, one, scan))
-    return np.asarray(_posed(fit, _refine(fit, best, scan, FINE, NearestOnSurface())).vertices, float)
+    best = _refine(fit, best, scan, FINE, NearestOnSurface())
+    return np.asarray(_posed(whole, best).vertices, float)
+
+
+def _reduced(target: BodyModel | Body) -> BodyModel | Body:
+    """Reduce a target to the vertices of the fit, if its surface can be reduced so far."""
+    try:
+        if isinstance(target, BodyModel):
+            return reduce_model(target, NUM_VERTICES)
+        return reduce_body(target, NUM_VERTICES)
+    except ValueError:
+        return target
+
+
+def _reduced_surface(surface: RestSurface) -> RestSurface:
+    if len(surface.vertices) <= NUM_VERTICES:
+        return surface
+    try:
+        return RestSurface(*decimate(surface.vertices, surface.faces, NUM_VERTICES))
+    except ValueError:
+        return surface
 
 
 def _make_fit(target: BodyModel | Body, size: float) -> _RestFit:
