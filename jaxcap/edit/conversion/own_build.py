@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...body.body import Body, pose_body
-from ...body.pose import Motion, Pose, shift_roots, take_poses
+from ...body.body import Body, posed_vertices
+from ...body.pose import Motion, Pose, shift_roots
 from ...fit.fit_meshes import fit_meshes, procrustes_poses
 from ...observe.meshes import MeshSequence
 from ..retargeting.retarget_shape import RootPath
@@ -41,10 +41,10 @@ def find_own_build(
     size = float(np.ptp(rest, axis=0).max())
     mesh = MeshSequence(np.where(matched[:, None], rest, np.nan)[None], target.faces)
     fit = fit_meshes(target, mesh)
-    nearest = _vertices(target, fit.motion.poses)
+    nearest = np.asarray(posed_vertices(target, fit.motion.poses)[0], float)
     if np.linalg.norm(nearest - rest, axis=1)[matched].mean() < MAX_DIFFERENCE * size:
         return None
-    own = _vertices(target, procrustes_poses(target, mesh))
+    own = np.asarray(posed_vertices(target, procrustes_poses(target, mesh))[0], float)
     ratio = float(np.ptp(own[:, 1]) / np.ptp(rest[:, 1]))
     floor = motion_floor_height(source, motion.poses)
     return OwnBuild(make_transfer(rest, own, np.asarray(target.faces)), RootPath(ratio, floor), ratio)
@@ -72,7 +72,3 @@ def follow_path(
     """Translate successive poses of the target, with these `vertices`, along the floor as the source's `surfaces` move."""
     shifts = [build.path.step(there, here) for there, here in zip(surfaces, vertices, strict=True)]
     return shift_roots(target.skeleton, poses, np.stack(shifts))
-
-
-def _vertices(body: Body, poses: Pose) -> Float[np.ndarray, "W 3"]:
-    return np.asarray(pose_body(body, take_poses(poses, 0)).vertices, float)  # pyright: ignore[reportArgumentType]

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...body.body import Body, Posed, pose_body
+from ...body.body import Body, Posed, pose_body, posed_vertices
 from ...body.body_model import BodyModel
 from ...body.decimate import decimate, reduce_body, reduce_model
-from ...body.pose import Motion, Pose, rest_pose, shift_roots, take_poses
+from ...body.pose import Motion, Pose, rest_pose, shift_roots
 from ...body.shape_modes import joint_modes
 from ...body.skeleton import dof_layout
 from ...energy.data.pairs import PairDistances, PointPairs
@@ -144,7 +144,7 @@ def _starts(target: Body, source: Body, surface: RestSurface) -> list[Pose]:
     middle = _middle(surface.vertices, surface.faces)
     placed = []
     for pose in poses:
-        vertices = np.asarray(pose_body(target, take_poses(pose, 0)).vertices, float)  # pyright: ignore[reportArgumentType]
+        vertices = np.asarray(posed_vertices(target, pose)[0], float)
         shift = middle - _middle(vertices, np.asarray(target.faces))
         placed.append(shift_roots(target.skeleton, pose, shift[None]))
     return placed
@@ -202,7 +202,7 @@ def _problem(fit: _RestFit, first: Pose, pairs: PointPairs | None) -> SequencePr
     skeleton, dtype = fit.body.skeleton, fit.body.vertices.dtype
     roots = np.array(skeleton.parents)[dof_layout(skeleton).joints] < 0
     deviations = jnp.asarray(np.where(roots, np.inf, POSE_DEVIATION), dtype)
-    terms: tuple[AbstractEnergy, ...] = (PosePrior(take_poses(first, 0), deviations),)  # pyright: ignore[reportArgumentType]
+    terms: tuple[AbstractEnergy, ...] = (PosePrior(Motion(first, 1.0)[0], deviations),)
     if pairs is not None:
         pairs = jax.tree.map(lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x, pairs)
         weight = EVIDENCE / ((NOISE * fit.size) ** 2 * jnp.sum(pairs.weights))
@@ -212,7 +212,7 @@ def _problem(fit: _RestFit, first: Pose, pairs: PointPairs | None) -> SequencePr
 
 
 def _posed(fit: _RestFit, y: SequenceEstimate) -> Posed:
-    return pose_body(make_body(fit.body, fit.unknowns, y.values), take_poses(y.poses, 0))  # pyright: ignore[reportArgumentType]
+    return pose_body(make_body(fit.body, fit.unknowns, y.values), Motion(y.poses, 1.0)[0])
 
 
 def _residual(fit: _RestFit, y: SequenceEstimate, scan: IndexedScan) -> float:
