@@ -93,7 +93,7 @@ def draw(
         ("and back", person, back.motion, CLAY),
     )
     view = front_view(np.asarray(person.vertices, float))
-    figure, axes = plt.subplots(3, 2 * SHOWN, figsize=(2.1 * SHOWN * 2, 10.5))
+    figure, axes = plt.subplots(3, 2 * SHOWN, figsize=(2.4 * SHOWN, 6.0))
     for row, (title, body, moving, colour) in zip(axes, rows, strict=True):
         for column, plot in enumerate(row):
             frame, side = int(frames[column // 2]), column % 2
@@ -101,10 +101,10 @@ def draw(
             vertices = vertices - 0.5 * (vertices.min(0) + vertices.max(0))
             turned = rotate_view(view, 30.0 + 80.0 * side)
             draw_surface(plot, vertices, np.asarray(body.faces), turned, colour)
-            set_frame(plot, np.array([-0.75, -1.0]), np.array([0.75, 1.0]), title if column == 0 else "")
-    figure.tight_layout(pad=0.2)
+            set_frame(plot, np.array([-0.55, -0.9]), np.array([0.55, 0.9]), title if column == 0 else "")
+    figure.subplots_adjust(0, 0, 1, 0.97, 0, 0.06)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=80)
+    figure.savefig(path, dpi=110)
     plt.close(figure)
 
 

@@ -140,7 +140,7 @@ def _starts(target: Body, source: Body, surface: RestSurface) -> list[Pose]:
         motion = Motion(_one_frame(rest_pose(source.skeleton)), 1.0)
         poses = [retarget(motion, source.skeleton, target.skeleton, floor=0.0, plan=plan).poses]
     except ValueError:
-        poses = [_turned(target, 2 * np.pi * k / HEADINGS) for k in range(HEADINGS)]
+        poses = [_rotated(target, 2 * np.pi * k / HEADINGS) for k in range(HEADINGS)]
     middle = _middle(surface.vertices, surface.faces)
     placed = []
     for pose in poses:
@@ -150,8 +150,8 @@ def _starts(target: Body, source: Body, surface: RestSurface) -> list[Pose]:
     return placed
 
 
-def _turned(target: Body, heading: float) -> Pose:
-    """Turn a body at rest about the vertical, y."""
+def _rotated(target: Body, heading: float) -> Pose:
+    """Rotate a body at rest about the vertical, y."""
     pose, dtype = rest_pose(target.skeleton), target.vertices.dtype
     turn = rotation.about_axis(jnp.array([0.0, 1.0, 0.0], dtype), jnp.asarray(heading, dtype))
     roots = np.flatnonzero(np.array(target.skeleton.parents) < 0)
@@ -204,10 +204,10 @@ def _problem(fit: _RestFit, first: Pose, pairs: PointPairs | None) -> SequencePr
     deviations = jnp.asarray(np.where(roots, np.inf, POSE_DEVIATION), dtype)
     terms: tuple[AbstractEnergy, ...] = (PosePrior(Motion(first, 1.0)[0], deviations),)
     if pairs is not None:
-        pairs = jax.tree.map(lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x, pairs)
         weight = EVIDENCE / ((NOISE * fit.size) ** 2 * jnp.sum(pairs.weights))
-        pairs = eqx.tree_at(lambda p: p.weights, pairs, weight * pairs.weights)
-        terms = (Stacked(PairDistances(jax.tree.map(lambda x: x[None], pairs))), *terms)
+        scaled = eqx.tree_at(lambda p: p.weights, pairs, weight * pairs.weights)
+        one = jax.tree.map(lambda x: (x.astype(dtype) if eqx.is_inexact_array(x) else x)[None], scaled)
+        terms = (Stacked(PairDistances(one)), *terms)
     return SequenceProblem(fit.body, Sum(terms), jnp.zeros(1, dtype), fit.unknowns, shared=fit.priors)
 
 
