@@ -134,4 +134,10 @@ PLACES = [
         {"source": "motion.npz", "target": "out.bvh", "body": FILE, "overwrite": True},
         ALL_BODIES,
     ),
+    # by joints, as the motion has no surface
+    Place(
+        "convert.convert.Convert",
+        {"source": "motion.npz", "target": "out.bvh", "to": FILE, "overwrite": True},
+        ALL_BODIES,
+    ),
 ]

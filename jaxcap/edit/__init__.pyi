@@ -5,6 +5,11 @@ from .clips import LoopedMotion as LoopedMotion
 from .clips import cut as cut
 from .clips import join as join
 from .clips import make_loop as make_loop
+from .conversion.conversion_error import ConversionError as ConversionError
+from .conversion.convert_motion import ConvertedMotion as ConvertedMotion
+from .conversion.convert_motion import convert_motion as convert_motion
+from .conversion.match_surfaces import SurfaceMatch as SurfaceMatch
+from .conversion.match_surfaces import match_surfaces as match_surfaces
 from .gaze import GazeResult as GazeResult
 from .gaze import look_at_target as look_at_target
 from .gaze_line import GazeLine as GazeLine

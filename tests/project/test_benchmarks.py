@@ -87,6 +87,14 @@ def test_fit_parameters(checkout, shared):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_convert_bodies(checkout, shared):
+    options = ("--people", "1", "--frames", "10", "--resolution", "low", "--vertices", "900")
+    line = run(checkout, "convert_bodies", *options)
+    assert meets(line, "other_forward_mm", "other_round_trip_surface_mm", "other_jitter", "other_failed")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_clothed(checkout, shared, tmp_path):
     picture = tmp_path / "clothed.png"
     options = (

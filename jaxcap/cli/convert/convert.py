@@ -12,6 +12,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ...io.archives.npz import save_body
+from ...io.kinds import identify
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.opensim.osim import read_osim
 from ...io.opensim.storage import read_coordinates
@@ -29,10 +30,11 @@ from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shap
 from ...io.skinned.clip import split_clip
 from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
-from ..console.options import Flag, OptionalFile, OptionalUnit, arg
+from ..console.options import BODY_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_body_motion, load_motion, load_skeleton, warn_of_clip
 from ..outputs import check_absent
 from ..sources import is_human_spec, load_body
+from .between_bodies import check_target, convert_between_bodies, still_motion
 from .body import write_linear_body
 from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
 from .points import check_marker_unit, read_labels, write_points
@@ -67,6 +69,16 @@ class Convert:
     body: OptionalFile = None
     """Body of the motion, for files without joint positions, such as AMASS or OpenSim's .mot (with an .osim), for --vertices, and to write a motion with its body
     as .glb or USD: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
+    to: Annotated[
+        str | None,
+        arg(
+            metavar="BODY",
+            help_behavior_hint="",
+            help=f"Body to which the motion is converted by the surfaces of both: {BODY_FORMATS}. "
+            "A body model, or `human` without a build, takes the shape of the source; its coefficients are written with the motion, or "
+            "its body to TARGET_body.npz. Without --body the source is a body, or joints only.",
+        ),
+    ] = None
     as_: Annotated[
         Literal["amass", "angles", "body"] | None,
         arg(name="as", metavar="amass|angles|body", help_behavior_hint=""),
@@ -93,6 +105,9 @@ class Convert:
         model = is_model_spec(str(self.source))
         if not human and not model and not split_clip(self.source)[0].exists():
             raise InputError(f"{self.source}: there is no such file; check the path.")
+        if self.to is not None:
+            self.convert_to(self.to)
+            return
         # the human counts as a body file
         own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
         way: ConversionKind = (
@@ -115,6 +130,43 @@ class Convert:
             "skeleton": self.write_skeleton,
             "angles": self.write_angles,
         }[way]()
+
+    def convert_to(self, to: str) -> None:
+        """Convert the source to another body."""
+        for name, value in (
+            ("as", self.as_),
+            ("vertices", self.vertices),
+            ("motion", self.motion),
+            ("target-unit", self.target_unit),
+        ):
+            if value:
+                raise InputError(f"{self.target}: --{name} and --to were both given; give one of them.")
+        check_target(self.target)
+        if self.up and not is_amass(self.source):
+            raise InputError(f"{self.source}: --up is for {PURPOSES['up'][0]}; other motions have y up.")
+        convert_between_bodies(
+            self.read_source(),
+            self.source,
+            to,
+            self.target,
+            tolerance=self.tolerance,
+            influences=self.influences,
+            overwrite=self.overwrite,
+        )
+
+    def read_source(self) -> tuple[Body | Skeleton, Motion]:
+        """Read the motion of `--to` with its body, or with its skeleton only; a body alone is at rest."""
+        if self.body is not None:
+            body = self.body_of_motion(self.source)
+            return body, self.motion_of(self.source, body)[1]
+        spec = str(self.source)
+        if is_human_spec(spec) or is_model_spec(spec) or identify(self.source) in ("body", "rigged"):
+            body = load_body(spec, unit=self.unit or "m")[0]
+            return body, still_motion(body)
+        if is_skinned(self.source):
+            body, motion = read_skinned(self.source)
+            return body, still_motion(body) if motion is None else motion
+        return self.motion_of(self.source, None)
 
     def check(self, kind: ConversionKind) -> None:
         """Check that the given options apply to the conversion. Raises `InputError`."""

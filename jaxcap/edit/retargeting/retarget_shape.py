@@ -73,7 +73,7 @@ def retarget_shape(
     rests = [np.asarray(body.vertices, float) for body in (source, target)]
     transfer = make_transfer(rests[0], rests[1], np.asarray(source.faces))
     ratio = float(np.ptp(rests[1][:, 1]) / np.ptp(rests[0][:, 1]))
-    chosen = _sample_vertices(rests[1], NUM_FIT_VERTICES)
+    chosen = sample_vertices(rests[1], NUM_FIT_VERTICES)
     # all blocks have one length, so that they are compiled once; the last one repeats the last frame
     length = min(BLOCK, len(motion))
     blocks = [
@@ -86,7 +86,7 @@ def retarget_shape(
 
     if floor is None:
         floor = motion_floor_height(source, motion.poses)
-    parts, errors, path = [], [], _RootPath(ratio, float(floor))
+    parts, errors, path = [], [], RootPath(ratio, float(floor))
     scale = np.asarray(motion.poses.scale, float)
     for start, frames in progress(blocks):
         there, count = surface(frames), min(length, len(motion) - start)
@@ -103,7 +103,7 @@ def retarget_shape(
     )
 
 
-class _RootPath:
+class RootPath:
     """The path of a body, computed frame by frame from the motion of its surface and the source's."""
 
     def __init__(self, ratio: float, floor: float):
@@ -128,7 +128,7 @@ class _RootPath:
         return offset
 
 
-def _sample_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
+def sample_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
     """Choose about `count` vertices, evenly over the surface: one in each cube of a grid."""
     if len(vertices) <= count:
         return np.arange(len(vertices))

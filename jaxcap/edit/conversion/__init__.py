@@ -1,0 +1,1 @@
+"""Conversion of shapes and motions from one body to another by their surfaces."""
