@@ -39,9 +39,9 @@ def constant(value: float) -> Piecewise:
     return Piecewise(np.zeros(0), np.zeros(1), np.array([[value]]))
 
 
-def is_identity(function: Piecewise) -> bool:
-    """Test if a function returns its argument."""
-    return np.array_equal(function.coefficients, [[0.0, 1.0]])
+def has_unit_slope(function: Piecewise) -> bool:
+    """Test if a function is a line with the slope 1 or -1: only such coordinates are angles in OpenSim."""
+    return function.coefficients.shape == (1, 2) and abs(function.coefficients[0, 1]) == 1.0
 
 
 def read_function(element: Element, where: str) -> Piecewise:

@@ -11,26 +11,16 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
-from ...body.coordinates.coordinate_model import Coordinate, CoordinateModel
+from ...body.coordinates.coordinate_model import CoordinateModel
 from ...body.coordinates.piecewise_polynomial import evaluate_polynomials
-from ...body.skeleton import make_skeleton
+from ...body.skeleton import Skeleton, make_skeleton
 from ...errors import InputError
 from ...markers.subject import Subject, make_subject
 from ..system.reader_errors import reader_of
+from .coordinates import read_model_coordinates
 from .document import parse_document
-from .functions import (
-    Piecewise,
-    constant,
-    function_in,
-    is_identity,
-    numbers,
-    pack_functions,
-    read_function,
-)
+from .functions import numbers, pack_functions
 from .joints import GROUND, Joint, find_frame, read_joints, read_offset_frames
-
-#: constraint that makes a coordinate a function of another one
-COUPLER = "CoordinateCouplerConstraint"
 
 
 class OsimModel(NamedTuple):
@@ -56,49 +46,23 @@ def read_osim(path: str | Path) -> OsimModel:
         raise InputError(f"{path}: the file has no <Model>; give an OpenSim model.")
     where = str(path)
     joints = _sort_joints(read_joints(root, where), where)
-    elements = {each.get("name", ""): each for joint in joints for each in joint.coordinates}
-    if sum(len(joint.coordinates) for joint in joints) != len(elements):
-        raise InputError(f"{path}: two coordinates have the same name; give each its own.")
-    names = list(elements)
+    coordinates, followers = read_model_coordinates(root, joints, where)
+    names = [coordinate.name for coordinate in coordinates]
     drivers = tuple(tuple(_driver(amount.driver, names, where) for amount in joint.amounts) for joint in joints)  # fmt: skip
     amounts = pack_functions(
         [amount.function for joint in joints for amount in joint.amounts], (len(joints), 6)
     )
-    couplers = _read_couplers(root, names, where)
-    turning = {
-        amount.driver for joint in joints for amount in joint.amounts[:3] if is_identity(amount.function)
-    }
-    followers = pack_functions(
-        [function for _, function in couplers] or [constant(0.0)], (max(len(names), 1),)
-    )
-    coordinates = [
-        _coordinate(element, name in turning, couplers[names.index(name)][0], where)
-        for name, element in elements.items()
-    ]
-    stated = np.array([coordinate.default for coordinate in coordinates] or [0.0])
-    leaders = [coordinate.leader for coordinate in coordinates] or [-1]
-    followed = np.asarray(evaluate_polynomials(followers, jnp.asarray(stated[leaders])), float)
-    defaults = np.where(np.array(leaders) < 0, stated, followed)
-    coordinates = [
-        each._replace(
-            default=float(value), is_periodic=number not in leaders and _is_periodic(each.name, joints)
-        )
-        for number, (each, value) in enumerate(zip(coordinates, defaults, strict=False))
-    ]
-    at_rest = np.asarray(evaluate_polynomials(amounts, jnp.asarray(defaults[np.array(drivers)])), float)
+    defaults = jnp.asarray([coordinate.default for coordinate in coordinates] or [0.0])
+    at_rest = np.asarray(evaluate_polynomials(amounts, defaults[np.array(drivers)]), float)
     frames, in_world = _rest_frames(joints, at_rest)
-    axes = np.stack([[frame[:3, :3] @ amount.axis for amount in joint.amounts] for joint, frame in zip(joints, frames, strict=True)])  # fmt: skip
-    centres = np.stack([(in_world[joint.child] @ joint.in_child)[:3, 3] for joint in joints])
-    kinds, first_axes = zip(*(_kind(joint, row, at) for joint, row, at in zip(joints, axes, at_rest, strict=True)), strict=True)  # fmt: skip
-    bodies = [joint.child for joint in joints]
-    skeleton = make_skeleton(
-        bodies,
-        [bodies.index(joint.parent) if joint.parent in bodies else -1 for joint in joints],
-        kinds,
-        centres,
-        axes=np.stack([first_axes, np.roll(first_axes, 1, 1)], 1),
+    axes = np.array(
+        [
+            [frame[:3, :3] @ amount.axis for amount in joint.amounts]
+            for joint, frame in zip(joints, frames, strict=True)
+        ]
     )
-    model = CoordinateModel(skeleton, jnp.asarray(axes), amounts, followers, tuple(coordinates), drivers)
+    skeleton = _rest_skeleton(joints, axes, at_rest, in_world)
+    model = CoordinateModel(skeleton, jnp.asarray(axes), amounts, followers, coordinates, drivers)
     return OsimModel(model, _read_markers(root, model, in_world, where))
 
 
@@ -133,75 +97,6 @@ def _driver(name: str | None, names: Sequence[str], where: str) -> int:
     return names.index(name)
 
 
-def _coordinate(element: Element, turns: bool, leader: int, where: str) -> Coordinate:
-    name = element.get("name", "")
-    where = f"{where}: coordinate '{name}'"
-    low, high = (
-        numbers(element, "range", where, 2) if element.find("range") is not None else (-np.inf, np.inf)
-    )
-    default = (
-        numbers(element, "default_value", where, 1)[0] if element.find("default_value") is not None else 0.0
-    )
-    return Coordinate(
-        name,
-        turns,
-        default,
-        low,
-        high,
-        is_clamped=_is_true(element, "clamped"),
-        is_locked=_is_true(element, "locked"),
-        leader=leader,
-    )
-
-
-def _is_periodic(name: str, joints: Sequence[Joint]) -> bool:
-    """Test that a coordinate only turns joints, so that a whole turn more is the same pose."""
-    return all(
-        number < 3 and is_identity(amount.function)
-        for joint in joints
-        for number, amount in enumerate(joint.amounts)
-        if amount.driver == name
-    )
-
-
-def _is_true(element: Element, name: str) -> bool:
-    return (element.findtext(name) or "").strip().lower() == "true"
-
-
-def _read_couplers(root: Element, names: list[str], where: str) -> list[tuple[int, Piecewise]]:
-    """Read for each coordinate the one that determines it, and the function; other constraints are refused."""
-    couplers = [(-1, constant(0.0))] * len(names)
-    for element in root.iterfind(".//ConstraintSet/objects/*"):
-        if _is_true(element, "isDisabled") or (element.findtext("isEnforced") or "true").strip() == "false":
-            continue
-        at = f"{where}: constraint '{element.get('name', '')}'"
-        leaders = (element.findtext("independent_coordinate_names") or "").split()
-        stated = function_in(element.find("coupled_coordinates_function"))
-        if element.tag != COUPLER or len(leaders) != 1 or stated is None:
-            raise InputError(
-                f"{at} is a {element.tag} of {len(leaders)} coordinates, which is not supported; expected a {COUPLER} of one "
-                "coordinate; disable it in OpenSim if it does not matter."
-            )
-        follower = (element.findtext("dependent_coordinate_name") or "").strip()
-        unknown = [name for name in (leaders[0], follower) if name not in names]
-        if unknown:
-            raise InputError(f"{at} names the coordinate '{unknown[0]}', which does not exist.")
-        function = read_function(stated, at)
-        scale = (
-            numbers(element, "scale_factor", at, 1)[0] if element.find("scale_factor") is not None else 1.0
-        )
-        couplers[names.index(follower)] = (
-            names.index(leaders[0]),
-            function._replace(coefficients=scale * function.coefficients),
-        )
-    chained = [names[k] for k, (leader, _) in enumerate(couplers) if leader >= 0 and couplers[leader][0] >= 0]
-    if chained:
-        raise InputError(
-            f"{where}: the coordinate '{chained[0]}' follows one that follows another; this is not supported."
-        )
-    return couplers
-
-
 def _rest_frames(
     joints: list[Joint], amounts: Float[np.ndarray, "J 6"]
 ) -> tuple[list[Float[np.ndarray, "4 4"]], dict[str, Float[np.ndarray, "4 4"]]]:
@@ -217,6 +112,26 @@ def _rest_frames(
         frames.append(frame)
         in_world[joint.child] = frame @ moved @ _inverse(joint.in_child)
     return frames, in_world
+
+
+def _rest_skeleton(
+    joints: list[Joint],
+    axes: Float[np.ndarray, "J 6 3"],
+    at_rest: Float[np.ndarray, "J 6"],
+    in_world: dict[str, Float[np.ndarray, "4 4"]],
+) -> Skeleton:
+    """Make the skeleton at rest, with the centre of each joint at its frame in the body that it moves."""
+    kinds, first_axes = zip(
+        *(_kind(joint, row, at) for joint, row, at in zip(joints, axes, at_rest, strict=True)), strict=True
+    )
+    bodies = [joint.child for joint in joints]
+    return make_skeleton(
+        bodies,
+        [bodies.index(joint.parent) if joint.parent in bodies else -1 for joint in joints],
+        kinds,
+        np.array([(in_world[joint.child] @ joint.in_child)[:3, 3] for joint in joints]),
+        axes=np.stack([first_axes, np.roll(first_axes, 1, 1)], 1),
+    )
 
 
 def _inverse(frame: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:

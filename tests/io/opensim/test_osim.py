@@ -125,6 +125,17 @@ def test_a_model_of_opensim_3_is_the_same(leg, tmp_path):
         np.testing.assert_allclose(*places, atol=1e-14)
 
 
+@pytest.mark.parametrize(("line", "is_angle"), [("-1 0", True), ("1 0.5", True), ("2 0", False)])
+def test_a_coordinate_is_an_angle_as_in_opensim(line, is_angle, tmp_path):
+    """`Coordinate.getMotionType` of OpenSim 4.6 is rotational for the slopes 1 and -1, and otherwise coupled."""
+    parts = joints()
+    first = ">flexion</coordinates><axis>0 0 1</axis><LinearFunction><coefficients>"
+    assert f"{first}1 0<" in parts[1]
+    parts[1] = parts[1].replace(f"{first}1 0<", f"{first}{line}<")
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim", parts)).model
+    assert model.coordinates[model.index("flexion")].is_angle == is_angle
+
+
 def changed(number, old, new):
     parts = joints()
     assert old in parts[number]
