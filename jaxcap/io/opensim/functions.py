@@ -41,7 +41,7 @@ def constant(value: float) -> Piecewise:
 
 def has_unit_slope(function: Piecewise) -> bool:
     """Test if a function is a line with the slope 1 or -1: only such coordinates are angles in OpenSim."""
-    return function.coefficients.shape == (1, 2) and abs(function.coefficients[0, 1]) == 1.0
+    return function.coefficients.shape == (1, 2) and bool(abs(function.coefficients[0, 1]) == 1.0)
 
 
 def read_function(element: Element, where: str) -> Piecewise:
