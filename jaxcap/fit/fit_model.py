@@ -156,14 +156,18 @@ def _fit_each(
 
 @eqx.filter_jit
 def _begin_chunk(few: _Samples, starts: Pose, places: Float[Array, "F S 3"], max_steps: int) -> _Begun:
-    return jax.lax.map(lambda frame: _begin(few, *_stacked(frame), max_steps), (starts, places))
+    def one(frame):
+        starts, places = _stacked(frame)
+        return _begin(few, starts, places, max_steps)
+
+    return jax.lax.map(one, (starts, places))
 
 
 @eqx.filter_jit
 def _finish_chunk(model, begun: _Begun, starts: Pose, positions, extra, max_steps: int) -> _Fits:
     def one(frame):
-        begun, starts, positions = frame
-        found = _finish(model, begun, *_stacked((starts, positions)), extra, max_steps)
+        begun, (starts, positions) = frame[0], _stacked(frame[1:])
+        found = _finish(model, begun, starts, positions, extra, max_steps)
         return jax.tree.map(lambda x: x[0], found)
 
     return jax.lax.map(one, (begun, starts, positions))

