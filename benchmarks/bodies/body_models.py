@@ -149,7 +149,7 @@ def run_anny(
         "labels": np.array(DEFAULT_PHENOTYPES),
         "phenotypes": rng.random((NUM_POSES, len(DEFAULT_PHENOTYPES))),
         "turns": 0.5 * rng.normal(size=(NUM_POSES, NUM_ANNY_JOINTS, 3)),
-        "shifts": 0.1 * rng.normal(size=(NUM_POSES, 3)),
+        "shifts": rng.normal(size=(NUM_POSES, 3)),
         "threads": np.array(os.cpu_count() or 1),
     }
     np.savez(folder / "people.npz", **given)
