@@ -5,6 +5,9 @@ a start, by `fit_model` here, and by `smplfitter` in an environment that is crea
 result counts. Errors are root mean square distances of vertices. The same with 2 mm of noise on every coordinate, in which errors
 are those from the meshes without noise; and all poses of one person together.
 
+People of Anny, whose data belong to its package, in poses of the same motions: meshes made by `anny` are fitted with all
+coefficients, and by its `AnnyInverter`.
+
 Scans: people of the model perform CMU's motions, seen by 8 depth cameras with 2 mm of noise. Coefficients are estimated from the
 first frames (`estimate_shape`) and all frames are tracked, as `jaxcap track MODEL CLOUDS --fit-shape` does, without landmarks and
 without a first pose. Errors are distances of the true vertices from the surface, and of joints.
@@ -22,6 +25,7 @@ import numpy as np
 
 import jaxcap as jc
 from benchmarks._scenes import cmu_motion, shared_folder
+from benchmarks.bodies._anny_fits import fit_anny_meshes
 from benchmarks.bodies._made_model import made_arrays
 from benchmarks.markers._rivals.environments import Rival, install, run_script
 from benchmarks.report import finish, progress
@@ -33,8 +37,10 @@ from jaxcap.geometry.sampling import even_indices
 from jaxcap.tracking.track import track_frames
 from jaxcap.tracking.track_frame import replace_body
 
-PACKAGES = Rival(("3.11",), ("torch==2.8.*", "smplfitter==0.6.0", "numpy", "scipy"))
+PACKAGES = Rival(("3.11",), ("torch==2.8.*", "smplfitter==0.6.0", "anny==0.6.2", "numpy", "scipy"))
 PEOPLE, POSES, NOISE = 20, 10, 0.002
+#: people of Anny, which is slow to fit
+ANNY_PEOPLE = 5
 #: people who are scanned, and frames of each
 SCANNED, SCANS = 5, 30
 TAKES = ("02_05", "02_07", "01_01", "02_01", "02_08")
@@ -148,8 +154,11 @@ def main() -> None:
     parser.add_argument("--alone", action="store_true", help="without the other package")
     parser.add_argument("--people", type=int, default=PEOPLE, help="number of people with registered meshes")
     parser.add_argument("--scanned", type=int, default=SCANNED, help="number of people who are scanned")
+    parser.add_argument(
+        "--anny", type=int, default=ANNY_PEOPLE, help="number of people of Anny with registered meshes"
+    )
     options = parser.parse_args()
-    python = None if options.alone else options.python or install("fitter", PACKAGES, options.venvs)
+    python = None if options.alone else options.python or install("fit_parameters", PACKAGES, options.venvs)
     figures, seconds = {}, {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -185,6 +194,9 @@ def main() -> None:
         vertices, found, taken = fit_ours(model, one, same_person=True)
         figures["together_rms_mm"] = float(errors(vertices, one).mean())
         seconds["together_mesh"] = taken / POSES
+        if python is not None and options.anny:
+            figures |= fit_anny_meshes(python, folder, TAKES, options.anny, POSES)
+            seconds["anny_mesh"] = figures.pop("anny_mesh_seconds")
         if options.scanned:
             figures |= run_scans(jc.read_body_model(path, joints="tracking"), z[: options.scanned])
     limits = {
@@ -194,6 +206,9 @@ def main() -> None:
         "exact_error_ratio": ("<=", 1 / 3),
         "exact_time_ratio": ("<=", 1.0),
         "noisy_error_ratio": ("<=", 1 / 3),
+        "anny_rms_mm": ("<=", 0.1),
+        "anny_error_ratio": ("<=", 1 / 3),
+        "anny_time_ratio": ("<=", 1.0),
         "scans_surface_median_mm": ("<=", 1.2),
         "scans_joints_mean_mm": ("<=", 6.0),
     }

