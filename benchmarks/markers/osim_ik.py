@@ -151,15 +151,15 @@ def measure(name: str, folder: Path, python: Path) -> tuple[dict[str, float], di
     return figures, seconds
 
 
-def isb_difference(folder: Path, path: str) -> float:
+def isb_difference(folder: Path, path: str, knee: int) -> float:
     """Measure the largest difference of angles of hips, knees and ankles by ISB from a model's own coordinates, degrees."""
     model = jc.io.read_osim(folder / path).model
     time = np.linspace(0, 1, 60)
-    values = np.tile(model.defaults, (len(time), 1))
+    values = np.tile(np.asarray(model.defaults, float), (len(time), 1))
     rng = np.random.default_rng(0)
     for number, coordinate in enumerate(model.coordinates):
         if coordinate.is_free and coordinate.is_angle and not coordinate.name.startswith(("mtp", "subtalar")):
-            low, high = max(coordinate.low, -0.6), min(coordinate.high, 0.6)
+            low, high = max(float(model.low[number]), -0.6), min(float(model.high[number]), 0.6)
             wave = np.sin(2 * np.pi * rng.uniform(0.5, 2) * time) * (time > 0.05)
             values[:, number] = np.clip(0.0, low, high) + (high - low) / 3 * wave
     angles = jc.joint_angles(model.skeleton, jc.body.motion_from_coordinates(model, values, 60.0))
@@ -167,8 +167,8 @@ def isb_difference(folder: Path, path: str) -> float:
     for name in angles.names:
         if name in model.names and name.startswith(("hip", "knee", "ankle", "lumbar")):
             theirs = values[:, model.index(name)]
-            # the knee of older models flexes by negative angles
-            gaps.append(min(np.abs(np.asarray(angles[name]) - sign * theirs).max() for sign in (1, -1)))
+            sign = knee if name.startswith("knee") else 1
+            gaps.append(np.abs(np.asarray(angles[name]) - sign * theirs).max())
     return float(np.degrees(max(gaps)))
 
 

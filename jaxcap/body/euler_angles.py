@@ -57,13 +57,14 @@ def matrix_euler_angles(m: Float[Array, "*shape 3 3"], order: str) -> Float[Arra
     i, j, k = ("xyz".index(axis) for axis in order)
     # the sign of the permutation: even orders have a positive sine of the middle angle in entry (i, k)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    across = jnp.hypot(m[..., i, i], m[..., i, j])
-    free = across > GIMBAL_LOCK
+    squared = m[..., i, i] ** 2 + m[..., i, j] ** 2
+    free = squared > GIMBAL_LOCK**2
+    # both branches of each `where` are finite, so that derivatives are
+    across = jnp.where(free, jnp.sqrt(jnp.where(free, squared, 1.0)), 0.0)
     middle = jnp.arctan2(sign * m[..., i, k], across)
-    first = jnp.where(
-        free,
-        jnp.arctan2(-sign * m[..., j, k], m[..., k, k]),
-        jnp.arctan2(sign * m[..., k, j], m[..., j, j]),
+    first = jnp.arctan2(
+        jnp.where(free, -sign * m[..., j, k], sign * m[..., k, j]),
+        jnp.where(free, m[..., k, k], m[..., j, j]),
     )
-    third = jnp.where(free, jnp.arctan2(-sign * m[..., i, j], m[..., i, i]), 0.0)
+    third = jnp.arctan2(jnp.where(free, -sign * m[..., i, j], 0.0), jnp.where(free, m[..., i, i], 1.0))
     return jnp.stack([first, middle, third], -1)

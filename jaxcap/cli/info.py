@@ -31,15 +31,14 @@ from .contents.bodies import (
 from .contents.depth import DepthOptions, describe_camera_depth
 from .contents.folders import describe_clouds, describe_folder
 from .contents.next_verb import suggest_commands
+from .contents.opensim import describe_osim, describe_storage
 from .contents.texts import (
     describe_asf,
     describe_journal,
     describe_json,
     describe_kineben,
     describe_markers,
-    describe_osim,
     describe_statistics,
-    describe_storage,
     describe_text,
 )
 from .depth.sources import Cameras, DepthScale

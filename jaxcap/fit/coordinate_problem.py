@@ -6,7 +6,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..body.body import Body, pose_body
-from ..body.coordinates.coordinate_model import CoordinateModel, CoordinateTargets, pose_from_coordinates
+from ..body.coordinates.coordinate_model import (
+    CoordinateModel,
+    CoordinateTargets,
+    follow_leaders,
+    pose_from_coordinates,
+)
 from ..body.retraction import difference
 from ..energy.energy import AbstractEnergy, safe_sqrt
 from .linear_solvers.dense import DenseMatrix
@@ -34,7 +39,7 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
         r = self.energy.residual(pose_body(self.body, pose_from_coordinates(self.model, y)))
         if self.targets is None:
             return r
-        return jnp.concatenate([r, safe_sqrt(self.targets.weights) * (y - self.targets.values)])
+        return jnp.concatenate([r, safe_sqrt(self.targets.weights) * self._target_gaps(y)])
 
     def linearise(self, y):
         pose = pose_from_coordinates(self.model, y)
@@ -46,10 +51,11 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
         jacobian = jnp.where(self.free, by_pose @ jax.jacfwd(tangent)(y), 0.0)
         if self.targets is None:
             return residual, jacobian
-        held = safe_sqrt(self.targets.weights)
+        roots = safe_sqrt(self.targets.weights)
+        slopes = jnp.where(self.free, jax.jacfwd(self._target_gaps)(y), 0.0)
         return (
-            jnp.concatenate([residual, held * (y - self.targets.values)]),
-            jnp.concatenate([jacobian, jnp.diag(jnp.where(self.free, held, 0.0))]),
+            jnp.concatenate([residual, roots * self._target_gaps(y)]),
+            jnp.concatenate([jacobian, roots[:, None] * slopes]),
         )
 
     def information(self, y):
@@ -74,10 +80,14 @@ class CoordinateProblem(AbstractDenseProblem[Float[Array, "Q"]]):
         clamped = any(coordinate.is_clamped for coordinate in self.model.coordinates)
         return "ranges of coordinates" if clamped else None
 
+    def _target_gaps(self, y: Float[Array, "Q"]) -> Float[Array, "Q"]:
+        assert self.targets is not None
+        return follow_leaders(self.model, y) - self.targets.values
+
     def _bounds(self, y: Float[Array, "Q"]) -> StepConstraints | None:
         """Bound steps by the ranges; a start outside of its range may stay."""
         if self.describe_constraints() is None:
             return None
-        low, high = (jnp.asarray(bound, y.dtype) for bound in self.model.bounds)
+        low, high = self.model.bounds
         scales = self.scales()
         return StepConstraints(jnp.minimum((low - y) / scales, 0.0), jnp.maximum((high - y) / scales, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 from ..biomechanics.angles import JointAngles
 from ..biomechanics.conventions import WORLD, AngleConvention
 from ..errors import InputError
-from .opensim.storage import write_storage
+from .opensim.storage import ANGLES_TITLE, write_storage
 from .system.atomic import write_text
 
 
@@ -44,7 +44,7 @@ def write_angle_storage(path: str | Path, angles: JointAngles) -> None:
     """
     values = np.asarray(angles.to_degrees().values, float)
     rate = check_motion(path, angles)
-    write_storage(path, angles.names, values, rate, in_degrees=True, title="Joint angles")
+    write_storage(path, angles.names, values, rate, in_degrees=True, title=ANGLES_TITLE)
 
 
 def describe_angle(convention: AngleConvention) -> str:

@@ -36,8 +36,6 @@ UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
     ".vsk": ("a Vicon subject", _EXPORT),
     ".x2d": ("raw Vicon data", _EXPORT),
     ".qtm": ("a Qualisys file", _EXPORT),
-    ".mot": ("an OpenSim motion", "export the markers as .trc"),
-    ".osim": ("an OpenSim model", "export the markers as .trc"),
     ".las": ("a laser-scanner point cloud", _CLOUD),
     ".laz": ("a laser-scanner point cloud", _CLOUD),
     ".e57": ("a laser-scanner point cloud", _CLOUD),

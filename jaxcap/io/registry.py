@@ -305,7 +305,8 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
 
 @checked
 def write_angles(path: str | Path, angles: JointAngles) -> None:
-    """Write the joint angles of a motion as `.csv`, in degrees, with their conventions as comments.
+    """Write the joint angles of a motion as `.csv`, in degrees, with their conventions as comments, or as a table of OpenSim, `.mot` or
+    `.sto`.
 
     **Raises:** `InputError` if the suffix is unknown, the angles are those of a single pose, or the file cannot be
     written.

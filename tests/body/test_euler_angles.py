@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.body.euler_angles import euler_angles
+from jaxcap.body.euler_angles import euler_angles, matrix_euler_angles
 from jaxcap.geometry import rotation
 
 ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
@@ -68,3 +68,18 @@ def test_wrong_orders_and_skeletons_are_refused():
         jc.body.joint_euler_angles(
             CHAIN, jc.Pose(pose.translations[:1], pose.rotations[:1], pose.scale), "xyz"
         )
+
+
+def test_derivatives_are_finite_in_exact_gimbal_lock():
+    """The entries of the matrix are exactly zero and one, as no rounded rotation has them."""
+    locked = jnp.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    for order, matrix in (
+        ("xyz", locked),
+        ("zxy", locked),
+        ("yxz", locked.T),
+        ("xzy", jnp.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])),
+    ):
+        for derivative in (jax.jacrev, jax.jacfwd):
+            assert np.isfinite(
+                derivative(lambda m, order=order: matrix_euler_angles(m, order))(matrix)
+            ).all(), order

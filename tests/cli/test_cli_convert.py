@@ -239,7 +239,7 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
             "out.bvh",
             "--as",
             "angles",
-            "--as angles is written as .csv; give a name that ends in .csv",
+            "--as angles is written as .csv or .mot or .sto; give a name that ends in .csv",
         ),
         (motion, "out.csv", "--as", "angles", "--target-unit", "mm", "joint angles are written in degrees"),
         (motion, "out.csv", "--as", "angles", "--body", body, "--vertices", "7", "--vertices is for motions"),

@@ -93,6 +93,40 @@ def test_ranges_and_locks_hold_and_are_told(leg, tmp_path):
     assert any("knee in" in said and "ranges" in said for said in found.markers.messages)
 
 
+def test_a_turning_person_has_no_jumps_between_chunks(leg):
+    """600 frames, in chunks of 256, in which the heading turns by more than a whole turn."""
+    model = leg.model
+    values = np.tile(np.asarray(model.defaults), (600, 1))
+    values[:, model.index("rotation")] = np.linspace(0, 9, 600)
+    values[:, model.index("flexion")] = 0.4 * np.sin(np.linspace(0, 20, 600))
+    found = jc.markers.solve_coordinates(model, leg.markers, frames_of(leg, markers_of(leg, values)))
+    np.testing.assert_allclose(found.values, values, atol=1e-5)
+
+
+def test_a_root_stays_in_its_range(leg, tmp_path):
+    parts = joints()
+    parts[0] = parts[0].replace(
+        'name="rotation"><default_value>0</default_value><range>-3 3</range>\n<clamped>false',
+        'name="rotation"><default_value>0</default_value><range>-1 1</range>\n<clamped>true',
+    )
+    other = jc.io.read_osim(write_osim(tmp_path / "leg.osim", parts))
+    assert other.model.coordinates[other.model.index("rotation")].is_clamped
+    places = markers_of(leg, walk(leg.model, turn=2.5))
+    found = jc.markers.solve_coordinates(other.model, other.markers, frames_of(leg, places))
+    assert np.abs(found.values[:, other.model.index("rotation")]).max() <= 1 + 1e-9
+
+
+def test_a_target_of_a_coordinate_that_follows_moves_its_leader(leg):
+    """The patella's angle is 0.9 times the knee's, and 0.02."""
+    model = leg.model
+    weights = np.zeros(len(model.names))
+    weights[model.index("beta")] = 1e9
+    targets = jc.body.CoordinateTargets(jnp.full(len(weights), -0.25), jnp.asarray(weights))
+    frames = frames_of(leg, markers_of(leg, walk(model)))
+    found = jc.markers.solve_coordinates(model, leg.markers, frames, targets=targets)
+    np.testing.assert_allclose(found.values[:, model.index("knee")], -0.3, atol=1e-4)
+
+
 def test_a_minimum_is_one_by_scipy(leg):
     """Noisy markers: SciPy's trust region finds the same coordinates."""
     from scipy.optimize import least_squares

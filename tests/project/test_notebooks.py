@@ -10,7 +10,18 @@ import pytest
 
 from tests.docs_pages import CHECKOUT
 
-NAMES = ("adapt", "batch", "depth", "energy", "gradients", "learn", "limits", "markers", "track")
+NAMES = (
+    "adapt",
+    "batch",
+    "body_model",
+    "depth",
+    "energy",
+    "gradients",
+    "learn",
+    "limits",
+    "markers",
+    "track",
+)
 QUICK = ("gradients", "markers")
 #: a cell's head in the percent format: a remark in brackets says that it is text
 HEAD = re.compile(r"^# %%(?: \[(markdown)\])?\n", re.MULTILINE)

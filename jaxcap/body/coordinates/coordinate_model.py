@@ -23,10 +23,6 @@ class Coordinate(NamedTuple):
     name: str
     #: true for an angle of rotation in radians; false for a length in metres, and for a coordinate that only functions use
     is_angle: bool
-    #: value at rest
-    default: float
-    low: float
-    high: float
     #: true if the range bounds the coordinate
     is_clamped: bool
     #: true if the coordinate keeps its default value
@@ -58,13 +54,18 @@ class CoordinateModel(eqx.Module):
     amounts: PiecewisePolynomials
     #: values of coordinates that are functions of others
     followers: PiecewisePolynomials
+    #: values at rest, and ranges, radians and metres
+    defaults: Float[Array, "Q"]
+    low: Float[Array, "Q"]
+    high: Float[Array, "Q"]
     coordinates: tuple[Coordinate, ...] = eqx.field(static=True)
-    #: the coordinate of each amount
+    #: the coordinate of each amount; -1 for a constant one
     drivers: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     def __check_init__(self):
         lengths = check_fields(self)
         check_length(self, "drivers", len(self.drivers), lengths, "J")
+        check_length(self, "coordinates", len(self.coordinates), lengths, "Q")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,16 +78,10 @@ class CoordinateModel(eqx.Module):
         return np.flatnonzero([coordinate.is_free for coordinate in self.coordinates])
 
     @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def bounds(self) -> tuple[Float[Array, "Q"], Float[Array, "Q"]]:
         """Lowest and highest values of all coordinates; infinite for those that are not clamped."""
-        of = self.coordinates
-        low = [each.low if each.is_clamped else -np.inf for each in of]
-        return np.array(low), np.array([each.high if each.is_clamped else np.inf for each in of])
-
-    @property
-    def defaults(self) -> np.ndarray:
-        """Values of all coordinates at rest."""
-        return np.array([coordinate.default for coordinate in self.coordinates])
+        clamped = np.array([coordinate.is_clamped for coordinate in self.coordinates])
+        return jnp.where(clamped, self.low, -jnp.inf), jnp.where(clamped, self.high, jnp.inf)
 
     def index(self, name: str) -> int:
         """Return the index of a coordinate. Raises `KeyError` with the existing names."""
@@ -96,7 +91,7 @@ class CoordinateModel(eqx.Module):
 
 
 class CoordinateTargets(eqx.Module):
-    """Values near which coordinates are held, with the energy `sum_q w_q (y_q - value_q)^2`."""
+    """Values near which coordinates stay, with the energy `sum_q w_q (y_q - value_q)^2`."""
 
     #: radians and metres
     values: Float[Array, "Q"]
@@ -113,7 +108,7 @@ def pose_from_coordinates(model: CoordinateModel, values: Float[Array, "Q"]) -> 
     """Compute the pose of given coordinates, radians and metres; those of coordinates that follow others are not used."""
     dtype = model.axes.dtype
     now = _spatial_transforms(model, values.astype(dtype))
-    rest = _spatial_transforms(model, jnp.asarray(model.defaults, dtype))
+    rest = _spatial_transforms(model, model.defaults)
     rotations = rotation.multiply(now[0], rotation.conjugate(rest[0]))
     return Pose(now[1] - rest[1], rotation.normalise(rotations), jnp.ones((), dtype))
 
@@ -148,7 +143,7 @@ def _spatial_transforms(
 ) -> tuple[Float[Array, "J 4"], Float[Array, "J 3"]]:
     """Compute rotation and translation of each joint's own transform, in the axes of the world at rest."""
     values = follow_leaders(model, values)
-    amounts = evaluate_polynomials(model.amounts, values[np.array(model.drivers)])
+    amounts = evaluate_polynomials(model.amounts, values[np.maximum(np.array(model.drivers), 0)])
     first, second, third = (rotation.about_axis(model.axes[:, i], amounts[:, i]) for i in range(3))
     turns = rotation.multiply(rotation.multiply(first, second), third)
     return turns, jnp.einsum("ji,jia->ja", amounts[:, 3:], model.axes[:, 3:])

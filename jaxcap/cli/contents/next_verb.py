@@ -65,6 +65,9 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("markers solve {file} TRIAL.trc -o angles.mot", "solves for its coordinates in a trial"),
         ("convert ANGLES.mot motion.bvh --body {file}", "converts its coordinates to a motion"),
     ),
+    "osim without markers": (
+        ("convert ANGLES.mot motion.bvh --body {file}", "converts its coordinates to a motion"),
+    ),
     "storage": (
         ("convert {file} motion.bvh --body MODEL.osim", "converts coordinates to a motion of their model"),
     ),
@@ -124,6 +127,7 @@ NO_COMMAND_SENTENCES = {
     "arrays": "no verb reads these arrays; clouds need an array points (F, N, 3), meshes need vertices (F, V, 3) and "
     "faces (T, 3)",
     "report": "no verb reads a report; it is for other programs",
+    "joint angles": "no verb reads joint angles; they are for other programs",
     "keys": "no verb reads keys; they are for other programs",
     "picture": "no verb reads pictures or pages; open it in a browser",
 }

@@ -8,8 +8,6 @@ from ...errors import InputError
 from ...io.archives.journal import read_header, read_records
 from ...io.cameras import read_cameras
 from ...io.kinds import kind_of_json
-from ...io.opensim.osim import read_osim
-from ...io.opensim.storage import read_storage
 from ...io.registry import read_marker_file, read_skeleton
 from ...io.skeletons.asf import read_asf
 from ...io.skeletons.cst import read_cst
@@ -102,29 +100,6 @@ def describe_kineben(path: Path, unit: str | None) -> str:
             read_cst(path, read_skeleton(skeleton, unit))
         say(f"limits: {count} joints{', skeleton ' + str(skeleton) if skeleton.is_file() else ''}")
     return kind
-
-
-def describe_osim(path: Path) -> str:
-    """Print a description of an OpenSim model."""
-    model, markers = read_osim(path)
-    describe_skeleton(model.skeleton)
-    free, clamped = len(model.free), sum(coordinate.is_clamped for coordinate in model.coordinates)
-    say(
-        f"coordinates: {pluralise(len(model.names), 'coordinate')}, {free} free, {clamped} with a range; "
-        f"{pluralise(0 if markers is None else markers.num_markers, 'marker')}"
-    )
-    return "osim"
-
-
-def describe_storage(path: Path) -> str:
-    """Print a description of a table of OpenSim."""
-    table = read_storage(path)
-    named = ", ".join(table.names[:6]) + (", ..." if len(table.names) > 6 else "")
-    say(
-        f"table: {pluralise(len(table.values), 'row')} at {table.rate:g} a second, from {table.start:g} s, "
-        f"{pluralise(len(table.names), 'column')} ({named}), angles in {'degrees' if table.in_degrees else 'radians'}"
-    )
-    return "storage"
 
 
 def describe_asf(path: Path) -> str:

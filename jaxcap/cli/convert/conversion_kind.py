@@ -9,6 +9,7 @@ from ...io.foreign import UNSUPPORTED_FORMATS, WRITABLE_ALTERNATIVES
 from ...io.kinds import identify, wrong_kind_error
 from ...io.meshes.mesh import SUFFIXES
 from ...io.meshes.mesh import WRITABLE_SUFFIXES as MESH_WRITTEN
+from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
 from ...io.registry import (
     ANGLE_WRITERS,
     BODY_WRITERS,
@@ -78,6 +79,11 @@ def find_conversion(source: Path, target: Path, human: bool = False) -> Conversi
         return "motion"
     if here in MOTION_READERS and there in MARKER_WRITERS:
         return "points"
+    if here in STORAGE_SUFFIXES and there in STORAGE_SUFFIXES:
+        raise InputError(
+            f"{target}: coordinates of an OpenSim model are not converted to other coordinates; --as angles writes the joint angles of the "
+            "motion by ISB's conventions."
+        )
     if here in MOTION_READERS and there in ANGLE_WRITERS:
         return "angles"
     if here in MARKER_READERS and there in MARKER_WRITERS:

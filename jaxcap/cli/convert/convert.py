@@ -15,7 +15,8 @@ from ...io.archives.npz import save_body
 from ...io.kinds import identify
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.opensim.osim import read_osim
-from ...io.opensim.storage import read_coordinates
+from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
+from ...io.opensim.storage import find_outside, read_coordinates
 from ...io.registry import (
     NPZ_CONVENTIONS,
     is_skinned,
@@ -193,8 +194,19 @@ class Convert:
         """Read the source's motion, with the given body if any."""
         if self.body is not None and self.body.suffix.lower() == ".osim":
             # it has no surface
+            if self.source.suffix.lower() not in STORAGE_SUFFIXES:
+                raise InputError(
+                    f"{self.body}: an OpenSim model is the body of coordinates ({', '.join(STORAGE_SUFFIXES)}), and {self.source.name} "
+                    "has none."
+                )
             model = read_osim(self.body).model
-            return model.skeleton, read_coordinates(self.source, model)[1], None
+            values, motion = read_coordinates(self.source, model)
+            outside = find_outside(model, values)
+            if outside:
+                warn(
+                    f"{self.source}: coordinates are outside of the model's ranges, so it may be another model: {', '.join(outside)}"
+                )
+            return model.skeleton, motion, None
         if self.body is None:
             return *self.motion_of(self.source, None), None
         body = self.body_of_motion(self.source)

@@ -15,7 +15,7 @@ SUFFIX = ".osim"
 
 
 class SolvedModel(NamedTuple):
-    """An OpenSim model, and what is known of its coordinates."""
+    """An OpenSim model, and targets of its coordinates."""
 
     model: CoordinateModel
     targets: CoordinateTargets | None

@@ -65,7 +65,14 @@ def print_joints(local_fit: LocalFit) -> None:
         print_table(["joint", "kind", "residual", "precision", "range"], rows)
 
 
-def describe_strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) -> tuple[str, ...]:
+#: likely reasons of large residuals of a calibrated subject, and of an OpenSim model
+SUBJECT_REASONS = "Either an adjacent joint did not rotate in the takes of the calibration, or the markers were moved or mislabelled."
+MODEL_REASONS = "Either the model is not scaled to the person of the trial, or the markers have other places or labels than in the model."
+
+
+def describe_strays(
+    labels: Sequence[str], residuals: Float[np.ndarray, "F M"], reasons: str = SUBJECT_REASONS
+) -> tuple[str, ...]:
     """Return a sentence about markers with frequent large residuals, which a median over all does not
     show."""
     seen = np.isfinite(residuals)
@@ -76,8 +83,7 @@ def describe_strays(labels: Sequence[str], residuals: Float[np.ndarray, "F M"]) 
     more = f" and {len(found) - 8} more" if len(found) > 8 else ""
     some = ", ".join(f"{labels[m]} in {max(100 * shares[m], 1):.0f} %" for m in found[:8])
     return (
-        f"Markers are more than {100 * STRAY_DISTANCE:.0f} cm from their positions in the subject: {some}{more} of frames. Either an "
-        "adjacent joint did not rotate in the takes of the calibration, or the markers were moved or mislabelled.",
+        f"Markers are more than {100 * STRAY_DISTANCE:.0f} cm from their predicted positions in some frames: {some}{more}. {reasons}",
     )
 
 

@@ -27,7 +27,7 @@ from ..outputs import check_parent, is_run_complete, make_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .opensim import SUFFIX as OSIM_SUFFIX
 from .opensim import SolvedModel, load_subject_or_model
-from .result_tables import describe_strays
+from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
@@ -184,7 +184,7 @@ class Solve:
             )
         if self.into_folder and self.out.suffix and not self.out.is_dir():
             raise InputError(
-                f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, or "
+                f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, .mot for an OpenSim model, or "
                 "give a folder."
             )
         stems = [Path(path).stem for path in self.trials]
@@ -249,6 +249,10 @@ class Solve:
     ) -> None:
         latency: Latency | None = None
         values, frames = None, trial.frames
+        if model is not None and trial.up not in (None, "y"):
+            warn(
+                f"{path}: {trial.up} is probably up in the trial, and y is in the model; give --up {trial.up}"
+            )
         if model is not None:
             values, solution = solve_coordinates(
                 model.model, subject, frames, targets=model.targets, terms=terms
@@ -263,7 +267,12 @@ class Solve:
                 "is of this subject, with the markers at the same positions on the body."
             )
         kept = assigned_residuals(subject, solution.residuals, solution.lost)
-        solution = solution._replace(messages=(*solution.messages, *describe_strays(subject.labels, kept)))
+        solution = solution._replace(
+            messages=(
+                *solution.messages,
+                *describe_strays(subject.labels, kept, SUBJECT_REASONS if model is None else MODEL_REASONS),
+            )
+        )
         for file in self.motions(path):
             if model is not None and values is not None and file.suffix.lower() in STORAGE_SUFFIXES:
                 write_coordinates(file, model.model, values, frames.rate, start=trial.start)

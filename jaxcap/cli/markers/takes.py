@@ -33,10 +33,12 @@ UNIT_ASKED = "give --unit {} if it is"
 
 
 class Take(NamedTuple):
-    """The markers of a file, and the time of its first frame, seconds."""
+    """The markers of a file, the time of its first frame, seconds, and its up axis."""
 
     frames: MarkerFrames
     start: float
+    #: the up axis of the frames, if it is known
+    up: str | None
 
 
 def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces) -> Take:
@@ -62,7 +64,7 @@ def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, p
         f"{Path(path).name}: {pluralise(len(frames), 'frame')} at {frames.rate:g} frames per second, {pluralise(len(frames.labels), 'marker')}, "
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen; {describe_up(found, up)}"
     )
-    return Take(frames, file.start)
+    return Take(frames, file.start, "y" if up is not None else None if found is None else found.axis)
 
 
 def describe_up(found: UpAxis | None, given: Up | None) -> str:

@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float, Int
 
 #: errors above which a frame failed: that many times the median of all frames, and metres
 FAILED_RATIO, FAILED_ERROR = 4.0, 0.01
+#: mean error, metres, up to which a frame has not failed, even if its last steps still improved it
+EXACT = 1e-4
 
 
 class ConversionError(NamedTuple):
@@ -47,4 +49,5 @@ def conversion_error(
     known = mean[np.isfinite(mean)]
     limit = max(FAILED_ERROR, FAILED_RATIO * float(np.median(known)) if len(known) else 0.0)
     # written so that NaN counts as failed
-    return ConversionError(mean, np.quantile(own, 0.95, axis=1), parts, ~converged | ~(mean <= limit))
+    failed = ~(mean <= limit) | (~converged & ~(mean <= EXACT))
+    return ConversionError(mean, np.quantile(own, 0.95, axis=1), parts, failed)

@@ -14,7 +14,7 @@ from ..retargeting.soles import motion_floor_height
 from ..retargeting.transfer import PoseTransfer, make_transfer, transfer_pose
 
 #: mean distance at rest above which the build of a target is another one, as a share of the body's size
-MAX_DIFFERENCE = 0.003
+MAX_DIFFERENCE = 0.01
 
 
 class OwnBuild(NamedTuple):

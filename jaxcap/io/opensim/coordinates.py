@@ -1,10 +1,12 @@
 """Coordinates of OpenSim's models: their ranges, default values and locks, and those that follow others."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ...body.coordinates.coordinate_model import Coordinate
 from ...body.coordinates.piecewise_polynomial import PiecewisePolynomials, evaluate_polynomials
@@ -20,45 +22,69 @@ from .functions import (
 )
 from .joints import Joint
 
+#: largest distance of a default value from its range, by rounding
+RANGE_TOLERANCE = 1e-6
 #: constraint that makes a coordinate a function of another one
 COUPLER = "CoordinateCouplerConstraint"
 
 
-def read_model_coordinates(
-    root: Element, joints: Sequence[Joint], where: str
-) -> tuple[tuple[Coordinate, ...], PiecewisePolynomials]:
+class ModelCoordinates(NamedTuple):
+    """The coordinates of a model, their values at rest and ranges, and the functions of those that follow others."""
+
+    coordinates: tuple[Coordinate, ...]
+    defaults: Float[np.ndarray, "Q"]
+    low: Float[np.ndarray, "Q"]
+    high: Float[np.ndarray, "Q"]
+    followers: PiecewisePolynomials
+
+
+class _Stated(NamedTuple):
+    """A coordinate as its element states it."""
+
+    coordinate: Coordinate
+    default: float
+    low: float
+    high: float
+
+
+def read_model_coordinates(root: Element, joints: Sequence[Joint], where: str) -> ModelCoordinates:
     """Read the coordinates of all joints, and the functions of those that follow others.
 
-    The default value of a coordinate that follows another one is that of its function.
+    The default value of a coordinate that follows another one is that of its function. A coordinate that is prescribed as a
+    constant is locked there.
 
-    **Raises:** `InputError` if names repeat, or a constraint is not supported.
+    **Raises:** `InputError` if there is none, names repeat, a default value is outside of its range, or a constraint or a
+    prescribed function is not supported.
     """
     elements = [element for joint in joints for element in joint.coordinates]
     names = [element.get("name", "") for element in elements]
+    if not names:
+        raise InputError(f"{where}: the model has no coordinates, so that nothing moves; give another model.")
     if len(set(names)) < len(names):
         raise InputError(f"{where}: two coordinates have the same name; give each its own.")
     couplers = _read_couplers(root, names, where)
-    leaders = [leader for leader, _ in couplers] or [-1]
-    followers = pack_functions([function for _, function in couplers] or [constant(0.0)], (len(leaders),))
+    leaders = [leader for leader, _ in couplers]
+    followers = pack_functions([function for _, function in couplers], (len(names),))
     stated = [_read_coordinate(element, where) for element in elements]
-    defaults = np.array([coordinate.default for coordinate in stated] or [0.0])
+    defaults = np.array([one.default for one in stated])
     followed = np.asarray(evaluate_polynomials(followers, jnp.asarray(defaults[leaders])), float)
     turning = {
         amount.driver for joint in joints for amount in joint.amounts[:3] if has_unit_slope(amount.function)
     }
-    coordinates = (
-        coordinate._replace(
-            is_angle=coordinate.name in turning,
-            default=coordinate.default if leader < 0 else float(value),
+    coordinates = tuple(
+        one.coordinate._replace(
+            is_angle=name in turning,
             leader=leader,
-            is_periodic=number not in leaders and _is_periodic(coordinate.name, joints),
+            is_periodic=number not in leaders and _is_periodic(name, joints),
         )
-        for number, (coordinate, leader, value) in enumerate(zip(stated, leaders, followed, strict=False))
+        for number, (name, one, leader) in enumerate(zip(names, stated, leaders, strict=True))
     )
-    return tuple(coordinates), followers
+    low, high = (np.array([getattr(one, end) for one in stated]) for end in ("low", "high"))
+    defaults = np.where(np.array(leaders) < 0, defaults, followed)
+    return ModelCoordinates(coordinates, defaults, low, high, followers)
 
 
-def _read_coordinate(element: Element, where: str) -> Coordinate:
+def _read_coordinate(element: Element, where: str) -> _Stated:
     name = element.get("name", "")
     where = f"{where}: coordinate '{name}'"
     low, high = (
@@ -67,15 +93,19 @@ def _read_coordinate(element: Element, where: str) -> Coordinate:
     default = (
         numbers(element, "default_value", where, 1)[0] if element.find("default_value") is not None else 0.0
     )
-    return Coordinate(
-        name,
-        True,
-        default,
-        low,
-        high,
-        is_clamped=_is_true(element, "clamped"),
-        is_locked=_is_true(element, "locked"),
-    )
+    is_locked, is_clamped = _is_true(element, "locked"), _is_true(element, "clamped")
+    if _is_true(element, "prescribed"):
+        function = function_in(element.find("prescribed_function"))
+        if function is None or function.tag != "Constant":
+            raise InputError(
+                f"{where} is prescribed as a function of time, which is not supported; switch `prescribed` off, or lock it."
+            )
+        default, is_locked = numbers(function, "value", where, 1)[0], True
+    if is_clamped and not low - RANGE_TOLERANCE <= default <= high + RANGE_TOLERANCE:
+        raise InputError(
+            f"{where} has the default value {default:g} outside of its range, {low:g} to {high:g}; correct one of them."
+        )
+    return _Stated(Coordinate(name, True, is_clamped, is_locked), default, low, high)
 
 
 def _is_periodic(name: str, joints: Sequence[Joint]) -> bool:

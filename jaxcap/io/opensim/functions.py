@@ -32,6 +32,8 @@ class Piecewise(NamedTuple):
     origins: Float[np.ndarray, "P"]
     #: lowest order first
     coefficients: Float[np.ndarray, "P C"]
+    #: true for a `LinearFunction`
+    is_line: bool = False
 
 
 def constant(value: float) -> Piecewise:
@@ -40,8 +42,8 @@ def constant(value: float) -> Piecewise:
 
 
 def has_unit_slope(function: Piecewise) -> bool:
-    """Test if a function is a line with the slope 1 or -1: only such coordinates are angles in OpenSim."""
-    return function.coefficients.shape == (1, 2) and bool(abs(function.coefficients[0, 1]) == 1.0)
+    """Test if a function is a `LinearFunction` with the slope 1 or -1: only such coordinates are angles in OpenSim."""
+    return function.is_line and bool(abs(function.coefficients[0, 1]) == 1.0)
 
 
 def read_function(element: Element, where: str) -> Piecewise:
@@ -51,7 +53,7 @@ def read_function(element: Element, where: str) -> Piecewise:
         return constant(numbers(element, "value", where, 1)[0])
     if kind == "LinearFunction":
         slope, offset = numbers(element, "coefficients", where, 2)
-        return _polynomial([offset, slope])
+        return _polynomial([offset, slope])._replace(is_line=True)
     if kind == "PolynomialFunction":
         return _polynomial(list(reversed(numbers(element, "coefficients", where))))
     if kind == "MultiplierFunction":
@@ -60,7 +62,7 @@ def read_function(element: Element, where: str) -> Piecewise:
             raise InputError(f"{where}: a MultiplierFunction has no function; export the model again.")
         scale = numbers(element, "scale", where, 1)[0] if element.find("scale") is not None else 1.0
         function = read_function(inner, where)
-        return function._replace(coefficients=scale * function.coefficients)
+        return function._replace(coefficients=scale * function.coefficients, is_line=False)
     if kind in ("PiecewiseLinearFunction", "SimmSpline", "NaturalCubicSpline"):
         return _spline(element, where)
     raise InputError(

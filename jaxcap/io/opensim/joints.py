@@ -6,9 +6,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from ...errors import InputError
+from .frames import Frames, read_transform
 from .functions import Piecewise, constant, function_in, numbers, read_function, value_at
 
 X, Y, Z = np.eye(3)
@@ -25,7 +25,6 @@ MOVES: dict[str, tuple[tuple[bool, Float[np.ndarray, "3"]], ...]] = {
 }
 #: the joint that names its own axes
 CUSTOM = "CustomJoint"
-GROUND = "ground"
 
 
 class Amount(NamedTuple):
@@ -51,48 +50,44 @@ class Joint(NamedTuple):
     amounts: tuple[Amount, ...]
 
 
-def read_joints(root: Element, where: str) -> list[Joint]:
+def read_joints(root: Element, frames: Frames, where: str) -> list[Joint]:
     """Read all joints of a model, of OpenSim 4, or of OpenSim 3, where joints are parts of bodies."""
-    joints = [_read_joint(element, where) for element in root.iterfind(".//JointSet/objects/*")]
-    for body in root.iterfind(".//BodySet/objects/Body"):
-        joints += [_read_joint(element, where, body) for element in body.iterfind("Joint/*")]
+    holder = root.find("Model/JointSet")
+    path = "/jointset" if holder is None else f"/{holder.get('name') or 'jointset'}"
+    joints = []
+    for element in root.iterfind("Model/JointSet/objects/*"):
+        own, at = f"{path}/{element.get('name', '')}", f"joint '{element.get('name', '')}'"
+        sockets = [element.findtext(f"socket_{end}_frame") for end in ("parent", "child")]
+        if not all(sockets):
+            raise InputError(f"{where}: {at} names no bodies; open the model in OpenSim 4 and save it.")
+        parent, child = (frames.find(socket or "", own, at) for socket in sockets)
+        joints.append(_make_joint(element, parent, child, f"{where}: {at}"))
+    for body in root.iterfind("Model/BodySet/objects/Body"):
+        for element in body.iterfind("Joint/*"):
+            at = f"joint '{element.get('name', '')}'"
+            named = frames.find(element.findtext("parent_body") or "", "/", at)[0]
+            in_parent = read_transform(
+                element, "location_in_parent", "orientation_in_parent", f"{where}: {at}"
+            )
+            in_child = read_transform(element, "location", "orientation", f"{where}: {at}")
+            child = body.get("name", ""), in_child
+            joints.append(_make_joint(element, (named, in_parent), child, f"{where}: {at}"))
     return joints
 
 
-def find_frame(
-    path: str, frames: dict[str, tuple[str, Float[np.ndarray, "4 4"]]]
-) -> tuple[str, Float[np.ndarray, "4 4"]]:
-    """Find the body and the offset of a frame by the last name of its path; a body is its own frame."""
-    name = path.strip().rstrip("/").rsplit("/", 1)[-1]
-    return frames.get(name, (name, np.eye(4)))
-
-
-def read_offset_frames(holder: Element, where: str) -> dict[str, tuple[str, Float[np.ndarray, "4 4"]]]:
-    """Read the frames that are fixed to bodies: name -> (body, offset)."""
-    frames: dict[str, tuple[str, Float[np.ndarray, "4 4"]]] = {}
-    for element in holder.iter("PhysicalOffsetFrame"):
-        offset = _transform(element, "translation", "orientation", where)
-        body, under = find_frame(element.findtext("socket_parent") or "", frames)
-        frames[element.get("name", "")] = body, under @ offset
-    return frames
-
-
-def _read_joint(element: Element, where: str, body: Element | None = None) -> Joint:
-    name = element.get("name", "")
-    where = f"{where}: joint '{name}'"
-    if body is not None:
-        parent, child = (element.findtext("parent_body") or "").strip(), body.get("name", "")
-        in_parent = _transform(element, "location_in_parent", "orientation_in_parent", where)
-        in_child = _transform(element, "location", "orientation", where)
-    else:
-        frames = read_offset_frames(element, where)
-        parent, in_parent = find_frame(element.findtext("socket_parent_frame") or "", frames)
-        child, in_child = find_frame(element.findtext("socket_child_frame") or "", frames)
-    if not parent or not child:
-        raise InputError(f"{where} names no bodies; open the model in OpenSim 4 and save it.")
+def _make_joint(
+    element: Element,
+    parent: tuple[str, Float[np.ndarray, "4 4"]],
+    child: tuple[str, Float[np.ndarray, "4 4"]],
+    where: str,
+) -> Joint:
+    if (element.findtext("reverse") or "").strip().lower() == "true":
+        raise InputError(
+            f"{where} is reversed, which is not supported; open the model in OpenSim 4 and save it."
+        )
     coordinates = (*element.iterfind("coordinates/Coordinate"), *element.iterfind("CoordinateSet/objects/Coordinate"))  # fmt: skip
     amounts = tuple(_read_amounts(element, coordinates, where))
-    return Joint(name, parent, child, in_parent, in_child, coordinates, amounts)
+    return Joint(element.get("name", ""), parent[0], child[0], parent[1], child[1], coordinates, amounts)
 
 
 def _read_amounts(element: Element, coordinates: tuple[Element, ...], where: str) -> Iterator[Amount]:
@@ -106,7 +101,7 @@ def _read_amounts(element: Element, coordinates: tuple[Element, ...], where: str
         return
     if element.tag not in MOVES:
         raise InputError(
-            f"{where} is a {element.tag}, which is not supported; expected one of {', '.join((*MOVES, CUSTOM))}."
+            f"{where} has the type {element.tag}, which is not supported; expected one of {', '.join((*MOVES, CUSTOM))}."
         )
     moves = MOVES[element.tag]
     if len(coordinates) != len(moves):
@@ -114,7 +109,7 @@ def _read_amounts(element: Element, coordinates: tuple[Element, ...], where: str
             f"{where} is a {element.tag} with {len(coordinates)} coordinates; expected {len(moves)}."
         )
     named = [(turns, axis, each.get("name")) for (turns, axis), each in zip(moves, coordinates, strict=True)]
-    identity = Piecewise(np.zeros(0), np.zeros(1), np.array([[0.0, 1.0]]))
+    identity = Piecewise(np.zeros(0), np.zeros(1), np.array([[0.0, 1.0]]), is_line=True)
     for turns in (True, False):
         given = [Amount(axis, identity, name) for rotates, axis, name in named if rotates == turns]
         yield from given
@@ -139,13 +134,3 @@ def _read_axis(element: Element, where: str) -> Amount:
         # nothing changes it
         return Amount(axis / length, constant(value_at(function, 0.0)), None)
     return Amount(axis / length, function, drivers[0])
-
-
-def _transform(element: Element, place: str, turn: str, where: str) -> Float[np.ndarray, "4 4"]:
-    """Read a rigid transform: a translation, and angles about the x, y and z axes of the body."""
-    matrix = np.eye(4)
-    if element.find(place) is not None:
-        matrix[:3, 3] = numbers(element, place, where, 3)
-    if element.find(turn) is not None:
-        matrix[:3, :3] = Rotation.from_euler("XYZ", numbers(element, turn, where, 3)).as_matrix()
-    return matrix

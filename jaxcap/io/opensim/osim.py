@@ -19,8 +19,12 @@ from ...markers.subject import Subject, make_subject
 from ..system.reader_errors import reader_of
 from .coordinates import read_model_coordinates
 from .document import parse_document
+from .frames import GROUND, Frames
 from .functions import numbers, pack_functions
-from .joints import GROUND, Joint, find_frame, read_joints, read_offset_frames
+from .joints import Joint, read_joints
+
+#: names of the unit of lengths
+METRES = ("m", "meter", "meters", "metre", "metres")
 
 
 class OsimModel(NamedTuple):
@@ -45,25 +49,41 @@ def read_osim(path: str | Path) -> OsimModel:
     if root.find("Model") is None:
         raise InputError(f"{path}: the file has no <Model>; give an OpenSim model.")
     where = str(path)
-    joints = _sort_joints(read_joints(root, where), where)
-    coordinates, followers = read_model_coordinates(root, joints, where)
-    names = [coordinate.name for coordinate in coordinates]
+    unit = (root.findtext("Model/length_units") or "m").strip().lower()
+    if unit not in METRES:
+        raise InputError(
+            f"{path}: the lengths of the model are in {unit}; expected meters; scale the model in OpenSim."
+        )
+    frames = Frames(root, where)
+    joints = _sort_joints(read_joints(root, frames, where), where)
+    read = read_model_coordinates(root, joints, where)
+    names = [coordinate.name for coordinate in read.coordinates]
     drivers = tuple(tuple(_driver(amount.driver, names, where) for amount in joint.amounts) for joint in joints)  # fmt: skip
     amounts = pack_functions(
         [amount.function for joint in joints for amount in joint.amounts], (len(joints), 6)
     )
-    defaults = jnp.asarray([coordinate.default for coordinate in coordinates] or [0.0])
-    at_rest = np.asarray(evaluate_polynomials(amounts, defaults[np.array(drivers)]), float)
-    frames, in_world = _rest_frames(joints, at_rest)
+    driving = jnp.asarray(read.defaults[np.maximum(np.array(drivers), 0)])
+    at_rest = np.asarray(evaluate_polynomials(amounts, driving), float)
+    in_parents, in_world = _rest_frames(joints, at_rest)
     axes = np.array(
         [
             [frame[:3, :3] @ amount.axis for amount in joint.amounts]
-            for joint, frame in zip(joints, frames, strict=True)
+            for joint, frame in zip(joints, in_parents, strict=True)
         ]
     )
     skeleton = _rest_skeleton(joints, axes, at_rest, in_world)
-    model = CoordinateModel(skeleton, jnp.asarray(axes), amounts, followers, coordinates, drivers)
-    return OsimModel(model, _read_markers(root, model, in_world, where))
+    model = CoordinateModel(
+        skeleton=skeleton,
+        axes=jnp.asarray(axes),
+        amounts=amounts,
+        followers=read.followers,
+        defaults=jnp.asarray(read.defaults),
+        low=jnp.asarray(read.low),
+        high=jnp.asarray(read.high),
+        coordinates=read.coordinates,
+        drivers=drivers,
+    )
+    return OsimModel(model, _read_markers(root, frames, model, in_world, where))
 
 
 def _sort_joints(joints: list[Joint], where: str) -> list[Joint]:
@@ -91,7 +111,7 @@ def _sort_joints(joints: list[Joint], where: str) -> list[Joint]:
 
 def _driver(name: str | None, names: Sequence[str], where: str) -> int:
     if name is None:
-        return 0
+        return -1
     if name not in names:
         raise InputError(f"{where}: a joint depends on the coordinate '{name}', which does not exist.")
     return names.index(name)
@@ -158,15 +178,18 @@ def _kind(
 
 
 def _read_markers(
-    root: Element, model: CoordinateModel, in_world: dict[str, Float[np.ndarray, "4 4"]], where: str
+    root: Element,
+    frames: Frames,
+    model: CoordinateModel,
+    in_world: dict[str, Float[np.ndarray, "4 4"]],
+    where: str,
 ) -> Subject | None:
-    frames = read_offset_frames(root, where)
     labels, bones, offsets = [], [], []
     for element in root.iterfind(".//MarkerSet/objects/Marker"):
         label = element.get("name", "")
         at = f"{where}: marker '{label}'"
         path = element.findtext("socket_parent_frame") or element.findtext("body") or ""
-        body, offset = find_frame(path, frames)
+        body, offset = frames.find(path, f"/markerset/{label}", f"marker '{label}'")
         if body == GROUND:
             # it does not move
             continue

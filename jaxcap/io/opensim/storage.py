@@ -1,6 +1,6 @@
 """Tables of numbers over time as OpenSim writes them (`.mot`, `.sto`)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +17,12 @@ from ..text import check_frame_rate, parse_floats, read_text, shortened
 
 #: suffixes of these tables
 SUFFIXES = (".mot", ".sto")
-#: largest deviation of a time from equal steps, as a share of a step
-TIME_TOLERANCE = 0.1
+#: largest deviation of a time from equal steps, as a share of a step; times are rounded
+TIME_TOLERANCE = 0.25
+#: largest distance of a coordinate from its range, radians or metres: tables are rounded
+RANGE_TOLERANCE = 1e-3
+#: title of a table of joint angles that are no coordinates of a model
+ANGLES_TITLE = "Joint angles"
 
 
 class Storage(NamedTuple):
@@ -33,6 +37,8 @@ class Storage(NamedTuple):
     start: float
     #: true if angles are in degrees
     in_degrees: bool
+    #: the first line of the file
+    title: str = ""
 
 
 @checked
@@ -47,8 +53,12 @@ def read_storage(path: str | Path) -> Storage:
     end = next((number for number, line in enumerate(lines) if line.strip().lower() == "endheader"), None)
     if end is None:
         raise InputError(f"{path}: there is no line 'endheader'; give a table of OpenSim.")
-    settings = dict(line.split("=", 1) for line in lines[:end] if "=" in line)
-    settings = {name.strip().lower(): value.strip() for name, value in settings.items()}
+    settings = {}
+    for line in lines[:end]:
+        # `name=value`, or the older `name value`
+        words = line.replace("=", " ", 1).split(None, 1)
+        if words:
+            settings[words[0].lower()] = words[1].strip() if len(words) > 1 else ""
     rows = [(number, line) for number, line in enumerate(lines[end + 1 :], end + 2) if line.strip()]
     if len(rows) < 2:
         raise InputError(f"{path}: the table has no rows; export it again.")
@@ -70,9 +80,14 @@ def read_storage(path: str | Path) -> Storage:
             f"{path}: the file has {len(table)} rows, and its header declares {shortened(declared)}; it may be cut short."
         )
     values = np.array(table)
-    in_degrees = settings.get("indegrees", "no").lower() in ("yes", "true", "1")
+    title = next((line.strip() for line in lines[:end] if line.strip()), "")
     return Storage(
-        tuple(names[1:]), values[:, 1:], _rate(values[:, 0], path), float(values[0, 0]), in_degrees
+        tuple(names[1:]),
+        values[:, 1:],
+        _rate(values[:, 0], path),
+        float(values[0, 0]),
+        _are_degrees(settings, path),
+        title,
     )
 
 
@@ -119,10 +134,12 @@ def write_storage(
 def read_coordinates(path: str | Path, model: CoordinateModel) -> tuple[Float[np.ndarray, "F Q"], Motion]:
     """Read the coordinates of a model over time, radians and metres, and the motion that they make.
 
-    Coordinates that the table does not have keep their default values; other columns, such as forces, are not used. Names may
-    be paths, as in `/jointset/hip_r/hip_flexion_r/value`.
+    Locked coordinates that the table does not have keep their default values, and those that follow others have the values of
+    their functions; other columns, such as forces, are not used. Names may be paths, as in
+    `/jointset/hip_r/hip_flexion_r/value`.
 
-    **Raises:** `InputError` as `read_storage`, and if the table has no coordinate of the model.
+    **Raises:** `InputError` as `read_storage`, and if the table lacks a free coordinate of the model, or has joint angles of
+    `write_angles`, whose signs may be others.
     """
     table = read_storage(path)
     columns = {_coordinate_name(name): number for number, name in enumerate(table.names)}
@@ -131,12 +148,28 @@ def read_coordinates(path: str | Path, model: CoordinateModel) -> tuple[Float[np
             f"{path}: none of the columns ({', '.join(table.names[:5])}, ...) is a coordinate of the model "
             f"({', '.join(model.names[:5])}, ...); give the model of this motion."
         )
-    values = np.tile(model.defaults, (len(table.values), 1))
+    missing = [model.names[number] for number in model.free if model.names[number] not in columns]
+    if missing:
+        raise InputError(
+            f"{path}: the table lacks {len(missing)} coordinates of the model, {', '.join(missing[:5])}; give the table of this model."
+        )
+    if table.title == ANGLES_TITLE:
+        raise InputError(
+            f"{path}: these are joint angles by ISB's conventions, and no coordinates of a model, which may have other signs."
+        )
+    values = np.tile(np.asarray(model.defaults, float), (len(table.values), 1))
     for number, coordinate in enumerate(model.coordinates):
         if coordinate.name in columns:
             column = table.values[:, columns[coordinate.name]]
             values[:, number] = np.radians(column) if coordinate.is_angle and table.in_degrees else column
     return values, motion_from_coordinates(model, values, table.rate)
+
+
+def find_outside(model: CoordinateModel, values: Float[np.ndarray, "F Q"]) -> list[str]:
+    """Find the names of clamped coordinates that leave their ranges, beyond rounding."""
+    low, high = (np.asarray(bound, float) for bound in model.bounds)
+    outside = ((values < low - RANGE_TOLERANCE) | (values > high + RANGE_TOLERANCE)).any(0)
+    return [model.names[number] for number in np.flatnonzero(outside)]
 
 
 @checked
@@ -163,10 +196,18 @@ def _coordinate_name(column: str) -> str:
     return parts[-2] if len(parts) > 1 and parts[-1] == "value" else parts[-1]
 
 
+def _are_degrees(settings: Mapping[str, str], path: str | Path) -> bool:
+    """Read the unit of angles as OpenSim does: the older header of SIMM, which does not state it, has degrees."""
+    word = settings.get("indegrees", "yes" if "datacolumns" in settings else "no").lower()
+    if word not in ("yes", "y", "true", "1", "no", "n", "false", "0"):
+        raise InputError(f"{path}: inDegrees is '{shortened(word)}'; expected yes or no.")
+    return word in ("yes", "y", "true", "1")
+
+
 def _rate(times: Float[np.ndarray, "F"], path: str | Path) -> float:
     if len(times) == 1:
         return 30.0
     step = (times[-1] - times[0]) / (len(times) - 1)
-    if not step > 0 or np.abs(np.diff(times) / step - 1).max() > TIME_TOLERANCE:
+    if not step > 0 or np.abs(times - times[0] - step * np.arange(len(times))).max() > TIME_TOLERANCE * step:
         raise InputError(f"{path}: the times are not at equal steps; resample the table.")
     return check_frame_rate(1.0 / step, str(path))

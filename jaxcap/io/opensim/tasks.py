@@ -1,4 +1,4 @@
-"""Tasks of OpenSim's inverse kinematics: weights of markers, and coordinates that are held near values."""
+"""Tasks of OpenSim's inverse kinematics: weights of markers, and targets of coordinates."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -40,7 +40,8 @@ def read_ik_tasks(path: str | Path) -> InverseKinematicsTasks:
         name = element.get("name", "")
         where = f"{path}: task '{name}'"
         if (element.findtext("apply") or "true").strip().lower() == "false":
-            markers.setdefault(name, 0.0)
+            if element.tag == "IKMarkerTask":
+                markers.setdefault(name, 0.0)
             continue
         weight = numbers(element, "weight", where, 1)[0] if element.find("weight") is not None else 1.0
         if weight < 0:

@@ -1,6 +1,5 @@
 """Generalised coordinates of a model through frames of markers: inverse kinematics as in biomechanics."""
 
-import itertools
 import logging
 from typing import NamedTuple
 
@@ -8,28 +7,30 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ...arguments import checked
-from ...body.body import Body, pose_body
+from ...body.body import Body
 from ...body.coordinates.coordinate_model import (
     CoordinateModel,
     CoordinateTargets,
-    follow_leaders,
     motion_from_coordinates,
-    pose_from_coordinates,
 )
 from ...body.skeleton import has_same_joints
 from ...energy.check_energies import UserTerms, sum_user_terms
-from ...energy.data.landmarks import VertexLandmarks
-from ...energy.energy import AbstractEnergy, Sum, terms_of
 from ...errors import InputError
-from ...fit.coordinate_problem import CoordinateProblem
-from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...fit.solvers.minimise import minimise
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
 from ..subject import Subject, marker_body
+from .coordinate_search import (
+    CoordinatePriors,
+    FrameMarkers,
+    free_coordinates,
+    marker_vertices,
+    search_coordinates,
+    solve_frame_coordinates,
+    wrap_angles,
+)
 from .inverse_kinematics import MIN_MARKERS, MarkerSolution, describe_solution
 from .label_matching import match_markers
 
@@ -37,28 +38,14 @@ _LOG = logging.getLogger(__name__)
 
 #: frames solved in sequence in one call
 CHUNK_SIZE = 256
-#: largest numbers of steps from the previous frame, and from a start far away
-STEPS, FIRST_STEPS = 20, 60
-#: lengths of each step that are tried; noisy markers bend the energy more, or less, than its linearisation
-LENGTHS = (2.0, 1.0, 0.5)
-#: angles at which the root starts, radians, about each of its axes of rotation
-START_ANGLES = np.pi / 2 * np.arange(-1, 3)
-#: number of starts that all coordinates continue from; a divisor of the number of rotations
-NUM_STARTS = 8
-#: distance of markers that does not matter in a choice among starts, metres; share by which the energy of a start is raised for each
-#: square radian from rest
-NEGLIGIBLE, TURN_PENALTY = 1e-3, 1e-3
+#: largest number of steps from the previous frame
+STEPS = 20
+#: angle or length between chunks from which the second one is solved again from the first one, radians or metres
+MAX_JUMP = 0.3
 #: a frame is lost if the root mean square distance of its markers exceeds this, metres
 MAX_DISTANCE = 0.2
-#: share of frames at the end of a range that is told
-MANY = 0.1
-
-
-class _Priors(eqx.Module):
-    """What is known apart from the markers."""
-
-    terms: AbstractEnergy | None
-    targets: CoordinateTargets | None
+#: share of frames at the end of a range that is reported
+REPORTED_SHARE = 0.1
 
 
 class CoordinateSolution(NamedTuple):
@@ -105,9 +92,10 @@ def solve_coordinates(
     weights = matched.seen * subject.weights / subject.deviations**2
     enough = np.asarray((weights > 0).sum(1)) >= MIN_MARKERS
     body = marker_body(subject)
-    priors = _Priors(sum_user_terms("solve_coordinates", terms, body), targets)
+    priors = CoordinatePriors(sum_user_terms("solve_coordinates", terms, body), targets)
+    markers = FrameMarkers(matched.positions, jnp.asarray(weights * enough[:, None]))
     _LOG.info("solving %d frames", len(frames))
-    values = _solve_in_chunks(model, body, matched.positions, weights * enough[:, None], priors)
+    values = _solve_in_chunks(model, body, markers, priors)
     lengths = np.asarray(_distances(model, body, values, matched.positions), float)
     values = np.asarray(values, float)
     used = np.asarray(weights) > 0
@@ -125,148 +113,74 @@ def solve_coordinates(
 
 
 def _solve_in_chunks(
-    model: CoordinateModel, body: Body, positions, weights, priors: _Priors
+    model: CoordinateModel, body: Body, markers: FrameMarkers, priors: CoordinatePriors
 ) -> Float[Array, "F Q"]:
-    """Solve chunks of frames in parallel threads, each from a search in its first frame with markers."""
-    count = len(positions)
+    """Solve chunks of frames in parallel threads, each from a search in its first frame with markers, and join them."""
+    count = len(markers.positions)
     size = CHUNK_SIZE if count > CHUNK_SIZE else max(8, 1 << (count - 1).bit_length())
     chunks = -(-count // size)
     extra = chunks * size - count
-    positions = jnp.pad(positions, ((0, extra), (0, 0), (0, 0)), mode="edge").reshape(chunks, size, -1, 3)
-    weights = jnp.pad(weights, ((0, extra), (0, 0))).reshape(chunks, size, -1)
+    positions = jnp.pad(markers.positions, ((0, extra), (0, 0), (0, 0)), mode="edge")
+    weights = jnp.pad(markers.weights, ((0, extra), (0, 0)))
+    parts = [
+        FrameMarkers(positions[first : first + size], weights[first : first + size])
+        for first in range(0, chunks * size, size)
+    ]
 
-    def run(chunk: int) -> Float[Array, "N Q"]:
-        places, shares = positions[chunk], weights[chunk]
-        first = int(jnp.argmax((shares > 0).any(1)))
-        start = _search(model, body, places[first], shares[first], priors)
-        return jax.block_until_ready(_follow(model, body, start, places, shares, priors))
+    def run(part: FrameMarkers) -> Float[Array, "N Q"]:
+        first = int(jnp.argmax((part.weights > 0).any(1)))
+        frame = FrameMarkers(part.positions[first], part.weights[first])
+        start = search_coordinates(model, body, frame, priors)
+        return jax.block_until_ready(_follow(model, body, start, part, priors))
 
-    return jnp.concatenate(list(parallel_map(run, range(chunks))))[:count]
+    joined: list[Float[Array, "N Q"]] = []
+    for part, values in zip(parts, parallel_map(run, parts), strict=True):
+        joined.append(_join(model, body, joined[-1][-1], values, part, priors) if joined else values)
+    return jnp.concatenate(joined)[:count]
+
+
+def _join(
+    model: CoordinateModel,
+    body: Body,
+    before: Float[Array, "Q"],
+    values: Float[Array, "N Q"],
+    markers: FrameMarkers,
+    priors: CoordinatePriors,
+) -> Float[Array, "N Q"]:
+    """Continue from the last frame of the previous chunk: by whole turns, and by a solution from there if that fits as well."""
+    values = wrap_angles(model, values, before)
+    if not float(jnp.abs(values[0] - before)[model.free].max()) > MAX_JUMP:
+        return values
+    again = _follow(model, body, before, markers, priors)
+    energies = [_sum_squares(model, body, one, markers) for one in (again, values)]
+    return again if float(energies[0]) <= (1 + MAX_JUMP) * float(energies[1]) else values
 
 
 @eqx.filter_jit
 def _follow(
-    model: CoordinateModel, body: Body, start, positions, weights, priors: _Priors
+    model: CoordinateModel, body: Body, start, markers: FrameMarkers, priors: CoordinatePriors
 ) -> Float[Array, "N Q"]:
     """Solve successive frames, each from the one before."""
-    free = _free(model)
+    free = free_coordinates(model)
 
     def follow(values, frame):
-        found = _solve(model, body, values, frame[0], frame[1], free, priors, STEPS)[0]
-        kept = jnp.where((frame[1] > 0).any() & jnp.isfinite(found).all(), found, values)
+        found = solve_frame_coordinates(model, body, values, frame, free, priors, STEPS)[0]
+        kept = jnp.where((frame.weights > 0).any() & jnp.isfinite(found).all(), found, values)
         return kept, kept
 
-    return jax.lax.scan(follow, start, (positions, weights))[1]
-
-
-def _search(model: CoordinateModel, body: Body, positions, weights, priors: _Priors) -> Float[Array, "Q"]:
-    """Find the coordinates of a frame without a previous one.
-
-    First only the root moves, from many rotations and with the centre of its markers at the observed one. All coordinates continue
-    from the best of these.
-    """
-    root, free = _floating_root(model), _free(model)
-    rest = jnp.asarray(model.defaults, positions.dtype)
-
-    def rank(values, energies):
-        """Sort by energy, and nearly equal ones by the angles from rest: other angles may be the same rotations."""
-        angles = np.array([coordinate.is_angle for coordinate in model.coordinates])
-        nothing = NEGLIGIBLE**2 * weights.sum()
-        return jnp.argsort((energies + nothing) * (1.0 + TURN_PENALTY * ((values - rest) ** 2 @ angles)))
-
-    starts = rest[None]
-    if root is not None:
-        starts = _turned_starts(model, root, body, positions, weights)
-        rigid = free & jnp.asarray(np.isin(np.arange(len(rest)), model.drivers[root]))
-        # in parts of one size, which compile once
-        parts = [
-            _solve_each(model, body, part, positions, weights, rigid, priors)
-            for part in jnp.split(starts, len(starts) // NUM_STARTS)
-        ]
-        starts, energies = (jnp.concatenate(part) for part in zip(*parts, strict=True))
-        starts = starts[rank(starts, energies)[:NUM_STARTS]]
-    found, energies = _solve_each(model, body, starts, positions, weights, free, priors)
-    return _wrap(model, found[rank(found, energies)[0]])
-
-
-def _wrap(model: CoordinateModel, values: Float[Array, "Q"]) -> Float[Array, "Q"]:
-    """Wrap angles to within half a turn of rest, where a whole turn changes nothing."""
-    periodic = np.array(
-        [
-            coordinate.is_periodic and coordinate.is_free and not coordinate.is_clamped
-            for coordinate in model.coordinates
-        ]
-    )
-    gap = values - jnp.asarray(model.defaults, values.dtype)
-    return jnp.where(periodic, values - 2 * jnp.pi * jnp.round(gap / (2 * jnp.pi)), values)
-
-
-def _turned_starts(model: CoordinateModel, root: int, body: Body, positions, weights) -> Float[Array, "S Q"]:
-    """Make starts with many rotations of the root, and the centre of the markers at the observed one."""
-    turns, shifts = (np.array(part) for part in (model.drivers[root][:3], model.drivers[root][3:]))
-    angles = jnp.asarray(list(itertools.product(START_ANGLES, repeat=3)), positions.dtype)
-    starts = jnp.tile(jnp.asarray(model.defaults, positions.dtype), (len(angles), 1)).at[:, turns].set(angles)
-    share = weights / jnp.maximum(weights.sum(), 1e-12)
-    middles = jnp.einsum("m,sma->sa", share, _all_vertices(model, body, starts))
-    gaps = share @ positions - middles
-    return starts.at[:, shifts].add(gaps @ model.axes[root, 3:].T)
-
-
-def _floating_root(model: CoordinateModel) -> int | None:
-    """Find the root joint that moves freely in all six directions; None if there is none."""
-    free = set(model.free.tolist())
-    for joint, parent in enumerate(model.skeleton.parents):
-        if parent < 0 and len({*model.drivers[joint]} & free) == 6:
-            return joint
-    return None
-
-
-def _free(model: CoordinateModel) -> Bool[Array, "Q"]:
-    return jnp.asarray(np.isin(np.arange(len(model.names)), model.free))
+    return jax.lax.scan(follow, start, markers)[1]
 
 
 @eqx.filter_jit
-def _solve_each(
-    model: CoordinateModel, body: Body, starts: Float[Array, "S Q"], positions, weights, free, priors: _Priors
-) -> tuple[Float[Array, "S Q"], Float[Array, "S"]]:
-    """Solve one frame from several starts."""
-    return jax.lax.map(
-        lambda start: _solve(model, body, start, positions, weights, free, priors, FIRST_STEPS), starts
-    )
-
-
-def _solve(
-    model: CoordinateModel,
-    body: Body,
-    start: Float[Array, "Q"],
-    positions: Float[Array, "M 3"],
-    weights: Float[Array, "M"],
-    free: Bool[Array, "Q"],
-    priors: _Priors,
-    steps: int,
-) -> tuple[Float[Array, "Q"], Float[Array, ""]]:
-    """Solve one frame; also return its energy."""
-    landmarks = VertexLandmarks(jnp.arange(len(weights)), positions, weights)
-    energy = Sum((landmarks, *(() if priors.terms is None else terms_of(priors.terms))))
-    problem = CoordinateProblem(energy, model, body, free, priors.targets)
-    found = minimise(problem, start, LevenbergMarquardt(1e-6, 1e-7, damping=1e-6, lengths=LENGTHS), steps).y
-    found = follow_leaders(model, found)
-    return found, problem.value(found)
-
-
-@eqx.filter_jit
-def _all_vertices(model: CoordinateModel, body: Body, values: Float[Array, "S Q"]) -> Float[Array, "S M 3"]:
-    return jax.lax.map(lambda one: _vertices(model, body, one), values)
-
-
-def _vertices(model: CoordinateModel, body: Body, values: Float[Array, "Q"]) -> Float[Array, "M 3"]:
-    return pose_body(body, pose_from_coordinates(model, values)).vertices
+def _sum_squares(model: CoordinateModel, body: Body, values, markers: FrameMarkers) -> Float[Array, ""]:
+    """Sum the weighted squared distances of markers in all frames."""
+    return jnp.sum(markers.weights * _distances(model, body, values, markers.positions) ** 2)
 
 
 @eqx.filter_jit
 def _distances(model: CoordinateModel, body: Body, values, positions) -> Float[Array, "F M"]:
     def of_frame(frame):
-        return jnp.linalg.norm(_vertices(model, body, frame[0]) - frame[1], axis=1)
+        return jnp.linalg.norm(marker_vertices(model, body, frame[0]) - frame[1], axis=1)
 
     return jax.lax.map(of_frame, (values, positions))
 
@@ -278,7 +192,7 @@ def _describe_bounds(model: CoordinateModel, values: Float[np.ndarray, "F Q"]) -
     named = [
         f"{model.names[number]} in {100 * at_end[number]:.0f} %"
         for number in model.free
-        if at_end[number] > MANY
+        if at_end[number] > REPORTED_SHARE
     ]
     if not named:
         return ()

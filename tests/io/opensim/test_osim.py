@@ -143,7 +143,7 @@ def changed(number, old, new):
 
 
 REFUSED = {
-    "joint": (changed(4, "UniversalJoint", "EllipsoidJoint"), "joint 'ankle' is a EllipsoidJoint, which is not supported"),
+    "joint": (changed(4, "UniversalJoint", "EllipsoidJoint"), "joint 'ankle' has the type EllipsoidJoint, which is not supported"),
     "function": (changed(2, "SimmSpline", "GCVSpline"), "the function GCVSpline of a coordinate is not supported"),
     "two drivers": (changed(1, ">flexion</coordinates>", ">flexion turn</coordinates>"), "depends on 2 coordinates"),
     "no driver": (changed(1, "<coordinates>flexion<", "<coordinates>bend<"), "the coordinate 'bend', which does not exist"),
@@ -156,7 +156,11 @@ REFUSED = {
     "chain": ({"constraints": coupler() + coupler().replace(">knee<", ">beta<").replace("_name>beta<", "_name>ankle<")},
               "the coordinate 'ankle' follows one that follows another"),
     "marker": ({"markers": '<Marker name="X"><socket_parent_frame>/bodyset/tail</socket_parent_frame><location>0 0 0</location></Marker>'},
-               "marker 'X' is on '/bodyset/tail', which is no body of the model"),
+               "marker 'X' names the frame '/bodyset/tail', of which the model has 0"),
+    "range": (changed(2, "<default_value>-0.1<", "<default_value>0.9<"), "has the default value 0.9 outside of its range, -2.1 to 0.2"),
+    "prescribed": (changed(2, "<locked>false</locked></Coordinate>", "<prescribed>true</prescribed><prescribed_function><SimmSpline/>"
+                           "</prescribed_function></Coordinate>"), "'knee' is prescribed as a function of time"),
+    "reversed": (changed(4, "</UniversalJoint>", "<reverse>true</reverse></UniversalJoint>"), "joint 'ankle' is reversed"),
     "empty": ({"parts": []}, "the model has no joints"),
 }  # fmt: skip
 
@@ -186,6 +190,47 @@ def test_other_files_are_refused(text, said, tmp_path):
     with pytest.raises(jc.InputError, match="leg.osim") as caught:
         jc.io.read_osim(path)
     assert said in str(caught.value)
+
+
+def test_a_model_in_millimetres_is_refused(tmp_path):
+    path = write_osim(tmp_path / "leg.osim")
+    path.write_text(path.read_text().replace("<BodySet", "<length_units>mm</length_units><BodySet"))
+    with pytest.raises(jc.InputError, match="the lengths of the model are in mm"):
+        jc.io.read_osim(path)
+
+
+def test_frames_are_found_by_their_paths(tmp_path):
+    """Two joints of the pelvis have a frame of one name, and a body has a frame of its own, as OpenSim 4 writes them."""
+    pin = "".join(
+        _joint("PinJoint", name, ("bodyset/pelvis", place, "0 0 0"), (f"bodyset/{child}", "0 0 0", "0 0 0"), _coordinate(name))
+        for name, place, child in (("right", "0 0 0.1", "femur"), ("left", "0 0 -0.1", "tibia"))
+    )  # fmt: skip
+    root = _joint("WeldJoint", "root", ("ground", "0 1 0", "0 0 0"), ("bodyset/pelvis", "0 0 0", "0 0 0"), "")
+    markers = "".join(
+        f'<Marker name="{label}"><socket_parent_frame>{path}</socket_parent_frame><location>0 0 0</location></Marker>'
+        for label, path in (("R", "/jointset/right/pelvis_offset"), ("L", "/jointset/left/pelvis_offset"), ("F", "/bodyset/pelvis/top"))
+    )  # fmt: skip
+    path = write_osim(tmp_path / "leg.osim", [root, pin], "", markers)
+    own = """<Body name="pelvis"><components><PhysicalOffsetFrame name="top"><socket_parent>..</socket_parent>
+<translation>0 0.2 0</translation><orientation>0 0 0</orientation></PhysicalOffsetFrame></components>"""
+    path.write_text(path.read_text().replace('<Body name="pelvis">', own))
+    model, subject = jc.io.read_osim(path)
+    places = dict(zip(subject.labels, np.asarray(subject.offsets).round(9).tolist(), strict=True))
+    assert places == {"R": [0, 1, 0.1], "L": [0, 1, -0.1], "F": [0, 1.2, 0]}
+    assert model.skeleton.names == ("pelvis", "femur", "tibia")
+
+
+def test_a_constant_prescribed_coordinate_is_locked(tmp_path):
+    parts = joints()
+    parts[1] = parts[1].replace(
+        "<locked>false</locked></Coordinate>",
+        "<prescribed>true</prescribed><prescribed_function><Constant><value>0.7</value></Constant></prescribed_function></Coordinate>",
+        1,
+    )
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim", parts)).model
+    number = model.index("flexion")
+    assert model.coordinates[number].is_locked
+    assert float(model.defaults[number]) == 0.7
 
 
 def test_a_disabled_constraint_does_not_count(tmp_path):

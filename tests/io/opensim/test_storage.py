@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from tests.io.opensim.made_osim import write_osim
+from tests.io.opensim.made_osim import joints, write_osim
 
 
 def table(path, header="inDegrees=yes\nnRows=2\nendheader\n", body="time\ta\tb\n0.5\t1\t2\n0.75\t3\t4\n"):
@@ -38,12 +38,32 @@ def test_coordinates_come_back_as_written(rng, tmp_path):
     assert motion.rate == pytest.approx(50.0, rel=1e-6)
 
 
-def test_columns_may_be_paths_and_some_may_be_missing(tmp_path):
-    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim")).model
-    path = table(tmp_path / "a.sto", body="time\t/jointset/hip/flexion/value\tforce\n0\t90\t1\n1\t45\t1\n")
-    values, _ = jc.io.read_coordinates(path, model)
+def test_columns_may_be_paths_and_those_that_follow_may_be_missing(tmp_path):
+    model = jc.io.read_osim(write_osim(tmp_path / "leg.osim", joints(subtalar="true"))).model
+    free = [model.names[number] for number in model.free]
+    columns = [f"/jointset/j/{name}/value" for name in free]
+    rows = [[0.0, *([90.0] * len(free))], [1.0, *([45.0] * len(free))]]
+    lines = ["\t".join(["time", *columns, "force"]), *("\t".join(map(str, [*row, 7])) for row in rows)]
+    values, _ = jc.io.read_coordinates(table(tmp_path / "a.sto", body="\n".join(lines) + "\n"), model)
     np.testing.assert_allclose(values[:, model.index("flexion")], [np.pi / 2, np.pi / 4])
-    assert (values[:, model.index("knee")] == -0.1).all()
+    assert (values[:, model.index("subtalar")] == 0.05).all()
+
+
+def test_degrees_are_those_of_opensim(tmp_path):
+    """`Storage.isInDegrees` of OpenSim 4.6: the header of SIMM, which does not state them, has degrees."""
+    for header, in_degrees in (
+        ("datacolumns 3\ndatarows 2\nendheader\n", True),
+        ("inDegrees=y\nendheader\n", True),
+        ("inDegrees=no\nendheader\n", False),
+        ("nRows=2\nendheader\n", False),
+    ):
+        assert jc.io.read_storage(table(tmp_path / "a.mot", header)).in_degrees == in_degrees
+
+
+def test_rounded_times_are_at_equal_steps(tmp_path):
+    body = "time\ta\n" + "".join(f"{k / 240:.3f}\t0\n" for k in range(400))
+    read = jc.io.read_storage(table(tmp_path / "a.mot", "endheader\n", body))
+    assert read.rate == pytest.approx(240.0, rel=1e-3)
 
 
 WRONG = {
@@ -53,6 +73,9 @@ WRONG = {
     "words": ({"body": "time\ta\n0\tx\n1\t2\n"}, "'x' in a cell is not a number"),
     "time": ({"body": "a\ttime\n0\t1\n1\t2\n"}, "the first column is 'a'; expected 'time'"),
     "steps": ({"header": "endheader\n", "body": "time\ta\n0\t1\n1\t2\n5\t3\n"}, "the times are not at equal steps"),
+    "drift": ({"header": "endheader\n", "body": "time\ta\n" + "".join(f"{0.0091 * k if k < 50 else 0.455 + 0.0109 * (k - 50):.4f}\t0\n"
+                                                                        for k in range(100))}, "the times are not at equal steps"),
+    "degrees": ({"header": "inDegrees=maybe\nendheader\n"}, "inDegrees is 'maybe'"),
     "back": ({"body": "time\ta\n1\t1\n0\t2\n"}, "the times are not at equal steps"),
     "rows": ({"body": "time\ta\n"}, "the table has no rows"),
 }  # fmt: skip
@@ -70,6 +93,14 @@ def test_a_table_of_another_model_and_names_with_blanks_are_refused(tmp_path):
     model = jc.io.read_osim(write_osim(tmp_path / "leg.osim")).model
     with pytest.raises(jc.InputError, match="none of the columns"):
         jc.io.read_coordinates(table(tmp_path / "a.mot"), model)
+    columns = [name for name in model.names if name != "knee"]
+    jc.io.write_storage(tmp_path / "c.mot", columns, np.zeros((3, len(columns))), 10.0, in_degrees=True)
+    with pytest.raises(jc.InputError, match="lacks 1 coordinates of the model, knee"):
+        jc.io.read_coordinates(tmp_path / "c.mot", model)
+    angles = jc.io.write_storage
+    angles(tmp_path / "d.mot", model.names, np.zeros((3, 13)), 10.0, in_degrees=True, title="Joint angles")
+    with pytest.raises(jc.InputError, match="by ISB's conventions"):
+        jc.io.read_coordinates(tmp_path / "d.mot", model)
     with pytest.raises(jc.InputError, match="blank in its name"):
         jc.io.write_storage(tmp_path / "b.mot", ["a b"], np.zeros((2, 1)), 10.0, in_degrees=True)
 
