@@ -335,7 +335,17 @@ def _lists() -> Iterator[tuple[str, str, bytes]]:
         "corrections": ("a b nan\n", "a b 1e400\n", "a b -1\n", "a b c d\n", "a\n", "a b " + "9" * 5000, "a b\na b\n", "a" * 500_000 + "\n"),
         "pairs": ("1 2 nan\n", "1 2 inf\n", "99999999999999999999999 1\n", "9" * 5000 + " 1\n", "\u00b2 \u00b3\n", "a\n", "a b c d\n", "1 2 -1\n"),
     }  # fmt: skip
-    suffixes = {"skl": "skl", "cst": "cst", "vj": "vj"}
+    deep = "<objects>" * LONG + "</objects>" * LONG
+    texts["osim"] = (
+        "<OpenSimDocument><Model>" + deep + "</Model></OpenSimDocument>", "<OpenSimDocument>" + "<a>" * LONG,
+        '<!DOCTYPE a [<!ENTITY b "bbbb">]><OpenSimDocument>&b;</OpenSimDocument>',
+        '<OpenSimDocument><Model><JointSet><objects><PinJoint name="' + "z" * 500_000 + '"/></objects></JointSet></Model></OpenSimDocument>',
+    )  # fmt: skip
+    texts["mot"] = ("endheader\ntime\ta\n0\t1e308\n1\tnan\n", "endheader\ntime\t" + "z" * 500_000 + "\n0\t1\n1\t1\n",
+                    "inDegrees=yes\nnRows=99999999999\nendheader\ntime\ta\n0\t1\n", "endheader\ntime\n0\n1e-320\n", "endheader\n" + "\n" * LONG)  # fmt: skip
+    texts["tasks"] = ('<IKTaskSet><IKMarkerTask name="a"><weight>nan</weight></IKMarkerTask></IKTaskSet>',
+                      '<IKTaskSet><IKMarkerTask name="a"><weight>' + "9" * 5000 + "</weight></IKMarkerTask></IKTaskSet>")  # fmt: skip
+    suffixes = {"skl": "skl", "cst": "cst", "vj": "vj", "osim": "osim", "mot": "mot", "tasks": "xml"}
     for format, contents in texts.items():
         for number, text in enumerate((*contents, "", "#\n", "\ufeff", "\x1b[2J")):
             yield format, f"list_{number}.{suffixes.get(format, 'txt')}", text.encode()

@@ -33,6 +33,9 @@ from jaxcap.io.meshes.colours import read_colours
 from jaxcap.io.meshes.mesh import read_mesh
 from jaxcap.io.meshes.meshes import read_meshes
 from jaxcap.io.meshes.vertex_list import read_vertex_list
+from jaxcap.io.opensim.osim import read_osim
+from jaxcap.io.opensim.storage import read_storage
+from jaxcap.io.opensim.tasks import read_ik_tasks
 from jaxcap.io.registry import (
     is_skinned,
     read_body,
@@ -206,6 +209,9 @@ READERS: dict[str, tuple[Reader, ...]] = {
     "vj": (lambda path: read_vj(path, _body().skeleton, len(_body().vertices)),),
     "cst": (lambda path: read_cst(path, _body().skeleton),),
     "bvh": (read_motion, read_skeleton),
+    "osim": (read_osim,),
+    "mot": (read_storage,),
+    "tasks": (read_ik_tasks,),
     "asf": (read_asf, read_skeleton),
     "amc": (_amc,),
     **dict.fromkeys(("off", "obj", "ply", "stl", "glb", "gltf"), (_mesh, _contents)),

@@ -26,6 +26,8 @@ from jaxcap.io.markers.subject import save_subject
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.meshes.meshes import save_meshes
 from jaxcap.io.meshes.ply import write_ply
+from jaxcap.io.opensim.osim import read_osim
+from jaxcap.io.opensim.storage import write_coordinates
 from jaxcap.io.registry import write_body, write_markers, write_motion, write_skeleton
 from jaxcap.io.skeletons.amass import write_amass
 from jaxcap.io.skeletons.cst import CstLimits, write_cst
@@ -38,6 +40,7 @@ from jaxcap.markers.subject import make_subject
 from jaxcap.observe.markers import make_markers
 from jaxcap.observe.meshes import MeshSequence
 from jaxcap.prior.pair_prior import make_pair_prior, successive_pairs
+from tests.io.opensim.made_osim import write_osim
 
 #: what checkpoints and journals are begun with
 HEADER = {"body": "body.npz", "frames": 4}
@@ -112,7 +115,7 @@ FORMATS = (
     "skl", "vj", "cst", "bvh", "asf", "amc", "off", "obj", "ply", "stl", "glb", "gltf",
     "skinned", "usda", "usdc", "usdz", "c3d", "trc", "csv", "cameras", "constraints",
     "vertices", "corrections", "pairs", "body", "motion", "subject", "limits", "prior", "shape", "amass",
-    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans",
+    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans", "osim", "mot", "tasks",
 )  # fmt: skip
 
 
@@ -130,6 +133,13 @@ def _bodies(folder: Path, rng: np.random.Generator) -> None:
         write_body(folder / f"{suffix}-motion.{suffix}", body, motion)
     write_motion(folder / "bvh-own.bvh", body.skeleton, motion)
     write_skeleton(folder / "skl-own.skl", body.skeleton)
+    write_osim(folder / "osim-leg.osim")
+    model = read_osim(folder / "osim-leg.osim").model
+    write_coordinates(folder / "mot-leg.mot", model, rng.normal(size=(4, len(model.names))), 100.0)
+    (folder / "tasks-leg.xml").write_text(
+        '<IKTaskSet><objects><IKMarkerTask name="TOE"><apply>true</apply><weight>2</weight></IKMarkerTask>'
+        '<IKCoordinateTask name="knee"><weight>1</weight></IKCoordinateTask></objects></IKTaskSet>'
+    )
     write_vj(folder / "vj-own.vj", body.skeleton, np.repeat(np.arange(5), 4))
     cones = {"spine": Cone((1.0, 0, 0), 0.5, (0, 1.0, 0), 0.7)}
     ranges = make_joint_ranges(body.skeleton, {"elbow": (-0.1, 2.4), "wrist": ((-1, 1), (-0.5, 0.5))}, cones)

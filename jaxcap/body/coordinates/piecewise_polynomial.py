@@ -11,7 +11,7 @@ class PiecewisePolynomials(eqx.Module):
     """N functions of one variable, each a polynomial between its knots.
 
     Piece `p` is `sum_i c_i (x - origin)^i` from knot `p - 1` to knot `p`; the first and the last piece have no outer end.
-    Functions with fewer knots than K have infinite ones behind them.
+    Functions with fewer knots than K have ones behind them that no number reaches.
     """
 
     knots: Float[Array, "*N K"]

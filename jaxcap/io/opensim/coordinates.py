@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ...body.coordinates.coordinate_model import Coordinate
 from ...body.coordinates.piecewise_polynomial import PiecewisePolynomials, evaluate_polynomials
 from ...errors import InputError
+from ..text import MAX_NUMBER
 from .functions import (
     Piecewise,
     constant,
@@ -88,7 +89,9 @@ def _read_coordinate(element: Element, where: str) -> _Stated:
     name = element.get("name", "")
     where = f"{where}: coordinate '{name}'"
     low, high = (
-        numbers(element, "range", where, 2) if element.find("range") is not None else (-np.inf, np.inf)
+        numbers(element, "range", where, 2)
+        if element.find("range") is not None
+        else (-MAX_NUMBER, MAX_NUMBER)
     )
     default = (
         numbers(element, "default_value", where, 1)[0] if element.find("default_value") is not None else 0.0

@@ -8,6 +8,9 @@ from xml.etree.ElementTree import Element
 from ...errors import InputError
 from ..text import read_text
 
+#: largest number of characters of a name
+LONGEST_NAME = 200
+
 
 def parse_document(path: Path, roots: tuple[str, ...] = ("OpenSimDocument",)) -> Element:
     """Parse an XML document of OpenSim. Raises `InputError` if it begins with none of the `roots`."""
@@ -24,4 +27,7 @@ def parse_document(path: Path, roots: tuple[str, ...] = ("OpenSimDocument",)) ->
         raise InputError(
             f"{path}: the file begins with <{root.tag}>; expected <{roots[0]}>; give a file of OpenSim."
         )
+    long = max((len(element.get("name", "")) for element in root.iter()), default=0)
+    if long > LONGEST_NAME:
+        raise InputError(f"{path}: a name has {long} characters; expected at most {LONGEST_NAME}; rename it.")
     return root

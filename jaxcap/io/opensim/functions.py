@@ -13,6 +13,8 @@ from ...body.coordinates.piecewise_polynomial import PiecewisePolynomials, evalu
 from ...errors import InputError
 from ..text import parse_floats
 
+#: knot behind the last one of a function, finite in single precision
+LAST_KNOT = float(np.finfo(np.float32).max)
 #: names of OpenSim's functions that are read
 READ = (
     "Constant",
@@ -76,10 +78,10 @@ def function_in(holder: Element | None) -> Element | None:
 
 
 def pack_functions(functions: Sequence[Piecewise], shape: tuple[int, ...]) -> PiecewisePolynomials:
-    """Pack functions into arrays of the given leading shape, padded with infinite knots."""
+    """Pack functions into arrays of the given leading shape, padded with knots beyond all numbers."""
     most = max(1, *(len(function.knots) for function in functions))
     width = max(function.coefficients.shape[1] for function in functions)
-    knots = np.full((len(functions), most), np.inf)
+    knots = np.full((len(functions), most), LAST_KNOT)
     origins = np.zeros((len(functions), most + 1))
     coefficients = np.zeros((len(functions), most + 1, width))
     for number, function in enumerate(functions):

@@ -208,6 +208,9 @@ def _rate(times: Float[np.ndarray, "F"], path: str | Path) -> float:
     if len(times) == 1:
         return 30.0
     step = (times[-1] - times[0]) / (len(times) - 1)
-    if not step > 0 or np.abs(times - times[0] - step * np.arange(len(times))).max() > TIME_TOLERANCE * step:
+    if (
+        not step > 1e-9
+        or np.abs(times - times[0] - step * np.arange(len(times))).max() > TIME_TOLERANCE * step
+    ):
         raise InputError(f"{path}: the times are not at equal steps; resample the table.")
     return check_frame_rate(1.0 / step, str(path))
