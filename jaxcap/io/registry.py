@@ -370,8 +370,8 @@ def _find_osim(path: Path) -> Path:
     fits = sorted(path.parent.glob("*.osim")) if path.parent.is_dir() else []
     if len(fits) != 1:
         raise InputError(
-            f"{path}: the folder has {len(fits)} OpenSim models (.osim); expected the model of this motion beside it, and no other; or "
-            "give it with --body in `jaxcap convert`."
+            f"{path}: the folder has {len(fits)} OpenSim models (.osim); expected one, the model of this motion; or give it with "
+            "--body in `jaxcap convert`."
         )
     return fits[0]
 

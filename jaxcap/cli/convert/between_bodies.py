@@ -26,7 +26,7 @@ from ..outputs import check_new
 from ..sources import is_human_spec, load_body
 from .body import write_linear_body
 
-#: share of vertices without a counterpart that is told
+#: share of vertices without a counterpart that is reported
 MIN_UNMATCHED = 0.02
 #: number of failed frames that a message lists
 MAX_LISTED = 10
@@ -118,7 +118,7 @@ def still_motion(body: Body) -> Motion:
 
 
 def convert_by_surface(body: Body, motion: Motion, target: BodyModel | Body) -> ConvertedMotion:
-    """Convert by the surfaces, and print what has no counterpart."""
+    """Convert by the surfaces, and print the share of vertices without a counterpart."""
     set_activity("matching the surfaces of the two bodies")
     match = match_surfaces(body, target)
     unmatched = float(1.0 - match.matched.mean())

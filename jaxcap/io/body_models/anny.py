@@ -45,7 +45,7 @@ FAMILY = "Anny"
 NUM_BETAS = 20
 #: standard deviation of the least direction, relative to that of the first; directions below it are rounding errors
 LEAST_DEVIATION = 1e-8
-#: joints that are fixed for tracking: a scan of a whole body does not show them apart from those above them
+#: joints that are fixed for tracking: in a scan of a whole body they cannot be distinguished from their parents
 SMALL_JOINTS = (
     "finger",
     "metacarpal",
