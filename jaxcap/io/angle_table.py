@@ -12,8 +12,8 @@ from .opensim.storage import ANGLES_TITLE, write_storage
 from .system.atomic import write_text
 
 
-def write_angle_table(path: str | Path, angles: JointAngles) -> None:
-    """Write joint angles as CSV, in degrees, with a column `time` in seconds.
+def write_angle_table(path: str | Path, angles: JointAngles, start: float = 0.0) -> None:
+    """Write joint angles as CSV, in degrees, with a column `time` in seconds from `start`.
 
     Lines that begin with `#` state the unit, and for each angle its segments, the order of rotations, the axis, the
     positive direction and the source: `pandas.read_csv(path, comment="#")` skips them.
@@ -32,19 +32,19 @@ def write_angle_table(path: str | Path, angles: JointAngles) -> None:
     for line in (*lines, *([] if missing is None else [missing])):
         text.write(f"# {line}\n")
     text.write(",".join(("time", *angles.names)) + "\n")
-    times = np.arange(len(values)) / check_motion(path, angles)
+    times = start + np.arange(len(values)) / check_motion(path, angles)
     np.savetxt(text, np.column_stack([times, values]), fmt="%.9g", delimiter=",")
     write_text(path, text.getvalue())
 
 
-def write_angle_storage(path: str | Path, angles: JointAngles) -> None:
+def write_angle_storage(path: str | Path, angles: JointAngles, start: float = 0.0) -> None:
     """Write joint angles as a table of OpenSim (`.mot`, `.sto`), in degrees. Raises `InputError` if the file cannot be written.
 
     The names are those of OpenSim's models, and the conventions are those of `angles`: a model of OpenSim may have other signs.
     """
     values = np.asarray(angles.to_degrees().values, float)
     rate = check_motion(path, angles)
-    write_storage(path, angles.names, values, rate, in_degrees=True, title=ANGLES_TITLE)
+    write_storage(path, angles.names, values, rate, in_degrees=True, start=start, title=ANGLES_TITLE)
 
 
 def describe_angle(convention: AngleConvention) -> str:

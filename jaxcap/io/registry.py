@@ -94,7 +94,7 @@ MARKER_WRITERS: dict[str, Callable[[Path, MarkerFrames, Any], None]] = {
     ".csv": write_marker_table,
 }
 #: formats of joint angles
-ANGLE_WRITERS: dict[str, Callable[[Path, JointAngles], None]] = {
+ANGLE_WRITERS: dict[str, Callable[[Path, JointAngles, float], None]] = {
     ".csv": write_angle_table,
     **dict.fromkeys(STORAGE_SUFFIXES, write_angle_storage),
 }
@@ -304,14 +304,14 @@ def write_markers(path: str | Path, frames: MarkerFrames, unit: str | float | No
 
 
 @checked
-def write_angles(path: str | Path, angles: JointAngles) -> None:
+def write_angles(path: str | Path, angles: JointAngles, start: float = 0.0) -> None:
     """Write the joint angles of a motion as `.csv`, in degrees, with their conventions as comments, or as a table of OpenSim, `.mot` or
-    `.sto`.
+    `.sto`; the first frame is at `start`, seconds.
 
     **Raises:** `InputError` if the suffix is unknown, the angles are those of a single pose, or the file cannot be
     written.
     """
-    _lookup(ANGLE_WRITERS, path, "joint angles", "written")(Path(path), angles)
+    _lookup(ANGLE_WRITERS, path, "joint angles", "written")(Path(path), angles, start)
 
 
 def _lookup(table: dict[str, Any], path: str | Path, content: str, action: str = "") -> Any:

@@ -39,3 +39,19 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(jc.InputError, match="poses without a rate"):
         jc.io.write_angles(tmp_path / "angles.csv", jc.joint_angles(SKELETON, jc.rest_pose(SKELETON)))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_table_of_opensim_has_the_same_angles_and_may_begin_later(tmp_path):
+    jc.io.write_angles(tmp_path / "angles.mot", ANGLES, start=1.5)
+    read = jc.io.read_storage(tmp_path / "angles.mot")
+    assert (read.names, read.in_degrees, read.start, read.title) == (ANGLES.names, True, 1.5, "Joint angles")
+    np.testing.assert_allclose(read.values, np.asarray(ANGLES.to_degrees().values), rtol=1e-8, atol=1e-8)
+    jc.io.write_angles(tmp_path / "angles.csv", ANGLES, 1.5)
+    times = np.loadtxt(
+        tmp_path / "angles.csv", delimiter=",", skiprows=0, comments="#", usecols=0, converters=_number
+    )
+    assert np.nanmin(times) == 1.5
+
+
+def _number(word):
+    return float("nan") if word == "time" else float(word)

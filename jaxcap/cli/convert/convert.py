@@ -16,7 +16,7 @@ from ...io.kinds import identify
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.opensim.osim import read_osim
 from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
-from ...io.opensim.storage import find_outside, read_coordinates
+from ...io.opensim.storage import find_outside, read_coordinates, read_storage
 from ...io.registry import (
     NPZ_CONVENTIONS,
     is_skinned,
@@ -275,7 +275,9 @@ class Convert:
             angles = joint_angles(skeleton, motion)
         except InputError as error:
             raise InputError(f"{self.source}: {user_message(error)}") from None
-        write_angles(self.target, angles)
+        # a table of coordinates may begin later, as the forces of its trial do
+        start = read_storage(self.source).start if self.source.suffix.lower() in STORAGE_SUFFIXES else 0.0
+        write_angles(self.target, angles, start)
         missing = angles.describe_missing()
         if missing is not None:
             warn(f"{self.source}: {missing}")
