@@ -80,10 +80,10 @@ def describe_strays(
     found = [m for m in np.argsort(-shares, kind="stable") if shares[m] > STRAY_SHARE]
     if not found:
         return ()
-    more = f" and {len(found) - 8} more" if len(found) > 8 else ""
-    some = ", ".join(f"{labels[m]} in {max(100 * shares[m], 1):.0f} %" for m in found[:8])
+    some = f"{len(found)} markers, such as " if len(found) > 8 else ""
+    some += ", ".join(f"{labels[m]} in {max(100 * shares[m], 1):.0f} %" for m in found[:8])
     return (
-        f"Markers are more than {100 * STRAY_DISTANCE:.0f} cm from their predicted positions in some frames: {some}{more}. {reasons}",
+        f"Markers are more than {100 * STRAY_DISTANCE:.0f} cm from their predicted positions: {some} of the frames. {reasons}",
     )
 
 

@@ -135,6 +135,6 @@ def test_markers_far_from_their_place_are_told(capsys, subject, tmp_path):
     take = write(tmp_path / "moved.c3d", moved)
     main(["markers", "solve", str(subject), str(take), "-o", str(tmp_path / "o.bvh")])
     assert (
-        "more than 5 cm from their positions in the subject: rhand2 in 67 % of frames"
+        "more than 5 cm from their predicted positions: rhand2 in 67 % of the frames"
         in capsys.readouterr().err
     )
