@@ -20,6 +20,7 @@ from .depth.images import write_mask as write_mask
 from .depth.rectify import rectify_depths as rectify_depths
 from .depth.sequence import read_depths as read_depths
 from .gltf.gltf_reader import read_gltf as read_gltf
+from .gltf.gltf_reader import read_gltf_model as read_gltf_model
 from .markers.subject import load_subject as load_subject
 from .markers.subject import save_subject as save_subject
 from .meshes.clouds import save_clouds as save_clouds

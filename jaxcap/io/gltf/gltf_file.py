@@ -69,6 +69,8 @@ class GltfFile:
     def array(self, index: int | None, width: int, purpose: str) -> Float[np.ndarray, "N W"]:
         """Read the elements of an accessor as rows of a `width`; normalised integers become fractions.
 
+        Elements that a sparse accessor replaces have their new values.
+
         **Raises:** `InputError` if there is none, it points outside of the file, or it has another width;
         `purpose` names its purpose.
         """
@@ -79,10 +81,30 @@ class GltfFile:
             raise InputError(
                 f"{self.path}: {purpose} refers to accessor {index}, but there are only {len(self._accessors)}; export it again."
             )
-        if "sparse" in accessor:
+        if "sparse" not in accessor:
+            return self._dense(accessor, width, purpose)
+        count, sparse = accessor.integer("count"), accessor.part("sparse")
+        self.reserve_memory(count * width, purpose)
+        rows = np.zeros((count, width))
+        if "bufferView" in accessor:
+            rows = self._dense(accessor, width, purpose)
+        changed = {"count": sparse.integer("count"), "type": "SCALAR"}
+        numbers = Part({**sparse.part("indices").content, **changed}, f"{accessor.where}.sparse.indices")
+        shared = {key: accessor.content.get(key) for key in ("componentType", "type", "normalized")}
+        values = Part(
+            {**sparse.part("values").content, **shared, "count": changed["count"]},
+            f"{accessor.where}.sparse.values",
+        )
+        places = self._dense(numbers, 1, purpose)[:, 0].astype(np.int64)
+        if places.max(initial=0) >= count or places.min(initial=0) < 0:
             raise InputError(
-                f"{accessor.where} is sparse, which is not supported; export it as a dense array."
+                f"{accessor.where} replaces element {places.max()} of {count}; the file is damaged."
             )
+        rows[places] = self._dense(values, width, purpose)
+        return rows
+
+    def _dense(self, accessor: Part, width: int, purpose: str) -> Float[np.ndarray, "N W"]:
+        """Read the elements of an accessor with a buffer view."""
         place = accessor.index("bufferView", len(self._views))
         if place is None:
             raise accessor.type_error("bufferView", "the index of its buffer view")

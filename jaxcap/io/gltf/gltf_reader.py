@@ -3,12 +3,16 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
 from ...arguments import checked
 from ...body.body import Body
+from ...body.body_model import BodyModel
 from ...body.pose import Motion
+from ...body.shape_modes import ShapeModes
 from ...body.skeleton import KINDS, Skeleton
+from ...errors import InputError
 from ..skinned.bind_pose import (
     BindPose,
     FileJoints,
@@ -22,7 +26,15 @@ from ..system.reader_errors import reader_of
 from ..text import MAX_NUMBER
 from .gltf_file import GltfFile
 from .gltf_parts import Part
-from .gltf_surface import find_unread_content, inverse_binds, read_surface, skin_joints
+from .gltf_surface import (
+    find_skins_with_joints,
+    find_unread_content,
+    inverse_binds,
+    read_surface,
+    skin_joints,
+    skinned_meshes,
+)
+from .gltf_targets import find_targets
 
 _KINDS_WITH_AXES = ("revolute", "universal")
 
@@ -70,6 +82,38 @@ def read_gltf_body(
     surface = read_surface(file, _nodes(file, bound))
     warn_of_unread_content(file.path, find_unread_content(file, skin_joints(file, 0), surface=True))
     return make_skinned_body(file.path, bound, surface), _motion(file, bound, rate)
+
+
+@checked
+@reader_of("a skinned glTF file")
+def read_gltf_model(path: str | Path) -> BodyModel:
+    """Read the body of a file's first skin with its shape keys (morph targets) as coefficients, each a group of its own.
+
+    `shape_body(model, smile=np.array([1.0]))` applies the shape key `smile`. The template has the default weights of the file. Shape
+    keys move the surface, and no joints. Skeleton and surface are those of `read_gltf_body`.
+
+    **Raises:** `InputError` as `read_gltf_body`, and if the file has no shape keys.
+    """
+    file = GltfFile(path, None)
+    bound = _read_bind_pose(file)
+    own = set(find_skins_with_joints(file, skin_joints(file, 0)))
+    targets = find_targets(file, [mesh for _, mesh, skin in skinned_meshes(file) if skin in own])
+    if not targets:
+        raise InputError(f"{path}: the skinned meshes have no shape keys; read the file as a body.")
+    surface = read_surface(file, _nodes(file, bound), list(targets))
+    assert surface.displacements is not None
+    weights = np.array(list(targets.values()))
+    vertices = surface.vertices + np.einsum("k,vka->va", weights, surface.displacements)
+    body = make_skinned_body(file.path, bound, surface._replace(vertices=vertices))
+    modes = np.swapaxes(surface.displacements @ bound.surface_to_world[:3, :3].T, 0, 1)
+    dtype = body.vertices.dtype
+    centres = jnp.zeros((len(targets), body.skeleton.num_joints, 3), dtype)
+    return BodyModel(
+        template=body,
+        modes=ShapeModes(centres, jnp.asarray(modes, dtype)),
+        template_coefficients=jnp.asarray(weights, dtype),
+        groups=tuple((name, 1) for name in targets),
+    )
 
 
 def _read_bind_pose(file: GltfFile) -> BindPose:

@@ -11,15 +11,18 @@ from ..skinned.left_out import OTHER_FIGURES, SHAPE_KEYS, UNSKINNED_MESHES
 from ..skinned.skinned_surface import SkinnedSurface, concatenate_surfaces, merge_seams, normalise_weights
 from .gltf_file import GltfFile
 from .gltf_parts import Part
+from .gltf_targets import read_displacements
 
 #: modes: triangles, and points for meshes without faces
 _TRIANGLES, _POINTS = 4, 0
 
 
-def read_surface(file: GltfFile, joints: Sequence[int]) -> SkinnedSurface:
+def read_surface(
+    file: GltfFile, joints: Sequence[int], targets: Sequence[str] | None = None
+) -> SkinnedSurface:
     """Read the meshes of all skins that share joints with the first.
 
-    The nodes `joints` are the columns of the weights.
+    The nodes `joints` are the columns of the weights. `targets` are the names of the shape keys whose displacements are read.
 
     **Raises:** `InputError` if there is none, one is not made of triangles, or a vertex follows no joint.
     """
@@ -31,7 +34,11 @@ def read_surface(file: GltfFile, joints: Sequence[int]) -> SkinnedSurface:
         move = _skin_to_first_skin(file, skin, joints)
         for primitive in file.meshes[mesh].parts("primitives"):
             part = _read_primitive(file, primitive, skins[skin], joints)
-            parts.append(part._replace(vertices=part.vertices @ move[:3, :3].T + move[:3, 3]))
+            vertices = part.vertices @ move[:3, :3].T + move[:3, 3]
+            moved = None
+            if targets is not None:
+                moved = read_displacements(file, file.meshes[mesh], primitive, targets) @ move[:3, :3].T
+            parts.append(part._replace(vertices=vertices, displacements=moved))
     if not parts:
         raise InputError(
             f"{file.path}: no mesh in this file is skinned to its joints; read it as a skeleton."
