@@ -30,6 +30,9 @@ MIN_SINE = 0.17
 #: largest angle between the axis of a hinge at the wrist and the forearm, if the hinge is that of pronation
 MAX_TWIST_ANGLE = np.radians(30.0)
 
+#: names of a trunk without arms
+TRUNK_NAMES = ("torso", "thorax", "trunk", "chest")
+
 Vector = Float[np.ndarray, "3"]
 Axes = Float[np.ndarray, "3 3"]
 #: bone of a segment, and its axes
@@ -138,6 +141,9 @@ def _find_trunk(skeleton: Skeleton, upright: UprightPose, axes: Axes) -> dict[st
         found["pelvis"] = person.pelvis, _make_axes(up, across("thigh"))
     arms = [person.parts[side, "upper_arm"] for side in SIDES if (side, "upper_arm") in person.parts]
     chest = [joint for joint in person.spine if skeleton.descendants[joint, arms].all()]
+    if not arms:
+        # models of gait have a trunk without arms, which its name tells
+        chest = [joint for joint, name in enumerate(skeleton.names) if name.lower() in TRUNK_NAMES]
     if chest:
         found["thorax"] = chest[-1], _make_axes(up, across("upper_arm"))
     if person.head >= 0:

@@ -147,7 +147,7 @@ def test_missing_joints_are_left_out():
     said = angles.describe_missing()
     assert said is not None
     assert said.startswith(
-        "the angles of thorax, head, humerus_r, forearm_r, hand_r, humerus_l, forearm_l, hand_l are"
+        "the angles of head, humerus_r, forearm_r, hand_r, humerus_l, forearm_l, hand_l are"
     )
 
 
@@ -180,3 +180,18 @@ def test_axes_are_right_handed():
     np.testing.assert_allclose(
         frames.axes @ jnp.swapaxes(frames.axes, 1, 2), np.tile(np.eye(3), (15, 1, 1)), atol=1e-6
     )
+
+
+def test_a_trunk_without_arms_is_found_by_its_name():
+    """Legs, a pelvis and a torso, as in OpenSim's models of gait."""
+    arms = ("clavicle", "upper_arm", "forearm", "hand", "finger", "thumb", "spine", "chest", "neck", "head")
+    legs, index = person(leave_out=arms)
+    names, parents = [*legs.names, "torso"], [*legs.parents, index["pelvis"]]
+    centres = np.concatenate([legs.centres, [[0, 1.1, 0]]])
+    skeleton = jc.make_skeleton(names, parents, [*legs.kinds, "ball"], centres)
+    # the person looks along z, so that Z of the axes is -x of the world
+    bent = pose(skeleton, {len(names) - 1: Rotation.from_rotvec([-0.3, 0, 0])})
+    found = degrees(skeleton, bent)
+    assert found["lumbar_extension"] == pytest.approx(np.degrees(0.3), abs=1e-4)
+    assert found["lumbar_bending"] == pytest.approx(0, abs=1e-4)
+    assert "elbow_flex_r" not in found
