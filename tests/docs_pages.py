@@ -16,7 +16,7 @@ from jaxcap.geometry.camera import look_at
 from jaxcap.markers.body_shape.anatomical import anatomical_markers
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from tests.io.body_models.made_smpl import smpl_arrays
-from tests.io.opensim.made_osim import write_osim
+from tests.io.osim.made_osim import write_osim
 from tests.markers_limb import moving, seen_by, truth, wrong
 
 CHECKOUT = Path(__file__).resolve().parents[1]

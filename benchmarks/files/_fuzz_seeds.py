@@ -40,7 +40,7 @@ from jaxcap.markers.subject import make_subject
 from jaxcap.observe.markers import make_markers
 from jaxcap.observe.meshes import MeshSequence
 from jaxcap.prior.pair_prior import make_pair_prior, successive_pairs
-from tests.io.opensim.made_osim import write_osim
+from tests.io.osim.made_osim import write_osim
 
 #: what checkpoints and journals are begun with
 HEADER = {"body": "body.npz", "frames": 4}

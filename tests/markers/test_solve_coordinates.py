@@ -9,7 +9,7 @@ import jaxcap as jc
 from jaxcap.body.coordinates.coordinate_model import follow_leaders
 from jaxcap.energy.data.landmarks import VertexLandmarks
 from jaxcap.fit.coordinate_problem import CoordinateProblem
-from tests.io.opensim.made_osim import joints, write_osim
+from tests.io.osim.made_osim import joints, write_osim
 
 FRAMES = 12
 

@@ -5,7 +5,7 @@ import pytest
 from command_line import fails, runs, tree
 
 import jaxcap as jc
-from tests.io.opensim.made_osim import write_osim
+from tests.io.osim.made_osim import write_osim
 
 BEND = np.linspace(-1.5, 0.0, 8)
 

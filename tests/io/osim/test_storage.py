@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
-from tests.io.opensim.made_osim import joints, write_osim
+from tests.io.osim.made_osim import joints, write_osim
 
 
 def table(path, header="inDegrees=yes\nnRows=2\nendheader\n", body="time\ta\tb\n0.5\t1\t2\n0.75\t3\t4\n"):

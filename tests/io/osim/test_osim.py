@@ -10,8 +10,8 @@ from jaxcap.body.coordinates.coordinate_model import pose_from_coordinates
 from jaxcap.body.coordinates.piecewise_polynomial import evaluate_polynomials
 from jaxcap.io.opensim.document import parse_document
 from jaxcap.io.opensim.functions import pack_functions, read_function
-from tests.io.opensim.made_osim import _coordinate, _joint, coupler, joints, write_osim
-from tests.io.opensim.opensim_truth import MARKERS, VALUES
+from tests.io.osim.made_osim import _coordinate, _joint, coupler, joints, write_osim
+from tests.io.osim.opensim_truth import MARKERS, VALUES
 
 
 @pytest.fixture(scope="module")
