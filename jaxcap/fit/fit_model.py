@@ -1,5 +1,6 @@
 """Fitting of a body model to registered meshes: coefficients and poses together."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -37,8 +38,10 @@ ENERGY_TOLERANCE = 1e-6
 #: steps with all vertices after the first fit, if the root mean square distance exceeds this after it, metres: data without
 #: errors are then fitted already
 LAST_STEPS, EXACT = 3, 1e-5
-#: meshes of one chunk of a parallel fit
-CHUNK = 16
+#: steps in single precision
+SINGLE_STEPS = 8
+#: largest number of meshes of one chunk of a parallel fit, and its step: other numbers compile again
+CHUNK, CHUNK_STEP = 16, 4
 
 
 class ModelFit(eqx.Module):
@@ -74,7 +77,7 @@ def fit_model(
 ) -> ModelFit:
     """Fit the coefficients and the poses of a body model to registered meshes, from `procrustes_poses`.
 
-    Coefficients and poses are unknowns of one least-squares problem. It is first solved for some vertices, in float64, and then for all
+    Coefficients and poses are unknowns of one least-squares problem. It is first solved for some vertices, and then for all
     if these have errors.
 
     **Arguments:** `same_person`, all meshes have the same coefficients; otherwise each mesh has its own, and is fitted alone.
@@ -90,7 +93,7 @@ def fit_model(
     own = sum_user_terms("fit_model", terms, model.template)
     few = _take_samples(model)
     if same_person:
-        begun = in_float64(_begin_together, few, poses, positions[:, few.vertices], max_steps)
+        begun = _begin_in_both(_begin_together, few, poses, positions[:, few.vertices], max_steps)
         found = _finish_together(model, begun, poses, positions, own, max_steps)
     else:
         found = _fit_each(model, few, poses, positions, own, max_steps)
@@ -143,24 +146,48 @@ def _fit_each(
 ) -> _Fits:
     """Fit each mesh alone, on all cores."""
     count = len(positions)
-    chunks = [np.arange(first, first + CHUNK) % count for first in range(0, count, CHUNK)]
+    # chunks of about one size, with few repeated meshes in the last one
+    size = -(-count // -(-count // CHUNK))
+    size = min(CHUNK, CHUNK_STEP * -(-size // CHUNK_STEP))
+    chunks = [np.arange(first, first + size) % count for first in range(0, count, size)]
 
     def fit(chunk: Int[np.ndarray, "C"]) -> _Fits:
         poses, places = take_poses(starts, chunk), positions[chunk]
-        begun = in_float64(_begin_chunk, few, poses, places[:, few.vertices], max_steps)
+        begun = _begin_in_both(_begin_chunk, few, poses, places[:, few.vertices], max_steps)
         return jax.block_until_ready(_finish_chunk(model, begun, poses, places, extra, max_steps))
 
     parts = list(parallel_map(fit, chunks))
     return jax.tree.map(lambda *some: jnp.concatenate(some)[:count], *parts)
 
 
-@eqx.filter_jit
-def _begin_chunk(few: _Samples, starts: Pose, places: Float[Array, "F S 3"], max_steps: int) -> _Begun:
-    def one(frame):
-        starts, places = _stacked(frame)
-        return _begin(few, starts, places, max_steps)
+def _begin_in_both(
+    begin: Callable[..., _Begun],
+    few: _Samples,
+    starts: Pose,
+    places: Float[Array, "F S 3"],
+    max_steps: int,
+) -> _Begun:
+    """Fit some vertices in single precision, and go on in float64 where weak directions of the shape do not converge there."""
+    found = begin(few, starts, places, min(SINGLE_STEPS, max_steps), None)
+    if bool(found.successful.all()) or max_steps <= SINGLE_STEPS:
+        return found
+    more = in_float64(begin, few, starts, places, max_steps - SINGLE_STEPS, found.estimate)
+    return more._replace(num_steps=found.num_steps + more.num_steps)
 
-    return jax.lax.map(one, (starts, places))
+
+@eqx.filter_jit
+def _begin_chunk(
+    few: _Samples,
+    starts: Pose,
+    places: Float[Array, "F S 3"],
+    max_steps: int,
+    estimates: SequenceEstimate | None,
+) -> _Begun:
+    def one(frame):
+        starts, places = _stacked(frame[:2])
+        return _begin(few, starts, places, max_steps, frame[2])
+
+    return jax.lax.map(one, (starts, places, estimates))
 
 
 @eqx.filter_jit
@@ -182,10 +209,16 @@ def _solver() -> LevenbergMarquardt:
     return LevenbergMarquardt(rtol=1e-3, atol=1e-4, damping=1e-2, energy_atol=ENERGY_TOLERANCE)
 
 
-def _begin(few: _Samples, starts: Pose, places: Float[Array, "F S 3"], max_steps: int) -> _Begun:
-    """Fit some vertices of F meshes with the same coefficients; in float32 weak shape directions would converge slowly."""
+def _begin(
+    few: _Samples,
+    starts: Pose,
+    places: Float[Array, "F S 3"],
+    max_steps: int,
+    estimate: SequenceEstimate | None,
+) -> _Begun:
+    """Fit some vertices of F meshes with the same coefficients, from `estimate` if there is one."""
     problem = _problem(few.body, few.modes, places, None)
-    found = minimise(problem, problem.start(starts), _solver(), max_steps)
+    found = minimise(problem, problem.start(starts) if estimate is None else estimate, _solver(), max_steps)
     return _Begun(found.y, found.num_steps, found.result == optx.RESULTS.successful)
 
 
