@@ -1,6 +1,6 @@
 """A body model that differs from the embedded human in triangles, joints and rest pose, and has shape coefficients.
 
-It is the model of `_made_model` with its arms raised to the T-pose and its legs apart, decimated, without displacements by the pose.
+It is the model of `_made_model` in a T-pose with legs apart, decimated, and without displacements by the pose.
 """
 
 import tempfile

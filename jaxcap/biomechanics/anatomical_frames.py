@@ -142,7 +142,7 @@ def _find_trunk(skeleton: Skeleton, upright: UprightPose, axes: Axes) -> dict[st
     arms = [person.parts[side, "upper_arm"] for side in SIDES if (side, "upper_arm") in person.parts]
     chest = [joint for joint in person.spine if skeleton.descendants[joint, arms].all()]
     if not arms:
-        # models of gait have a trunk without arms, which its name tells
+        # models of gait have no arms, so the trunk is found by its name
         chest = [joint for joint, name in enumerate(skeleton.names) if name.lower() in TRUNK_NAMES]
     if chest:
         found["thorax"] = chest[-1], _make_axes(up, across("upper_arm"))

@@ -24,7 +24,7 @@ WORLD = "world"
 
 
 class AngleConvention(NamedTuple):
-    """One angle of a joint, the rotation of its distal segment against its proximal one."""
+    """An angle of a joint: a rotation of the distal segment relative to the proximal segment."""
 
     #: in the manner of OpenSim, such as `hip_flexion_r`
     name: str
@@ -44,7 +44,7 @@ class AngleConvention(NamedTuple):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the angle is that of the mirror image: on the left side."""
+        """True for angles of the left side, which are those of the mirror image."""
         return self.name.endswith("_l")
 
 

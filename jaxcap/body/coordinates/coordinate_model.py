@@ -18,7 +18,7 @@ from .piecewise_polynomial import PiecewisePolynomials, evaluate_polynomials
 
 
 class Coordinate(NamedTuple):
-    """One generalised coordinate."""
+    """A generalised coordinate of a model."""
 
     name: str
     #: true for an angle of rotation in radians; false for a length in metres, and for a coordinate that only functions use

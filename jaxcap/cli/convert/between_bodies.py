@@ -2,14 +2,13 @@
 
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from ...adapt.shape.shape_space import shape_space_like
 from ...body.body import Body
 from ...body.body_model import BodyModel, split_coefficients
 from ...body.people.human import RESOLUTIONS
-from ...body.pose import Motion, rest_pose
+from ...body.pose import Motion, rest_pose, stack_poses
 from ...body.skeleton import Skeleton
 from ...edit.conversion.convert_motion import ConvertedMotion, convert_motion
 from ...edit.conversion.match_surfaces import match_surfaces
@@ -53,10 +52,10 @@ def convert_between_bodies(
     target = load_target(to)
     fitted = isinstance(target, BodyModel)
     if out.suffix.lower() in BODY_WRITERS or is_model_spec(to):
-        beside = None
+        body_path = None
     else:
-        beside = out.with_name(f"{out.stem}_body.npz") if fitted else None
-        check_new(beside, overwrite)
+        body_path = out.with_name(f"{out.stem}_body.npz") if fitted else None
+        check_new(body_path, overwrite)
     body, motion = source
     try:
         if isinstance(body, Skeleton) or not len(body.faces):
@@ -79,9 +78,9 @@ def convert_between_bodies(
         write_amass(out, body.skeleton, motion, groups, stated_gender(to) or "neutral")
     else:
         write_motion(out, body.skeleton, motion)
-    if beside is not None:
-        save_body(beside, body)
-        say(f"{beside}: the body of the motion, {len(body.vertices)} vertices")
+    if body_path is not None:
+        save_body(body_path, body)
+        say(f"{body_path}: the body of the motion, {len(body.vertices)} vertices")
     say(f"{out}: {pluralise(motion.num_frames, 'frame')} at {motion.rate:g} frames per second")
 
 
@@ -114,7 +113,7 @@ def load_target(spec: str) -> BodyModel | Body:
 
 def still_motion(body: Body) -> Motion:
     """Make a motion of one frame in which a body is at rest."""
-    return Motion(jax.tree.map(lambda leaf: leaf[None], rest_pose(body.skeleton)), 30.0)
+    return stack_poses([rest_pose(body.skeleton)])
 
 
 def convert_by_surface(body: Body, motion: Motion, target: BodyModel | Body) -> ConvertedMotion:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from ...body.body import Body, Posed, pose_body, posed_vertices
 from ...body.body_model import BodyModel
 from ...body.decimate import decimate, reduce_body, reduce_model
-from ...body.pose import Motion, Pose, rest_pose, shift_roots
+from ...body.pose import Motion, Pose, rest_pose, shift_roots, stack_poses
 from ...body.shape_modes import joint_modes
 from ...body.skeleton import dof_layout
 from ...energy.data.pairs import PairDistances, PointPairs
@@ -137,7 +137,7 @@ def _starts(target: Body, source: Body, surface: RestSurface) -> list[Pose]:
     """Make the first poses of the target, stacked over one frame, at the middle of the surface."""
     try:
         plan = plan_retarget(source.skeleton, target.skeleton)
-        motion = Motion(_one_frame(rest_pose(source.skeleton)), 1.0)
+        motion = stack_poses([rest_pose(source.skeleton)])
         poses = [retarget(motion, source.skeleton, target.skeleton, floor=0.0, plan=plan).poses]
     except ValueError:
         poses = [_rotated(target, 2 * np.pi * k / HEADINGS) for k in range(HEADINGS)]
@@ -155,11 +155,8 @@ def _rotated(target: Body, heading: float) -> Pose:
     pose, dtype = rest_pose(target.skeleton), target.vertices.dtype
     turn = rotation.about_axis(jnp.array([0.0, 1.0, 0.0], dtype), jnp.asarray(heading, dtype))
     roots = np.flatnonzero(np.array(target.skeleton.parents) < 0)
-    return _one_frame(Pose(pose.translations, pose.rotations.at[roots].set(turn), pose.scale))
-
-
-def _one_frame(pose: Pose) -> Pose:
-    return Pose(pose.translations[None], pose.rotations[None], pose.scale[None])
+    turned = Pose(pose.translations, pose.rotations.at[roots].set(turn), pose.scale)
+    return stack_poses([turned]).poses
 
 
 def _middle(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]) -> Float[np.ndarray, "3"]:
