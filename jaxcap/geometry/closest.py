@@ -45,6 +45,13 @@ def nearest_on_surface(
     return best._replace(distances=np.where(best.distances <= max_distance, best.distances, np.inf))
 
 
+def positions_on_surface(
+    points: SurfacePoints, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Compute the positions of points on a surface, metres."""
+    return np.einsum("nk,nka->na", points.barycentric, vertices[faces[points.triangles]])
+
+
 def closest_barycentric(
     triangles: Float[np.ndarray, "N 3 3"], points: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N"]]:

@@ -14,7 +14,7 @@ from ...body.people.human import human
 from ...body.people.random_humans import human_resolution, sample_humans
 from ...body.shape_modes import ShapeModes
 from ...geometry.attachment import Attachment, attach_points, attached_positions
-from ...geometry.closest import nearest_on_surface
+from ...geometry.closest import nearest_on_surface, positions_on_surface
 from ...geometry.linear import solve_symmetric
 
 #: number of shape modes, if there are enough bodies
@@ -101,7 +101,7 @@ def fit_person(template: Body, shape_space: BodyModel) -> tuple[Body, Float[np.n
     vertices, faces = np.asarray(template.vertices, float), np.asarray(template.faces)
     for _ in range(NUM_FIT_ITERATIONS):
         nearest = nearest_on_surface(np.asarray(body.vertices, float) + shift, vertices, faces)
-        positions = np.einsum("nk,nka->na", nearest.barycentric, vertices[faces[nearest.triangles]])
+        positions = positions_on_surface(nearest, vertices, faces)
         seen = eqx.tree_at(lambda b: b.vertices, body, jnp.asarray(positions, body.vertices.dtype))
         body = shape_from_template(shape_space, fit_coefficients(shape_space, seen))
         shift = (positions - np.asarray(body.vertices, float)).mean(0)

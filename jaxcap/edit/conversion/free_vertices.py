@@ -4,7 +4,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Bool, Float, Int
 
-from ...geometry.closest import SurfacePoints, nearest_on_surface
+from ...geometry.closest import SurfacePoints, nearest_on_surface, positions_on_surface
 from ...geometry.laplacian import laplacian_matrix, vertex_adjacency
 from ...geometry.linear import factor_sparse
 from ...geometry.mesh import vertex_normals
@@ -33,7 +33,7 @@ def register_vertices(
     for stiffness in STIFFNESS:
         nearest, alike = find_counterparts(moved, faces, surface, triangles, reach)
         weights = np.where(alike, reach / np.hypot(reach, nearest.distances), 0.0)
-        gaps = np.where(alike[:, None], positions_of(nearest, surface, triangles) - vertices, 0.0)
+        gaps = np.where(alike[:, None], positions_on_surface(nearest, surface, triangles) - vertices, 0.0)
         # the last term keeps parts without any nearest point in place
         matrix = scipy.sparse.diags_array(weights + 1e-9) + stiffness * bending
         moved = vertices + factor_sparse(matrix).solve(weights[:, None] * gaps)
@@ -53,10 +53,3 @@ def find_counterparts(
     there = np.asarray(vertex_normals(surface, triangles))[triangles[nearest.triangles]]
     agreement = np.einsum("wk,wka,wa->w", nearest.barycentric, there, normals)
     return nearest, np.isfinite(nearest.distances) & (agreement > np.cos(np.radians(MAX_ANGLE)))
-
-
-def positions_of(
-    points: SurfacePoints, surface: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "W 3"]:
-    """Compute the positions of points on a surface, metres."""
-    return np.einsum("wk,wka->wa", points.barycentric, surface[triangles[points.triangles]])

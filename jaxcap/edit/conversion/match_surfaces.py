@@ -10,8 +10,9 @@ from ...body.body import Body
 from ...body.body_model import BodyModel
 from ...errors import InputError
 from ...geometry.attachment import Attachment, attach_to_triangles
+from ...geometry.closest import positions_on_surface
 from ...geometry.mesh import area_normals
-from .free_vertices import find_counterparts, positions_of, register_vertices
+from .free_vertices import find_counterparts, register_vertices
 from .rest_fit import RestSurface, fit_at_rest
 
 #: largest distances of nearest points while vertices move, and of counterparts, as shares of the body's size
@@ -70,7 +71,7 @@ def match_surfaces(source: Body, target: BodyModel | Body) -> SurfaceMatch:
             f"mean distance of the fitted target is {1000 * before.mean():.0f} mm; give two upright bodies of the same kind, with y up "
             "and triangles that face outwards."
         )
-    points = np.where(matched[:, None], positions_of(nearest, *surface), moved)
+    points = np.where(matched[:, None], positions_on_surface(nearest, *surface), moved)
     held = attach_to_triangles(points, surface.vertices, surface.faces[nearest.triangles])
     heights = np.where(matched, 0.0, held.heights)
     return SurfaceMatch(Attachment(held.corners, held.barycentric, heights), matched, before)
