@@ -7,7 +7,7 @@ import pytest
 
 from jaxcap.geometry import rotation
 from jaxcap.markers.calibration.calibrate import calibrate
-from jaxcap.markers.calibration.calibration_parameters import prior_precision, shift_subject, solved_joints
+from jaxcap.markers.calibration.calibration_parameters import TemplatePrior, shift_subject, solved_joints
 from jaxcap.markers.calibration.gauge_freedom import gauge_constraints, gauge_directions
 from jaxcap.markers.calibration.observability import bone_length_deviations, centre_covariances
 from jaxcap.markers.calibration.residuals import marker_residuals
@@ -115,7 +115,7 @@ def test_what_cannot_be_calibrated_is_refused(rng):
 
 def test_the_prior_holds_bones_and_not_places():
     """To lengthen a bone takes what hangs on it along, at no further cost."""
-    precision = prior_precision(SUBJECT, JOINTS)
+    precision = TemplatePrior().precision(SUBJECT, JOINTS)
     carried = np.zeros((22, 3))
     carried[[0, 1]] = carried[4 + np.flatnonzero(np.isin(SUBJECT.bones, [1, 2]))] = [0.02, 0, 0]
     alone = np.zeros((22, 3))

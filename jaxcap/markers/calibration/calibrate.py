@@ -19,7 +19,7 @@ from ..motion.inverse_kinematics import solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
-from .calibration_parameters import TemplatePrior, solved_joints
+from .calibration_parameters import AbstractTemplatePrior, TemplatePrior, solved_joints
 from .calibration_problem import CalibrationEstimate, CalibrationProblem, make_calibration_problem
 from .frame_selection import choose_frames
 from .observability import (
@@ -79,7 +79,7 @@ def calibrate(
     skin: bool = True,
     symmetry: Sequence[tuple[str, str]] = (),
     num_frames: int = 100,
-    template_prior: TemplatePrior = TemplatePrior(),
+    template_prior: AbstractTemplatePrior = TemplatePrior(),
     max_steps: int = 240,
     terms: UserTerms = (),
 ) -> Calibration:
@@ -118,7 +118,7 @@ def _calibrate(
     template, pairs = subject, _symmetric_bones(subject, symmetry)
     usable, explained = used.sum(1) >= 3, used
     if motion is None:
-        motion, usable, explained = _solve_motion(template, frames, used)
+        motion, usable, explained = _solve_motion(template, frames, used, terms)
     while True:
         chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
@@ -141,7 +141,9 @@ def _calibrate(
         if not again:
             break
         # the subject is known better now, and so are the swapped labels
-        motion, usable, explained = _solve_motion(_subject_with_sliding_variance(fit), frames, used)
+        motion, usable, explained = _solve_motion(
+            _subject_with_sliding_variance(fit), frames, used, terms
+        )
     _LOG.info("computing the covariance of the subject")
     known = shared_covariance(fit.problem, fit.estimate)
     best = _subject_with_sliding_variance(fit)
@@ -182,12 +184,12 @@ def _describe_sliding(subject: Subject, variances: Float[np.ndarray, "M"]) -> li
     return [f"Skin slides on its bones as the joints rotate; the markers with the most sliding are {each}."]
 
 
-def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"]):
+def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"], terms: UserTerms):
     """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
 
     Markers with a weight below `MIN_INLIER_WEIGHT`, most likely with swapped labels, are outliers.
     """
-    solved = solve_markers(subject, frames)
+    solved = solve_markers(subject, frames, terms=terms)
     return solved.motion, ~solved.lost, used & ((solved.weights >= MIN_INLIER_WEIGHT) | solved.lost[:, None])
 
 

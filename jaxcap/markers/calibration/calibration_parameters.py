@@ -5,6 +5,8 @@ differences from a template. A joint is solved if it rotates and has markers on 
 the others move with their parents.
 """
 
+import abc
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +17,20 @@ from ...body.symmetry import length_differences
 from ..subject import Subject
 
 
-class TemplatePrior(eqx.Module):
-    """Uncertainty of a template, as standard deviations of a normal prior."""
+class AbstractTemplatePrior(eqx.Module):
+    """A normal prior of `s` about a template."""
+
+    @abc.abstractmethod
+    def precision(self, template: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "S S"]:
+        """Compute the inverse covariance of `s`, for the given solved joints."""
+
+
+class TemplatePrior(AbstractTemplatePrior):
+    """Uncertainty of any template, as standard deviations of its bones and of the markers on them.
+
+    The prior means are the template's bones and its marker positions *on their bones*, so that a longer bone
+    shifts all below it. The prior determines what no motion does, and is negligible where a motion does.
+    """
 
     #: of each coordinate of a bone, as a share of its length
     lengths: float = eqx.field(static=True, default=0.1)
@@ -24,6 +38,15 @@ class TemplatePrior(eqx.Module):
     joints: float = eqx.field(static=True, default=0.01)
     #: of each coordinate of a marker's position on its bone, metres
     placements: float = eqx.field(static=True, default=0.02)
+
+    def precision(self, template, joints):
+        bones = bone_vectors(template.skeleton, joints)
+        deviations = np.append(
+            self.lengths * np.linalg.norm(bones, axis=1) + self.joints,
+            np.full(template.num_markers, self.placements),
+        )
+        scaled = bone_and_placement_jacobian(template, joints) / deviations[:, None]
+        return np.kron(scaled.T @ scaled, np.eye(3))
 
 
 def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, ...]:
@@ -67,30 +90,22 @@ def shared_parameters(template: Subject, subject: Subject, joints: tuple[int, ..
     return jnp.concatenate([shifts.ravel(), (subject.offsets - template.offsets).ravel()])
 
 
-def prior_precision(
-    template: Subject,
-    joints: tuple[int, ...],
-    template_prior: TemplatePrior = TemplatePrior(),
-) -> Float[np.ndarray, "S S"]:
-    """Compute the inverse covariance of `s`.
-
-    The prior means are the template's bones and its marker positions *on their bones*, so that a longer bone
-    shifts all below it. The prior determines what no motion does, and is negligible where a motion does.
-    """
-    skeleton = template.skeleton
+def bone_vectors(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarray, "K 3"]:
+    """Compute the vector at rest from the parent of each solved joint to it, metres."""
     centres = np.asarray(skeleton.centres, float)
+    parents = np.array([skeleton.parents[joint] for joint in joints], int)
+    return centres[list(joints)] - centres[parents]
+
+
+def bone_and_placement_jacobian(template: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "N N"]:
+    """Map `s`, an axis at a time, to changes of the solved bones and of the markers' positions on their bones."""
+    skeleton = template.skeleton
     rows = centre_jacobian(skeleton, joints)
     parents = np.array([skeleton.parents[joint] for joint in joints], int)
-    lengths = np.linalg.norm(centres[list(joints)] - centres[parents], axis=1)
     bones = rows[list(joints)] - rows[parents]
     by_joint = np.hstack([bones, np.zeros((len(joints), template.num_markers))])
     by_marker = np.hstack([-rows[np.asarray(template.bones)], np.eye(template.num_markers)])
-    deviations = np.append(
-        template_prior.lengths * lengths + template_prior.joints,
-        np.full(template.num_markers, template_prior.placements),
-    )
-    scaled = np.vstack([by_joint, by_marker]) / deviations[:, None]
-    return np.kron(scaled.T @ scaled, np.eye(3))
+    return np.vstack([by_joint, by_marker])
 
 
 def equal_length_constraints(

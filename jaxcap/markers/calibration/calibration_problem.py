@@ -21,7 +21,12 @@ from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.least_squares_problem import AbstractNestedProblem
 from ..subject import Subject, marker_body, shift_markers
-from .calibration_parameters import TemplatePrior, equal_length_constraints, prior_precision, shift_subject
+from .calibration_parameters import (
+    AbstractTemplatePrior,
+    TemplatePrior,
+    equal_length_constraints,
+    shift_subject,
+)
 from .residuals import linearise_residuals, marker_residuals
 from .robust import OUTLIER_BOUND, UNBOUNDED, robust_kernel
 from .rotation_prior import (
@@ -289,7 +294,7 @@ def make_calibration_problem(
     seen: Bool[Array, "F M"],
     joints: tuple[int, ...],
     left_right_pairs: tuple[tuple[int, int], ...] = (),
-    template_prior: TemplatePrior = TemplatePrior(),
+    template_prior: AbstractTemplatePrior = TemplatePrior(),
     *,
     robust: bool = True,
     terms: UserTerms = (),
@@ -302,7 +307,7 @@ def make_calibration_problem(
         seen,
         template.deviations,
         free_rotation_prior(template.skeleton),
-        jnp.asarray(prior_precision(template, joints, template_prior), dtype),
+        jnp.asarray(template_prior.precision(template, joints), dtype),
         jnp.zeros((*seen.shape, 0), dtype),
         jnp.ones((), dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
