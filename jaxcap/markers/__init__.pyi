@@ -13,6 +13,8 @@ from .calibration.solve_calibration import CalibrationSolution as CalibrationSol
 from .calibration.solve_calibration import solve_calibration as solve_calibration
 from .local_technique import LocalFit as LocalFit
 from .local_technique import fit_local as fit_local
+from .marker_sets.recognise import MarkerSet as MarkerSet
+from .marker_sets.recognise import recognise_markers as recognise_markers
 from .motion.gap_filling import fill_gaps as fill_gaps
 from .motion.gap_filling import joint_frames as joint_frames
 from .motion.inverse_kinematics import MarkerSolution as MarkerSolution

@@ -1,0 +1,1 @@
+"""Marker sets of laboratories, by their labels."""
