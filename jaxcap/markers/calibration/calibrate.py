@@ -15,12 +15,13 @@ from ...body.pose import Motion, take_poses
 from ...body.symmetry import bone_pairs
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...observe.markers import MarkerFrames
-from ..motion.inverse_kinematics import solve_markers
+from ..motion.inverse_kinematics import marker_residuals_of_frames, solve_markers
 from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
 from .calibration_parameters import AbstractTemplatePrior, TemplatePrior, solved_joints
 from .calibration_problem import CalibrationEstimate, CalibrationProblem, make_calibration_problem
+from .effective_frames import correlation_time
 from .frame_selection import choose_frames
 from .observability import (
     ImpreciseDirection,
@@ -64,6 +65,8 @@ class Calibration(NamedTuple):
     #: indices of the frames that the subject was calibrated with
     frame_indices: Float[np.ndarray, "C"]
     converged: bool
+    #: number of the chosen frames that tell as much as one with independent errors
+    frames_per_observation: float
     #: the last fit's problem and its solution, in double precision; `solve_calibration(problem, estimate)` has derivatives
     problem: CalibrationProblem
     estimate: CalibrationEstimate
@@ -80,6 +83,7 @@ def calibrate(
     symmetry: Sequence[tuple[str, str]] = (),
     num_frames: int = 100,
     template_prior: AbstractTemplatePrior = TemplatePrior(),
+    min_frames_per_observation: float = 1.0,
     max_steps: int = 240,
     terms: UserTerms = (),
 ) -> Calibration:
@@ -90,7 +94,9 @@ def calibrate(
     frames, by default solved for; `robust`: outliers have low weights; `skin`: markers may slide on their
     bones as joints rotate, where residuals show it; `symmetry`, pairs of joint names with bones of exactly
     equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
-    `template_prior` in the template, the prior of what the frames do not determine; `max_steps` at most; `terms`,
+    `template_prior` in the template, the prior of what the frames do not determine; `min_frames_per_observation`,
+    a lower bound of how many of the chosen frames tell as much as one with independent errors, which the
+    residuals' autocorrelation gives otherwise; `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
 
@@ -100,12 +106,32 @@ def calibrate(
     # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
         return _calibrate(
-            frames, subject, motion, robust, skin, symmetry, num_frames, template_prior, max_steps, terms
+            frames,
+            subject,
+            motion,
+            robust,
+            skin,
+            symmetry,
+            num_frames,
+            template_prior,
+            min_frames_per_observation,
+            max_steps,
+            terms,
         )
 
 
 def _calibrate(
-    frames, subject, motion, robust, skin, symmetry, num_frames, template_prior, max_steps, terms
+    frames,
+    subject,
+    motion,
+    robust,
+    skin,
+    symmetry,
+    num_frames,
+    template_prior,
+    min_frames_per_observation,
+    max_steps,
+    terms,
 ) -> Calibration:
     sum_user_terms("calibrate", terms, marker_body(subject))
     matched = match_markers(subject, frames)
@@ -119,16 +145,18 @@ def _calibrate(
     usable, explained = used.sum(1) >= 3, used
     if motion is None:
         motion, usable, explained = _solve_motion(template, frames, used, terms)
+    share = min_frames_per_observation
     while True:
         chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
         positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
-        again = subject is template and not explained[used].all()
+        again = subject is template
         _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
-        # a rough fit is enough to find swapped labels
+        # a rough fit is enough to find swapped labels, and how long residuals last
         problem = make_calibration_problem(
             template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
+        problem = with_frames_per_observation(problem, share)
         fit = bundle_adjust(
             problem,
             subject,
@@ -141,14 +169,19 @@ def _calibrate(
         if not again:
             break
         # the subject is known better now, and so are the swapped labels
-        motion, usable, explained = _solve_motion(
-            _subject_with_sliding_variance(fit), frames, used, terms
+        motion, usable, explained = _solve_motion(_subject_with_sliding_variance(fit), frames, used, terms)
+        share = max(
+            min_frames_per_observation, _frames_per_observation(subject, motion, matched, explained, chosen)
         )
-    _LOG.info("computing the covariance of the subject")
-    known = shared_covariance(fit.problem, fit.estimate)
     best = _subject_with_sliding_variance(fit)
     slid = _sliding_variances(fit)
     solved = solve_markers(best, frames, terms=terms)
+    explained = used & (solved.weights >= MIN_INLIER_WEIGHT)
+    share = max(
+        min_frames_per_observation, _frames_per_observation(best, solved.motion, matched, explained, chosen)
+    )
+    _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
+    known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
     hardly = find_imprecise_directions(best, known, joints)
     messages = (
         *describe_precision(best, known, poses, joints, hardly),
@@ -169,9 +202,23 @@ def _calibrate(
         joints,
         chosen,
         fit.converged,
+        share,
         fit.problem,
         fit.estimate,
     )
+
+
+def with_frames_per_observation(problem: CalibrationProblem, share: float) -> CalibrationProblem:
+    """Make a problem in which `share` frames tell as much as one."""
+    value = jnp.asarray(share, problem.frames_per_observation.dtype)
+    return eqx.tree_at(lambda p: p.frames_per_observation, problem, value)
+
+
+def _frames_per_observation(subject: Subject, motion: Motion, matched, explained, chosen) -> float:
+    """Estimate how many of the chosen frames tell as much as one, at least 1, from a motion through all frames."""
+    residuals = np.asarray(marker_residuals_of_frames(subject, motion.poses, matched.positions), float)
+    independent = len(residuals) / correlation_time(residuals, explained)
+    return max(1.0, len(chosen) / independent)
 
 
 def _describe_sliding(subject: Subject, variances: Float[np.ndarray, "M"]) -> list[str]:

@@ -64,6 +64,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
     - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
       deviation of all slides, metres a radian.
+    - `frames_per_observation`: that many frames tell as much of what they share as one would with independent
+      errors. Both priors of shared unknowns count that many times, which is the same as a likelihood with that share.
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
@@ -78,6 +80,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     prior: Float[Array, "S S"]
     skin_features: Float[Array, "F M K"]
     slide_deviation: Float[Array, ""]
+    frames_per_observation: Float[Array, ""]
     outlier_bound: Float[Array, ""]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
@@ -216,17 +219,21 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             return self._with_priors(y, value, gradient, arrow)
 
     def _with_priors(self, y, value, gradient: Unknowns, arrow: BlockArrow):
-        away, stiff = y.shared, 1.0 / self.slide_deviation**2
-        count = len(self.prior)
-        pull = jnp.concatenate([self.prior @ away, stiff * y.slides.reshape(-1)])
-        firm = jnp.zeros_like(arrow.shared).at[:count, :count].set(self.prior)
+        prior, stiff = self.frames_per_observation * self.prior, self._slide_precision()
+        count = len(prior)
+        pull = jnp.concatenate([prior @ y.shared, stiff * y.slides.reshape(-1)])
+        firm = jnp.zeros_like(arrow.shared).at[:count, :count].set(prior)
         firm = firm + jnp.diag(jnp.where(jnp.arange(len(firm)) < count, 0.0, stiff))
         shared = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + firm)
         return value + self._prior_value(y), (gradient[0], gradient[1] + pull), shared
 
     def _prior_value(self, y: CalibrationEstimate) -> Float[Array, ""]:
         away = y.shared
-        return 0.5 * (away @ self.prior @ away + jnp.sum((y.slides / self.slide_deviation) ** 2))
+        bones = self.frames_per_observation * (away @ self.prior @ away)
+        return 0.5 * (bones + self._slide_precision() * jnp.sum(y.slides**2))
+
+    def _slide_precision(self) -> Float[Array, ""]:
+        return self.frames_per_observation / self.slide_deviation**2
 
     def _frame_inputs(self, y: CalibrationEstimate):
         return y.poses, self.positions, self.seen, self.skin_features
@@ -309,6 +316,7 @@ def make_calibration_problem(
         free_rotation_prior(template.skeleton),
         jnp.asarray(template_prior.precision(template, joints), dtype),
         jnp.zeros((*seen.shape, 0), dtype),
+        jnp.ones((), dtype),
         jnp.ones((), dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
         sum_user_terms("make_calibration_problem", terms, marker_body(template)),

@@ -5,7 +5,6 @@ muscle, stature), with `t` standard normal. What the traits leave of each bone i
 the left and the right. Each marker is off its landmark by a placement error.
 """
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 

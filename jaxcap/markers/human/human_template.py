@@ -4,76 +4,102 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from ...body.people.human import human, human_from_traits, shape_from_traits
+from ...body.people.human import human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
-from ...geometry.attachment import attached_positions
+from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
-from ..body_shape.surface_markers import SurfaceMarkers
+from ..marker_sets.landmarks import landmark_attachment
+from ..marker_sets.recognise import MarkerSet
 from ..subject import Subject, make_subject
 from .anatomical_prior import AnatomicalPrior
 
 #: resolution of the surface that markers are placed on
 RESOLUTION = "low"
 #: share of a trait's deviation for its finite differences
-STEP = 0.5
+DIFFERENCE_SHARE = 0.5
 
 
 class HumanTemplate(NamedTuple):
-    """A person of given traits with markers, as the template of a calibration, and its prior."""
+    """A person of given traits with a laboratory's markers, as the template of a calibration, and its prior."""
 
     subject: Subject
     prior: AnatomicalPrior
     traits: Traits
 
 
-def make_human_template(
-    markers: SurfaceMarkers,
-    bones: Sequence[str],
-    placements: Float[np.ndarray, "M"],
-    traits: Traits = MEAN_TRAITS,
-) -> HumanTemplate:
-    """Place markers on the human of given traits.
+def placed_markers(markers: MarkerSet) -> Int[np.ndarray, "N"]:
+    """List the markers with a known landmark that are no virtual points."""
+    known = [name is not None for name in markers.names]
+    return np.flatnonzero(np.array(known, bool) & ~markers.virtual)
 
-    **Arguments:** `markers` on its surface; `bones`, the joint of the bone that each marker moves with;
-    `placements`, the standard deviation of each marker about its landmark, metres.
-    """
+
+def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> HumanTemplate:
+    """Place the recognised markers on the human of given traits."""
+    chosen = placed_markers(markers)
+    labels = [markers.labels[index] for index in chosen]
+    names = [str(markers.names[index]) for index in chosen]
+    bones = [str(markers.bones[index]) for index in chosen]
+    heights, deviations = markers.heights[chosen], markers.deviations[chosen]
     skeleton = human_from_traits(traits, RESOLUTION, "tracking").skeleton
     subject = make_subject(
         skeleton,
         [skeleton.index(name) for name in bones],
-        _places(markers, traits)[0],
-        markers.labels,
-        deviations=np.maximum(placements, 1e-3),
+        _rest_positions(names, heights, traits)[0],
+        labels,
+        deviations=deviations,
     )
     by_centre, by_marker = [], []
     for number, deviation in enumerate(TRAIT_DEVIATIONS):
-        ends = [
-            float(np.clip(traits[number] + sign * STEP * deviation, MIN_TRAITS[number], MAX_TRAITS[number]))
-            for sign in (-1, 1)
-        ]
         low, high = (
-            _places(markers, traits._replace(**{Traits._fields[number]: value})) for value in ends
+            float(np.clip(traits[number] + step * deviation, MIN_TRAITS[number], MAX_TRAITS[number]))
+            for step in (-DIFFERENCE_SHARE, DIFFERENCE_SHARE)
         )
-        share = deviation / (ends[1] - ends[0])
+        field = Traits._fields[number]
+        ends = [
+            _rest_positions(names, heights, traits._replace(**{field: value})) for value in (low, high)
+        ]
+        share = deviation / (high - low)
+        places, centres = (share * (b - a) for a, b in zip(*ends, strict=True))
         # the root's own centre is arbitrary and stays
-        shift = high[1][0] - low[1][0]
-        by_marker.append(share * (high[0] - low[0] - shift))
-        by_centre.append(share * (high[1] - low[1] - shift))
-    prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), np.asarray(placements, float))
-    return HumanTemplate(subject, prior, traits)
+        by_marker.append(places - centres[0])
+        by_centre.append(centres - centres[0])
+    return HumanTemplate(subject, AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations), traits)
 
 
-def _places(
-    markers: SurfaceMarkers, traits: Traits
+def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> Traits:
+    """Find the stature at which the markers of each bone are as far apart as observed, all other traits at their means.
+
+    `distances` between markers, metres, NaN where they are never visible together.
+    """
+    chosen = placed_markers(markers)
+    template = make_human_template(markers)
+    bones, seen = np.asarray(template.subject.bones), distances[np.ix_(chosen, chosen)]
+    pairs = [(a, b) for a in range(len(chosen)) for b in range(a) if bones[a] == bones[b]]
+    mean, slope, precision = [], [], []
+    offsets, modes = np.asarray(template.subject.offsets, float), template.prior.marker_modes[-1]
+    placed = template.prior.placements
+    for a, b in pairs:
+        away = offsets[a] - offsets[b]
+        length = np.linalg.norm(away)
+        if np.isfinite(seen[a, b]) and length > 0.03:
+            mean.append(seen[a, b] - length)
+            slope.append(away @ (modes[a] - modes[b]) / length)
+            precision.append(1.0 / (placed[a] ** 2 + placed[b] ** 2))
+    mean, slope, precision = np.array(mean), np.array(slope), np.array(precision)
+    deviation = TRAIT_DEVIATIONS.stature
+    tall = float(np.sum(precision * slope * mean) / (1.0 + np.sum(precision * slope**2))) if len(mean) else 0.0
+    stature = np.clip(MEAN_TRAITS.stature + deviation * tall, MIN_TRAITS.stature, MAX_TRAITS.stature)
+    return MEAN_TRAITS._replace(stature=float(stature))
+
+
+def _rest_positions(
+    names: Sequence[str], heights: Float[np.ndarray, "M"], traits: Traits
 ) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "J 3"]]:
-    """Compute the rest positions of the markers and of the joints of a person, metres."""
+    """Compute the rest positions of markers on landmarks, and of the joints, of a person, metres."""
     vertices, ends = shape_from_traits(traits, RESOLUTION)
-    places = np.asarray(attached_positions(markers.attachment, vertices), float)
-    return places, ends[:, 0]
-
-
-def human_joint_names() -> tuple[str, ...]:
-    """List the joints of the human that calibrations use."""
-    return human(resolution=RESOLUTION, joints="tracking").skeleton.names
+    every, hold = landmark_attachment(RESOLUTION)
+    rows = [every.index(name) for name in names]
+    own = Attachment(hold.corners[rows], hold.barycentric[rows], heights)
+    return np.asarray(attached_positions(own, vertices), float), ends[:, 0]

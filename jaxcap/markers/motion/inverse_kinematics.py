@@ -81,7 +81,8 @@ def solve_markers(
         | ~np.isfinite(np.asarray(solved.residuals)).all(1)
         | _poorly_fitted_frames(subject, used, solved)
     )
-    residuals = np.where(seen, np.asarray(_residual_lengths(subject, solved.pose, positions)), np.nan)
+    lengths = np.linalg.norm(np.asarray(marker_residuals_of_frames(subject, solved.pose, positions)), axis=2)
+    residuals = np.where(seen, lengths, np.nan)
     messages = describe_solution(subject, frames, seen, lost)
     weights = np.asarray(solved.weights) * ~lost[:, None]
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)
@@ -155,11 +156,9 @@ def _solve_each(subject: Subject, starts: Pose, positions, seen, energy) -> Solv
 
 
 @eqx.filter_jit
-def _residual_lengths(subject: Subject, poses: Pose, positions) -> Float[Array, "F M"]:
-    def of_frame(frame):
-        return jnp.linalg.norm(marker_residuals(subject, *frame), axis=1)
-
-    return jax.lax.map(of_frame, (poses, positions))
+def marker_residuals_of_frames(subject: Subject, poses: Pose, positions) -> Float[Array, "F M 3"]:
+    """Compute the residuals of all markers in every frame, metres in the rest frames of their bones."""
+    return jax.lax.map(lambda frame: marker_residuals(subject, *frame), (poses, positions))
 
 
 def _poorly_fitted_frames(subject: Subject, used, solved: SolvedFrame) -> np.ndarray:

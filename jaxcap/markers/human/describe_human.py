@@ -1,0 +1,92 @@
+"""What a user has to know of a person's skeleton, in sentences, the most serious first."""
+
+import numpy as np
+
+from ..calibration.calibrate import Calibration
+from ..marker_sets.recognise import MarkerSet
+from .further_markers import FurtherMarkers
+from .human_template import HumanTemplate
+
+#: parts of the body, and the joints of the bones that one of its markers is on
+PARTS = {
+    "the left arm": ("LeftArm", "LeftForeArm", "LeftHand"),
+    "the right arm": ("RightArm", "RightForeArm", "RightHand"),
+    "the left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot"),
+    "the right leg": ("RightUpLeg", "RightLeg", "RightFoot"),
+    "the head": ("Head",),
+    "the pelvis": ("Hips",),
+    "the trunk": ("LowerBack", "Spine", "Spine1"),
+}
+#: standard deviation of a marker about its bone above which its label may be wrong, metres
+DOUBTFUL_DEVIATION = 0.03
+
+
+def describe_human(
+    further: FurtherMarkers, template: HumanTemplate, found: Calibration, known: MarkerSet
+) -> tuple[str, ...]:
+    """Describe parts without markers, joints that only anatomy places, and markers that do not fit."""
+    return (
+        *_parts_without_markers(found),
+        *_misplaced_markers(found, template),
+        *_joints_by_anatomy(found),
+        *_unknown_markers(further, known),
+    )
+
+
+def _parts_without_markers(found: Calibration) -> list[str]:
+    skeleton = found.subject.skeleton
+    held = {skeleton.names[bone] for bone in np.asarray(found.subject.bones)}
+    said = []
+    for part, bones in PARTS.items():
+        bare = [bone for bone in bones if bone not in held]
+        if len(bare) == len(bones):
+            said.append(f"No marker is on {part}: it stays at rest, with usual lengths for this person.")
+    return said
+
+
+def _misplaced_markers(found: Calibration, template: HumanTemplate) -> list[str]:
+    off = np.linalg.norm(np.asarray(found.subject.offsets - template.subject.offsets, float), axis=1)
+    del off
+    wide = np.asarray(found.subject.deviations, float)
+    order = np.argsort(-wide)
+    worst = [
+        f"{found.subject.labels[m]} ({1e3 * wide[m]:.0f} mm)" for m in order if wide[m] > DOUBTFUL_DEVIATION
+    ]
+    if not worst:
+        return []
+    return [
+        f"{len(worst)} markers move far on their bones, so their labels or bones may be wrong: {', '.join(worst[:8])}."
+    ]
+
+
+def _joints_by_anatomy(found: Calibration) -> list[str]:
+    names = found.subject.skeleton.names
+    worst: dict[int, float] = {}
+    for direction in found.imprecise_directions:
+        if not direction.is_determined_by_data:
+            worst[direction.joint] = max(worst.get(direction.joint, 0.0), direction.deviation)
+    if not worst:
+        return []
+    each = ", ".join(f"{names[joint]} ({1e3 * off:.0f} mm)" for joint, off in worst.items())
+    return [
+        "In at least one direction the takes do not tell these joints, which stay where people have them (with "
+        f"standard deviations): {each}."
+    ]
+
+
+def _unknown_markers(further: FurtherMarkers, known: MarkerSet) -> list[str]:
+    said = []
+    virtual = [label for label, is_virtual in zip(known.labels, known.virtual, strict=True) if is_virtual]
+    if virtual:
+        said.append(f"{len(virtual)} points are no markers and left out: {', '.join(virtual[:8])}.")
+    if further.added:
+        said.append(
+            f"{len(further.added)} markers have unknown labels and were given to the bones that they move with: "
+            f"{', '.join(further.added[:8])}."
+        )
+    if further.loose:
+        said.append(
+            f"{len(further.loose)} markers with unknown labels move with no bone and are left out: "
+            f"{', '.join(further.loose[:8])}."
+        )
+    return said

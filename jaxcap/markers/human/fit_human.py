@@ -1,0 +1,152 @@
+"""The skeleton of a person from labelled markers, with the embedded human as the template."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...arguments import checked
+from ...body.body import Body
+from ...body.people.anatomy import rest_deviations
+from ...body.people.human import human_from_traits
+from ...body.people.morph_targets import Traits
+from ...body.pose import Motion
+from ...energy.check_energies import UserTerms
+from ...energy.priors.reference_pose import RestPrior
+from ...errors import InputError
+from ...observe.markers import MarkerFrames
+from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
+from ..calibration.calibrate import Calibration, calibrate
+from ..calibration.calibration_parameters import shared_parameters
+from ..marker_sets.recognise import MarkerSet, recognise_markers
+from ..subject import Subject
+from .describe_human import describe_human
+from .further_markers import attach_further_markers
+from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size, placed_markers
+
+#: least number of markers on known landmarks, and of bones that carry them
+MIN_MARKERS, MIN_BONES = 6, 3
+#: lower bound of the frames that tell as much as one with independent errors, as the displacement of skin
+#: repeats with the pose
+MIN_FRAMES_PER_OBSERVATION = 10.0
+
+
+class HumanFit(NamedTuple):
+    """A person's skeleton with the markers of a laboratory, and the motion of the takes."""
+
+    subject: Subject
+    motion: Motion
+    #: distances between observed and predicted markers, metres, NaN where not visible; in the subject's order
+    residuals: Float[np.ndarray, "F M"]
+    #: the embedded human with the person's traits
+    body: Body
+    traits: Traits
+    #: what the labels tell
+    marker_set: MarkerSet
+    calibration: Calibration
+    #: messages to the user, in sentences, the most serious first
+    messages: tuple[str, ...]
+
+
+@checked
+def fit_human(
+    frames: MarkerFrames,
+    *,
+    num_frames: int = 100,
+    skin: bool = True,
+    terms: UserTerms = (),
+) -> HumanFit:
+    """Fit the embedded human's skeleton to markers with the labels of a laboratory.
+
+    Labels tell the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
+    equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Poses have the prior of `RestPrior`:
+    the spine bends evenly, knees and elbows are nearly hinges. What the markers do not tell stays as anatomy has it.
+
+    **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
+    on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
+
+    **Raises:** `InputError` where too few labels are known, or left and right are exchanged.
+    """
+    known = recognise_markers(frames.labels)
+    check_recognised(known, frames)
+    template = make_human_template(known, person_of_size(known, median_distances(frames)))
+    skeleton = template.subject.skeleton
+    posture = RestPrior(jnp.asarray(rest_deviations(skeleton), skeleton.centres.dtype))
+    extra = tuple(terms) if isinstance(terms, tuple | list) else (terms,)
+    found = calibrate(
+        frames,
+        template.subject,
+        skin=skin,
+        num_frames=num_frames,
+        template_prior=template.prior,
+        min_frames_per_observation=MIN_FRAMES_PER_OBSERVATION,
+        terms=(posture, *extra),
+    )
+    traits, subject = complete_skeleton(template, found)
+    further = attach_further_markers(subject, found.motion, frames, known)
+    body = human_from_traits(traits, RESOLUTION, "tracking")
+    return HumanFit(
+        further.subject,
+        found.motion,
+        further.residuals(found.residuals),
+        body,
+        traits,
+        known,
+        found,
+        describe_human(further, template, found, known),
+    )
+
+
+def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
+    """Check that there are markers of a person. Raises `InputError`."""
+    placed = placed_markers(known)
+    visible = [index for index in placed if np.asarray(frames.visible)[:, index].any()]
+    bones = {known.bones[index] for index in visible}
+    if len(visible) < MIN_MARKERS or len(bones) < MIN_BONES:
+        raise InputError(
+            f"{len(visible)} of {len(known.labels)} markers have labels of landmarks of a person ({', '.join(known.labels[:8])}"
+            f"{', ...' if len(known.labels) > 8 else ''}), on {len(bones)} bones; at least {MIN_MARKERS} on {MIN_BONES} bones are "
+            "needed. Rename the labels, or use fit_local, which needs no labels."
+        )
+
+
+def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:
+    """Estimate the traits, and give the joints that no marker tells the places of a person with these traits."""
+    shared = np.asarray(shared_parameters(template.subject, found.subject, found.joints), float)
+    amounts = template.prior.estimate_traits(template.subject, found.joints, shared)
+    values = np.array(template.traits) + amounts * np.array(TRAIT_DEVIATIONS)
+    traits = Traits(*(float(value) for value in np.clip(values, MIN_TRAITS, MAX_TRAITS)))
+    skeleton = found.subject.skeleton
+    centres = np.asarray(skeleton.centres, float).copy()
+    before = np.asarray(template.subject.skeleton.centres, float)
+    usual = before + np.tensordot(amounts, template.prior.centre_modes, 1)
+    below = {joint for joint in range(skeleton.num_joints) if _is_unseen(found, joint)}
+    for joint, parent in enumerate(skeleton.parents):
+        if joint in below and parent >= 0:
+            centres[joint] = centres[parent] + usual[joint] - usual[parent]
+    return traits, eqx.tree_at(
+        lambda s: s.skeleton.centres, found.subject, jnp.asarray(centres, skeleton.centres.dtype)
+    )
+
+
+def _is_unseen(found: Calibration, joint: int) -> bool:
+    """Tell if neither the joint nor any below it carries a marker, and its centre was not solved."""
+    skeleton = found.subject.skeleton
+    carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
+    return joint not in found.joints and not carried
+
+
+def median_distances(frames: MarkerFrames) -> Float[np.ndarray, "M M"]:
+    """Compute the median distance of each two markers over the frames in which both are visible, metres."""
+    step = max(1, len(frames) // 200)
+    places = np.asarray(frames.positions, float)[::step].copy()
+    places[~np.asarray(frames.visible)[::step]] = np.nan
+    count = places.shape[1]
+    result = np.full((count, count), np.nan)
+    for marker in range(count):
+        apart = np.linalg.norm(places - places[:, marker, None], axis=2)
+        some = np.isfinite(apart).any(0)
+        result[marker, some] = np.nanmedian(apart[:, some], axis=0)
+    return result
