@@ -38,6 +38,9 @@ class Subject(eqx.Module):
     deviations: Float[Array, "M"]
     labels: tuple[str, ...] = eqx.field(static=True)
     models: tuple[str, ...] = eqx.field(static=True)
+    #: standard deviations of each joint from rest about the axes of its own frame (twist, flexion, sideways),
+    #: radians, as of `RestPrior`; None: all poses are equally probable
+    posture: Float[Array, "J 3"] | None = None
 
     def __check_init__(self):
         lengths = check_fields(self)
@@ -60,12 +63,14 @@ def make_subject(
     weights=None,
     deviations=None,
     models: Sequence[str] | None = None,
+    posture=None,
 ) -> Subject:
     """Build a `Subject` and check its fields.
 
     **Arguments:** `bones (M,)` joint indices; `offsets (M, 3)` rest positions in the world, metres;
     `labels`, all different; `weights (M,)` of attachment from 0 to 1, by default 1; `deviations (M,)`
-    metres, by default 0.01; `models` out of `MARKER_MODELS`, by default "rigid".
+    metres, by default 0.01; `models` out of `MARKER_MODELS`, by default "rigid"; `posture (J, 3)`, standard
+    deviations of the joints from rest, radians, by default none.
 
     **Raises:** `ValueError` with one sentence that names the marker.
     """
@@ -100,7 +105,10 @@ def make_subject(
                 "expected a weight from 0 to 1 and a deviation above 0 metres."
             )
     offsets, weights, deviations = (jnp.asarray(values, dtype) for values in (offsets, weights, deviations))
-    return Subject(skeleton, jnp.asarray(bones, jnp.int32), offsets, weights, deviations, labels, models)
+    usual = None if posture is None else jnp.asarray(posture, dtype)
+    return Subject(
+        skeleton, jnp.asarray(bones, jnp.int32), offsets, weights, deviations, labels, models, usual
+    )
 
 
 @checked

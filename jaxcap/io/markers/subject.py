@@ -25,7 +25,8 @@ def save_subject(path: str | Path, subject: Subject) -> None:
 
 
 def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
-    """Convert a subject to named arrays: those of its skeleton, and those of its markers as `marker.*`."""
+    """Convert a subject to named arrays: those of its skeleton, those of its markers as `marker.*`, and its posture."""
+    posture = {} if subject.posture is None else {"posture": np.asarray(subject.posture)}
     return {
         **skeleton_arrays(subject.skeleton),
         "marker.labels": np.array(subject.labels, dtype=str),
@@ -34,6 +35,7 @@ def subject_arrays(subject: Subject) -> dict[str, np.ndarray]:
         "marker.offsets": np.asarray(subject.offsets),
         "marker.weights": np.asarray(subject.weights),
         "marker.deviations": np.asarray(subject.deviations),
+        **posture,
     }
 
 
@@ -59,9 +61,19 @@ def subject_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Subject:
     )
     offsets = get_array(arrays, "marker.offsets", path, (count, 3), row_name="marker")
     skeleton = skeleton_of(arrays, path)
+    posture = None
+    if "posture" in arrays:
+        posture = get_array(arrays, "posture", path, (skeleton.num_joints, 3), row_name="joint")
     try:
         return make_subject(
-            skeleton, bones, offsets, labels, weights=weights, deviations=deviations, models=models
+            skeleton,
+            bones,
+            offsets,
+            labels,
+            weights=weights,
+            deviations=deviations,
+            models=models,
+            posture=posture,
         )
     except ValueError as error:
         raise InputError(f"{path}: {user_message(error)}") from None

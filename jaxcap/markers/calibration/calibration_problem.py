@@ -20,6 +20,7 @@ from ...fit.linearise import BodyTangent, body_tangent
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.least_squares_problem import AbstractNestedProblem
+from ..posture import posture_prior
 from ..subject import Subject, marker_body, shift_markers
 from .calibration_parameters import (
     AbstractTemplatePrior,
@@ -319,7 +320,7 @@ def make_calibration_problem(
         jnp.ones((), dtype),
         jnp.ones((), dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
-        sum_user_terms("make_calibration_problem", terms, marker_body(template)),
+        posture_prior(template, sum_user_terms("make_calibration_problem", terms, marker_body(template))),
         joints,
         left_right_pairs,
     )

@@ -9,12 +9,10 @@ from jaxtyping import Float
 
 from ...arguments import checked
 from ...body.body import Body
-from ...body.people.anatomy import rest_deviations
 from ...body.people.human import human_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.pose import Motion
 from ...energy.check_energies import UserTerms
-from ...energy.priors.reference_pose import RestPrior
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
 from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
@@ -61,8 +59,7 @@ def fit_human(
     """Fit the embedded human's skeleton to markers with the labels of a laboratory.
 
     Labels tell the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
-    equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Poses have the prior of `RestPrior`:
-    the spine bends evenly, knees and elbows are nearly hinges. What the markers do not tell stays as anatomy has it.
+    equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not tell stays as anatomy has it.
 
     **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
@@ -72,9 +69,6 @@ def fit_human(
     known = recognise_markers(frames.labels)
     check_recognised(known, frames)
     template = make_human_template(known, person_of_size(known, median_distances(frames)))
-    skeleton = template.subject.skeleton
-    posture = RestPrior(jnp.asarray(rest_deviations(skeleton), skeleton.centres.dtype))
-    extra = tuple(terms) if isinstance(terms, tuple | list) else (terms,)
     found = calibrate(
         frames,
         template.subject,
@@ -82,7 +76,7 @@ def fit_human(
         num_frames=num_frames,
         template_prior=template.prior,
         min_frames_per_observation=MIN_FRAMES_PER_OBSERVATION,
-        terms=(posture, *extra),
+        terms=terms,
     )
     traits, subject = complete_skeleton(template, found)
     further = attach_further_markers(subject, found.motion, frames, known)

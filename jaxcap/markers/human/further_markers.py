@@ -80,6 +80,7 @@ def attach_further_markers(
         weights=np.append(np.asarray(subject.weights, float), np.ones(len(added))),
         deviations=np.append(np.asarray(subject.deviations, float), spreads),
         models=(*subject.models, *("rigid",) * len(added)),
+        posture=subject.posture,
     )
     return FurtherMarkers(
         wider, tuple(added), tuple(loose), np.reshape(residuals, (len(added), len(frames))).T

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...body.people.anatomy import rest_deviations
 from ...body.people.human import human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
 from ...geometry.attachment import Attachment, attached_positions
@@ -19,6 +20,8 @@ from .anatomical_prior import AnatomicalPrior
 RESOLUTION = "low"
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
+#: standard deviation of a free rotation, radians
+FREE_DEVIATION = 100.0
 
 
 class HumanTemplate(NamedTuple):
@@ -49,6 +52,7 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
         _rest_positions(names, heights, traits)[0],
         labels,
         deviations=deviations,
+        posture=np.minimum(rest_deviations(skeleton), FREE_DEVIATION),
     )
     by_centre, by_marker = [], []
     for number, deviation in enumerate(TRAIT_DEVIATIONS):
@@ -57,15 +61,15 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
             for step in (-DIFFERENCE_SHARE, DIFFERENCE_SHARE)
         )
         field = Traits._fields[number]
-        ends = [
-            _rest_positions(names, heights, traits._replace(**{field: value})) for value in (low, high)
-        ]
+        ends = [_rest_positions(names, heights, traits._replace(**{field: value})) for value in (low, high)]
         share = deviation / (high - low)
         places, centres = (share * (b - a) for a, b in zip(*ends, strict=True))
         # the root's own centre is arbitrary and stays
         by_marker.append(places - centres[0])
         by_centre.append(centres - centres[0])
-    return HumanTemplate(subject, AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations), traits)
+    return HumanTemplate(
+        subject, AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations), traits
+    )
 
 
 def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> Traits:
@@ -89,7 +93,9 @@ def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> T
             precision.append(1.0 / (placed[a] ** 2 + placed[b] ** 2))
     mean, slope, precision = np.array(mean), np.array(slope), np.array(precision)
     deviation = TRAIT_DEVIATIONS.stature
-    tall = float(np.sum(precision * slope * mean) / (1.0 + np.sum(precision * slope**2))) if len(mean) else 0.0
+    tall = (
+        float(np.sum(precision * slope * mean) / (1.0 + np.sum(precision * slope**2))) if len(mean) else 0.0
+    )
     stature = np.clip(MEAN_TRAITS.stature + deviation * tall, MIN_TRAITS.stature, MAX_TRAITS.stature)
     return MEAN_TRAITS._replace(stature=float(stature))
 

@@ -18,6 +18,7 @@ from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..calibration.residuals import linearise_residuals, marker_residuals
 from ..calibration.robust import robust_kernel, variance_ratio
+from ..posture import posture_prior
 from ..subject import Subject, marker_body
 
 #: information below which a pose coordinate is undetermined: that of a marker with a deviation of a metre, a
@@ -103,6 +104,7 @@ def solve_frame(
     not make a marker look swapped. Pose coordinates that no visible marker determines keep their start
     values. Never fails: without visible markers the start is returned.
     """
+    terms = posture_prior(subject, terms)
     precision = jnp.where(seen, subject.weights / subject.deviations**2, 0.0)
     counted = precision > 0
 
