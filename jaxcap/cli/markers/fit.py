@@ -1,23 +1,29 @@
-"""`jaxcap markers fit`: a subject, with its skeleton and marker placements, from takes alone."""
+"""`jaxcap markers fit`: a subject, with its skeleton and marker placements, from takes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
+from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...io.markers.marker_corrections import read_corrections, write_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
+from ...markers.human.fit_human import HumanFit, check_recognised, fit_human
+from ...markers.human.human_template import make_human_template
 from ...markers.local_technique import LocalFit, fit_local
+from ...markers.marker_sets.recognise import recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
-from ...markers.subject import marker_body
+from ...markers.subject import Subject, marker_body
+from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
 from ..console.console import say
 from ..console.heartbeat import set_activity
@@ -25,6 +31,7 @@ from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit
 from ..motions import load_skeleton
 from ..outputs import check_npz, make_folder
 from ..terms import FloorHeight, read_terms
+from .fit_person import bone_rows, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
 from .takes import (
     Files,
@@ -44,12 +51,25 @@ OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_
 SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_hint="")]
 
 
+#: options of the technique without a person's skeleton, and their defaults
+FREE_OPTIONS = {"method": "score", "threshold": None, "segments": None, "symmetry": (), "local": False}
+
+
+class FittedMarkers(NamedTuple):
+    """A subject and its motion through takes."""
+
+    subject: Subject
+    motion: Motion
+    residuals: Float[np.ndarray, "F M"]
+
+
 @dataclass
 class Fit:
-    """Calibrate a subject from its takes: segments, joints, bone lengths, and the position of each marker on its bone.
+    """Calibrate a subject from its takes: joints, bone lengths, and the position of each marker on its bone.
     Give a take in which every joint moves; a static pose can be added.
 
-    Markers are assigned to segments automatically. Quantities that the takes do not determine are reported."""
+    A person is recognised by the labels of the markers, and gets the skeleton of the embedded human. Anything else gets a
+    skeleton of the segments that are found. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
     """Takes of one subject: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
@@ -65,10 +85,13 @@ class Fit:
     """Text file with corrections of segments: marker, segment and weight in each line. The segment - leaves a marker
     without a segment. The segments.txt of --report is such a file, to start from."""
     template: Annotated[
-        OptionalFile,
+        str | None,
         arg(
-            help=f"Skeleton that defines which segments are connected: {SKELETON_FORMATS}. --segments is then needed, to give "
-            "the segments the names of joints of this skeleton."
+            metavar="{human,none,FILE}",
+            help_behavior_hint="",
+            help="human: the skeleton of a person, by the labels of the markers; none: segments and joints are found, as "
+            f"for animals and objects. Default: human where the labels are known. FILE: a skeleton ({SKELETON_FORMATS}) that "
+            "defines which segments are connected; --segments is then needed, to give the segments the names of its joints.",
         ),
     ] = None
     symmetry: SamePairs = ()
@@ -110,6 +133,51 @@ class Fit:
         set_activity("reading the takes")
         takes = [read_take(path, self.unit, self.subject, self.up, self.pieces).frames for path in self.files]
         united = merge_takes(takes)
+        if self.is_person(united):
+            self.fit_person(united)
+        else:
+            self.fit_segments(united, pairs)
+
+    def is_person(self, frames: MarkerFrames) -> bool:
+        """Decide if the markers are those of a person with known labels, and tell if they are not."""
+        if self.template is not None:
+            return self.template == "human"
+        free = self.free_options()
+        if free:
+            say(f"{free[0]} is of the technique without a person's skeleton (--template none), which is used")
+            return False
+        try:
+            check_recognised(recognise_markers(frames.labels), frames)
+        except InputError as error:
+            say(f"--template none is used, which knows no people: {str(error).split('. Rename')[0]}")
+            return False
+        return True
+
+    def free_options(self) -> list[str]:
+        """List the given options that only the technique without a person's skeleton has."""
+        return [f"--{name}" for name, default in FREE_OPTIONS.items() if getattr(self, name) != default]
+
+    def fit_person(self, frames: MarkerFrames) -> None:
+        """Fit the embedded human's skeleton and write it."""
+        set_activity("fitting a person's skeleton")
+        say(
+            f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
+            f"{len(frames)} frames"
+        )
+        template = make_human_template(recognise_markers(frames.labels)).subject
+        terms = read_terms(marker_body(template), floor=self.floor)
+        fit = fit_human(frames, num_frames=self.frames, skin=not self.rigid, terms=terms)
+        print_person(fit)
+        notes = fit.calibration.motion_messages
+        notes = self.print_residuals(fit.subject, fit.residuals, None, notes)
+        self.write_results(fit.subject, fit.motion, None)
+        if self.report is not None:
+            extra = {"segments": bone_rows(fit), "traits": fit.traits._asdict()}
+            self.draw_report(self.report, fit, frames, (*fit.messages, *notes), None, extra)
+            say(f"report.json and pictures are in {self.report}")
+
+    def fit_segments(self, united: MarkerFrames, pairs: tuple[tuple[str, str], ...]) -> None:
+        """Find segments and joints, fit a skeleton of them, and write it."""
         set_activity("finding segments and joints")
         corrections = None if self.segments is None else read_corrections(self.segments)
         found = fit_local(
@@ -117,8 +185,8 @@ class Fit:
             threshold=self.threshold,
             method=self.method,
             template=None
-            if self.template is None
-            else self.match_segments(load_skeleton(self.template), corrections or {}),
+            if self.template in (None, "none")
+            else self.match_segments(load_skeleton(Path(str(self.template))), corrections or {}),
             symmetry=pairs,
             corrections=corrections,
         )
@@ -148,54 +216,70 @@ class Fit:
             raise InputError(
                 f"{', '.join(self.files)}: no pose of the estimated skeleton explains any frame; check that the markers are of one body, and the unit."
             )
-        set_activity("measuring residuals")
         print_bones(found, fitted if isinstance(fitted, Calibration) else None)
-        kept = assigned_residuals(subject, fitted.residuals, lost)
+        notes = self.print_residuals(subject, fitted.residuals, lost, (*found.messages, *fitted.messages))
+        self.write_results(subject, fitted.motion, lost)
+        if self.report is not None:
+            make_folder(self.report)
+            write_segments(self.report, found)
+            result = FittedMarkers(subject, fitted.motion, fitted.residuals)
+            extra = {"local_joints": joint_figures(found)}
+            self.draw_report(self.report, result, found.markers, notes, lost, extra)
+            say(f"report.json, segments.txt and pictures are in {self.report}")
+
+    def print_residuals(
+        self,
+        subject: Subject,
+        residuals: Float[np.ndarray, "F M"],
+        lost: Bool[np.ndarray, "F"] | None,
+        messages: Sequence[str],
+    ) -> tuple[str, ...]:
+        """Print the residuals of all markers, and the notes; return the notes."""
+        set_activity("measuring residuals")
+        kept = assigned_residuals(subject, residuals, lost)
         totals = summarise_residuals(kept)
         say(
             f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, "
             f"95 % within {1e3 * totals['p95']:.2f} mm"
         )
-        sentences = tuple(
-            dict.fromkeys((*found.messages, *fitted.messages, *describe_strays(subject.labels, kept)))
-        )
+        sentences = tuple(dict.fromkeys((*messages, *describe_strays(subject.labels, kept))))
         if sentences:
             say("notes:")
         for sentence in sentences:
             say(f"- {sentence}")
+        return sentences
+
+    def write_results(self, subject: Subject, motion: Motion, lost: Bool[np.ndarray, "F"] | None) -> None:
+        """Write the subject, and the joint centres of every frame."""
         save_subject(self.out, subject)
         say(
             f"{self.out}: {int((np.asarray(subject.weights) > 0).sum())} markers on {subject.skeleton.num_joints} bones"
         )
-        write_joints(self.joints, subject.skeleton, fitted.motion, lost)
-        if self.report is not None:
-            set_activity("drawing the report")
-            self.write_report(self.report, found, subject, fitted, sentences, lost)
+        write_joints(self.joints, subject.skeleton, motion, lost)
 
-    def write_report(
-        self, folder: Path, local_fit: LocalFit, subject, fitted, notes: Sequence[str], lost
+    def draw_report(
+        self,
+        folder: Path,
+        fit: HumanFit | FittedMarkers,
+        frames: MarkerFrames,
+        notes: Sequence[str],
+        lost: Bool[np.ndarray, "F"] | None,
+        extra: Mapping[str, object],
     ) -> None:
+        """Draw the pictures and write `report.json`."""
+        set_activity("drawing the report")
         make_folder(folder)
-        owner, names = local_fit.segments.marker_segments, local_fit.segments.names
-        write_corrections(
-            folder / "segments.txt",
-            {
-                label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(local_fit.segments.weights[m]))
-                for m, label in enumerate(local_fit.markers.labels)
-            },
-        )
         report_markers(
             folder,
-            subject,
-            fitted.motion,
-            local_fit.markers,
-            fitted.residuals,
+            fit.subject,
+            fit.motion,
+            frames,
+            fit.residuals,
             title=f"{self.out.stem}: " + ", ".join(Path(path).name for path in self.files),
             notes=notes,
             lost=lost,
-            extra={"local_joints": joint_figures(local_fit)},
+            extra=extra,
         )
-        say(f"report.json, segments.txt and pictures are in {folder}")
 
     def check(self) -> tuple[tuple[str, str], ...]:
         """Check that options are in range and compatible; return the pairs of `--symmetry`. Raises
@@ -208,7 +292,13 @@ class Fit:
             raise InputError(f"--threshold is {self.threshold:g}; give a distance above 0, in metres.")
         if self.frames < 3:
             raise InputError(f"--frames is {self.frames}; give at least 3.")
-        if self.template is not None and self.segments is None:
+        if self.template == "human":
+            free = self.free_options()
+            if free:
+                raise InputError(
+                    f"{free[0]} is an option of --template none; leave it out, or leave out --template human."
+                )
+        elif self.template not in (None, "none") and self.segments is None:
             raise InputError(
                 "--template needs --segments, a file that gives segments the names of the template's joints; "
                 "start from segments.txt of --report."
@@ -244,6 +334,18 @@ def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
             )
         pairs.append((left, right))
     return tuple(pairs)
+
+
+def write_segments(folder: Path, local_fit: LocalFit) -> None:
+    """Write the segments as a file of corrections."""
+    owner, names = local_fit.segments.marker_segments, local_fit.segments.names
+    write_corrections(
+        folder / "segments.txt",
+        {
+            label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(local_fit.segments.weights[m]))
+            for m, label in enumerate(local_fit.markers.labels)
+        },
+    )
 
 
 def joint_figures(local_fit: LocalFit) -> list[dict[str, object]]:

@@ -57,7 +57,9 @@ class Calibration(NamedTuple):
     #: directions in which centres are imprecise, or determined by the template alone
     imprecise_directions: tuple[ImpreciseDirection, ...]
     #: messages on what the data determine badly or not at all, in sentences
-    messages: tuple[str, ...]
+    precision_messages: tuple[str, ...]
+    #: messages on sliding skin, lost frames and markers that are never visible
+    motion_messages: tuple[str, ...]
     #: robust cost after every step, in squared standard deviations; it rises when variances are updated
     history: tuple[float, ...]
     #: the joints with solved centres, in the order of `s`
@@ -70,6 +72,11 @@ class Calibration(NamedTuple):
     #: the last fit's problem and its solution, in double precision; `solve_calibration(problem, estimate)` has derivatives
     problem: CalibrationProblem
     estimate: CalibrationEstimate
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """All messages, in sentences."""
+        return self.precision_messages + self.motion_messages
 
 
 @checked
@@ -183,11 +190,7 @@ def _calibrate(
     _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
     known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
     hardly = find_imprecise_directions(best, known, joints)
-    messages = (
-        *describe_precision(best, known, poses, joints, hardly),
-        *_describe_sliding(best, slid),
-        *solved.messages,
-    )
+    messages = (*_describe_sliding(best, slid), *solved.messages)
     if not fit.converged:
         messages += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
     return Calibration(
@@ -197,6 +200,7 @@ def _calibrate(
         known.covariance,
         np.sqrt(3.0 * slid),
         tuple(hardly),
+        tuple(describe_precision(best, known, poses, joints, hardly)),
         messages,
         fit.history,
         joints,

@@ -1,0 +1,48 @@
+"""A person's skeleton from labelled markers: what `jaxcap markers fit` prints and writes."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...markers.human.body_lengths import segment_lengths
+from ...markers.human.fit_human import HumanFit
+from ..console.console import print_table, say
+
+
+def print_person(fit: HumanFit) -> None:
+    """Print the doubts first, then the set of markers, the lengths of the segments, and the person's traits."""
+    if fit.messages:
+        say("please check:")
+    for sentence in fit.messages:
+        say(f"- {sentence}")
+    known = fit.marker_set
+    named = sum(name is not None for name in known.names)
+    say(f"marker set: {known.name or 'none'}; {named} of {len(known.labels)} labels are known landmarks")
+    print_lengths(fit)
+    tall = float(np.ptp(np.asarray(fit.body.vertices, float)[:, 1]))
+    say(f"a person of these proportions is about {tall:.2f} m tall")
+
+
+def print_lengths(fit: HumanFit) -> None:
+    """Print a row for each segment: left, right, standard deviation, and percentile among adults."""
+    rows = []
+    for one in segment_lengths(fit.calibration, fit.subject.skeleton):
+        right = "" if math.isnan(one.right) else f"{1e3 * one.right:.0f} mm"
+        known = "from anatomy" if math.isnan(one.deviation) else f"± {1e3 * one.deviation:.0f} mm"
+        known = "" if math.isnan(one.right) else known
+        usual = "" if math.isnan(one.percentile) else f"{one.percentile:.0f}th percentile"
+        rows.append([one.name, f"{1e3 * one.left:.0f} mm", right, known, usual])
+    say("lengths between joint centres:")
+    print_table(["segment", "left", "right", "deviation", "among adults"], rows)
+
+
+def bone_rows(fit: HumanFit) -> Sequence[dict[str, object]]:
+    """Collect the lengths for `report.json`, metres."""
+    return [
+        {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in one._asdict().items()
+        }
+        for one in segment_lengths(fit.calibration, fit.subject.skeleton)
+    ]
