@@ -15,7 +15,8 @@ from ...io.markers.marker_corrections import read_corrections, write_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
-from ...markers.human.fit_human import HumanFit, check_recognised, fit_human
+from ...markers.human.check_person import check_recognised
+from ...markers.human.fit_human import HumanFit, fit_human
 from ...markers.human.human_template import make_human_template
 from ...markers.local_technique import LocalFit, fit_local
 from ...markers.marker_sets.recognise import recognise_markers

@@ -50,6 +50,8 @@ class Calibration(NamedTuple):
     motion: Motion
     #: metres, NaN where not visible
     residuals: Float[np.ndarray, "F M"]
+    #: frames with too few markers or without a pose that fits
+    lost: Bool[np.ndarray, "F"]
     #: covariance of `s`, metres squared, with the template's prior
     covariance: Float[np.ndarray, "S S"]
     #: root mean square sliding of each marker on its bone as joints rotate, metres
@@ -197,6 +199,7 @@ def _calibrate(
         best,
         solved.motion,
         solved.residuals,
+        solved.lost,
         known.covariance,
         np.sqrt(3.0 * slid),
         tuple(hardly),

@@ -4,8 +4,8 @@ import numpy as np
 
 from ..calibration.calibrate import Calibration
 from ..marker_sets.recognise import MarkerSet
+from .check_person import stands_still
 from .further_markers import FurtherMarkers
-from .human_template import HumanTemplate
 
 #: parts of the body, and the joints of the bones that one of its markers is on
 PARTS = {
@@ -21,13 +21,12 @@ PARTS = {
 DOUBTFUL_DEVIATION = 0.03
 
 
-def describe_human(
-    further: FurtherMarkers, template: HumanTemplate, found: Calibration, known: MarkerSet
-) -> tuple[str, ...]:
+def describe_human(further: FurtherMarkers, found: Calibration, known: MarkerSet) -> tuple[str, ...]:
     """Describe parts without markers, joints that only anatomy places, and markers that do not fit."""
     return (
         *_parts_without_markers(found),
-        *_misplaced_markers(found, template),
+        *_stillness(found),
+        *_misplaced_markers(found),
         *_joints_by_anatomy(found),
         *_unknown_markers(further, known),
     )
@@ -44,9 +43,16 @@ def _parts_without_markers(found: Calibration) -> list[str]:
     return said
 
 
-def _misplaced_markers(found: Calibration, template: HumanTemplate) -> list[str]:
-    off = np.linalg.norm(np.asarray(found.subject.offsets - template.subject.offsets, float), axis=1)
-    del off
+def _stillness(found: Calibration) -> list[str]:
+    if not stands_still(found.subject, found.motion):
+        return []
+    return [
+        "The person stands still in all frames, so joints and lengths are those of people with markers at such places; give a "
+        "take in which every joint rotates."
+    ]
+
+
+def _misplaced_markers(found: Calibration) -> list[str]:
     wide = np.asarray(found.subject.deviations, float)
     order = np.argsort(-wide)
     worst = [

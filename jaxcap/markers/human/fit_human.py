@@ -13,19 +13,17 @@ from ...body.people.human import human_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.pose import Motion
 from ...energy.check_energies import UserTerms
-from ...errors import InputError
 from ...observe.markers import MarkerFrames
 from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..subject import Subject
+from .check_person import check_explained, check_recognised, check_sides
 from .describe_human import describe_human
 from .further_markers import attach_further_markers
-from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size, placed_markers
+from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
 
-#: least number of markers on known landmarks, and of bones that carry them
-MIN_MARKERS, MIN_BONES = 6, 3
 #: lower bound of the frames that tell as much as one with independent errors, as the displacement of skin
 #: repeats with the pose
 MIN_FRAMES_PER_OBSERVATION = 10.0
@@ -64,11 +62,13 @@ def fit_human(
     **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
 
-    **Raises:** `InputError` where too few labels are known, or left and right are exchanged.
+    **Raises:** `InputError` where too few labels are known, left and right are exchanged, or no pose of a person explains
+    most frames.
     """
     known = recognise_markers(frames.labels)
     check_recognised(known, frames)
     template = make_human_template(known, person_of_size(known, median_distances(frames)))
+    check_sides(template.subject, known, frames)
     found = calibrate(
         frames,
         template.subject,
@@ -78,6 +78,7 @@ def fit_human(
         min_frames_per_observation=MIN_FRAMES_PER_OBSERVATION,
         terms=terms,
     )
+    check_explained(found.lost, frames.labels)
     traits, subject = complete_skeleton(template, found)
     further = attach_further_markers(subject, found.motion, frames, known)
     body = human_from_traits(traits, RESOLUTION, "tracking")
@@ -89,21 +90,8 @@ def fit_human(
         traits,
         known,
         found,
-        describe_human(further, template, found, known),
+        describe_human(further, found, known),
     )
-
-
-def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
-    """Check that there are markers of a person. Raises `InputError`."""
-    placed = placed_markers(known)
-    visible = [index for index in placed if np.asarray(frames.visible)[:, index].any()]
-    bones = {known.bones[index] for index in visible}
-    if len(visible) < MIN_MARKERS or len(bones) < MIN_BONES:
-        raise InputError(
-            f"{len(visible)} of {len(known.labels)} markers have labels of landmarks of a person ({', '.join(known.labels[:8])}"
-            f"{', ...' if len(known.labels) > 8 else ''}), on {len(bones)} bones; at least {MIN_MARKERS} on {MIN_BONES} bones are "
-            "needed. Rename the labels, or use fit_local, which needs no labels."
-        )
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:

@@ -1,0 +1,99 @@
+"""Checks that markers are those of one person, with left and right as labelled."""
+
+import numpy as np
+from jaxtyping import Float
+
+from ...body.pose import Motion
+from ...errors import InputError
+from ...geometry.procrustes import rigid_fit
+from ...observe.markers import MarkerFrames
+from ..marker_sets.recognise import MarkerSet
+from ..subject import Subject
+from .human_template import placed_markers
+
+#: least number of markers on known landmarks, and of bones that carry them
+MIN_MARKERS, MIN_BONES = 6, 3
+#: bones that hardly move relative to each other
+TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder", "LeftUpLeg", "RightUpLeg")
+#: share of the distances that exchanged sides leave, below which they are exchanged
+MIRRORED_SHARE = 0.7
+#: number of frames that are looked at
+NUM_FRAMES = 25
+#: largest share of lost frames of one person
+MAX_LOST_SHARE = 0.5
+#: rotation below which a person stands still, radians
+STILL_ANGLE = np.radians(10.0)
+
+
+def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
+    """Check that enough visible markers have labels of a person's landmarks. Raises `InputError`."""
+    placed = placed_markers(known)
+    visible = [index for index in placed if np.asarray(frames.visible)[:, index].any()]
+    bones = {known.bones[index] for index in visible}
+    if len(visible) < MIN_MARKERS or len(bones) < MIN_BONES:
+        raise InputError(
+            f"{len(visible)} of {len(known.labels)} markers have labels of landmarks of a person ({', '.join(known.labels[:8])}"
+            f"{', ...' if len(known.labels) > 8 else ''}), on {len(bones)} bones; at least {MIN_MARKERS} on {MIN_BONES} bones are "
+            "needed. Rename the labels, or use fit_local, which needs no labels."
+        )
+
+
+def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> None:
+    """Check that the markers of the trunk are not those of its mirror image. Raises `InputError`."""
+    names = dict(zip(known.labels, known.names, strict=True))
+    bones = [template.skeleton.names[bone] for bone in np.asarray(template.bones)]
+    chosen = [m for m, bone in enumerate(bones) if bone in TRUNK]
+    landmarks = [str(names[template.labels[m]]) for m in chosen]
+    partner = [_partner(landmarks, name) for name in landmarks]
+    if not any(other != index for index, other in enumerate(partner)):
+        return
+    rest = np.asarray(template.offsets, float)[chosen]
+    columns = [frames.labels.index(template.labels[m]) for m in chosen]
+    ratios = []
+    for frame in np.linspace(0, len(frames) - 1, NUM_FRAMES).astype(int):
+        seen = np.asarray(frames.visible)[frame][columns]
+        seen = seen & seen[partner]
+        if seen.sum() < 4:
+            continue
+        places = np.asarray(frames.positions, float)[frame, columns]
+        ratios.append(_misfit(rest[seen], places[partner][seen]) / _misfit(rest[seen], places[seen]))
+    if len(ratios) and np.median(ratios) < MIRRORED_SHARE:
+        raise InputError(
+            "Left and right are exchanged: the markers of the trunk fit a person only if the labels of its sides are "
+            f"exchanged ({', '.join(template.labels[m] for m in chosen[:6])}, ...). Correct the labels, or the axes of the file "
+            "if it is mirrored."
+        )
+
+
+def check_explained(lost: np.ndarray, labels: tuple[str, ...]) -> None:
+    """Check that poses of one person explain most frames. Raises `InputError`."""
+    share = float(np.mean(lost))
+    if share > MAX_LOST_SHARE:
+        raise InputError(
+            f"No pose of a person explains {100 * share:.0f} % of the frames: are these markers of two people, of an object, or "
+            f"with wrong labels or a wrong unit? The labels are {', '.join(labels[:8])}{', ...' if len(labels) > 8 else ''}."
+        )
+
+
+def stands_still(subject: Subject, motion: Motion) -> bool:
+    """Tell if no joint with markers below it rotates."""
+    skeleton = subject.skeleton
+    carried = skeleton.descendants[:, np.asarray(subject.bones)].any(1)
+    joints = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and carried[j]]
+    q = np.asarray(motion.poses.rotations, float)[:, joints]
+    first = q[len(q) // 2]
+    angles = 2 * np.arccos(np.clip(np.abs(np.einsum("fja,ja->fj", q, first)), 0, 1))
+    return bool(np.percentile(angles, 95, axis=0).max(initial=0.0) < STILL_ANGLE)
+
+
+def _partner(landmarks: list[str], name: str) -> int:
+    """Find the same landmark of the other side, or the landmark itself."""
+    side, _, rest = name.partition(" ")
+    other = {"left": f"right {rest}", "right": f"left {rest}"}.get(side, name)
+    return landmarks.index(other) if other in landmarks else landmarks.index(name)
+
+
+def _misfit(source: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "N 3"]) -> float:
+    """Compute the root mean square distance after the best rigid motion, metres."""
+    turn, shift = rigid_fit(source, target)
+    return max(float(np.sqrt(np.mean(np.sum((source @ turn.T + shift - target) ** 2, 1)))), 1e-6)
