@@ -92,7 +92,7 @@ def calibrate(
     symmetry: Sequence[tuple[str, str]] = (),
     num_frames: int = 100,
     template_prior: AbstractTemplatePrior = TemplatePrior(),
-    min_frames_per_observation: float = 1.0,
+    frames_per_observation: float = 1.0,
     max_steps: int = 240,
     terms: UserTerms = (),
 ) -> Calibration:
@@ -103,9 +103,9 @@ def calibrate(
     frames, by default solved for; `robust`: outliers have low weights; `skin`: markers may slide on their
     bones as joints rotate, where residuals show it; `symmetry`, pairs of joint names with bones of exactly
     equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
-    `template_prior` in the template, the prior of what the frames do not determine; `min_frames_per_observation`,
-    a lower bound of how many of the chosen frames tell as much as one with independent errors, which the
-    residuals' autocorrelation gives otherwise; `max_steps` at most; `terms`,
+    `template_prior` in the template, the prior of what the frames do not determine; `frames_per_observation`,
+    how many of the chosen frames tell as much as one with independent errors (for the covariance, at least as many
+    as the autocorrelation of the residuals tells); `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
 
@@ -123,7 +123,7 @@ def calibrate(
             symmetry,
             num_frames,
             template_prior,
-            min_frames_per_observation,
+            frames_per_observation,
             max_steps,
             terms,
         )
@@ -138,7 +138,7 @@ def _calibrate(
     symmetry,
     num_frames,
     template_prior,
-    min_frames_per_observation,
+    frames_per_observation,
     max_steps,
     terms,
 ) -> Calibration:
@@ -154,18 +154,17 @@ def _calibrate(
     usable, explained = used.sum(1) >= 3, used
     if motion is None:
         motion, usable, explained = _solve_motion(template, frames, used, terms)
-    share = min_frames_per_observation
     while True:
         chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
         joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
         positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
-        again = subject is template
+        again = subject is template and not explained[used].all()
         _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
-        # a rough fit is enough to find swapped labels, and how long residuals last
+        # a rough fit is enough to find swapped labels
         problem = make_calibration_problem(
             template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
-        problem = with_frames_per_observation(problem, share)
+        problem = with_frames_per_observation(problem, frames_per_observation)
         fit = bundle_adjust(
             problem,
             subject,
@@ -179,16 +178,12 @@ def _calibrate(
             break
         # the subject is known better now, and so are the swapped labels
         motion, usable, explained = _solve_motion(_subject_with_sliding_variance(fit), frames, used, terms)
-        share = max(
-            min_frames_per_observation, _frames_per_observation(subject, motion, matched, explained, chosen)
-        )
     best = _subject_with_sliding_variance(fit)
     slid = _sliding_variances(fit)
     solved = solve_markers(best, frames, terms=terms)
     explained = used & (solved.weights >= MIN_INLIER_WEIGHT)
-    share = max(
-        min_frames_per_observation, _frames_per_observation(best, solved.motion, matched, explained, chosen)
-    )
+    lasting = _frames_per_observation(best, solved.motion, matched, explained, chosen)
+    share = max(frames_per_observation, lasting)
     _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
     known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
     hardly = find_imprecise_directions(best, known, joints)

@@ -49,10 +49,10 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
         return
     rest = np.asarray(template.offsets, float)[chosen]
     columns = [frames.labels.index(template.labels[m]) for m in chosen]
-    ratios = []
+    visible, ratios = np.asarray(frames.visible)[:, columns], []
     for frame in np.linspace(0, len(frames) - 1, NUM_FRAMES).astype(int):
-        seen = np.asarray(frames.visible)[frame][columns]
-        seen = seen & seen[partner]
+        seen = np.take(visible, frame, axis=0)
+        seen = seen & np.take(seen, partner)
         if seen.sum() < 4:
             continue
         places = np.asarray(frames.positions, float)[frame, columns]

@@ -24,9 +24,9 @@ from .describe_human import describe_human
 from .further_markers import attach_further_markers
 from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
 
-#: lower bound of the frames that tell as much as one with independent errors, as the displacement of skin
-#: repeats with the pose
-MIN_FRAMES_PER_OBSERVATION = 10.0
+#: number of frames that tell as much as one with independent errors, as the displacement of skin repeats with
+#: the pose
+FRAMES_PER_OBSERVATION = 10.0
 
 
 class HumanFit(NamedTuple):
@@ -75,7 +75,7 @@ def fit_human(
         skin=skin,
         num_frames=num_frames,
         template_prior=template.prior,
-        min_frames_per_observation=MIN_FRAMES_PER_OBSERVATION,
+        frames_per_observation=FRAMES_PER_OBSERVATION,
         terms=terms,
     )
     check_explained(found.lost, frames.labels)
