@@ -51,8 +51,7 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
     columns = [frames.labels.index(template.labels[m]) for m in chosen]
     visible, ratios = np.asarray(frames.visible)[:, columns], []
     for frame in np.linspace(0, len(frames) - 1, NUM_FRAMES).astype(int):
-        seen = np.take(visible, frame, axis=0)
-        seen = seen & np.take(seen, partner)
+        seen = visible[frame, np.arange(len(partner))] & visible[frame, partner]
         if seen.sum() < 4:
             continue
         places = np.asarray(frames.positions, float)[frame, columns]
@@ -78,8 +77,8 @@ def check_explained(lost: np.ndarray, labels: tuple[str, ...]) -> None:
 def stands_still(subject: Subject, motion: Motion) -> bool:
     """Tell if no joint with markers below it rotates."""
     skeleton = subject.skeleton
-    carried = skeleton.descendants[:, np.asarray(subject.bones)].any(1)
-    joints = [j for j, parent in enumerate(skeleton.parents) if parent >= 0 and carried[j]]
+    carried = np.sum(skeleton.descendants[:, np.asarray(subject.bones)], axis=1)
+    joints = np.flatnonzero((np.array(skeleton.parents) >= 0) & (carried > 0))
     q = np.asarray(motion.poses.rotations, float)[:, joints]
     first = q[len(q) // 2]
     angles = 2 * np.arccos(np.clip(np.abs(np.einsum("fja,ja->fj", q, first)), 0, 1))

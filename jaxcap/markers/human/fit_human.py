@@ -27,6 +27,8 @@ from .human_template import RESOLUTION, HumanTemplate, make_human_template, pers
 #: number of frames that tell as much as one with independent errors, as the displacement of skin repeats with
 #: the pose
 FRAMES_PER_OBSERVATION = 10.0
+#: age below which people differ otherwise than adults do, years
+ADULT_AGE = 20.0
 
 
 class HumanFit(NamedTuple):
@@ -99,7 +101,8 @@ def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Trai
     shared = np.asarray(shared_parameters(template.subject, found.subject, found.joints), float)
     amounts = template.prior.estimate_traits(template.subject, found.joints, shared)
     values = np.array(template.traits) + amounts * np.array(TRAIT_DEVIATIONS)
-    traits = Traits(*(float(value) for value in np.clip(values, MIN_TRAITS, MAX_TRAITS)))
+    lowest = MIN_TRAITS._replace(age=ADULT_AGE)
+    traits = Traits(*(float(value) for value in np.clip(values, lowest, MAX_TRAITS)))
     skeleton = found.subject.skeleton
     centres = np.asarray(skeleton.centres, float).copy()
     before = np.asarray(template.subject.skeleton.centres, float)
