@@ -13,11 +13,11 @@ HELEN_HAYES = MarkerTable(
         "wrist_dorsal": "Wrist", "wrist_radial": "Wrist.Lat Wrist.Rad", "wrist_ulnar": "Wrist.Med Wrist.Uln",
         "asis": "ASIS", "psis": "PSIS", "knee_lateral": "Knee Knee.Lat", "knee_medial": "Knee.Medial Knee.Med",
         "ankle_lateral": "Ankle Ankle.Lat", "ankle_medial": "Ankle.Medial Ankle.Med", "heel": "Heel",
-        "foot_2nd_head": "Toe", "trochanter": "Troch",
+        "foot_2nd_head": "Toe TO", "trochanter": "Troch",
     },
     whole={
-        "sacrum": "V.Sacral Sacral Sacrum VSAC", "head_top": "Top.Head", "head_front": "Front.Head",
-        "head_back": "Rear.Head Back.Head", "right scapula": "R.Scapula R.Offset Offset",
+        "sacrum": "V.Sacral Sacral Sacrum VSAC", "head_top": "Top.Head THEA", "head_front": "Front.Head FHEA",
+        "head_back": "Rear.Head Back.Head RHEA", "right scapula": "R.Scapula R.Offset Offset ROFF",
         "left scapula": "L.Scapula L.Offset", "sternum": "Sternum",
     },
     loose={"upper_arm_lateral": "Bicep Biceps", "forearm_lateral": "Forearm"},
@@ -54,9 +54,9 @@ RIZZOLI = MarkerTable(
 SKELETAL_LANDMARKS = MarkerTable(
     "CAST and Rizzoli, skeletal landmarks",
     sided={
-        "acromioclavicular": "CAJ", "acromion": "SAE ACR", "acromial_angle": "SAA", "scapula_inferior_angle": "SIA",
+        "acromioclavicular": "CAJ SAJ", "acromion": "SAE ACR", "acromial_angle": "SAA", "scapula_inferior_angle": "SIA",
         "scapula_spine_root": "SRS", "coracoid": "SCT", "elbow_lateral": "HLE", "elbow_medial": "HME",
-        "olecranon": "UOA", "wrist_radial": "RSP", "wrist_ulnar": "USP UHE", "hand_2nd_knuckle": "HM2",
+        "olecranon": "UOA", "wrist_radial": "RSP", "scapula": "SCAP", "wrist_ulnar": "USP UHE", "hand_2nd_knuckle": "HM2",
         "hand_3rd_knuckle": "HM3", "hand_5th_knuckle": "HM5", "asis": "IAS", "psis": "IPS", "iliac_crest": "ICT",
         "trochanter": "FTC", "knee_lateral": "FLE", "knee_medial": "FME", "fibula_head": "FAX", "patella": "PAS FPA PAX",
         "tibial_tuberosity": "TTC", "ankle_lateral": "FAL", "ankle_medial": "TAM", "heel": "FCC",
@@ -66,7 +66,7 @@ SKELETAL_LANDMARKS = MarkerTable(
         "tibia_condyle_medial": "TMC TMR", "big_toe": "FH1 PM6",
     },
     whole={
-        "jugular_notch": "SJN SME", "xiphoid": "SXS", "c7": "CV7", "t1": "TV1", "t2": "TV2", "t7": "TV7 MAI",
+        "jugular_notch": "SJN SNJ SME", "xiphoid": "SXS", "c7": "CV7", "t1": "TV1", "t2": "TV2", "t7": "TV7 MAI",
         "t8": "TV8", "t10": "TV10", "t12": "TV12", "l1": "LV1", "l3": "LV3", "l4": "LV4", "l5": "LV5", "sacrum": "SACR MPS",
         "head_front": "SGL", "sternum": "STM", "t4": "TV4",
     },

@@ -33,18 +33,28 @@ PLUG_IN_GAIT = MarkerTable(
     wands={"knee_lateral": "KAX KD1 KD2"},
 )  # fmt: skip
 
+_CGM2_LOOSE = {
+    "upper_arm_lateral": "UPA", "forearm_lateral": "FRM", "thigh_lateral_low": "THI", "shank_lateral_low": "TIB",
+    "thigh_front": "THAP THIAP", "thigh_front_low": "THAD THIAD", "shank_front_high": "TIAP TIBAP",
+    "shank_front_low": "TIAD TIBAD",
+}  # fmt: skip
+
 CONVENTIONAL_GAIT_2 = MarkerTable(
-    "Conventional Gait Model 2",
+    "Conventional Gait Model 2.1 to 2.3",
+    sided={**_HEAD, **_ARM, **_LEG, "knee_medial": "KNM", "ankle_medial": "MED"},
+    whole={**_TRUNK, "sacrum": "SACR", "right scapula": "RBAK"},
+    loose=_CGM2_LOOSE,
+)
+
+#: the toe's marker is on the base of the metatarsal here
+CONVENTIONAL_GAIT_24 = MarkerTable(
+    "Conventional Gait Model 2.4 and 2.5",
     sided={
         **_HEAD, **_ARM, **_LEG, "knee_medial": "KNM", "ankle_medial": "MED", "foot_1st_head": "FMH",
         "foot_2nd_head": "SMH", "foot_5th_head": "VMH", "foot_2nd_base": "TOE",
     },
-    whole={**_TRUNK, "t2": "T2", "sacrum": "SACR", "right scapula": "RBAK"},
-    loose={
-        "upper_arm_lateral": "UPA", "forearm_lateral": "FRM", "thigh_lateral_low": "THI",
-        "shank_lateral_low": "TIB", "thigh_front": "THAP THIAP", "thigh_front_low": "THAD THIAD",
-        "shank_front_high": "TIAP TIBAP", "shank_front_low": "TIAD TIBAD", "thigh_lateral": "THLD",
-    },
+    whole={**_TRUNK, "sacrum": "SACR", "right scapula": "RBAK"},
+    loose=_CGM2_LOOSE,
 )  # fmt: skip
 
 CMU = MarkerTable(
@@ -77,4 +87,4 @@ VICON_53 = MarkerTable(
     },
 )  # fmt: skip
 
-TABLES = (PLUG_IN_GAIT, CONVENTIONAL_GAIT_2, CMU, VICON_53)
+TABLES = (PLUG_IN_GAIT, CONVENTIONAL_GAIT_2, CONVENTIONAL_GAIT_24, CMU, VICON_53)
