@@ -62,7 +62,7 @@ SKELETAL_LANDMARKS = MarkerTable(
         "tibial_tuberosity": "TTC", "ankle_lateral": "FAL", "ankle_medial": "TAM", "heel": "FCC",
         "foot_1st_head": "FM1", "foot_2nd_head": "FM2", "foot_3rd_head": "FM3", "foot_5th_head": "FM5",
         "foot_1st_base": "FMT1 FB1", "foot_2nd_base": "FB2", "foot_5th_base": "FMT FB5", "navicular": "FNT",
-        "heel_lateral": "FPT", "heel_medial": "FST", "head_side": "HEAD HD", "sternoclavicular": "CSJ",
+        "heel_lateral": "FPT", "heel_medial": "FST", "head_side": "HEAD", "head_front_lateral": "HDF", "head_back_lateral": "HDB", "sternoclavicular": "CSJ",
         "tibia_condyle_medial": "TMC TMR", "big_toe": "FH1 PM6",
     },
     whole={

@@ -30,7 +30,7 @@ OXFORD_FOOT = MarkerTable(
     wands={"heel": "CPG", "knee_lateral": "KAX KD1 KD2"},
     computed=(
         "ArchHeight ArchHeightIndex PROXFF HFplantar D1M0 HE1 "
-        + " ".join(f"{segment}{number}" for segment in ("FOF", "HDF", "HLX", "TBA", "FFT") for number in range(4))
+        + " ".join(f"{segment}{number}" for segment in ("FOF", "HDF", "HLX", "TBA", "FFT", "TIB") for number in range(4))
         + " PEL0 projKAX projTIB"
     ),
 )  # fmt: skip

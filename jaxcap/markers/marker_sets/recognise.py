@@ -137,8 +137,8 @@ def _agreed(
 
 def _plate_stem(form: str) -> str:
     """Cut the number or letter of a marker on a plate: `LTH1`, `THIGHR2`, `RSHANKA`; empty without one."""
-    numbered = re.fullmatch(r"([A-Z]+?)(\d{1,2}|[A-H])", form)
-    return "" if numbered is None else numbered[1]
+    numbered = re.fullmatch(r"([A-Z]+)\d{1,2}|([A-Z]{5,})[A-D]", form)
+    return "" if numbered is None else numbered[1] or numbered[2]
 
 
 def _letter_plates(forms: Sequence[str]) -> dict[str, Placement | None]:

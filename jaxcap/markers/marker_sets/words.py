@@ -77,7 +77,7 @@ PLATES = MarkerTable(
     plates={
         "upper_arm_lateral": "UA UARM UPARM UPPERARM ARM HUM HUMERUS BICEP BRACHIUM UPA UAR UARMCL",
         "forearm_lateral": "FA FARM FOREARM FRM FORE FO LA LARM LOWERARM LOARM FAR ANTEBRACHIUM",
-        "hand_dorsal": "HAND HD HANDCL",
+        "hand_dorsal": "HAND HANDCL",
         "thigh_lateral": "TH THI THIGH FEM FEMUR THG TG THL THC TC THIGHCL UPPERLEG ULEG QUAD",
         "shank_lateral": "SH SHA SHANK SK TB TIB TIBIA LEG LG SHN SHI SHIN SHC SC CALF LOWERLEG LLEG TL SHNK",
         "foot_2nd_base": "FOOT FT FC",
