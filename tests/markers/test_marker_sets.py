@@ -141,7 +141,7 @@ def test_nothing_is_recognised_where_there_is_no_person(labels):
 
 def test_computed_points_are_told_and_left_out():
     computed = [
-        "LHJC", "RKJC", "R_HJC_reg", "LFEO", "RTIP", "PELO", "CentreOfMass", "CentreOfMassFloor", "LKneeAngles", "RHipMoment",
+        "LHJC", "RKJC", "R_HJC_reg", "LFEO", "LFEA", "LFEL", "LFEP", "PELO", "PELA", "PELP", "CentreOfMass", "CentreOfMassFloor", "LKneeAngles", "RHipMoment",
         "V_Mid_ASIS", "midASIS", "LGroundReactionForce", "COM", "FP1",
     ]  # fmt: skip
     found = recognise_markers([*PUBLISHED["Plug-in Gait"][0].split(), *computed])

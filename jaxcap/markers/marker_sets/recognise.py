@@ -13,13 +13,13 @@ from ...arguments import checked
 from . import clinical, isb, laboratories, motion_capture, opensim, vicon
 from .landmarks import landmarks
 from .marker_table import LOOSE_DEVIATION, MarkerTable, Placement, expand_table, normalise_label
-from .virtual_points import is_virtual
+from .virtual_points import virtual_labels
 from .words import LETTER_PAIRS, PLATES, WORDS
 
 #: share of the labels that begin or end alike, such as with the name of the person
 _COMMON_SHARE = 0.6
 #: labels that a set must have
-_MIN_LABELS = 2
+_MIN_LABELS = 3
 _SIDES = ("L", "R", "LEFT", "RIGHT")
 #: of sets that explain as many labels, the first one counts
 _SETS = tuple(
@@ -30,12 +30,12 @@ _SETS = tuple(
 
 
 class MarkerSet(NamedTuple):
-    """What the labels of a take's M markers tell about their positions on the human.
+    """Positions on the human of the M markers of a take, as their labels state them.
 
     `names` of landmarks, such as `left knee_lateral` and `c7`, and `bones`, joints of the human that carry the
     markers; both are None where unknown. `deviations` of the markers from their landmarks and `heights` of their
     centres above the skin are in metres, NaN where unknown. `virtual` points are no markers: joint centres,
-    centres of mass and axes of segments. `sets` tell which set each label is from, `name` the set of most.
+    centres of mass and axes of segments. `sets` are the sets that the labels are from, `name` is the set of most.
     """
 
     labels: tuple[str, ...]
@@ -63,7 +63,15 @@ def recognise_markers(labels: Sequence[str]) -> MarkerSet:
     if counts[ranked[0]] < _MIN_LABELS:
         counts = dict.fromkeys(counts, 0)
     plates = _plates() | _letter_plates(forms)
-    placed = [_place_label(form, ranked, counts, plates) for form in forms]
+    computed, lettered = virtual_labels(forms), _lettered_plates(forms)
+    placed = [
+        (None, "computed")
+        if form in computed
+        else _place_plate(form[:-1], plates)
+        if form in lettered
+        else _place_label(form, ranked, counts, plates)
+        for form in forms
+    ]
     marks = [None if one is None else landmarks()[one.landmark] for one, _ in placed]
     return MarkerSet(
         tuple(labels),
@@ -105,32 +113,31 @@ def _place_label(
     form: str, ranked: Sequence[str], counts: Mapping[str, int], plates: Places
 ) -> tuple[Placement | None, str | None]:
     """Find the placement of a normalised label, and the set that has it; a computed point has a set only."""
-    if is_virtual(form):
-        return None, "computed"
     first = _tables()[ranked[0]]
     if form in first and counts[ranked[0]]:
         return first[form], ranked[0]
-    others = [(name, _tables()[name][form]) for name in ranked if form in _tables()[name]]
+    # what another set computes may be a marker here
+    others = [(name, one) for name in ranked if (one := _tables()[name].get(form)) is not None]
     if others:
         return _agreed(others, counts)
     if form in _words():
         return _words()[form], WORDS.name
-    stem = _plate_stem(form)
+    return _place_plate(_plate_stem(form), plates)
+
+
+def _place_plate(stem: str, plates: Places) -> tuple[Placement | None, str | None]:
     return (plates[stem], PLATES.name) if stem in plates else (None, None)
 
 
 def _agreed(
-    others: Sequence[tuple[str, Placement | None]], counts: Mapping[str, int]
+    others: Sequence[tuple[str, Placement]], counts: Mapping[str, int]
 ) -> tuple[Placement | None, str | None]:
     """Choose among the sets that have a label: that with more of the take's labels, unless equals disagree."""
-    equals = [(name, one) for name, one in others if counts[name] == counts[others[0][0]]]
-    found = [(name, one) for name, one in equals if one is not None]
-    if not found:
-        return equals[0][1], equals[0][0]
-    name, first = found[0]
-    if len({landmarks()[one.landmark].bone for _, one in found}) > 1:
+    name, first = others[0]
+    equals = [landmarks()[one.landmark] for other, one in others if counts[other] == counts[name]]
+    if len({mark.bone for mark in equals}) > 1:
         return None, None
-    if len({one.landmark for _, one in found}) > 1:
+    if len(set(equals)) > 1:
         return first._replace(deviation=LOOSE_DEVIATION), name
     return first, name
 
@@ -139,6 +146,12 @@ def _plate_stem(form: str) -> str:
     """Cut the number or letter of a marker on a plate: `LTH1`, `THIGHR2`, `RSHANKA`; empty without one."""
     numbered = re.fullmatch(r"([A-Z]+)\d{1,2}|([A-Z]{5,})[A-D]", form)
     return "" if numbered is None else numbered[1] or numbered[2]
+
+
+def _lettered_plates(forms: Sequence[str]) -> frozenset[str]:
+    """Find labels of plates with a letter for each marker: three or four of `RFTA`, `RFTB`, `RFTC` and `RFTD`."""
+    stems = Counter(form[:-1] for form in set(forms) if len(form) > 2 and form[-1] in "ABCD")
+    return frozenset(form for form in forms if form[-1:] in tuple("ABCD") and stems[form[:-1]] >= 3)
 
 
 def _letter_plates(forms: Sequence[str]) -> dict[str, Placement | None]:

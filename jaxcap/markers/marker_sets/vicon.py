@@ -76,13 +76,13 @@ VICON_53 = MarkerTable(
         **_HEAD, "shoulder_front": "FSH", "shoulder_back": "BSH", "elbow_lateral": "ELB",
         "elbow_medial": "IEL", "wrist_radial": "IWR", "wrist_ulnar": "OWR", "hand_2nd_knuckle": "IHAND IHA",
         "hand_5th_knuckle": "OHAND OHA", "asis": "FWT", "psis": "BWT", "hip_lateral": "MWT",
-        "trochanter": "HIP", "knee_lateral": "KNE", "knee_medial": "KNI", "ankle_lateral": "ANK",
+        "knee_lateral": "KNE", "knee_medial": "KNI", "ankle_lateral": "ANK",
         "heel": "HEL HEE", "foot_1st_head": "MT1", "foot_5th_head": "MT5", "toe_tip": "TOE",
         "scapula": "BAC BAK", "thumb": "THMB THM", "acromioclavicular": "SHO",
     },
     whole={**_TRUNK, "head_top": "ARIEL", "sacrum": "MBWT", "navel": "MFWT"},
     loose={
-        "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI",
+        "trochanter": "HIP", "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI",
         "shank_lateral": "SHN TIB",
     },
 )  # fmt: skip

@@ -6,14 +6,14 @@ _LATERAL = ("lat", "lateral", "l", "out", "outer", "ext", "externe")
 _MEDIAL = ("med", "medial", "m", "in", "inner", "int")
 #: joints with a landmark on both sides of them
 _JOINTS = {
-    "knee": "knee kne kn femoralcondyle femoralepicondyle epicondyle kneeepicondyle con cond condyle",
+    "knee": "knee kne kn femoralcondyle femoralepicondyle kneeepicondyle con cond condyle",
     "ankle": "ankle ank an malleolus mal malleoli mall",
     "elbow": "elbow elb el cubitus cub humeralepicondyle humepi",
 }
 
 
 def _both_sides() -> dict[str, str]:
-    """Build the labels of the two landmarks beside a joint: the joint and the side in either order."""
+    """Build the labels of the two landmarks of a joint: the joint and the side in either order."""
     table = {}
     for joint, names in _JOINTS.items():
         for side, words in (("lateral", _LATERAL), ("medial", _MEDIAL)):
@@ -34,8 +34,8 @@ WORDS = MarkerTable(
         "shoulder_front": "shoulderfront frontshoulder antshoulder", "shoulder_back": "shoulderback backshoulder postshoulder",
         "clavicle": "clavicle", "scapula": "scapula", "scapula_inferior_angle": "inferiorangle scapinf",
         "deltoid": "deltoid delt", "olecranon": "olecranon",
-        "wrist_radial": "wristradius wristrad wrr radius rad radialstyloid styloidradius radialwrist wristradial wristthumb wristlat lwrist latwrist wristlateral wrad",
-        "wrist_ulnar": "wristulna wristuln wru ulna uln ulnarstyloid styloidulna ulnarwrist wristulnar wristpinky wristpinkie wristmed mwrist medwrist wristmedial wuln",
+        "wrist_radial": "wristradius wristrad wrr radialstyloid styloidradius radialwrist wristradial wristthumb wristlat lwrist latwrist wristlateral wrad",
+        "wrist_ulnar": "wristulna wristuln wru ulnarstyloid styloidulna ulnarwrist wristulnar wristpinky wristpinkie wristmed mwrist medwrist wristmedial wuln",
         "wrist_dorsal": "wristtop wrist wri", "hand_2nd_knuckle": "mcp2 2mcp hand2 mc2 2ndmetacarpal secondmetacarpal",
         "hand_3rd_knuckle": "mcp3 3mcp hand3 mc3 3rdmetacarpal", "hand_5th_knuckle": "mcp5 5mcp hand5 mc5 5thmetacarpal fifthmetacarpal",
         "hand_dorsal": "hand handtop handdorsum", "thumb": "thumb",
@@ -56,7 +56,7 @@ WORDS = MarkerTable(
         "toe_tip": "toe tipoftoe toetip tiptoe toes", "big_toe": "hallux bigtoe hal hlx toe1 greattoe",
     },
     loose={
-        "upper_arm_lateral": "ua uarm upperarm humerus upa bicep", "forearm_lateral": "fa farm forearm frm",
+        "upper_arm_lateral": "ua uarm upperarm humerus upa bicep", "forearm_lateral": "fa farm forearm frm", "wrist_radial": "radius rad", "wrist_ulnar": "ulna uln",
         "thigh_lateral": "th thi thigh femur", "shank_lateral": "sk shk shank tib shin tibia",
     },
     whole={
@@ -78,7 +78,7 @@ PLATES = MarkerTable(
         "upper_arm_lateral": "UA UARM UPARM UPPERARM ARM HUM HUMERUS BICEP BRACHIUM UPA UAR UARMCL",
         "forearm_lateral": "FA FARM FOREARM FRM FORE FO LA LARM LOWERARM LOARM FAR ANTEBRACHIUM",
         "hand_dorsal": "HAND HANDCL",
-        "thigh_lateral": "TH THI THIGH FEM FEMUR THG TG THL THC TC THIGHCL UPPERLEG ULEG QUAD",
+        "thigh_lateral": "TH FM THI THIGH FEM FEMUR THG TG THL THC TC THIGHCL UPPERLEG ULEG QUAD",
         "shank_lateral": "SH SHA SHANK SK TB TIB TIBIA LEG LG SHN SHI SHIN SHC SC CALF LOWERLEG LLEG TL SHNK",
         "foot_2nd_base": "FOOT FT FC",
         "sacrum": "PELVIS PELV PEL PLV SAC SACRUM", "t8": "TRUNK THORAX THX TRNK TORSO BACK", "head_top": "HEAD HD HEADCL",
