@@ -94,8 +94,18 @@ def scene_of(truth: Subject, motion: jc.Motion, trouble: MarkerNoise, seed: int)
     rng = np.random.default_rng(seed)
     shifts = _skin_motion(truth, motion, trouble.skin, rng)
     places, joints = (np.array(x, float) for x in pose_all(truth, motion.poses, jnp.asarray(shifts)))
+    places, seen, swapped = corrupt_markers(places, trouble, rng)
+    dtype = truth.offsets.dtype
+    seen_frames = MarkerFrames(np.asarray(places, dtype), seen, truth.labels, motion.rate)
+    return Scene(seen_frames, truth, motion, joints, perturb_template(truth, rng), swapped)
+
+
+def corrupt_markers(
+    places: Float[np.ndarray, "F M 3"], trouble: MarkerNoise, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "F M 3"], Bool[np.ndarray, "F M"], Bool[np.ndarray, "F M"]]:
+    """Add noise, swapped labels and gaps: places, zeros in gaps; which are seen; which are swapped."""
     count, markers = places.shape[:2]
-    places += trouble.noise * rng.normal(size=places.shape)
+    places = places + trouble.noise * rng.normal(size=places.shape)
     swapped = np.zeros((count, markers), bool)
     for frame in range(count):
         # each swap puts two markers in the wrong place
@@ -104,10 +114,7 @@ def scene_of(truth: Subject, motion: jc.Motion, trouble: MarkerNoise, seed: int)
             places[frame, [a, b]] = places[frame, [b, a]]
             swapped[frame, [a, b]] = True
     seen = ~_bursts(count, markers, trouble, rng)
-    places = np.where(seen[..., None], places, 0.0)
-    dtype = truth.offsets.dtype
-    seen_frames = MarkerFrames(np.asarray(places, dtype), seen, truth.labels, motion.rate)
-    return Scene(seen_frames, truth, motion, joints, perturb_template(truth, rng), swapped)
+    return np.where(seen[..., None], places, 0.0), seen, swapped
 
 
 def perturb_template(

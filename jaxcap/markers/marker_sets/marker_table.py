@@ -36,6 +36,10 @@ class MarkerTable(NamedTuple):
     plates: Mapping[str, str] = _NONE
     #: on both sides, on wands
     wands: Mapping[str, str] = _NONE
+    #: labels of points that this set's program computes, with or without a side
+    computed: str = ""
+    #: letters of the sides
+    letters: str = "LR"
 
 
 class Placement(NamedTuple):
@@ -53,16 +57,22 @@ def normalise_label(label: str) -> str:
     return re.sub(r"[^A-Z0-9]", "", label.rsplit(":", 1)[-1].upper())
 
 
-def expand_table(table: MarkerTable, landmarks: Mapping[str, object]) -> dict[str, Placement]:
-    """Build the placements of a table by normalised labels.
+def expand_table(table: MarkerTable, landmarks: Mapping[str, object]) -> dict[str, Placement | None]:
+    """Build the placements of a table by normalised labels, None for computed points.
 
-    A label as a whole comes before one with a side, and a side in front before one at the end.
+    Computed points come first, then labels as a whole, those with a side in front, and those with one at the end.
+    A label of a landmark of the middle needs no side.
     """
-    placed: dict[str, Placement] = {}
+    computed = [
+        form
+        for label in table.computed.split()
+        for position in range(3)
+        for _, form in [("", normalise_label(label)), *_with_side(label, position, table.letters)]
+    ]
+    placed: dict[str, Placement | None] = dict.fromkeys(computed)
     for landmark, labels in table.whole.items():
-        placed |= {
-            normalise_label(label): Placement(landmark, None, MARKER_HEIGHT) for label in labels.split()
-        }
+        for label in labels.split():
+            placed.setdefault(normalise_label(label), Placement(landmark, None, MARKER_HEIGHT))
     kinds = (
         (table.sided, None, MARKER_HEIGHT), (table.loose, LOOSE_DEVIATION, MARKER_HEIGHT),
         (table.plates, PLATE_DEVIATION, PLATE_HEIGHT), (table.wands, LOOSE_DEVIATION, WAND_HEIGHT),
@@ -76,22 +86,25 @@ def expand_table(table: MarkerTable, landmarks: Mapping[str, object]) -> dict[st
     # in the order of how sure the side is
     for position in range(3):
         for landmark, label, deviation, height in rows:
-            for side, form in _with_side(label, position):
-                name = landmark if landmark in landmarks else f"{side} {landmark}"
+            middle = landmark in landmarks
+            if middle:
+                placed.setdefault(normalise_label(label), Placement(landmark, deviation, height))
+            for side, form in _with_side(label, position, table.letters):
+                name = landmark if middle else f"{side} {landmark}"
                 placed.setdefault(form, Placement(name, deviation, height))
     return placed
 
 
-def _with_side(label: str, position: int) -> Iterator[tuple[str, str]]:
+def _with_side(label: str, position: int, letters: str = "LR") -> Iterator[tuple[str, str]]:
     """Yield sides and normalised forms of a label: the side as a letter or a word in front, or at the end."""
-    for side, letter in (("left", "L"), ("right", "R")):
+    for side, letter in zip(("left", "right"), letters, strict=True):
         if "?" in label:
             forms = [label.replace("?", letter), label.replace("?", side)] if position == 0 else []
         else:
             forms = [
                 [letter + label],
-                [side + label, label + side],
-                [label + letter] if len(normalise_label(label)) >= _MIN_SUFFIXED else [],
+                [side + label, label + side, f"{letter}x{label}"],
+                [label + letter] if len(normalise_label(label)) >= _MIN_SUFFIXED or letters != "LR" else [],
             ][position]
         for form in forms:
             yield side, normalise_label(form)

@@ -47,6 +47,7 @@ OPENCAP = MarkerTable(
         "heel": "calc",
     },
     whole={"c7": "C7"},
+    loose={"sternoclavicular": "Sternum", "shank_front_high": "shank_antsup", "upper_arm_lateral": "humerus"},
     plates={"thigh_lateral": "thigh1 thigh2 thigh3 thigh4", "shank_lateral": "sh1 sh2 sh3 sh4"},
 )  # fmt: skip
 

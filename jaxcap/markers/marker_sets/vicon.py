@@ -33,18 +33,28 @@ PLUG_IN_GAIT = MarkerTable(
     wands={"knee_lateral": "KAX KD1 KD2"},
 )  # fmt: skip
 
+_CGM2_LOOSE = {
+    "upper_arm_lateral": "UPA", "forearm_lateral": "FRM", "thigh_lateral_low": "THI", "shank_lateral_low": "TIB",
+    "thigh_front": "THAP THIAP", "thigh_front_low": "THAD THIAD", "shank_front_high": "TIAP TIBAP",
+    "shank_front_low": "TIAD TIBAD",
+}  # fmt: skip
+
 CONVENTIONAL_GAIT_2 = MarkerTable(
-    "Conventional Gait Model 2",
+    "Conventional Gait Model 2.1 to 2.3",
+    sided={**_HEAD, **_ARM, **_LEG, "knee_medial": "KNM", "ankle_medial": "MED"},
+    whole={**_TRUNK, "sacrum": "SACR", "right scapula": "RBAK"},
+    loose=_CGM2_LOOSE,
+)
+
+#: the toe's marker is on the base of the metatarsal here
+CONVENTIONAL_GAIT_24 = MarkerTable(
+    "Conventional Gait Model 2.4 and 2.5",
     sided={
         **_HEAD, **_ARM, **_LEG, "knee_medial": "KNM", "ankle_medial": "MED", "foot_1st_head": "FMH",
         "foot_2nd_head": "SMH", "foot_5th_head": "VMH", "foot_2nd_base": "TOE",
     },
-    whole={**_TRUNK, "t2": "T2", "sacrum": "SACR", "right scapula": "RBAK"},
-    loose={
-        "upper_arm_lateral": "UPA", "forearm_lateral": "FRM", "thigh_lateral_low": "THI",
-        "shank_lateral_low": "TIB", "thigh_front": "THAP THIAP", "thigh_front_low": "THAD THIAD",
-        "shank_front_high": "TIAP TIBAP", "shank_front_low": "TIAD TIBAD", "thigh_lateral": "THLD",
-    },
+    whole={**_TRUNK, "sacrum": "SACR", "right scapula": "RBAK"},
+    loose=_CGM2_LOOSE,
 )  # fmt: skip
 
 CMU = MarkerTable(
@@ -66,15 +76,15 @@ VICON_53 = MarkerTable(
         **_HEAD, "shoulder_front": "FSH", "shoulder_back": "BSH", "elbow_lateral": "ELB",
         "elbow_medial": "IEL", "wrist_radial": "IWR", "wrist_ulnar": "OWR", "hand_2nd_knuckle": "IHAND IHA",
         "hand_5th_knuckle": "OHAND OHA", "asis": "FWT", "psis": "BWT", "hip_lateral": "MWT",
-        "trochanter": "HIP", "knee_lateral": "KNE", "knee_medial": "KNI", "ankle_lateral": "ANK",
+        "knee_lateral": "KNE", "knee_medial": "KNI", "ankle_lateral": "ANK",
         "heel": "HEL HEE", "foot_1st_head": "MT1", "foot_5th_head": "MT5", "toe_tip": "TOE",
         "scapula": "BAC BAK", "thumb": "THMB THM", "acromioclavicular": "SHO",
     },
     whole={**_TRUNK, "head_top": "ARIEL", "sacrum": "MBWT", "navel": "MFWT"},
     loose={
-        "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI",
+        "trochanter": "HIP", "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI",
         "shank_lateral": "SHN TIB",
     },
 )  # fmt: skip
 
-TABLES = (PLUG_IN_GAIT, CONVENTIONAL_GAIT_2, CMU, VICON_53)
+TABLES = (PLUG_IN_GAIT, CONVENTIONAL_GAIT_2, CONVENTIONAL_GAIT_24, CMU, VICON_53)

@@ -1,6 +1,8 @@
 """Labels of points that are no markers: results of models, joint centres, axes of segments, force plates."""
 
 import re
+from collections import Counter
+from collections.abc import Collection
 
 #: whole normalised labels, with or without a side
 _PATTERNS = (
@@ -9,9 +11,6 @@ _PATTERNS = (
     r"(V|VIRT|VIRTUAL)?(MID|MIDPOINT)(ASIS|ASI|PSIS|PSI|HIP|HIPS|PELVIS|SHOULDER|SHOULDERS|KNEE|ANKLE|ANK|POINT|TOE)\w*",
     r"V(MID|PELVIS|R|L)?(ASIS|ORIGIN|HIP|JC|HIPJC|KNEEJC|ANKLEJC|TOEOFFSET|R\w+JC|L\w+JC)",
     r"[LR](HIP|KNEE|ANKLE|TIB)?(FHC|KJCFUNC)",
-    # Plug-in Gait's axes of segments: origin, proximal (anterior), lateral
-    r"[LR](FE|TI|TO|HU|RA|HN|FO|AF|AT|CL|SK|HF|FF)[OPLA]",
-    r"(PEL|TRX|TOR|THX|SPI|HED|SAC)[OPLA]",
     r"[LR]\w*(ANGLE|ANGLES|FORCE|FORCES|MOMENT|MOMENTS|POWER|POWERS|TORQUE|ABSANGLE|PROGRESS|PROGRESSANGLES)\w*",
     r"\w*(ANGLES|GROUNDREACTION|GRF|GROUNDREACTIONFORCE|GROUNDREACTIONMOMENT)\w*",
     r"\w*(CENTEROFMASS|CENTREOFMASS|CENTEROFPRESSURE|CENTREOFPRESSURE|WALKINGSPEED|COMFLOOR)\w*",
@@ -20,8 +19,18 @@ _PATTERNS = (
     r"(FP|FORCEPLATE|PLATE|FORCE|AMTI|KISTLER)\d*\w{0,3}",
 )  # fmt: skip
 _VIRTUAL = re.compile("|".join(f"(?:{pattern})" for pattern in _PATTERNS))
+#: points of a segment's axes: the origin, and one each along the anterior, lateral and proximal axis
+_AXES = "OALP"
 
 
-def is_virtual(normalised: str) -> bool:
-    """Test whether a normalised label is a point that a program has computed."""
-    return _VIRTUAL.fullmatch(normalised) is not None
+def virtual_labels(normalised: Collection[str]) -> frozenset[str]:
+    """Find the normalised labels of points that a program has computed.
+
+    Plug-in Gait and the Conventional Gait Model write segments as four points, such as `LFEO`, `LFEA`, `LFEL` and
+    `LFEP`. Three of them are needed, because single ones may be markers.
+    """
+    stems = Counter(form[:-1] for form in set(normalised) if len(form) > 2 and form[-1] in _AXES)
+    axes = {stem for stem, count in stems.items() if count >= 3 and stem + "O" in normalised}
+    return frozenset(
+        form for form in normalised if _VIRTUAL.fullmatch(form) or (form[:-1] in axes and form[-1] in _AXES)
+    )
