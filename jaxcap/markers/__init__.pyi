@@ -11,6 +11,8 @@ from .calibration.calibration_problem import CalibrationProblem as CalibrationPr
 from .calibration.calibration_problem import make_calibration_problem as make_calibration_problem
 from .calibration.solve_calibration import CalibrationSolution as CalibrationSolution
 from .calibration.solve_calibration import solve_calibration as solve_calibration
+from .human.fit_human import HumanFit as HumanFit
+from .human.fit_human import fit_human as fit_human
 from .local_technique import LocalFit as LocalFit
 from .local_technique import fit_local as fit_local
 from .marker_sets.recognise import MarkerSet as MarkerSet
