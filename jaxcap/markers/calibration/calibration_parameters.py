@@ -10,7 +10,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ...body.skeleton import Skeleton
 from ...body.symmetry import length_differences
@@ -97,14 +97,20 @@ def bone_vectors(skeleton: Skeleton, joints: tuple[int, ...]) -> Float[np.ndarra
     return centres[list(joints)] - centres[parents]
 
 
-def bone_and_placement_jacobian(template: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "N N"]:
-    """Map `s`, an axis at a time, to changes of the solved bones and of the markers' positions on their bones."""
+def bone_and_placement_jacobian(
+    template: Subject, joints: tuple[int, ...], anchors: Int[np.ndarray, "M"] | None = None
+) -> Float[np.ndarray, "N N"]:
+    """Map `s`, an axis at a time, to changes of the solved bones and of the markers relative to joints.
+
+    `anchors (M,)`, the joint of each marker, by default that of its bone.
+    """
+    anchors = np.asarray(template.bones) if anchors is None else anchors
     skeleton = template.skeleton
     rows = centre_jacobian(skeleton, joints)
     parents = np.array([skeleton.parents[joint] for joint in joints], int)
     bones = rows[list(joints)] - rows[parents]
     by_joint = np.hstack([bones, np.zeros((len(joints), template.num_markers))])
-    by_marker = np.hstack([-rows[np.asarray(template.bones)], np.eye(template.num_markers)])
+    by_marker = np.hstack([-rows[anchors], np.eye(template.num_markers)])
     return np.vstack([by_joint, by_marker])
 
 

@@ -31,10 +31,10 @@ class AnatomicalPrior(AbstractTemplatePrior):
     #: change of each centre and of each marker's rest position by one standard deviation of each of T traits
     centre_modes: Float[np.ndarray, "T J 3"]
     marker_modes: Float[np.ndarray, "T M 3"]
-    #: standard deviation of each coordinate of a marker's position on its bone
+    #: standard deviation of each coordinate of a marker's position relative to the joint that its landmark is near
     placements: Float[np.ndarray, "M"]
-    #: number of frames that count as one independent observation
-    frames_per_observation: float = 1.0
+    #: these joints, such as the knee for a marker on an epicondyle of the thigh
+    anchors: Int[np.ndarray, "M"]
 
     def precision(self, template, joints):
         free = self.precision_without_traits(template, joints)
@@ -42,7 +42,7 @@ class AnatomicalPrior(AbstractTemplatePrior):
         # Woodbury: the inverse of the sum of the covariances
         pull = free @ modes
         inner = np.eye(modes.shape[1]) + modes.T @ pull
-        return self.frames_per_observation * (free - pull @ np.linalg.pinv(inner, hermitian=True) @ pull.T)
+        return free - pull @ np.linalg.pinv(inner, hermitian=True) @ pull.T
 
     def trait_modes(self, joints: tuple[int, ...]) -> Float[np.ndarray, "S T"]:
         """Compute the change of `s` by each trait."""
@@ -55,7 +55,7 @@ class AnatomicalPrior(AbstractTemplatePrior):
         """Compute the inverse covariance of `s` of people with equal traits."""
         bones = bone_vectors(template.skeleton, joints)
         deviations = BONE_SHARE * np.linalg.norm(bones, axis=1) + BONE_DEVIATION
-        jacobian = bone_and_placement_jacobian(template, joints)
+        jacobian = bone_and_placement_jacobian(template, joints, self.anchors)
         count = len(joints)
         by_bone, by_marker = jacobian[:count], jacobian[count:] / self.placements[:, None]
         partners = _partners(template.skeleton, joints)

@@ -14,7 +14,7 @@ from ...body.people.human import human, human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
 from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
-from ..marker_sets.landmarks import landmark_attachment
+from ..marker_sets.landmarks import landmark_attachment, landmarks
 from ..marker_sets.recognise import MarkerSet
 from ..subject import Subject, make_subject
 from .anatomical_prior import AnatomicalPrior
@@ -74,9 +74,9 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
         # the root's own centre is arbitrary and stays
         by_marker.append(places - centres[0])
         by_centre.append(centres - centres[0])
-    return HumanTemplate(
-        subject, AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations), traits
-    )
+    anchors = np.array([skeleton.index(landmarks()[name].joint) for name in names])
+    prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations, anchors)
+    return HumanTemplate(subject, prior, traits)
 
 
 def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> Traits:
