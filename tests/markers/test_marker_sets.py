@@ -86,7 +86,7 @@ def test_every_label_of_a_published_set_is_recognised(name):
     assert not found.virtual.any()
     assert {label: found.names[found.labels.index(label)] for label in some} == some
     # a palpated bone is known better than a plate on a thigh
-    assert 0.009 < found.deviations.min() <= 0.015 and found.deviations.max() <= 0.06
+    assert 0.009 < found.deviations.min() <= 0.015 and found.deviations.max() <= 0.08
 
 
 @pytest.mark.parametrize("form", ["Anna:{}", "Anna_{}", "251112_KUO_{}", "{}_study", "{}"])

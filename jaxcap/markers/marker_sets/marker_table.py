@@ -9,7 +9,7 @@ from ..body_shape.surface_markers import MARKER_HEIGHT
 
 #: standard deviations of the placement of markers on plates and wands, and of those somewhere on a side of a
 #: segment, metres
-PLATE_DEVIATION, LOOSE_DEVIATION = 0.06, 0.05
+PLATE_DEVIATION, LOOSE_DEVIATION = 0.08, 0.05
 #: distances of their centres from the skin, metres
 PLATE_HEIGHT, WAND_HEIGHT = 0.02, 0.08
 

@@ -82,7 +82,7 @@ VICON_53 = MarkerTable(
     },
     whole={**_TRUNK, "head_top": "ARIEL", "sacrum": "MBWT", "navel": "MFWT"},
     loose={
-        "trochanter": "HIP", "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI",
+        "upper_arm_lateral": "UPA", "forearm_lateral": "FRM FRA", "thigh_lateral": "THI HIP",
         "shank_lateral": "SHN TIB",
     },
 )  # fmt: skip
