@@ -12,9 +12,10 @@ from jaxtyping import Float, Int
 from ...body.people.anatomy import rest_deviations
 from ...body.people.human import human, human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
+from ...body.skeleton import Skeleton
 from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
-from ..marker_sets.landmarks import landmark_attachment, landmarks
+from ..marker_sets.landmarks import landmark_attachment
 from ..marker_sets.recognise import MarkerSet
 from ..subject import Subject, make_subject
 from .anatomical_prior import AnatomicalPrior
@@ -74,9 +75,30 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
         # the root's own centre is arbitrary and stays
         by_marker.append(places - centres[0])
         by_centre.append(centres - centres[0])
-    anchors = np.array([skeleton.index(landmarks()[name].joint) for name in names])
+    anchors = nearest_joints(subject)
     prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations, anchors)
     return HumanTemplate(subject, prior, traits)
+
+
+def nearest_joints(subject: Subject) -> Int[np.ndarray, "M"]:
+    """Find the joint nearest to each marker at rest, of the joints at both ends of its bone."""
+    skeleton, centres = subject.skeleton, np.asarray(subject.skeleton.centres, float)
+    nearest = []
+    for bone, place in zip(
+        np.asarray(subject.bones).tolist(), np.asarray(subject.offsets, float), strict=True
+    ):
+        ends = [bone, *_moving_children(skeleton, bone)]
+        nearest.append(ends[int(np.argmin(np.linalg.norm(centres[ends] - place, axis=1)))])
+    return np.array(nearest, int)
+
+
+def _moving_children(skeleton: Skeleton, bone: int) -> list[int]:
+    """List the joints at the ends of a bone; fixed joints are parts of it."""
+    found = []
+    for joint, parent in enumerate(skeleton.parents):
+        if parent == bone:
+            found += _moving_children(skeleton, joint) if skeleton.kinds[joint] == "fixed" else [joint]
+    return found
 
 
 def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> Traits:
