@@ -10,6 +10,7 @@ from ..arguments import check_fields, checked
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from .abstract_limits import AbstractLimits
+from .anatomical_joint import AnatomicalJoint
 from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
@@ -47,6 +48,11 @@ class LimitSurface(eqx.Module):
     densities: Float[Array, "Q"]
     #: unit direction of the joint's bone at rest, world; zero where it is not known
     bone: Float[Array, "3"] = eqx.field(default_factory=lambda: jnp.zeros(3))
+    #: part of `thickness` beyond the voxels of samples, half a rotation in radians
+    margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    #: the joint and its parent in the skeleton that they were learned with; None where they are not recognised
+    anatomy: AnatomicalJoint | None = None
+    parent_anatomy: AnatomicalJoint | None = None
 
     def __check_init__(self):
         check_fields(self)
