@@ -9,6 +9,7 @@ from ..body.skeleton import Skeleton
 from ..edit.matching.pairing import SIDES
 from ..limits.anatomical_joint import AnatomicalJoint
 from .anatomical_frames import find_anatomical_frames, find_upright
+from .conventions import MIDLINE
 
 #: joints of the limbs: type of the limb, place in it, proximal and distal segment
 _JOINTS = {
@@ -41,20 +42,27 @@ def find_anatomical_joints(skeleton: Skeleton, motion: Motion | None = None) -> 
     bones = dict(zip(frames.segments, frames.bones, strict=True))
     found = {}
     for side in SIDES:
-        for name, (limb, place, *segments) in _JOINTS.items():
+        for name, (limb, place, _, _) in _JOINTS.items():
             joints = person.limb(side, limb)
-            proximal, distal = (each if each in axes else f"{each}_{side[0]}" for each in segments)
+            full = f"{name}_{side[0]}"
+            proximal, distal = joint_segments(full)
             if not joints or proximal not in axes or distal not in axes:
                 continue
             # a wrist that is named after a joint of pronation is the joint below it
             joint = bones[distal] if name == "wrist" else joints[place]
             if name != "elbow" and bones[distal] != joint and _turns_below(skeleton, joint, bones[distal]):
                 continue
-            full = f"{name}_{side[0]}"
             found[full] = AnatomicalJoint(
                 full, skeleton.names[joint], jnp.asarray(axes[proximal]), jnp.asarray(axes[distal])
             )
     return found
+
+
+def joint_segments(joint: str) -> tuple[str, str]:
+    """Return the names of the proximal and the distal segment of a joint, such as `femur_r` and `tibia_r` of `knee_r`."""
+    name, side = joint.rsplit("_", 1)
+    proximal, distal = (each if each in MIDLINE else f"{each}_{side}" for each in _JOINTS[name][2:])
+    return proximal, distal
 
 
 def _turns_below(skeleton: Skeleton, joint: int, bone: int) -> bool:

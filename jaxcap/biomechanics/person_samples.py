@@ -60,7 +60,9 @@ def gather_person_samples(
             if both_sides and target is not None:
                 wanted.append(target.other_side)
             for place in wanted:
-                found = _gather_one(each, labels[number], name, place, target, anatomies[number], motions[reference][0])
+                found = _gather_one(
+                    each, labels[number], name, place, target, anatomies[number], motions[reference][0]
+                )
                 count = len(found.rotations)
                 pieces.append(
                     found._replace(

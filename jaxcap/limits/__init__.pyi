@@ -3,6 +3,7 @@
 from .abstract_limits import AbstractLimits as AbstractLimits
 from .abstract_limits import AllLimits as AllLimits
 from .abstract_limits import allowed as allowed
+from .anatomical_joint import AnatomicalJoint as AnatomicalJoint
 from .compare import compare_samples as compare_samples
 from .euler_boxes import EulerBox as EulerBox
 from .euler_boxes import EulerBoxes as EulerBoxes
@@ -15,6 +16,7 @@ from .implicit_surface import LimitSurface as LimitSurface
 from .implicit_surface import SurfaceLimits as SurfaceLimits
 from .implicit_surface import comfort as comfort
 from .learning.boxes import learn_boxes as learn_boxes
+from .learning.full_turns import find_full_turns as find_full_turns
 from .learning.learn_limits import learn_limits as learn_limits
 from .learning.marker_frames import arm_samples as arm_samples
 from .learning.samples import gather_samples as gather_samples
@@ -24,3 +26,6 @@ from .ranges_and_cones import JointRanges as JointRanges
 from .ranges_and_cones import make_joint_ranges as make_joint_ranges
 from .rotation_vector_boxes import PoseBoxes as PoseBoxes
 from .rotation_vector_boxes import make_pose_boxes as make_pose_boxes
+from .sample_distance import sample_distance as sample_distance
+from .sample_distance import sample_distance_frames as sample_distance_frames
+from .transfer import transfer_limits as transfer_limits

@@ -40,9 +40,7 @@ def convert_rotations(
 ) -> Float[np.ndarray, "F 3 3"]:
     """Convert rotations of a joint from rest to those from another skeleton's rest pose, with the same pose of the
     segments; they are mirrored between a left and a right joint."""
-    of, to = (
-        (np.asarray(each.proximal, float), np.asarray(each.distal, float)) for each in (source, target)
-    )
+    of, to = ((np.asarray(each.proximal, float), np.asarray(each.distal, float)) for each in (source, target))
     between = of[0].T @ matrices @ of[1]
     if source.name != target.name:
         between = _MIRROR @ between @ _MIRROR
@@ -57,4 +55,3 @@ def rest_difference_rotations(
     before = np.asarray(source.proximal, float) @ np.asarray(target.proximal, float).T
     after = np.asarray(target.distal, float) @ np.asarray(source.distal, float).T
     return before, after
-

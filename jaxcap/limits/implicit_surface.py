@@ -155,7 +155,7 @@ def rest_difference(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, flo
     """Find the joint whose bone at rest differs most from that of the motions that the limits were learned from.
 
     Returns its name and the angle, radians. Rotations are relative to the rest pose, so limits are valid for one rest
-    pose only.
+    pose only, unless `transfer_limits` converts them.
     """
     angles = {
         surface.joint: bone_angle(np.asarray(surface.bone, float), bone_direction(skeleton, surface.joint))

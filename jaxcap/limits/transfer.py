@@ -14,7 +14,7 @@ from ..geometry import rotation
 from .anatomical_joint import AnatomicalJoint, rest_difference_rotations
 from .chart import Chart
 from .implicit_surface import LimitSurface, SurfaceLimits
-from .rest_directions import bone_angle, bone_direction
+from .rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
 
 #: largest angle between the bones at rest of skeletons whose rotations mean the same, radians
 EQUAL_REST = float(np.radians(2.0))
@@ -27,20 +27,21 @@ def transfer_limits(
     """Express limits for another skeleton of a person: the same poses of the segments are allowed.
 
     A joint with the same name, whose bone at rest differs by less than two degrees, keeps its limits as they are. Others
-    are found by their anatomical names, and their charts are rotated by the difference of the rest poses.
+    are found by their anatomical names, and their charts are rotated by the difference of the rest poses. A joint that is
+    not recognised needs the same name, and a bone at rest that differs by less than 20 degrees.
 
     **Arguments:** `anatomy` are the joints of the skeleton, as `jaxcap.biomechanics.find_anatomical_joints` finds them.
 
     **Raises:** `InputError` where a joint is not recognised in one of the skeletons.
     """
-    bones = {surface.joint: surface.bone for surface in limits.surfaces}
+    bones = {each.joint: each.bone for each in limits.surfaces}
     return SurfaceLimits(tuple(_transfer(each, skeleton, anatomy, bones) for each in limits.surfaces))
 
 
 def _transfer(
     surface: LimitSurface, skeleton: Skeleton, anatomy: Mapping[str, AnatomicalJoint], bones
 ) -> LimitSurface:
-    if not _is_equal(skeleton, surface.joint, surface.bone):
+    if not _is_equal(skeleton, surface.joint, surface.bone, surface.anatomy):
         target = _counterpart(surface.joint, surface.anatomy, anatomy)
         before, after = rest_difference_rotations(_known(surface.anatomy), target)
         centres = surface.centres
@@ -59,7 +60,7 @@ def _transfer(
     if surface.parent is None or surface.parent_chart is None:
         return surface
     bone = bones.get(surface.parent, jnp.zeros(3))
-    if not _is_equal(skeleton, surface.parent, bone):
+    if not _is_equal(skeleton, surface.parent, bone, surface.parent_anatomy):
         target = _counterpart(surface.parent, surface.parent_anatomy, anatomy)
         before, after = rest_difference_rotations(_known(surface.parent_anatomy), target)
         keys = surface.keys
@@ -71,11 +72,15 @@ def _transfer(
     return surface
 
 
-def _is_equal(skeleton: Skeleton, joint: str, bone) -> bool:
+def _is_equal(skeleton: Skeleton, joint: str, bone, known: AnatomicalJoint | None) -> bool:
     """Test if a joint's rotations mean the same in the skeleton: its name is there, and its bone at rest is alike."""
     if joint not in skeleton.names:
         return False
-    return bone_angle(np.asarray(bone, float), bone_direction(skeleton, joint)) <= EQUAL_REST
+    # a joint of a table of angles has no bone
+    if known is not None and not np.any(np.asarray(bone)):
+        return False
+    most = MAX_REST_ANGLE if known is None else EQUAL_REST
+    return bone_angle(np.asarray(bone, float), bone_direction(skeleton, joint)) <= most
 
 
 def _counterpart(
@@ -99,9 +104,7 @@ def _known(anatomy: AnatomicalJoint | None) -> AnatomicalJoint:
     return anatomy
 
 
-def _rotate_chart(
-    chart: Chart, before: Float[np.ndarray, "3 3"], after: Float[np.ndarray, "3 3"]
-) -> Chart:
+def _rotate_chart(chart: Chart, before: Float[np.ndarray, "3 3"], after: Float[np.ndarray, "3 3"]) -> Chart:
     """Make the chart in which `q` has the coordinates, rotated by `after`, of `before q after` in `chart`.
 
     `m^-1 B q A = A^-1 ((B^-1 m A^-1)^-1 q) A`, with the middle `m`.

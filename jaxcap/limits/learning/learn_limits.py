@@ -113,7 +113,9 @@ def _charts(one: JointSamples, samples: Mapping[str, JointSamples]) -> tuple[Cha
     return chart(one), None if one.parent is None else chart(one.parent)
 
 
-def _choose_widths(samples: JointSamples, charts, coordinates, given, kind: HeldOut, share, min_samples) -> Widths:
+def _choose_widths(
+    samples: JointSamples, charts, coordinates, given, kind: HeldOut, share, min_samples
+) -> Widths:
     """Choose the sizes that are not given, by cross-validation."""
     chart, parent_chart = charts
     voxel, keyframe, margin = given

@@ -144,9 +144,7 @@ def gather_samples(
     )
 
 
-def number_people(
-    skeletons: Sequence[Skeleton], people: Sequence[str] | None
-) -> Int[np.ndarray, "M"]:
+def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -> Int[np.ndarray, "M"]:
     """Number the people of some motions by their names, else by the joint centres of their skeletons.
 
     **Raises:** `InputError` where there is not one name for each motion.
