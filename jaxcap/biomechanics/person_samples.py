@@ -10,7 +10,7 @@ from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
 from ..limits.anatomical_joint import AnatomicalJoint, convert_rotations
-from ..limits.learning.samples import JointSamples, gather_samples, number_people
+from ..limits.learning.samples import JointSamples, check_rest_pose, gather_samples, number_people
 from ..limits.rest_directions import bone_angle, bone_direction
 from ..limits.transfer import EQUAL_REST
 from .anatomical_joints import find_anatomical_joints
@@ -57,7 +57,7 @@ def gather_person_samples(
         start = 0
         for number, each in enumerate(motions):
             wanted = [name if target is None else target.name]
-            if both_sides and target is not None:
+            if both_sides and target is not None and target.other_side in anatomies[number]:
                 wanted.append(target.other_side)
             for place in wanted:
                 found = _gather_one(
@@ -72,8 +72,12 @@ def gather_person_samples(
                     )
                 )
             start = int(pieces[-1].blocks[-1]) + 1
-        joined = _join(pieces, name, target)
-        return joined._replace(parent=over)
+        skeleton = motions[reference][0]
+        return _join(pieces, name, target)._replace(
+            parent=over,
+            bone=bone_direction(skeleton, name),
+            axes=np.asarray(skeleton.axes[skeleton.index(name)], float),
+        )
 
     return gather(joint, parent)
 
@@ -97,16 +101,20 @@ def _gather_one(
             return own
         turned = Rotation.from_quat(own.rotations, scalar_first=True).as_matrix()
         turned = Rotation.from_matrix(convert_rotations(turned, source, target))
-        return own._replace(rotations=turned.as_quat(scalar_first=True), bone=np.zeros(3))
-    # without a person the joint has the same name and rest pose, which `gather_samples` checks
-    both = gather_samples([(reference, motion[1][:1]), motion], name, None, ["the first motion", label])
-    return both.take(np.arange(1, len(both.rotations)))
+        return own._replace(rotations=turned.as_quat(scalar_first=True))
+    own = gather_samples([motion], name, None, [label])
+    check_rest_pose(bone_direction(reference, name), own.bone, name, label)
+    return own
 
 
 def _join(pieces: list[JointSamples], name: str, target: AnatomicalJoint | None) -> JointSamples:
-    """Concatenate the samples of motions; a joint of several kinds may rotate freely."""
+    """Concatenate the samples of motions; a recognised joint of several kinds rotates freely."""
     first = pieces[0]
-    kinds = {each.kind for each in pieces}
+    kinds = sorted({each.kind for each in pieces})
+    if target is None and len(kinds) > 1:
+        raise InputError(
+            f"Joint '{name}' is {' and '.join(kinds)}; learn from motions of one kind of skeleton."
+        )
     groups = [
         np.concatenate([each for each in column if each is not None])
         for column in zip(*((p.rotations, p.blocks, p.takes, p.people) for p in pieces), strict=True)

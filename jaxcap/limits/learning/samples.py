@@ -112,12 +112,7 @@ def gather_samples(
         kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
         axes = np.asarray(skeleton.axes[j], float)
         here = bone_direction(skeleton, joint)
-        differs = bone_angle(bone, here)
-        if differs > MAX_REST_ANGLE:
-            raise ValueError(
-                f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
-                f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
-            )
+        check_rest_pose(bone, here, joint, motion_name)
         bone = here
         turned = np.asarray(motion.poses.rotations[:, j], float)
         rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
@@ -142,6 +137,18 @@ def gather_samples(
         np.repeat(np.arange(len(counts)), counts),
         np.repeat(who, counts),
     )
+
+
+def check_rest_pose(
+    bone: Float[np.ndarray, "3"], here: Float[np.ndarray, "3"], joint: str, motion_name: str
+) -> None:
+    """Check that a bone at rest has the direction of other motions. Raises `ValueError`."""
+    differs = bone_angle(bone, here)
+    if differs > MAX_REST_ANGLE:
+        raise ValueError(
+            f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
+            f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
+        )
 
 
 def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -> Int[np.ndarray, "M"]:
