@@ -26,6 +26,6 @@ from .ranges_and_cones import JointRanges as JointRanges
 from .ranges_and_cones import make_joint_ranges as make_joint_ranges
 from .rotation_vector_boxes import PoseBoxes as PoseBoxes
 from .rotation_vector_boxes import make_pose_boxes as make_pose_boxes
-from .sample_distance import sample_distance as sample_distance
-from .sample_distance import sample_distance_frames as sample_distance_frames
+from .distance_from_samples import sample_distance as sample_distance
+from .distance_from_samples import sample_distance_frames as sample_distance_frames
 from .transfer import transfer_limits as transfer_limits
