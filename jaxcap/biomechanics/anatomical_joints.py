@@ -7,7 +7,7 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..edit.matching.pairing import SIDES
-from ..limits.anatomical_joint import AnatomicalJoint
+from ..limits.rest_poses.anatomical_joint import AnatomicalJoint
 from .anatomical_frames import find_anatomical_frames, find_upright
 from .conventions import MIDLINE
 

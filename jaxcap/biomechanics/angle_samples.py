@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from ..arguments import checked
 from ..errors import InputError
-from ..limits.anatomical_joint import AnatomicalJoint, convert_rotations
 from ..limits.learning.samples import BLOCK_SECONDS, JointSamples
+from ..limits.rest_poses.anatomical_joint import AnatomicalJoint, convert_rotations
 from .anatomical_joints import JOINT_NAMES, joint_segments
 from .angles import JointAngles
 from .conventions import AngleConvention

@@ -9,10 +9,10 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..limits.anatomical_joint import AnatomicalJoint, convert_rotations
 from ..limits.learning.samples import JointSamples, check_rest_pose, gather_samples, number_people
-from ..limits.rest_directions import bone_angle, bone_direction
-from ..limits.transfer import EQUAL_REST
+from ..limits.rest_poses.anatomical_joint import AnatomicalJoint, convert_rotations
+from ..limits.rest_poses.rest_directions import bone_angle, bone_direction
+from ..limits.rest_poses.transfer import EQUAL_REST
 from .anatomical_joints import find_anatomical_joints
 
 Anatomy = Mapping[str, AnatomicalJoint]

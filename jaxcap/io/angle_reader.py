@@ -153,4 +153,7 @@ def _read_mat(path: Path) -> tuple[dict[str, np.ndarray], float]:
         raise InputError(
             f"{path}: there are {len(times)} times and {counts.pop()} frames; expected one time for each."
         )
-    return columns, rate_of_times(times, path) if rate is None else rate
+    if times is not None and rate is None:
+        rate = rate_of_times(times, path)
+    assert rate is not None
+    return columns, rate

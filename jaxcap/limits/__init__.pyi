@@ -3,8 +3,9 @@
 from .abstract_limits import AbstractLimits as AbstractLimits
 from .abstract_limits import AllLimits as AllLimits
 from .abstract_limits import allowed as allowed
-from .anatomical_joint import AnatomicalJoint as AnatomicalJoint
 from .compare import compare_samples as compare_samples
+from .distance_from_samples import sample_distance as sample_distance
+from .distance_from_samples import sample_distance_frames as sample_distance_frames
 from .euler_boxes import EulerBox as EulerBox
 from .euler_boxes import EulerBoxes as EulerBoxes
 from .euler_boxes import make_euler_boxes as make_euler_boxes
@@ -24,8 +25,7 @@ from .motion_projection import project_motion as project_motion
 from .ranges_and_cones import Cone as Cone
 from .ranges_and_cones import JointRanges as JointRanges
 from .ranges_and_cones import make_joint_ranges as make_joint_ranges
+from .rest_poses.anatomical_joint import AnatomicalJoint as AnatomicalJoint
+from .rest_poses.transfer import transfer_limits as transfer_limits
 from .rotation_vector_boxes import PoseBoxes as PoseBoxes
 from .rotation_vector_boxes import make_pose_boxes as make_pose_boxes
-from .distance_from_samples import sample_distance as sample_distance
-from .distance_from_samples import sample_distance_frames as sample_distance_frames
-from .transfer import transfer_limits as transfer_limits

@@ -10,11 +10,11 @@ from ..arguments import check_fields, checked
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from .abstract_limits import AbstractLimits
-from .anatomical_joint import AnatomicalJoint
 from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
-from .rest_directions import bone_angle, bone_direction
+from .rest_poses.anatomical_joint import AnatomicalJoint
+from .rest_poses.rest_directions import bone_angle, bone_direction
 
 
 class LimitSurface(eqx.Module):

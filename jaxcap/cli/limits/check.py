@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 
 from ...io.table import write_json
+from ...limits.distance_from_samples import sample_distance_frames
 from ...limits.frame_evaluation import comfort_frames
 from ...limits.implicit_surface import SurfaceLimits
-from ...limits.distance_from_samples import sample_distance_frames
 from ..console.console import print_table, say
 from ..console.options import Flag, MotionSpec, OptionalBody, OptionalUnit, arg
 from ..outputs import check_new

@@ -12,10 +12,10 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...limits.abstract_limits import AbstractLimits, AllLimits
-from ...limits.anatomical_joint import AnatomicalJoint
 from ...limits.chart import DIMENSIONS, Chart
 from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints, rest_difference
-from ...limits.transfer import transfer_limits
+from ...limits.rest_poses.anatomical_joint import AnatomicalJoint
+from ...limits.rest_poses.transfer import transfer_limits
 from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst

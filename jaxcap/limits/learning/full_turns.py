@@ -24,7 +24,7 @@ def find_full_turns(samples: Mapping[str, JointSamples]) -> dict[str, float]:
 
 
 def without_full_turns(samples: Mapping[str, JointSamples]) -> dict[str, JointSamples]:
-    """Leave out the joints that turn through a full turn, as joints and as parents.
+    """Remove the joints that turn through a full turn, as joints and as parents.
 
     **Raises:** `InputError` where no joint is left.
     """

@@ -16,9 +16,10 @@ Fold = tuple[Int[np.ndarray, "A"], Int[np.ndarray, "B"]]
 
 def widest_held_out(samples: JointSamples) -> HeldOut:
     """Return the largest unit of which there are several: people, else takes, else blocks of one take."""
-    for kind, groups in (("people", samples.people), ("takes", samples.takes)):
-        if groups is not None and len(np.unique(groups)) > 1:
-            return kind
+    if samples.people is not None and len(np.unique(samples.people)) > 1:
+        return "people"
+    if samples.takes is not None and len(np.unique(samples.takes)) > 1:
+        return "takes"
     return "blocks"
 
 

@@ -117,26 +117,23 @@ def _choose_widths(
     samples: JointSamples, charts, coordinates, given, kind: HeldOut, share, min_samples
 ) -> Widths:
     """Choose the sizes that are not given, by cross-validation."""
-    chart, parent_chart = charts
-    voxel, keyframe, margin = given
+    (chart, parent_chart), (own, above), (voxel, keyframe, margin) = charts, coordinates, given
     if kind == "blocks" or voxel is not None:
         if parent_chart is None:
-            width = voxel or choose_voxel_width(
-                coordinates[0], chart.dimension, samples.blocks, min_samples, share
-            )
+            width = voxel or choose_voxel_width(own, chart.dimension, samples.blocks, min_samples, share)
             return Widths(width, 0.0, margin or 0.0)
         if not (voxel and keyframe):
             dimensions = chart.dimension, parent_chart.dimension
-            chosen = choose_keyframes(*coordinates, dimensions, samples.blocks, share)
+            chosen = choose_keyframes(own, above, dimensions, samples.blocks, share)
             voxel, keyframe = voxel or chosen[0], keyframe or chosen[1]
         return Widths(voxel, keyframe, margin or 0.0)
     width, folds = np.radians(RESOLUTION[chart.dimension]) / 2, make_folds(samples, kind)
     if parent_chart is None:
         if margin is None:
-            margin = choose_margin(coordinates[0], chart.dimension, folds, width, share)
+            margin = choose_margin(own, chart.dimension, folds, width, share)
         return Widths(width, 0.0, margin)
     dimensions = chart.dimension, parent_chart.dimension
-    chosen = choose_coupled_margin(*coordinates, dimensions, folds, width, share, keyframe)
+    chosen = choose_coupled_margin(own, above, dimensions, folds, width, share, keyframe)
     return Widths(width, chosen[1], chosen[0] if margin is None else margin)
 
 

@@ -10,8 +10,8 @@ from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..anatomical_joint import AnatomicalJoint
-from ..rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
+from ..rest_poses.anatomical_joint import AnatomicalJoint
+from ..rest_poses.rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
 
 #: seconds of a motion in one block that is held out: neighbouring frames are similar
 BLOCK_SECONDS = 10.0

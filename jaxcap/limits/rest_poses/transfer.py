@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..arguments import checked
-from ..body.skeleton import Skeleton
-from ..errors import InputError
-from ..geometry import rotation
+from ...arguments import checked
+from ...body.skeleton import Skeleton
+from ...errors import InputError
+from ...geometry import rotation
+from ..chart import Chart
+from ..implicit_surface import LimitSurface, SurfaceLimits
 from .anatomical_joint import AnatomicalJoint, rest_difference_rotations
-from .chart import Chart
-from .implicit_surface import LimitSurface, SurfaceLimits
 from .rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
 
 #: largest angle between the bones at rest of skeletons whose rotations mean the same, radians
@@ -24,7 +24,7 @@ EQUAL_REST = float(np.radians(2.0))
 def transfer_limits(
     limits: SurfaceLimits, skeleton: Skeleton, anatomy: Mapping[str, AnatomicalJoint]
 ) -> SurfaceLimits:
-    """Express limits for another skeleton of a person: the same poses of the segments are allowed.
+    """Convert limits to another skeleton of a person: the same poses of the segments are allowed.
 
     A joint with the same name, whose bone at rest differs by less than two degrees, keeps its limits as they are. Others
     are found by their anatomical names, and their charts are rotated by the difference of the rest poses. A joint that is

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..arguments import check_fields, checked
+from ...arguments import check_fields, checked
 
 #: the mirror image of a rotation between anatomical axes, of which Z points to the right
 _MIRROR = np.diag([1.0, 1.0, -1.0])
