@@ -101,8 +101,8 @@ def make_negatives(
         rotation.rotate(skeleton.orientations[skeleton.index(test.parent.joint)], jnp.array([1.0, 0, 0]))
     )
     joint, parent = test.joint, test.parent.joint
-    seen = _embed_pairs(whole.rotations, whole.parent.rotations)
-    distances = KDTree(seen).query(_embed_pairs(children, parents), p=np.inf)[0]
+    seen = embed_pairs(whole.rotations, whole.parent.rotations)
+    distances = KDTree(seen).query(embed_pairs(children, parents), p=np.inf)[0]
     never = distances > 2 * np.sin(np.radians(MAX_PAIR_ANGLE) / 4)
     return {
         "uniform": {
@@ -115,7 +115,7 @@ def make_negatives(
     }
 
 
-def _embed_pairs(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
+def embed_pairs(children: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Embed pairs of rotations such that distances are chords of quaternions; rotations are below half a turn."""
     return np.concatenate([np.where(q[:, :1] < 0, -q, q) for q in (children, parents)], 1)
 
@@ -160,8 +160,10 @@ def score_captured(count: int) -> dict[str, float]:
         train, test = (whole.take(np.flatnonzero(whole.blocks % 2 == half)) for half in (0, 1))
         assert train.parent is not None and test.parent is not None
         boxes = learn_boxes(skeleton, [train.parent, train])
-        independent = learn_limits({parent: train.parent, joint: train._replace(parent=None)})
-        together = learn_limits({parent: train.parent, joint: train})
+        independent = learn_limits(
+            {parent: train.parent, joint: train._replace(parent=None)}, held_out="blocks"
+        )
+        together = learn_limits({parent: train.parent, joint: train}, held_out="blocks")
         schemes = {"boxes": boxes, "independent": (independent,), "hierarchy": (together,)}
         asked = make_negatives(train, test, whole, skeleton, count)
         for scheme, limits in schemes.items():

@@ -70,7 +70,7 @@ def main() -> None:
     skeleton = pair_skeleton(motions[0][0])
     samples = gather_samples(motions, JOINTS[1], JOINTS[0])
     assert samples.parent is not None
-    limits = learn_limits({JOINTS[0]: samples.parent, JOINTS[1]: samples})
+    limits = learn_limits({JOINTS[0]: samples.parent, JOINTS[1]: samples}, held_out="blocks")
     sizes = {s.joint: list(s.centres.shape[:2]) for s in limits.surfaces}
     progress(f"limits: keyframes and primitives {sizes}")
 

@@ -180,7 +180,9 @@ def _places(body: jc.Body, poses: jc.Pose) -> np.ndarray:
 def learn_from(shared: Path, takes: list[str], body: jc.Body, pairs) -> SurfaceLimits:
     """Learn limits from takes on the human's skeleton, with each joint coupled to its parent in the pair."""
     motions = [(body.skeleton, human_motion(shared, take, body)) for take in takes]
-    limits = learn_limits({joint: gather_samples(motions, joint, parent, takes) for joint, parent in pairs})
+    limits = learn_limits(
+        {joint: gather_samples(motions, joint, parent, takes) for joint, parent in pairs}, held_out="blocks"
+    )
     for surface in limits.surfaces:
         progress(
             f"{surface.joint}: {surface.chart.kind}, {surface.centres.shape[1]} primitives at "

@@ -79,7 +79,7 @@ def find_anatomical_frames(skeleton: Skeleton, motion: Motion | None = None) -> 
 
     **Raises:** `InputError` if there is no person with sides and an upright pose in the skeleton.
     """
-    upright = _find_upright(skeleton, motion)
+    upright = find_upright(skeleton, motion)
     axes = _legs_axes(upright) if upright.axes is None else upright.axes
     if axes is None:
         raise InputError(
@@ -102,7 +102,8 @@ def find_anatomical_frames(skeleton: Skeleton, motion: Motion | None = None) -> 
     )
 
 
-def _find_upright(skeleton: Skeleton, motion: Motion | None) -> UprightPose:
+def find_upright(skeleton: Skeleton, motion: Motion | None) -> UprightPose:
+    """Find the person in a skeleton, upright, with left and right resolved. Raises `InputError` if there is none."""
     try:
         return find_upright_pose(skeleton, identify_joints(skeleton), motion, "source")
     except UnknownSides:

@@ -126,7 +126,7 @@ _AXES: dict[Order, tuple[str, str, str]] = {
     "yxz": ("Y of the {0} (vertical)", "floating axis X", "Z of the {1}"),
     "yxy": ("Y of the {0}", "X of the {1} before its axial rotation", "Y of the {1}"),
 }
-_MIDLINE = (WORLD, "pelvis", "thorax", "head")
+MIDLINE = (WORLD, "pelvis", "thorax", "head")
 SEGMENTS = ("pelvis", "thorax", "head") + tuple(
     f"{segment}_{side}" for side in "rl" for segment in ("femur", "tibia", "foot", "humerus", "forearm", "hand")
 )  # fmt: skip
@@ -149,7 +149,7 @@ def angle_conventions(segments: Collection[str] = SEGMENTS) -> tuple[AngleConven
 
 def _angles(joint: _Joint, side: str) -> list[AngleConvention]:
     proximal, distal = (
-        segment if segment in _MIDLINE else segment + side for segment in (joint.proximal, joint.distal)
+        segment if segment in MIDLINE else segment + side for segment in (joint.proximal, joint.distal)
     )
     axes = [axis.format(joint.proximal, joint.distal) for axis in _AXES[joint.order]]
     return [

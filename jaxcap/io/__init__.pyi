@@ -1,5 +1,6 @@
 """Read and write files."""
 
+from .angle_reader import read_angles as read_angles
 from .archives.limits import load_limits as load_limits
 from .archives.limits import read_limits as read_limits
 from .archives.limits import save_limits as save_limits

@@ -4,6 +4,8 @@ from .abstract_limits import AbstractLimits as AbstractLimits
 from .abstract_limits import AllLimits as AllLimits
 from .abstract_limits import allowed as allowed
 from .compare import compare_samples as compare_samples
+from .distance_from_samples import sample_distance as sample_distance
+from .distance_from_samples import sample_distance_frames as sample_distance_frames
 from .euler_boxes import EulerBox as EulerBox
 from .euler_boxes import EulerBoxes as EulerBoxes
 from .euler_boxes import make_euler_boxes as make_euler_boxes
@@ -15,6 +17,7 @@ from .implicit_surface import LimitSurface as LimitSurface
 from .implicit_surface import SurfaceLimits as SurfaceLimits
 from .implicit_surface import comfort as comfort
 from .learning.boxes import learn_boxes as learn_boxes
+from .learning.full_turns import find_full_turns as find_full_turns
 from .learning.learn_limits import learn_limits as learn_limits
 from .learning.marker_frames import arm_samples as arm_samples
 from .learning.samples import gather_samples as gather_samples
@@ -22,5 +25,7 @@ from .motion_projection import project_motion as project_motion
 from .ranges_and_cones import Cone as Cone
 from .ranges_and_cones import JointRanges as JointRanges
 from .ranges_and_cones import make_joint_ranges as make_joint_ranges
+from .rest_poses.anatomical_joint import AnatomicalJoint as AnatomicalJoint
+from .rest_poses.transfer import transfer_limits as transfer_limits
 from .rotation_vector_boxes import PoseBoxes as PoseBoxes
 from .rotation_vector_boxes import make_pose_boxes as make_pose_boxes

@@ -13,7 +13,8 @@ from .abstract_limits import AbstractLimits
 from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
-from .rest_directions import bone_angle, bone_direction
+from .rest_poses.anatomical_joint import AnatomicalJoint
+from .rest_poses.rest_directions import bone_angle, bone_direction
 
 
 class LimitSurface(eqx.Module):
@@ -47,6 +48,11 @@ class LimitSurface(eqx.Module):
     densities: Float[Array, "Q"]
     #: unit direction of the joint's bone at rest, world; zero where it is not known
     bone: Float[Array, "3"] = eqx.field(default_factory=lambda: jnp.zeros(3))
+    #: part of `thickness` beyond the voxels of samples, half a rotation in radians
+    margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    #: the joint and its parent in the skeleton that they were learned with; None where they are not recognised
+    anatomy: AnatomicalJoint | None = None
+    parent_anatomy: AnatomicalJoint | None = None
 
     def __check_init__(self):
         check_fields(self)
@@ -149,7 +155,7 @@ def rest_difference(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, flo
     """Find the joint whose bone at rest differs most from that of the motions that the limits were learned from.
 
     Returns its name and the angle, radians. Rotations are relative to the rest pose, so limits are valid for one rest
-    pose only.
+    pose only, unless `transfer_limits` converts them.
     """
     angles = {
         surface.joint: bone_angle(np.asarray(surface.bone, float), bone_direction(skeleton, surface.joint))

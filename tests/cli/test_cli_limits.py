@@ -137,7 +137,7 @@ def test_what_is_refused(capsys, folder, learned, tmp_path):
     assert not (tmp_path / "l.npz").exists()
 
 
-def test_ranges_that_wrap_are_refused(capsys, tmp_path):
+def test_a_joint_that_only_turns_through_full_turns_has_no_limits(capsys, tmp_path):
     turns = Rotation.random(4000, random_state=1).as_quat(scalar_first=True)
     rotations = np.tile([1.0, 0, 0, 0], (4000, 3, 1))
     rotations[:, 1] = turns
@@ -146,7 +146,7 @@ def test_ranges_that_wrap_are_refused(capsys, tmp_path):
     told = fails(
         capsys, "limits", "learn", tmp_path / "round.npz", "--joints", "shoulder", "-o", tmp_path / "l.npz"
     )
-    assert "its range is not within half a turn of any centre" in told
+    assert "shoulder rotate through a full turn each, so there are no limits to learn" in told
 
 
 def test_a_damaged_file_is_told(capsys, folder, learned, tmp_path):

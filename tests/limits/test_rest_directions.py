@@ -10,7 +10,7 @@ import jaxcap as jc
 from jaxcap.body.pose import Motion
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.limits.implicit_surface import rest_difference
-from jaxcap.limits.rest_directions import bone_angle, bone_direction
+from jaxcap.limits.rest_poses.rest_directions import bone_angle, bone_direction
 
 
 def arm(angle: float):

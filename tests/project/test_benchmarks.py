@@ -178,6 +178,13 @@ def test_limits_holdout(checkout):
 
 
 @pytest.mark.slow
+@pytest.mark.shared
+def test_limits_transfer(checkout, shared):
+    line = run(checkout, "limits_transfer", "--every", "8", "--questions", "4000")
+    assert meets(line, "01_to_02_takes_allowed_percent")
+
+
+@pytest.mark.slow
 def test_limits_gradients(checkout):
     line = run(checkout, "limits_gradients")
     assert meets(line, "surface", "limits", "soft_object")

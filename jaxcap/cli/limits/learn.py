@@ -6,14 +6,19 @@ from typing import Annotated
 
 import numpy as np
 
+from ...biomechanics.angle_samples import gather_angle_samples
+from ...biomechanics.person_samples import gather_person_samples
 from ...errors import InputError, user_message
+from ...io.angle_reader import AngleUnits, is_angle_table, read_angles
 from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
 from ...limits.implicit_surface import LimitSurface, SurfaceLimits
 from ...limits.learning.fit_chart import chart_coordinates
-from ...limits.learning.learn_limits import COVERAGE, learn_limits
+from ...limits.learning.full_turns import find_full_turns
+from ...limits.learning.held_out import HeldOut, widest_held_out
+from ...limits.learning.learn_limits import BLOCK_COVERAGE, COVERAGE, learn_limits
 from ...limits.learning.marker_frames import arm_samples
-from ...limits.learning.samples import JointSamples, angular_range, gather_samples, parse_joints
+from ...limits.learning.samples import JointSamples, angular_range, parse_joints
 from ..console.console import print_table, say, warn
 from ..console.options import MOTION_FORMATS, Flag, MotionsSpec, OptionalUnit, arg
 from ..motions import load_motion
@@ -28,17 +33,19 @@ class Learn:
     """Learn joint limits from motions that show the full range; the limits of a child may depend on its parent's
     pose.
 
-    Left and right are learned separately. Rotations that the motions do not show are forbidden."""
+    Rotations that the motions do not show are forbidden, beyond a margin by which takes, or people, differ from each other.
+    Limits of hips, knees, ankles, shoulders, elbows and wrists also apply to other skeletons of people."""
 
     motions: Annotated[
         MotionsSpec,
         arg(
-            help=f"Motions of one skeleton: {MOTION_FORMATS}; or one recording of markers: .c3d, .trc, .csv."
+            help=f"Motions: {MOTION_FORMATS}; or one recording of markers: .c3d, .trc, .csv; or tables of joint angles: .csv, .mat, .mot, .sto."
         ),
     ]
     joints: Annotated[str, arg(metavar="NAMES")]
     """Joints, separated by commas. PARENT:CHILD makes the limits of the child depend on the parent, as
-    in LeftArm:LeftForeArm,Head."""
+    in LeftArm:LeftForeArm,Head. Names of the first skeleton that has the joint, or anatomical names such as
+    shoulder_l:elbow_l."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the limits, .npz."""
     markers: Annotated[str | None, arg(metavar="LABELS", help_behavior_hint="")] = None
@@ -50,15 +57,32 @@ class Learn:
     """For a recording of markers with several subjects: the subject to use, as the prefix of the labels of its
     markers."""
     voxel: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
-    """Width of the smallest voxels of rotations, degrees. Default: the smallest width with which one part of the
-    motion predicts enough of the rest (see --coverage)."""
+    """Width of the smallest voxels of rotations, degrees. Default: 2, 4 or 8 for one, two or three angles, with
+    --margin; with a single take, the smallest width with which one part of it predicts enough of the rest (see
+    --coverage)."""
+    margin: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
+    """Distance around the rotations of the motions that is allowed, degrees. Default: chosen, see --hold-out; none if
+    --voxel is given."""
+    hold_out: Annotated[HeldOut | None, arg(help_behavior_hint="")] = None
+    """What is left out in turn to choose widths and margins: whole people, whole takes, or blocks of ten seconds. Default:
+    the first of these of which there are several."""
+    people: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="")] = None
+    """The person of each file, separated by commas. Default: files with equal joint positions at rest are of one
+    person."""
+    person_margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
+    """Additional margin, degrees, for the use of limits of one person for others. People's ranges differ by 5 to 12
+    degrees (standard deviation)."""
+    both_sides: Flag = False
+    """Learn each joint also from the mirrored motion of the other side."""
+    convention: Annotated[AngleUnits | None, arg(help_behavior_hint="")] = None
+    """Convention of tables of joint angles that do not state it: isb is that of docs/joint_angles.md in degrees."""
     keyframe_width: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Width of the voxels of the parent's rotations, degrees. Each voxel has its own limits of the child. Default:
     chosen together with --voxel."""
     min_samples: Annotated[int, arg(metavar="N")] = 1
     """Smallest number of samples with which a voxel of the smallest width is kept."""
-    coverage: float = COVERAGE
-    """Share of held-out motion that the limits have to allow, if --voxel or --keyframe-width is not given."""
+    coverage: Annotated[float | None, arg(metavar="SHARE", help_behavior_hint="")] = None
+    """Share of held-out motion that the limits have to allow. Default: 0.99, between blocks 0.98."""
     report: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Output folder for pictures of samples, voxels and surfaces."""
     unit: OptionalUnit = None
@@ -70,17 +94,26 @@ class Learn:
         self.check()
         samples = self.samples()
         try:
+            turning = find_full_turns(samples)
             limits = learn_limits(
                 samples,
                 voxel=None if self.voxel is None else float(np.radians(self.voxel)),
                 keyframe=None if self.keyframe_width is None else float(np.radians(self.keyframe_width)),
+                margin=None if self.margin is None else float(np.radians(self.margin)),
                 min_samples=self.min_samples,
                 coverage=self.coverage,
+                held_out=self.hold_out,
+                person_margin=float(np.radians(self.person_margin)),
             )
         except ValueError as error:
             raise InputError(user_message(error)) from None
         save_limits(self.out, limits)
+        for joint, span in turning.items():
+            warn(
+                f"'{joint}' turns through {np.degrees(span):.0f} degrees, so it has no limits and no joint depends on it"
+            )
         print_summary(limits, samples)
+        say(self.describe_choice(next(iter(samples.values()))))
         say(f"written: {self.out}")
         if self.report is not None:
             self.draw(limits, samples)
@@ -95,7 +128,10 @@ class Learn:
                 raise InputError(f"{name} is {width:g}; it must be between 0.1 and 90 degrees.")
         if self.min_samples < 1:
             raise InputError(f"--min-samples is {self.min_samples}; it must be at least 1.")
-        if not 0 < self.coverage <= 1:
+        for name, angle in (("--margin", self.margin), ("--person-margin", self.person_margin)):
+            if angle is not None and not 0 <= angle <= 90:
+                raise InputError(f"{name} is {angle:g}; it must be between 0 and 90 degrees.")
+        if self.coverage is not None and not 0 < self.coverage <= 1:
             raise InputError(f"--coverage is {self.coverage:g}; it must be above 0 and at most 1.")
         if self.report is not None:
             make_folder(self.report)
@@ -103,16 +139,54 @@ class Learn:
     def samples(self) -> dict[str, JointSamples]:
         """Collect the rotations of the joints in all files, by joint."""
         pairs = parse_joints(self.joints)
+        people = None if self.people is None else [name.strip() for name in self.people.split(",")]
+        if people is not None and len(people) != len(self.motions):
+            raise InputError(
+                f"--people has {len(people)} names for {len(self.motions)} files; give one for each, in their order."
+            )
+        tables = [self.convention is not None or is_angle_table(path) for path in self.motions]
+        if any(tables) and not all(tables):
+            raise InputError(
+                "Tables of joint angles and motions are not learned from together; convert the motions with "
+                "`jaxcap convert --as angles`."
+            )
         suffixes = {Path(path).suffix.lower() for path in self.motions}
-        if suffixes & set(MARKER_READERS):
+        if not any(tables) and suffixes & set(MARKER_READERS):
             return self.marker_samples(pairs)
         if self.markers is not None or self.trunk is not None:
-            raise InputError("--markers and --trunk need files of markers, but these are motions.")
-        motions = [load_motion(path, self.unit) for path in self.motions]
+            raise InputError("--markers and --trunk need files of markers, but these are not.")
+        names = [str(path) for path in self.motions]
         try:
-            return {joint: gather_samples(motions, joint, parent, self.motions) for joint, parent in pairs}
+            if any(tables):
+                angles = [read_angles(path, self.convention) for path in self.motions]
+                found = [
+                    gather_angle_samples(angles, joint, parent, names, people, self.both_sides)
+                    for joint, parent in pairs
+                ]
+            else:
+                motions = [load_motion(path, self.unit) for path in self.motions]
+                found = [
+                    gather_person_samples(motions, joint, parent, names, people, self.both_sides)
+                    for joint, parent in pairs
+                ]
         except ValueError as error:
             raise InputError(user_message(error)) from None
+        return {one.joint: one for one in found}
+
+    def describe_choice(self, samples: JointSamples) -> str:
+        """Describe by what the widths and margins were chosen."""
+        kind = self.hold_out or widest_held_out(samples)
+        groups = {"people": samples.people, "takes": samples.takes, "blocks": samples.blocks}[kind]
+        count = 0 if groups is None else len(np.unique(groups))
+        share = self.coverage or (BLOCK_COVERAGE if kind == "blocks" else COVERAGE)
+        if self.voxel is not None and (self.keyframe_width is not None or ":" not in self.joints):
+            return "the widths are those given; no motion was held out"
+        if kind == "blocks":
+            return (
+                f"chosen by leaving out blocks of ten seconds, of which the others allow {100 * share:g} %: other takes and other "
+                "people may go further; give several takes"
+            )
+        return f"chosen by leaving out each of {count} {kind}, of which the others allow {100 * share:g} % on average"
 
     def marker_samples(self, pairs) -> dict[str, JointSamples]:
         if self.markers is None or self.trunk is None:
@@ -149,7 +223,17 @@ class Learn:
 def print_summary(limits: SurfaceLimits, samples: dict[str, JointSamples]) -> None:
     """Print a row for each joint: its angles and range, its voxels, its parent's keyframes."""
     print_table(
-        ["joint", "depends on", "angles", "samples", "range", "primitives", "voxels from", "keyframes"],
+        [
+            "joint",
+            "depends on",
+            "angles",
+            "samples",
+            "range",
+            "primitives",
+            "voxels from",
+            "margin",
+            "keyframes",
+        ],
         [_row(surface, samples[surface.joint]) for surface in limits.surfaces],
     )
     for one in samples.values():
@@ -170,5 +254,6 @@ def _row(surface: LimitSurface, samples: JointSamples) -> list[str]:
         f"{np.degrees(angular_range(samples.rotations)):.0f}°",
         str(primitives),
         f"{np.degrees(4 * float(surface.unit)):.2g}°",
+        f"{np.degrees(2 * float(surface.margin)):.2g}°",
         "-" if surface.parent is None else str(keyframes),
     ]

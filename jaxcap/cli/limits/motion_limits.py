@@ -42,7 +42,7 @@ def read_motion_limits(motion: Path, limits: Path, unit: str | None, body: str |
     else:
         of = load_body(body, unit=unit or "m")[0]
         skeleton, moving = of.skeleton, load_body_motion(of, motion, unit)
-    return find_violations(skeleton, moving, read_limits(limits, skeleton))
+    return find_violations(skeleton, moving, read_limits(limits, skeleton, moving))
 
 
 def find_violations(skeleton: Skeleton, motion: Motion, limits: AbstractLimits) -> MotionLimits:

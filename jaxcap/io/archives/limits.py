@@ -7,12 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...arguments import checked
+from ...biomechanics.anatomical_joints import JOINT_NAMES, find_anatomical_joints
+from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...limits.abstract_limits import AbstractLimits, AllLimits
 from ...limits.chart import DIMENSIONS, Chart
 from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints, rest_difference
-from ...limits.rest_directions import MAX_REST_ANGLE
+from ...limits.rest_poses.anatomical_joint import AnatomicalJoint
+from ...limits.rest_poses.transfer import transfer_limits
 from ..kinds import wrong_kind_error
 from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst
@@ -45,7 +48,10 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
         start = f"{number}."
         arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAY_SHAPES}
         arrays[f"{start}parent"] = np.array(surface.parent or "", dtype=str)
+        arrays[f"{start}margin"] = np.asarray(surface.margin)
         arrays |= _chart_arrays(f"{start}chart.", surface.chart)
+        arrays |= _anatomy_arrays(f"{start}anatomy.", surface.anatomy)
+        arrays |= _anatomy_arrays(f"{start}parent_anatomy.", surface.parent_anatomy)
         if surface.parent_chart is not None:
             arrays |= _chart_arrays(f"{start}parent_chart.", surface.parent_chart)
     save_arrays(path, FORMAT, arrays)
@@ -65,30 +71,21 @@ def load_limits(path: str | Path) -> SurfaceLimits:
 
 @checked
 @reader_of("joint limits")
-def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
+def read_limits(path: str | Path, skeleton: Skeleton, motion: Motion | None = None) -> AbstractLimits:
     """Read joint limits for a skeleton from `.npz` (learned surfaces), `.cst` or `.asf`.
 
-    **Raises:** `InputError` if the suffix is unknown, the file is invalid, the limits are for joints that the
-    skeleton lacks, or they were learned with another rest pose.
+    Learned limits of hips, knees, ankles, shoulders, elbows and wrists are converted to other joint names and rest poses:
+    see `jaxcap.limits.transfer_limits`. Other joints need the same name and rest pose.
+
+    **Arguments:** `motion` helps to recognise a person whose rest pose is not that of a person.
+
+    **Raises:** `InputError` if the suffix is unknown, the file is invalid, or the limits are for joints that the
+    skeleton lacks, or for another rest pose of joints that are not recognised.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        limits = load_limits(path)
-        lacking = missing_joints(limits, skeleton)
-        if lacking:
-            raise InputError(
-                f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
-                f"{', '.join(skeleton.names)}; learn limits from motions of this skeleton."
-            )
-        joint, angle = rest_difference(limits, skeleton)
-        if angle > MAX_REST_ANGLE:
-            raise InputError(
-                f"{path}: these limits are for another rest pose: the bone of '{joint}' differs by "
-                f"{np.degrees(angle):.0f} degrees at rest; transfer the motions to this skeleton with "
-                "`jaxcap edit retarget`, and learn the limits from the results."
-            )
-        return limits
+        return _for_skeleton(path, load_limits(path), skeleton, motion)
     if suffix == ".cst":
         return read_cst(path, skeleton).ranges
     if suffix == ".asf":
@@ -100,6 +97,56 @@ def read_limits(path: str | Path, skeleton: Skeleton) -> AbstractLimits:
             )
         return AllLimits((asf.ranges, asf.boxes))
     raise wrong_kind_error(path, "a file of joint limits", (".npz", ".cst", ".asf"))
+
+
+def _for_skeleton(
+    path: Path, limits: SurfaceLimits, skeleton: Skeleton, motion: Motion | None
+) -> SurfaceLimits:
+    """Convert learned limits to a skeleton. Raises `InputError` where that is not possible."""
+    try:
+        anatomy, reason = find_anatomical_joints(skeleton, motion), ""
+    except InputError as error:
+        anatomy, reason = {}, f" ({error})"
+    try:
+        return transfer_limits(limits, skeleton, anatomy)
+    except InputError as error:
+        lacking = missing_joints(limits, skeleton)
+        if lacking:
+            raise InputError(
+                f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
+                f"{', '.join(skeleton.names)}; learn limits from motions of this skeleton. {error}{reason}"
+            ) from None
+        joint, angle = rest_difference(limits, skeleton)
+        raise InputError(
+            f"{path}: these limits are for another rest pose: the bone of '{joint}' differs by "
+            f"{np.degrees(angle):.0f} degrees at rest; transfer the motions to this skeleton with "
+            f"`jaxcap edit retarget`, and learn the limits from the results. {error}{reason}"
+        ) from None
+
+
+def _anatomy_arrays(prefix: str, anatomy: AnatomicalJoint | None) -> dict[str, np.ndarray]:
+    if anatomy is None:
+        return {}
+    return {
+        f"{prefix}name": np.array([anatomy.name, anatomy.joint], dtype=str),
+        f"{prefix}axes": np.stack([np.asarray(anatomy.proximal), np.asarray(anatomy.distal)]),
+    }
+
+
+def _anatomy(arrays: Mapping[str, np.ndarray], prefix: str, path: str | Path) -> AnatomicalJoint | None:
+    if f"{prefix}name" not in arrays:
+        return None
+    name, joint = get_array(arrays, f"{prefix}name", path, (2,), "text").tolist()
+    axes = get_array(arrays, f"{prefix}axes", path, (2, 3, 3))
+    if not np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3), atol=1e-3):
+        raise InputError(
+            f"{path}: the anatomical axes of '{shortened(joint)}' are not orthonormal; learn the limits again."
+        )
+    if name not in JOINT_NAMES:
+        raise InputError(
+            f"{path}: the anatomical joint '{shortened(name)}' is unknown; expected one of {', '.join(JOINT_NAMES)}."
+        )
+    return AnatomicalJoint(name, joint, jnp.asarray(axes[0]), jnp.asarray(axes[1]))
 
 
 def _chart_arrays(prefix: str, chart: Chart) -> dict[str, np.ndarray]:
@@ -143,5 +190,11 @@ def _surface(arrays: Mapping[str, np.ndarray], prefix: str, joint: str, path: st
         parent=parent,
         chart=_chart(arrays, f"{prefix}chart.", path),
         parent_chart=None if parent is None else _chart(arrays, f"{prefix}parent_chart.", path),
+        # files of earlier versions have no margin
+        margin=jnp.asarray(
+            get_array(arrays, f"{prefix}margin", path, ()) if f"{prefix}margin" in arrays else 0.0
+        ),
+        anatomy=_anatomy(arrays, f"{prefix}anatomy.", path),
+        parent_anatomy=_anatomy(arrays, f"{prefix}parent_anatomy.", path),
         **{name: jnp.asarray(value) for name, value in values.items()},
     )

@@ -84,7 +84,7 @@ def read_storage(path: str | Path) -> Storage:
     return Storage(
         tuple(names[1:]),
         values[:, 1:],
-        _rate(values[:, 0], path),
+        rate_of_times(values[:, 0], path),
         float(values[0, 0]),
         _are_degrees(settings, path),
         title,
@@ -204,7 +204,8 @@ def _are_degrees(settings: Mapping[str, str], path: str | Path) -> bool:
     return word in ("yes", "y", "true", "1")
 
 
-def _rate(times: Float[np.ndarray, "F"], path: str | Path) -> float:
+def rate_of_times(times: Float[np.ndarray, "F"], path: str | Path) -> float:
+    """Compute the rate of equal steps of time. Raises `InputError` if they are not equal."""
     if len(times) == 1:
         return 30.0
     step = (times[-1] - times[0]) / (len(times) - 1)

@@ -17,22 +17,34 @@ MAX_ANGLE = np.radians(170.0)
 STEPS = 300
 
 
-def find_chart(samples: JointSamples) -> Chart:
+class FullTurnError(ValueError):
+    """A joint that turns through a full turn, so that no chart contains its rotations."""
+
+    def __init__(self, joint: str, span: float):
+        super().__init__(
+            f"Joint '{joint}' rotates through {np.degrees(span):.0f} degrees; its range is not within half a turn of "
+            "any centre, so it has no limits; leave it out."
+        )
+        self.span = span
+
+
+def find_chart(samples: JointSamples, least: int = 1) -> Chart:
     """Choose a chart, one angle, two angles or a quaternion, and centre it on the samples.
 
-    The chart follows the kind of the joint; for joints with free rotation it follows the samples.
+    The chart follows the kind of the joint; for joints with free rotation it follows the samples. `least` is
+    the smallest number of angles of these.
 
-    **Raises:** `ValueError` where rotations reach half a turn from every centre.
+    **Raises:** `FullTurnError` where rotations reach half a turn from every centre.
     """
     kinds = {"revolute": "hinge", "universal": "universal"}
     kind, axes, base = kinds.get(samples.kind, "ball"), samples.axes, np.array([1.0, 0.0, 0.0, 0.0])
-    if kind == "ball":
+    if kind == "ball" and least < 3:
         kind, axes, base = _find_axes(samples.rotations)
     if kind == "ball":
         middle = middle_rotation(samples.rotations)
         furthest = _angle(samples.rotations, middle).max()
         if furthest > MAX_ANGLE:
-            raise ValueError(_wrap_message(samples.joint, 2 * furthest))
+            raise FullTurnError(samples.joint, 2 * furthest)
         return Chart(jnp.asarray(middle), jnp.asarray(axes), "ball")
     raw = Chart(jnp.asarray(base), jnp.asarray(axes), "hinge" if kind == "hinge" else "universal")
     angles = 2 * chart_coordinates(raw, samples.rotations)
@@ -107,17 +119,10 @@ def _middle_angle(angles: Float[np.ndarray, "F"], joint: str) -> float:
     gaps = np.diff(np.append(ordered, ordered[0] + 2 * np.pi))
     widest = int(np.argmax(gaps))
     if 2 * np.pi - gaps[widest] > 2 * MAX_ANGLE:
-        raise ValueError(_wrap_message(joint, 2 * np.pi - gaps[widest]))
+        raise FullTurnError(joint, 2 * np.pi - gaps[widest])
     start = ordered[(widest + 1) % len(ordered)]
     middle = start + (2 * np.pi - gaps[widest]) / 2
     return float((middle + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _wrap_message(joint: str, span: float) -> str:
-    return (
-        f"Joint '{joint}' rotates through {np.degrees(span):.0f} degrees; its range is not within half a turn of "
-        "any centre, so its rotations wrap and limits cannot be learned from them."
-    )
 
 
 def _rotation(quaternions: Float[np.ndarray, "*shape 4"]) -> Rotation:

@@ -1,6 +1,7 @@
 """Learning of joint limits from samples: one limit surface a joint, optionally coupled to a parent."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,17 +17,31 @@ from ..chart import Chart
 from ..implicit_surface import LimitSurface, SurfaceLimits, density
 from ..primitives import LEVEL, STIFFNESS
 from .fit_chart import chart_coordinates, find_chart
+from .full_turns import without_full_turns
+from .held_out import HeldOut, make_folds, widest_held_out
+from .margins import RESOLUTION, choose_coupled_margin, choose_margin
 from .primitive_matching import match_primitives
 from .samples import JointSamples
 from .voxel_size import choose_keyframes, choose_voxel_width
 from .voxels import Voxels, voxelise
 
-#: share of a motion outside the training samples that is to be allowed
-COVERAGE = 0.98
+#: shares of motion outside the training samples that are to be allowed: of other blocks of a take, whose neighbours
+#: were seen, and of other takes or people
+BLOCK_COVERAGE, COVERAGE = 0.98, 0.99
 #: reach of a keyframe in units of its width: neighbours share only the space between them
 KEYFRAME_REACH = 1 / 3
 #: number of samples with computed densities, and of densities that are kept
 NUM_SAMPLED, NUM_DENSITIES = 4000, 256
+
+
+class Widths(NamedTuple):
+    """Sizes in the chart, half of those in rotation, radians."""
+
+    voxel: float
+    #: width of the parent's keyframes; zero without a parent
+    keyframe: float
+    #: distance around voxels that is allowed
+    margin: float
 
 
 @checked
@@ -35,107 +50,150 @@ def learn_limits(
     *,
     voxel: float | None = None,
     keyframe: float | None = None,
+    margin: float | None = None,
     min_samples: int = 1,
-    coverage: float = COVERAGE,
+    coverage: float | None = None,
+    held_out: HeldOut | None = None,
+    person_margin: float = 0.0,
 ) -> SurfaceLimits:
     """Learn the limits of some joints, by name, parents before their children.
 
-    **Arguments:** `voxel` and `keyframe` are the widths of the smallest voxels of a joint and of the
-    keyframes of its parent in radians of rotation; by default the tightest ones with which a share
-    `coverage` of held-out blocks is allowed by the others. A smallest voxel needs `min_samples` samples: the
-    threshold of density.
+    By default whole people, takes, or blocks of ten seconds (whichever is the largest of which there are several) are left
+    out in turn. The limits are the tightest ones with which the others allow a share `coverage` of what is left out, on
+    average. Between people and takes voxels are small, and a margin around them is chosen. Between blocks the width
+    of the voxels is chosen, without a margin.
 
-    **Raises:** `InputError` where there is no joint, a joint's rotations wrap, or no voxel has `min_samples`
-    samples.
+    Joints of the left and the right have charts of the same kind. A joint that turns through a full turn has no limits, and
+    its children do not depend on it: see `find_full_turns`.
+
+    **Arguments:** `voxel`, `keyframe` and `margin` are the widths of the smallest voxels of a joint, of the keyframes of
+    its parent, and the margin around voxels, in radians of rotation. A given `voxel` has no margin unless one is given. A
+    smallest voxel needs `min_samples` samples: the threshold of density. `coverage` is by default 0.99, and 0.98 between
+    blocks; a joint and its parent together reach it between people or takes. `held_out` is `"people"`, `"takes"` or
+    `"blocks"`. `person_margin`, radians, is added to the margin of joints without a parent: what
+    people differ by, where samples of one person are for others (ranges of adults have standard deviations of 5 to
+    12 degrees: Boone and Azen 1979, Roaas and Andersson 1982).
+
+    **Raises:** `InputError` where there is no joint, all turn through a full turn, or no voxel has `min_samples` samples.
     """
     if not samples:
         raise InputError("learn_limits: `samples` is empty; expected samples of at least one joint, by name.")
-    return SurfaceLimits(
-        tuple(learn_surface(one, voxel, keyframe, min_samples, coverage) for one in samples.values())
-    )
+    samples = without_full_turns(samples)
+    coupled = {one.parent.joint for one in samples.values() if one.parent is not None}
+    surfaces = []
+    for one in samples.values():
+        kind = held_out or widest_held_out(one)
+        share = coverage or (BLOCK_COVERAGE if kind == "blocks" else COVERAGE)
+        if kind != "blocks" and (one.parent is not None or one.joint in coupled):
+            # each of the two joints of a pair has half of what the pair may miss
+            share = 1 - (1 - share) / 2
+        charts = _charts(one, samples)
+        coordinates = [
+            None if chart is None else chart_coordinates(chart, each.rotations)
+            for chart, each in zip(charts, (one, one.parent or one), strict=True)
+        ]
+        given = [None if each is None else each / 2 for each in (voxel, keyframe, margin)]
+        widths = _choose_widths(one, charts, coordinates, given, kind, share, min_samples)
+        if one.parent is None:
+            widths = widths._replace(margin=widths.margin + person_margin / 2)
+        surfaces.append(_make_surface(one, charts, coordinates, widths, min_samples))
+    return SurfaceLimits(tuple(surfaces))
 
 
-def learn_surface(
-    samples: JointSamples,
-    voxel: float | None = None,
-    keyframe: float | None = None,
-    min_samples: int = 1,
-    coverage: float = COVERAGE,
+def _charts(one: JointSamples, samples: Mapping[str, JointSamples]) -> tuple[Chart, Chart | None]:
+    """Find the charts of a joint and of its parent, of the same kinds as those of the other side."""
+
+    def chart(each: JointSamples) -> Chart:
+        other = None if each.anatomy is None else each.anatomy.other_side
+        pair = [s for s in samples.values() if s.anatomy is not None and s.anatomy.name == other]
+        found = find_chart(each)
+        differs = bool(pair) and find_chart(pair[0]).kind != found.kind
+        return find_chart(each._replace(kind="ball"), least=3) if differs else found
+
+    return chart(one), None if one.parent is None else chart(one.parent)
+
+
+def _choose_widths(
+    samples: JointSamples, charts, coordinates, given, kind: HeldOut, share, min_samples
+) -> Widths:
+    """Choose the sizes that are not given, by cross-validation."""
+    (chart, parent_chart), (own, above), (voxel, keyframe, margin) = charts, coordinates, given
+    if kind == "blocks" or voxel is not None:
+        if parent_chart is None:
+            width = voxel or choose_voxel_width(own, chart.dimension, samples.blocks, min_samples, share)
+            return Widths(width, 0.0, margin or 0.0)
+        if not (voxel and keyframe):
+            dimensions = chart.dimension, parent_chart.dimension
+            chosen = choose_keyframes(own, above, dimensions, samples.blocks, share)
+            voxel, keyframe = voxel or chosen[0], keyframe or chosen[1]
+        return Widths(voxel, keyframe, margin or 0.0)
+    width, folds = np.radians(RESOLUTION[chart.dimension]) / 2, make_folds(samples, kind)
+    if parent_chart is None:
+        if margin is None:
+            margin = choose_margin(own, chart.dimension, folds, width, share)
+        return Widths(width, 0.0, margin)
+    dimensions = chart.dimension, parent_chart.dimension
+    chosen = choose_coupled_margin(own, above, dimensions, folds, width, share, keyframe)
+    return Widths(width, chosen[1], chosen[0] if margin is None else margin)
+
+
+def _make_surface(
+    samples: JointSamples, charts, coordinates, widths: Widths, min_samples: int
 ) -> LimitSurface:
-    """Learn the limits of one joint; arguments and errors as in `learn_limits`, widths in radians."""
-    chart = find_chart(samples)
-    coordinates = chart_coordinates(chart, samples.rotations)
+    """Make the limit surface of one joint from its coordinates."""
+    chart, parent_chart = charts
+    coordinates, parents = coordinates
     if samples.parent is None:
-        width = (voxel or 0.0) / 2 or choose_voxel_width(
-            coordinates, chart.dimension, samples.blocks, min_samples, coverage
-        )
-        voxels = voxelise(coordinates, chart.dimension, width, min_samples)
-        return _uncoupled_surface(samples, chart, coordinates, voxels, width)
-    parent_chart = find_chart(samples.parent)
-    parents = chart_coordinates(parent_chart, samples.parent.rotations)
-    width, key_width = (voxel or 0.0) / 2, (keyframe or 0.0) / 2
-    if not (voxel and keyframe):
-        dimensions = chart.dimension, parent_chart.dimension
-        chosen = choose_keyframes(coordinates, parents, dimensions, samples.blocks, coverage)
-        width, key_width = width or chosen[0], key_width or chosen[1]
-    # voxels of one size, so that the voxels of a keyframe are a subset of all
-    voxels = voxelise(coordinates, chart.dimension, width, min_samples, levels=0)
-    keys, keyed = _keyframes(coordinates, parents, voxels, parent_chart.dimension, key_width)
-    matched = [
-        np.arange(len(voxels.counts)) if seen.all() else _match_to_keyframe(voxels, seen) for seen in keyed
-    ]
-    home = _nearest_centre(keys, parents), _nearest_centre(voxels.centres, coordinates)
-    counts = np.zeros((len(keys), len(voxels.counts)))
-    np.add.at(counts, home, 1.0)
+        voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples)
+        centres, thickness = voxels.centres[None], _thickness(voxels.widths, chart, widths)[None]
+        keys, reach, counts = np.zeros((1, 3)), 1.0, voxels.counts[None]
+    else:
+        # voxels of one size, so that the voxels of a keyframe are a subset of all
+        voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples, levels=0)
+        keys, keyed = _keyframes(coordinates, parents, voxels, parent_chart.dimension, widths.keyframe)
+        matched = [
+            np.arange(len(voxels.counts)) if seen.all() else _match_to_keyframe(voxels, seen)
+            for seen in keyed
+        ]
+        home = _nearest_centre(keys, parents), _nearest_centre(voxels.centres, coordinates)
+        counts = np.zeros((len(keys), len(voxels.counts)))
+        np.add.at(counts, home, 1.0)
+        centres = np.stack([voxels.centres[rows] for rows in matched])
+        thickness = np.tile(_thickness(voxels.widths, chart, widths), (len(keys), 1))
+        reach = KEYFRAME_REACH * widths.keyframe
+        # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
+        counts = _distribute_counts(counts, matched)
+    above = samples.parent
     surface = LimitSurface(
         joint=samples.joint,
-        parent=samples.parent.joint,
+        parent=None if above is None else above.joint,
         chart=chart,
         parent_chart=parent_chart,
         keys=jnp.asarray(keys),
-        reach=jnp.asarray(KEYFRAME_REACH * key_width),
-        centres=jnp.asarray(np.stack([voxels.centres[rows] for rows in matched])),
-        thickness=jnp.asarray(np.tile(_thickness(voxels.widths, chart, width), (len(keys), 1))),
-        unit=jnp.asarray(width / 2),
+        reach=jnp.asarray(reach),
+        centres=jnp.asarray(centres),
+        thickness=jnp.asarray(thickness),
+        unit=jnp.asarray(widths.voxel / 2),
         level=jnp.asarray(LEVEL),
         stiffness=jnp.asarray(STIFFNESS),
-        # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
-        counts=jnp.asarray(_distribute_counts(counts, matched)),
+        counts=jnp.asarray(counts),
         densities=jnp.zeros(0),
         bone=jnp.asarray(samples.bone),
+        margin=jnp.asarray(widths.margin),
+        anatomy=samples.anatomy,
+        parent_anatomy=None if above is None else above.anatomy,
     )
     return _with_densities(surface, coordinates, parents)
 
 
-def _uncoupled_surface(
-    samples: JointSamples, chart: Chart, coordinates, voxels: Voxels, width: float
-) -> LimitSurface:
-    surface = LimitSurface(
-        joint=samples.joint,
-        parent=None,
-        chart=chart,
-        parent_chart=None,
-        keys=jnp.zeros((1, 3)),
-        reach=jnp.asarray(1.0),
-        centres=jnp.asarray(voxels.centres[None]),
-        thickness=jnp.asarray(_thickness(voxels.widths, chart, width)[None]),
-        unit=jnp.asarray(width / 2),
-        level=jnp.asarray(LEVEL),
-        stiffness=jnp.asarray(STIFFNESS),
-        counts=jnp.asarray(voxels.counts[None]),
-        densities=jnp.zeros(0),
-        bone=jnp.asarray(samples.bone),
-    )
-    return _with_densities(surface, coordinates, None)
-
-
-def _thickness(widths: Float[np.ndarray, "N"], chart: Chart, width: float) -> Float[np.ndarray, "N"]:
-    """Compute the thickness with which a primitive alone contains its whole voxel within the level.
+def _thickness(widths: Float[np.ndarray, "N"], chart: Chart, sizes: Widths) -> Float[np.ndarray, "N"]:
+    """Compute the thickness with which a primitive alone contains its whole voxel, and the margin around it, within
+    the level.
 
     In the paper the influence ends at half a voxel's width. Then no corner of a voxel is within the level,
     and samples that the surface was made of are forbidden.
     """
-    return np.sqrt(chart.dimension) * widths / 2 + (LEVEL - 1) / STIFFNESS * width / 2
+    return np.sqrt(chart.dimension) * widths / 2 + (LEVEL - 1) / STIFFNESS * sizes.voxel / 2 + sizes.margin
 
 
 def _keyframes(coordinates, parent_coordinates, voxels: Voxels, dimension: int, width: float):

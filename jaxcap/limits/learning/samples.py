@@ -10,10 +10,13 @@ from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
+from ..rest_poses.anatomical_joint import AnatomicalJoint
+from ..rest_poses.rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
 
 #: seconds of a motion in one block that is held out: neighbouring frames are similar
 BLOCK_SECONDS = 10.0
+#: largest difference of the joint centres of two skeletons of one person, metres
+SAME_PERSON = 1e-3
 
 
 class JointSamples(NamedTuple):
@@ -29,11 +32,23 @@ class JointSamples(NamedTuple):
     parent: "JointSamples | None" = None
     #: unit direction of the joint's bone at rest, world; zero where it is not known
     bone: Float[np.ndarray, "3"] = np.zeros(3)
+    #: number of the take and of the person of each sample; None where it is one
+    takes: Int[np.ndarray, "F"] | None = None
+    people: Int[np.ndarray, "F"] | None = None
+    #: the joint of a person, with the axes of its segments; None where it is not recognised
+    anatomy: AnatomicalJoint | None = None
 
     def take(self, frames: np.ndarray) -> "JointSamples":
         """Select some of the frames, of the parent too."""
         parent = None if self.parent is None else self.parent.take(frames)
-        return self._replace(rotations=self.rotations[frames], blocks=self.blocks[frames], parent=parent)
+        takes, people = (None if each is None else each[frames] for each in (self.takes, self.people))
+        return self._replace(
+            rotations=self.rotations[frames],
+            blocks=self.blocks[frames],
+            parent=parent,
+            takes=takes,
+            people=people,
+        )
 
 
 def parse_joints(text: str) -> tuple[tuple[str, str | None], ...]:
@@ -70,15 +85,21 @@ def gather_samples(
     joint: str,
     parent: str | None = None,
     names: Sequence[str] | None = None,
+    people: Sequence[str] | None = None,
 ) -> JointSamples:
     """Collect the rotations of a joint in all frames of some motions with compatible skeletons.
 
-    `names` are the names of the motions in errors.
+    Motions of differing skeletons, or of the left and the right joint together, are collected by
+    `jaxcap.biomechanics.gather_person_samples`.
+
+    **Arguments:** `names` are the names of the motions in errors. `people` names the person of each motion; by default
+    motions whose skeletons have equal joint centres are those of one person.
 
     **Raises:** `ValueError` where a joint is missing, does not rotate at all, or is of another kind in
     another motion, or where the rest poses of the motions differ.
     """
-    above = None if parent is None else gather_samples(motions, parent, None, names)
+    above = None if parent is None else gather_samples(motions, parent, None, names, people)
+    who = number_people([skeleton for skeleton, _ in motions], people)
     kinds, rotations, blocks, start = set(), [], [], 0
     axes, bone = np.eye(3)[:2], np.zeros(3)
     for number, (skeleton, motion) in enumerate(motions):
@@ -91,12 +112,7 @@ def gather_samples(
         kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
         axes = np.asarray(skeleton.axes[j], float)
         here = bone_direction(skeleton, joint)
-        differs = bone_angle(bone, here)
-        if differs > MAX_REST_ANGLE:
-            raise ValueError(
-                f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
-                f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
-            )
+        check_rest_pose(bone, here, joint, motion_name)
         bone = here
         turned = np.asarray(motion.poses.rotations[:, j], float)
         rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
@@ -109,7 +125,56 @@ def gather_samples(
     kind = kinds.pop()
     if kind in ("fixed", "translate"):
         raise ValueError(f"Joint '{joint}' is {kind} and does not rotate; name a joint that rotates.")
-    return JointSamples(joint, kind, axes, np.concatenate(rotations), np.concatenate(blocks), above, bone)
+    counts = [len(each) for each in rotations]
+    return JointSamples(
+        joint,
+        kind,
+        axes,
+        np.concatenate(rotations),
+        np.concatenate(blocks),
+        above,
+        bone,
+        np.repeat(np.arange(len(counts)), counts),
+        np.repeat(who, counts),
+    )
+
+
+def check_rest_pose(
+    bone: Float[np.ndarray, "3"], here: Float[np.ndarray, "3"], joint: str, motion_name: str
+) -> None:
+    """Check that a bone at rest has the direction of other motions. Raises `ValueError`."""
+    differs = bone_angle(bone, here)
+    if differs > MAX_REST_ANGLE:
+        raise ValueError(
+            f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
+            f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
+        )
+
+
+def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -> Int[np.ndarray, "M"]:
+    """Number the people of some motions by their names, else by the joint centres of their skeletons.
+
+    **Raises:** `InputError` where there is not one name for each motion.
+    """
+    if people is not None:
+        if len(people) != len(skeletons):
+            raise InputError(
+                f"There are {len(people)} names of people for {len(skeletons)} motions; give one for each motion."
+            )
+        return np.unique(np.array(people, str), return_inverse=True)[1]
+    seen: list[np.ndarray] = []
+    numbers = []
+    for skeleton in skeletons:
+        centres = np.asarray(skeleton.centres, float)
+        same = [
+            number
+            for number, each in enumerate(seen)
+            if each.shape == centres.shape and np.allclose(each, centres, atol=SAME_PERSON)
+        ]
+        numbers.append(same[0] if same else len(seen))
+        if not same:
+            seen.append(centres)
+    return np.array(numbers, int)
 
 
 def angular_range(rotations: Float[np.ndarray, "F 4"]) -> float:

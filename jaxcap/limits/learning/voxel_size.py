@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from ...geometry.sampling import even_indices
+from .held_out import block_folds
 
 #: degrees of rotation, tried from the finest
 WIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)
@@ -13,8 +14,6 @@ CHILD_WIDTHS = (2.0, 4.0, 8.0, 12.0, 20.0)
 KEYFRAMES = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0)
 #: largest number of frames that keyframes are chosen on
 MAX_FRAMES = 10000
-#: number of folds of the cross-validation
-FOLDS = 5
 
 
 def choose_voxel_width(
@@ -34,11 +33,11 @@ def choose_voxel_width(
         shares = [
             _is_near(
                 coordinates[test],
-                _occupied_voxels(coordinates[train], dimension, width, min_samples),
+                occupied_voxels(coordinates[train], dimension, width, min_samples),
                 dimension,
                 width,
             ).mean()
-            for train, test in _folds(blocks)
+            for train, test in block_folds(blocks)
         ]
         if np.mean(shares) >= coverage:
             return width
@@ -64,7 +63,7 @@ def choose_keyframes(
     for key_width in np.radians(KEYFRAMES) / 2:
         tries = [
             _coupled_coverage(coordinates, parent_coordinates, train, test, dimensions, key_width)
-            for train, test in _folds(blocks)
+            for train, test in block_folds(blocks)
         ]
         seen, shuffled = (np.mean([one[i] for one in tries], axis=0) for i in range(2))
         for number, degrees in enumerate(CHILD_WIDTHS):
@@ -81,7 +80,7 @@ def _coupled_coverage(
     The second row is for the same children with the parents of other frames. A child is allowed near
     training samples with parents within a width of the keyframe's centre.
     """
-    keys = _occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
+    keys = occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
     nearest = np.asarray(KDTree(keys).query(parent_coordinates[test])[1])
     shuffled = np.random.default_rng(0).permutation(len(test))
     shares = np.zeros((2, len(CHILD_WIDTHS)))
@@ -90,25 +89,14 @@ def _coupled_coverage(
         here = nearest == key
         for number, degrees in enumerate(CHILD_WIDTHS):
             width = np.radians(degrees) / 2
-            cells = _occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
+            cells = occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
             for row, children in enumerate((coordinates[test], coordinates[test][shuffled])):
                 shares[row, number] += _is_near(children[here], cells, dimensions[0], width).sum()
     return shares / len(test)
 
 
-def _folds(blocks: Int[np.ndarray, "F"]):
-    """Split frames into five folds by blocks, as pairs of training and test indices.
-
-    A capture with fewer blocks is cut into five.
-    """
-    order = np.unique(blocks, return_inverse=True)[1]
-    if order.max() + 1 < FOLDS:
-        order = np.arange(len(blocks)) * FOLDS // len(blocks)
-    held_out = [order % FOLDS == fold for fold in range(FOLDS)]
-    return [(np.flatnonzero(~out), np.flatnonzero(out)) for out in held_out]
-
-
-def _occupied_voxels(coordinates, dimension: int, width: float, min_samples: int) -> np.ndarray:
+def occupied_voxels(coordinates, dimension: int, width: float, min_samples: int) -> np.ndarray:
+    """Compute the centres of voxels with at least `min_samples` samples."""
     cells, counts = np.unique(np.floor(coordinates[:, :dimension] / width), axis=0, return_counts=True)
     centres = np.zeros((int((counts >= min_samples).sum()), 3))
     centres[:, :dimension] = (cells[counts >= min_samples] + 0.5) * width

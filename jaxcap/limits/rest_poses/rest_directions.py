@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..body.skeleton import Skeleton
+from ...body.skeleton import Skeleton
 
 #: largest angle between the bones of two skeletons with the same rest pose, radians: people differ by less
 MAX_REST_ANGLE = float(np.radians(20.0))

@@ -1,0 +1,88 @@
+"""Choice of margins by leaving whole takes or people out: how far others go beyond what was seen.
+
+Voxels show where samples are. The margin around them is how far the samples of a take, or of a person, lie from those
+of all others. A child is compared with the samples whose parents are near, so that a parent in a new region is compared
+with the nearest region that was seen.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from ...geometry.sampling import even_indices
+from .held_out import Fold, mean_quantile
+from .voxel_size import occupied_voxels
+
+#: width of voxels by the number of angles, degrees of rotation
+RESOLUTION = {1: 2.0, 2: 4.0, 3: 8.0}
+#: widths of keyframes that are tried, degrees
+KEYFRAMES = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 60.0)
+#: largest number of samples of a fold that are tested
+MAX_TESTED = 4000
+
+
+def choose_margin(
+    coordinates: Float[np.ndarray, "F 3"], dimension: int, folds: list[Fold], width: float, coverage: float
+) -> float:
+    """Choose the smallest margin around voxels of the other folds that contains a share `coverage` of each fold, on
+    average over the folds; in the chart, half of that in rotation."""
+    beyond = []
+    for train, test in folds:
+        test = test[even_indices(len(test), MAX_TESTED)]
+        cells = occupied_voxels(coordinates[train], dimension, width, 1)
+        beyond.append(_beyond(coordinates[test], cells, dimension, width))
+    return mean_quantile(beyond, coverage)
+
+
+def choose_coupled_margin(
+    coordinates: Float[np.ndarray, "F 3"],
+    parent_coordinates: Float[np.ndarray, "F 3"],
+    dimensions: tuple[int, int],
+    folds: list[Fold],
+    width: float,
+    coverage: float,
+    key_width: float | None = None,
+) -> tuple[float, float]:
+    """Choose the margin of a child and the width of the keyframes of its parent, both in the chart.
+
+    For each width, the margin is as in `choose_margin`, among the samples around the keyframe nearest to the parent.
+    Among the widths it is the one with which the fewest children are allowed with the parents of other frames.
+    """
+    best, least = (0.0, 0.0), np.inf
+    widths = np.radians(KEYFRAMES) / 2 if key_width is None else [key_width]
+    for each in widths:
+        found = [
+            _coupled_beyond(coordinates, parent_coordinates, fold, dimensions, width, float(each))
+            for fold in folds
+        ]
+        margin = mean_quantile([seen for seen, _ in found], coverage)
+        shuffled = float(np.mean([(other <= margin).mean() for _, other in found]))
+        if shuffled < least:
+            best, least = (margin, float(each)), shuffled
+    return best
+
+
+def _coupled_beyond(
+    coordinates, parent_coordinates, fold: Fold, dimensions: tuple[int, int], width: float, key_width: float
+):
+    """Compute how far test children are from those of training samples with parents near theirs, and with parents of
+    other frames."""
+    train, test = fold
+    test = test[even_indices(len(test), MAX_TESTED)]
+    keys = occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
+    nearest = np.asarray(KDTree(keys).query(parent_coordinates[test])[1])
+    children = coordinates[test], coordinates[test][np.random.default_rng(0).permutation(len(test))]
+    beyond = np.zeros((2, len(test)))
+    for key in np.unique(nearest):
+        around = np.abs(parent_coordinates[train] - keys[key]).max(1) <= key_width
+        cells = occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
+        here = nearest == key
+        for row, each in enumerate(children):
+            beyond[row, here] = _beyond(each[here], cells, dimensions[0], width)
+    return beyond[0], beyond[1]
+
+
+def _beyond(coordinates, cells, dimension: int, width: float) -> Float[np.ndarray, "_"]:
+    """Compute the distances from the balls around voxels, zero within them."""
+    distance = np.asarray(KDTree(cells).query(coordinates)[0])
+    return np.maximum(distance - np.sqrt(dimension) * width / 2, 0.0)
