@@ -19,7 +19,7 @@ from ...energy.stacked import NormalPrior, Stacked
 from ...errors import InputError
 from ...fit.alternate import anneal_problem
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
+from ...fit.sequences.unknowns import AbstractUnknown, model_coefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud, stack_clouds
@@ -137,7 +137,7 @@ def fit_tracked_shape(
         )
     space = find_space(tracker, space)
     frames, start = stack_clouds(clouds), stack_trees(list(poses))
-    unknowns: dict[str, AbstractUnknown] = {"shape": ShapeCoefficients(space.modes)}
+    unknowns: dict[str, AbstractUnknown] = {"shape": model_coefficients(space)}
     total = float(jnp.mean(jnp.sum(frames.weights, 1)))
     count = len(space.template_coefficients)
     spread = jnp.full(count, (POINTS_PER_MEASUREMENT / total) ** 0.5, start.rotations.dtype)
