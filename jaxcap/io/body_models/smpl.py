@@ -22,7 +22,7 @@ from ...body.skin import (
 )
 from ...errors import InputError
 from ...value_checks import check_at_least
-from ..archives.archive import array_names, load_arrays
+from ..archives.archive import load_arrays
 from ..archives.npz import get_array
 from ..archives.pickle_arrays import read_pickled_arrays
 from ..kinds import kind_of_arrays
@@ -36,19 +36,6 @@ ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kint
 NUM_BETAS, NUM_EXPRESSION = 10, 10
 #: largest error of the sum of the weights of a vertex, and of a row of the joint regressor
 WEIGHT_SUM_TOLERANCE, REGRESSOR_SUM_TOLERANCE = 1e-3, 0.02
-
-
-def is_body_model(path: str | Path) -> bool:
-    """Test if a file is a body model, by its suffix or the names of its arrays; false if it is damaged."""
-    path = Path(path)
-    if path.suffix.lower() == ".pkl":
-        return path.is_file()
-    if path.suffix.lower() != ".npz":
-        return False
-    try:
-        return kind_of_arrays(array_names(path)) == "body model"
-    except InputError:
-        return False
 
 
 @checked
