@@ -8,6 +8,7 @@ from ...errors import InputError
 from ..archives.archive import array_names
 from ..kinds import kind_of_arrays
 from .mhr import read_mhr
+from .skel import is_skel, read_skel
 from .smpl import read_body_model
 
 #: suffixes of files that hold nothing else
@@ -28,6 +29,9 @@ def is_body_model(path: str | Path) -> bool:
 
 
 def read_model_file(path: str | Path, **options: Any) -> BodyModel:
-    """Read a body model with the options of `read_body_model` and `read_mhr`. Raises `InputError`."""
-    read = read_mhr if Path(path).suffix.lower() == ".pt" else read_body_model
+    """Read a body model with the options of `read_body_model`. Raises `InputError`."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".pt":
+        return read_mhr(path, **options)
+    read = read_skel if suffix == ".pkl" and is_skel(path) else read_body_model
     return read(path, **options)

@@ -63,13 +63,13 @@ def read_body_model(
     check_at_least("read_body_model", 0, num_betas=num_betas, num_expression=num_expression)
     arrays = _load(Path(path))
     vertices = get_array(arrays, "v_template", path, (None, 3), row_name="vertex")
-    parents = _parents(arrays, path)
+    parents = joint_parents(arrays, path)
     count, num_joints = len(vertices), len(parents)
     directions = get_array(arrays, "shapedirs", path, (count, 3, None), row_name="vertex")
     regressor = get_array(arrays, "J_regressor", path, (num_joints, count), row_name="joint")
     weights = get_array(arrays, "weights", path, (count, num_joints), row_name="vertex")
     faces = get_array(arrays, "f", path, (None, 3), "whole").astype(int)
-    _check_sums(weights, regressor, path)
+    check_sums(weights, regressor, path)
     correctives = _correctives(arrays, path, count, num_joints)
     family = _family(path, parents, correctives)
     groups = split_directions(family.name, directions.shape[2])
@@ -111,25 +111,27 @@ def _load(path: Path) -> Mapping[str, np.ndarray]:
     return arrays
 
 
-def _parents(arrays: Mapping[str, np.ndarray], path: str | Path) -> list[int]:
-    """Return the parents of the joints; the root's is any number that is no joint."""
-    table = get_array(arrays, "kintree_table", path, (2, None), "whole").astype(np.int64)
+def joint_parents(
+    arrays: Mapping[str, np.ndarray], path: str | Path, name: str = "kintree_table"
+) -> list[int]:
+    """Return the parents of the joints; the root's is any number that is no joint. Raises `InputError`."""
+    table = get_array(arrays, name, path, (2, None), "whole").astype(np.int64)
     parents = table[0].copy()
     parents[0] = -1
     joints = np.arange(len(parents))
     if (table[1] != joints).any():
         raise InputError(
-            f"{path}: the joints of 'kintree_table' are numbered {table[1].tolist()}; expected 0 to {len(parents) - 1} in order."
+            f"{path}: the joints of '{name}' are numbered {table[1].tolist()}; expected 0 to {len(parents) - 1} in order."
         )
     if (parents[1:] < 0).any() or (parents >= joints).any():
         wrong = int(np.argmax((parents >= joints) | ((parents < 0) & (joints > 0))))
         raise InputError(
-            f"{path}: joint {wrong} has the parent {parents[wrong]} in 'kintree_table'; expected a joint before it."
+            f"{path}: joint {wrong} has the parent {parents[wrong]} in '{name}'; expected a joint before it."
         )
     return parents.tolist()
 
 
-def _check_sums(weights: Float[np.ndarray, "V J"], regressor: Float[np.ndarray, "J V"], path) -> None:
+def check_sums(weights: Float[np.ndarray, "V J"], regressor: Float[np.ndarray, "J V"], path) -> None:
     """Check that weights are at least zero, and that they and the rows of the joint regressor sum to one. Raises `InputError`."""
     if weights.min() < -WEIGHT_SUM_TOLERANCE:
         vertex, joint = np.unravel_index(int(weights.argmin()), weights.shape)
