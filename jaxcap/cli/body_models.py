@@ -128,16 +128,25 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
         raise InputError(f"{motion}: {user_message(error)}") from None
 
 
-def write_parameters(path: Path, spec: str, body: Body, motion: Motion, vertices: int | None = None) -> None:
+def write_parameters(
+    path: Path,
+    spec: str,
+    body: Body,
+    motion: Motion,
+    vertices: int | None = None,
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+) -> None:
     """Write the motion of a body in AMASS's format with its shape coefficients, if an argument names its model.
 
-    **Arguments:** `vertices`, the number to which the model was reduced.
+    **Arguments:** `vertices`, the number to which the model was reduced; `known`, standard deviations of the coefficients, and of the
+    joints of each frame.
     """
     model = load_model_of(spec, vertices)
     if model is None:
         return
     groups = split_coefficients(model, np.asarray(body_coefficients(model, body), float))
-    write_amass(path, body.skeleton, motion, groups, stated_gender(spec) or "neutral")
+    deviations = None if known is None else (split_coefficients(model, known[0]), known[1])
+    write_amass(path, body.skeleton, motion, groups, stated_gender(spec) or "neutral", deviations=deviations)
 
 
 def stated_gender(spec: str) -> str:

@@ -81,6 +81,7 @@ def write_amass(
     gender: str = "neutral",
     up: Literal["y", "z"] = "z",
     with_skeleton: bool = True,
+    deviations: tuple[Mapping[str, Float[np.ndarray, "..."]], Float[np.ndarray, "F J"]] | None = None,
 ) -> None:
     """Write a motion in AMASS's format.
 
@@ -92,7 +93,9 @@ def write_amass(
     for all frames or with one row for each; `betas` are zeros where not given; groups of other names are shape keys, written as
     `morphs` with their `morph_names`; `up`, the vertical of the written world: AMASS has
     z, and with y the parameters are those of the motion's own coordinates. It is written as `up_axis`;
-    `with_skeleton`, write the skeleton: not for frames of different people.
+    `with_skeleton`, write the skeleton: not for frames of different people; `deviations`, standard deviations of the coefficients by
+    their groups, written as `betas_deviations` and so on, and the expected distances of the joints in each frame from the true ones,
+    `joint_deviations`, metres.
 
     **Raises:** `InputError` if a joint other than the root is translated, there are several roots, the scale
     changes, the motion has no frames or is not finite, or the file cannot be written.
@@ -133,6 +136,7 @@ def write_amass(
         "poses": turns.reshape(frames, 3 * joints),
         "betas": np.zeros(NUM_BETAS),
         **_shape_arrays(shape or {}),
+        **({} if deviations is None else _deviation_arrays(*deviations)),
         "gender": np.array(gender),
         **_parts(skeleton, turns),
         **{name: np.array(float(motion.rate)) for name in _RATE_KEYS},
@@ -151,6 +155,16 @@ def _shape_arrays(shape: Mapping[str, Float[Array | np.ndarray, "..."]]) -> dict
         found[SHAPE_KEYS] = np.concatenate([arrays[name] for name in others], axis=-1)
         found[SHAPE_KEY_NAMES] = np.repeat(others, [arrays[name].shape[-1] for name in others])
     return found
+
+
+def _deviation_arrays(
+    shape: Mapping[str, Float[np.ndarray, "..."]], joints: Float[np.ndarray, "F J"]
+) -> dict[str, np.ndarray]:
+    arrays = {name: values for name, values in _shape_arrays(shape).items() if name != SHAPE_KEY_NAMES}
+    return {
+        **{f"{name}_deviations": values for name, values in arrays.items()},
+        "joint_deviations": joints,
+    }
 
 
 def _up_axis(path: str | Path, arrays: Mapping[str, np.ndarray]) -> str:
