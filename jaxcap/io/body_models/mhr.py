@@ -217,7 +217,7 @@ def _rig(arrays: dict[str, np.ndarray], path: str | Path) -> _Rig:
         raise InputError(
             f"{path}: the weights of a vertex are below zero, or their sum is not one; the file is damaged."
         )
-    moved = transform[:, :6][..., ~scaling].any((1, 2))
+    moved = np.any(transform[:, :6][..., ~scaling], axis=(1, 2))
     has_world = count > 1 and not weights[:, 0].any() and not moved[0] and (parents == 0).sum() == 1
     rig = _Rig(tuple(parents.tolist()), offsets, frames, transform, scaling, weights, has_world)
     _check_bind(rig, arrays, path)
@@ -270,7 +270,7 @@ def _place(rig: _Rig, values: Float[np.ndarray, "P"]) -> _Proportions:
 def _skeleton(rig: _Rig, centres: Float[np.ndarray, "J 3"], joints: str) -> Skeleton:
     """Make the skeleton, with the degrees of freedom that parameters of the pose have."""
     names = names_of(rig.parents)
-    moved = rig.transform[..., ~rig.scaling].any(2)
+    moved = np.any(rig.transform[..., ~rig.scaling], axis=2)
     kinds, axes = [], np.tile(np.eye(3)[:2], (len(names), 1, 1))
     for joint, name in enumerate(names):
         turning = np.flatnonzero(moved[joint, 3:6])

@@ -107,7 +107,8 @@ def joint_shifts(
     shifts = np.zeros((len(angles), len(JOINTS), 3))
     blades = [centres[NAMES.index(name)] for name in ("scapula_l", "scapula_r")]
     thorax, lumbar = centres[NAMES.index("thorax")], centres[NAMES.index("lumbar_body")]
-    width, height = np.linalg.norm(blades[0] - blades[1]), np.linalg.norm(thorax - lumbar)
+    width = float(np.linalg.norm(blades[0] - blades[1]))
+    height = float(np.linalg.norm(thorax - lumbar))
     for name, sign in (("scapula_r", 1.0), ("scapula_l", -1.0)):
         joint = NAMES.index(name)
         first = FIRST_ANGLES[joint]
