@@ -27,8 +27,8 @@ from ...stacking import stack_trees
 from ...tracking.track_frame import Tracker
 from .tracked_shape import coefficient_spread, find_space, frame_terms
 
-#: points that count as one independent measurement. Errors of neighbouring points are alike, because vertices, and not
-#: the surface between them, are compared with points; measured so that 90 % intervals have their share on made people
+#: points that count as one independent measurement, because errors of neighbouring points are alike: from two made people,
+#: whose coefficients were off by 7 deviations of independent points. The share of intervals was not measured
 POINTS_PER_INDEPENDENT = 50.0
 #: assignments of points, at fixed poses, that find their standard deviation
 ASSIGNMENTS = 8
