@@ -23,6 +23,8 @@ from jaxcap.io.archives.limits import load_limits, read_limits
 from jaxcap.io.archives.npz import load_body_limits, load_skeleton
 from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_prior_size
 from jaxcap.io.archives.run_statistics import read_statistics
+from jaxcap.io.body_models.mhr import read_mhr
+from jaxcap.io.body_models.skel import read_skel
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.constraints import read_constraints
 from jaxcap.io.gltf.gltf_reader import read_gltf
@@ -212,6 +214,8 @@ READERS: dict[str, tuple[Reader, ...]] = {
     "osim": (read_osim,),
     "mot": (read_storage,),
     "tasks": (read_ik_tasks,),
+    "mhr": (read_mhr,),
+    "skel": (read_skel,),
     "asf": (read_asf, read_skeleton),
     "amc": (_amc,),
     **dict.fromkeys(("off", "obj", "ply", "stl", "glb", "gltf"), (_mesh, _contents)),

@@ -1,6 +1,7 @@
 """Valid files of every supported format, the seeds of damaged ones."""
 
 import json
+import pickle
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,6 +41,8 @@ from jaxcap.markers.subject import make_subject
 from jaxcap.observe.markers import make_markers
 from jaxcap.observe.meshes import MeshSequence
 from jaxcap.prior.pair_prior import make_pair_prior, successive_pairs
+from tests.io.body_models.made_mhr import mhr_arrays, write_torch
+from tests.io.body_models.made_skel import skel_arrays
 from tests.io.osim.made_osim import write_osim
 
 #: what checkpoints and journals are begun with
@@ -115,7 +118,7 @@ FORMATS = (
     "skl", "vj", "cst", "bvh", "asf", "amc", "off", "obj", "ply", "stl", "glb", "gltf",
     "skinned", "usda", "usdc", "usdz", "c3d", "trc", "csv", "cameras", "constraints",
     "vertices", "corrections", "pairs", "body", "motion", "subject", "limits", "prior", "shape", "amass",
-    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans", "osim", "mot", "tasks",
+    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans", "osim", "mot", "tasks", "mhr", "skel",
 )  # fmt: skip
 
 
@@ -134,6 +137,8 @@ def _bodies(folder: Path, rng: np.random.Generator) -> None:
     write_motion(folder / "bvh-own.bvh", body.skeleton, motion)
     write_skeleton(folder / "skl-own.skl", body.skeleton)
     write_osim(folder / "osim-leg.osim")
+    write_torch(folder / "mhr-made.pt", mhr_arrays(rng, joints=5, vertices=12))
+    (folder / "skel-made.pkl").write_bytes(pickle.dumps(skel_arrays(rng, vertices=30), protocol=2))
     model = read_osim(folder / "osim-leg.osim").model
     write_coordinates(folder / "mot-leg.mot", model, rng.normal(size=(4, len(model.names))), 100.0)
     (folder / "tasks-leg.xml").write_text(

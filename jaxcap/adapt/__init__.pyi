@@ -7,6 +7,9 @@ from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior
 from .shape.shape_space import learn_shape_space as learn_shape_space
 from .shape.shape_space import shape_space_like as shape_space_like
+from .shape.shape_uncertainty import ShapeUncertainty as ShapeUncertainty
+from .shape.shape_uncertainty import joint_deviations as joint_deviations
+from .shape.shape_uncertainty import shape_uncertainty as shape_uncertainty
 from .shape.tracked_shape import estimate_shape as estimate_shape
 from .shape.tracked_shape import fit_tracked_shape as fit_tracked_shape
 from .shape.vertex_adaptation import adapt_together as adapt_together

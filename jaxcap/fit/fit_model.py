@@ -14,7 +14,6 @@ from ..arguments import checked
 from ..body.body import Body, pose_body, take_vertices
 from ..body.body_model import BodyModel, shape_from_template
 from ..body.pose import Motion, Pose, take_poses
-from ..body.shape_modes import ShapeModes
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
@@ -25,7 +24,7 @@ from ..parallel import parallel_map
 from .fit_meshes import DATA_WEIGHT, check_mesh_sequence, procrustes_poses
 from .linear_solvers.float64 import in_float64
 from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from .sequences.unknowns import ShapeCoefficients
+from .sequences.unknowns import ShapeCoefficients, model_coefficients
 from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
 
@@ -58,10 +57,10 @@ class ModelFit(eqx.Module):
 
 
 class _Samples(NamedTuple):
-    """A body of some vertices, with their modes and their numbers."""
+    """A body of some vertices, with the unknown of its coefficients and their numbers."""
 
     body: Body
-    modes: ShapeModes
+    shape: ShapeCoefficients
     vertices: Int[Array, "S"]
 
 
@@ -114,8 +113,10 @@ def _take_samples(model: BodyModel) -> _Samples:
         members = np.flatnonzero(bones == bone)
         rows.append(members[even_indices(len(members), NUM_OF_BONE)])
     chosen = jnp.asarray(np.unique(np.concatenate(rows)))
-    modes = ShapeModes(model.modes.centres, model.modes.vertices[:, chosen])
-    return _Samples(take_vertices(model.template, chosen), modes, chosen)
+    shape = eqx.tree_at(
+        lambda s: s.modes.vertices, model_coefficients(model), model.modes.vertices[:, chosen]
+    )
+    return _Samples(take_vertices(model.template, chosen), shape, chosen)
 
 
 class _Fits(NamedTuple):
@@ -217,7 +218,7 @@ def _begin(
     estimate: SequenceEstimate | None,
 ) -> _Begun:
     """Fit some vertices of F meshes with the same coefficients, from `estimate` if there is one."""
-    problem = _problem(few.body, few.modes, places, None)
+    problem = _problem(few.body, few.shape, places, None)
     found = minimise(problem, problem.start(starts) if estimate is None else estimate, _solver(), max_steps)
     return _Begun(found.y, found.num_steps, found.result == optx.RESULTS.successful)
 
@@ -235,7 +236,7 @@ def _finish(
 
     def refine(y: SequenceEstimate):
         # further terms may name vertices of the whole body
-        whole = _problem(model.template, model.modes, positions, extra)
+        whole = _problem(model.template, model_coefficients(model), positions, extra)
         found = minimise(whole, y, _solver(), LAST_STEPS if extra is None else max_steps)
         # a few steps after a solution need no success of their own
         successful = (found.result == optx.RESULTS.successful) | (extra is None)
@@ -282,7 +283,7 @@ def _root_mean_squares(
 
 
 def _problem(
-    body: Body, modes: ShapeModes, positions: Float[Array, "F V 3"], extra: AbstractEnergy | None
+    body: Body, shape: ShapeCoefficients, positions: Float[Array, "F V 3"], extra: AbstractEnergy | None
 ) -> SequenceProblem:
     known = jnp.isfinite(positions).all(2)
     places = jnp.where(known[..., None], positions, 0.0)
@@ -291,7 +292,7 @@ def _problem(
     frames, count = known.shape
     landmarks = Stacked(jax.vmap(lambda *of: VertexLandmarks(jnp.arange(count), *of))(places, weights))
     energy = Sum((landmarks, *(() if extra is None else terms_of(extra))))
-    size, dtype = len(modes.centres), body.vertices.dtype
+    size, dtype = shape.size(body), body.vertices.dtype
     prior = NormalPrior("shape", jnp.zeros(size, dtype), jnp.full(size, COEFFICIENT_DEVIATION, dtype))
     times = jnp.arange(frames, dtype=dtype)
-    return SequenceProblem(body, energy, times, {"shape": ShapeCoefficients(modes)}, shared=(prior,))
+    return SequenceProblem(body, energy, times, {"shape": shape}, shared=(prior,))

@@ -46,6 +46,22 @@ def vertex_normals(
     return unit_vectors(jnp.zeros_like(vertices).at[faces].add(across))
 
 
+def facet_heights(
+    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], normals: Float[Array, "V 3"]
+) -> Float[Array, "V"]:
+    """Compute the mean height of the flat triangles around each vertex over its tangent plane, negative where they are convex.
+
+    The third of a triangle that is nearest to a corner, in barycentric coordinates, belongs to this corner; its centre is at
+    `(11/18, 7/36, 7/36)`.
+    """
+    corners = vertices[faces]
+    areas = jnp.linalg.norm(area_normals(corners), axis=1, keepdims=True)
+    across = jnp.sum(normals[faces] * (corners.sum(1, keepdims=True) - 3.0 * corners), -1) * (7.0 / 36.0)
+    zeros = jnp.zeros(len(vertices), vertices.dtype)
+    total = zeros.at[faces].add(areas * across)
+    return total / jnp.maximum(zeros.at[faces].add(areas), jnp.finfo(vertices.dtype).tiny)
+
+
 def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V"]:
     """Compute a third of the area of each vertex's triangles, in squared units of `vertices`."""
     thirds = np.linalg.norm(area_normals(vertices[faces]), axis=1) / 6

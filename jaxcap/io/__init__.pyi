@@ -12,6 +12,10 @@ from .archives.prior import save_prior as save_prior
 from .body_models.anny import anny_coefficients as anny_coefficients
 from .body_models.anny import anny_pose as anny_pose
 from .body_models.anny import read_anny as read_anny
+from .body_models.mhr import read_mhr as read_mhr
+from .body_models.mhr import read_mhr_motion as read_mhr_motion
+from .body_models.skel import read_skel as read_skel
+from .body_models.skel import read_skel_motion as read_skel_motion
 from .cameras import read_cameras as read_cameras
 from .cameras import write_cameras as write_cameras
 from .constraints import read_constraints as read_constraints

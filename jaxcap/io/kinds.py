@@ -142,6 +142,7 @@ _SUFFIXES = {
     ".cst": "cst",
     ".vj": "vj",
     ".pkl": "body model",
+    ".pt": "body model",
     ".c3d": "markers",
     ".trc": "markers",
     ".csv": "markers",

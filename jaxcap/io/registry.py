@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..observe.markers import MarkerFrames
 from .angle_table import write_angle_storage, write_angle_table
 from .archives.npz import load_body, load_format, load_skeleton, motion_of, save_motion, skeleton_of
-from .body_models.smpl import is_body_model, read_body_model
+from .body_models.model_file import is_body_model, read_model_file
 from .gltf.gltf import write_gltf
 from .gltf.gltf_document import SUFFIXES as GLTF_READ
 from .gltf.gltf_document import has_skin, missing_skin_error, read_clip_names, read_document
@@ -199,7 +199,7 @@ def read_body(
 ) -> Body:
     """Read a body from one file, or from a mesh with a skeleton (`.skl`) and parts (`.vj`).
 
-    One file is an `.npz`, a body model of SMPL's family, of which the template is taken (`read_body_model`), or a skinned
+    One file is an `.npz`, a body model, of which the template is taken (`read_body_model`, `read_mhr`), or a skinned
     `.glb`, `.gltf` or USD. The vertices of a mesh with parts move rigidly
     with their bones (Kineben, section 4.2). Files in the folder of the mesh that have its name are found
     without being given. `unit` is that of mesh and skeleton.
@@ -208,8 +208,8 @@ def read_body(
     does not have the size of a body.
     """
     file, suffix = split_clip(path)[0], suffix_of(path)
-    if suffix in (".npz", ".pkl") and is_body_model(file):
-        return read_body_model(file).template
+    if is_body_model(file):
+        return read_model_file(file).template
     if suffix == ".npz":
         return load_body(file)
     if skeleton is None and is_skinned(path):

@@ -44,6 +44,20 @@ def test_vertex_areas_share_the_triangles_out(bumpy):
     np.testing.assert_allclose(areas, expected, atol=1e-14)
 
 
+def test_facet_heights_are_means_of_points_on_the_triangles(bumpy, rng):
+    vertices, faces = np.array(bumpy.vertices), np.array(bumpy.faces)
+    normals = mesh.vertex_normals(vertices, faces)
+    heights = mesh.facet_heights(jnp.asarray(vertices), jnp.asarray(faces), jnp.asarray(normals))
+    shares = rng.dirichlet(np.ones(3), (len(faces), 4000))
+    points = np.einsum("fnc,fca->fna", shares, bumpy.triangles)
+    nearest = np.take_along_axis(faces, shares.argmax(2).reshape(len(faces), -1), 1)
+    over = np.sum((points - vertices[nearest]) * normals[nearest], 2) * bumpy.area_faces[:, None]
+    areas = np.broadcast_to(bumpy.area_faces[:, None], nearest.shape)
+    total, whole = (np.bincount(nearest.ravel(), each.ravel()) for each in (over, areas))
+    np.testing.assert_allclose(heights, total / whole, atol=1e-3)
+    assert np.abs(heights).max() > 0.02
+
+
 def test_normals_of_an_octahedron_point_from_its_centre():
     corners = jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
     # one triangle an octant; an odd number of negative signs turns it round

@@ -19,8 +19,9 @@ from ...energy.stacked import NormalPrior, Stacked
 from ...errors import InputError
 from ...fit.alternate import anneal_problem
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients
+from ...fit.sequences.unknowns import AbstractUnknown, model_coefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...geometry.mesh import facet_heights
 from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud, stack_clouds
 from ...observe.floors_and_walls import without_room
@@ -137,10 +138,8 @@ def fit_tracked_shape(
         )
     space = find_space(tracker, space)
     frames, start = stack_clouds(clouds), stack_trees(list(poses))
-    unknowns: dict[str, AbstractUnknown] = {"shape": ShapeCoefficients(space.modes)}
-    total = float(jnp.mean(jnp.sum(frames.weights, 1)))
-    count = len(space.template_coefficients)
-    spread = jnp.full(count, (POINTS_PER_MEASUREMENT / total) ** 0.5, start.rotations.dtype)
+    unknowns: dict[str, AbstractUnknown] = {"shape": model_coefficients(space)}
+    spread = coefficient_spread(space, frames)
     prior = NormalPrior("shape", -space.template_coefficients, spread)
 
     def problem(terms: Sequence[Stacked]) -> SequenceProblem:
@@ -155,7 +154,7 @@ def fit_tracked_shape(
         body = empty.body_at(y.values)
         if number < len(FIRST_SIGMAS):
             sigmas = jnp.maximum(sigmas, FIRST_SIGMAS[number])
-        terms, sigmas = _frame_terms(tracker, body, frames, y.poses, sigmas)
+        terms, sigmas = frame_terms(tracker, body, frames, y.poses, sigmas)
         return problem([Stacked(term) for term in terms])
 
     empty = problem(())
@@ -182,8 +181,14 @@ def find_space(tracker: Tracker, space: BodyModel | None) -> BodyModel:
     return space
 
 
+def coefficient_spread(space: BodyModel, frames: Cloud) -> Float[Array, "K"]:
+    """Compute the standard deviations of the prior of the coefficients, in residuals of the points of stacked frames."""
+    total = jnp.mean(jnp.sum(frames.weights, 1))
+    return jnp.full(len(space.template_coefficients), (POINTS_PER_MEASUREMENT / total) ** 0.5)
+
+
 @eqx.filter_jit
-def _frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigmas: Float[Array, "F"]):
+def frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigmas: Float[Array, "F"]):
     """Assign the points of each frame to the surface, and make the frame's terms and its new standard deviation."""
     tracker = eqx.tree_at(lambda t: t.body, tracker, body)
 
@@ -195,9 +200,12 @@ def _frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigma
         renewed = renew_sigma(tracker.mixture, found, found.squared_distances, cloud, sigma)
         vertices, weights = found.vertices.reshape(-1), (shares / sigma**2).reshape(-1)
         points = jnp.repeat(cloud.points, found.weights.shape[1], axis=0)
+        # points are on the triangles, which lie inside of the tangent planes of a convex surface
+        heights = facet_heights(posed.vertices, body.faces, posed.normals)
+        lifted = points - (heights[:, None] * posed.normals)[vertices]
         along = tracker.mixture.tangential_weight
         terms = (
-            PointToPlane(vertices, points, posed.normals[vertices], (1.0 - along) * weights),
+            PointToPlane(vertices, lifted, posed.normals[vertices], (1.0 - along) * weights),
             PointToPoint(vertices, points, along * weights),
             *partial_terms(tracker, cloud),
         )

@@ -17,13 +17,16 @@ class CorrectedSkin(AbstractSkin):
     """A skin with pose-dependent displacements at rest: `v' = skin(v + directions . features(pose))`.
 
     Such displacements ("pose blend shapes", "correctives") compensate for the volume that a skin loses at bent joints, as in
-    SMPL (Loper et al. 2015, eq. 9) and STAR.
+    SMPL (Loper et al. 2015, eq. 9) and STAR. With a `layer` they are a small network of the features,
+    `directions . max(layer features(pose), 0)`, as in MHR (Ferguson et al. 2025).
     """
 
     skin: AbstractSkin
     features: AbstractPoseFeatures
-    #: displacement of each vertex for a feature of one, metres
+    #: displacement of each vertex for a feature of one, or a unit of the layer, metres
     directions: Float[Array, "V 3 P"]
+    #: weights of the P units of a layer for all features; no layer if None
+    layer: Float[Array, "P N"] | None = None
 
     def __check_init__(self):
         bones = self.skin.dominant_bones()
@@ -35,7 +38,8 @@ class CorrectedSkin(AbstractSkin):
 
     def displacements(self, pose: Pose) -> Float[Array, "V 3"]:
         """Compute the displacements of the vertices at rest, metres."""
-        return self.directions @ self.features.of_rotations(pose.rotations)
+        values = self.features.of_rotations(pose.rotations)
+        return self.directions @ (values if self.layer is None else jnp.maximum(self.layer @ values, 0.0))
 
     def deform(self, vertices, skeleton, pose, transforms):
         return self.skin.deform(vertices + self.displacements(pose), skeleton, pose, transforms)
@@ -47,7 +51,7 @@ class CorrectedSkin(AbstractSkin):
         return self.skin.bone_weights(num_bones)
 
     def take(self, vertices):
-        return CorrectedSkin(self.skin.take(vertices), self.features, self.directions[vertices])
+        return CorrectedSkin(self.skin.take(vertices), self.features, self.directions[vertices], self.layer)
 
     def transfer(self, corners, barycentric, skeleton):
         """Interpolate the directions of the corners, and transfer the skin."""
@@ -56,10 +60,10 @@ class CorrectedSkin(AbstractSkin):
         # one corner after the other, because all at once take three times the memory
         carried = sum(shares[:, k, None, None] * directions[corners[:, k]] for k in range(3))
         skin = self.skin.transfer(corners, barycentric, skeleton)
-        return CorrectedSkin(skin, self.features, jnp.asarray(carried, self.directions.dtype))
+        return CorrectedSkin(skin, self.features, jnp.asarray(carried, self.directions.dtype), self.layer)
 
     def scaled(self, factor):
-        return CorrectedSkin(self.skin.scaled(factor), self.features, factor * self.directions)
+        return CorrectedSkin(self.skin.scaled(factor), self.features, factor * self.directions, self.layer)
 
     def jacobian(self, vertices, directions, skeleton, pose, transforms, rates):
         """Differentiate the skin, and add the displacements' own derivatives, carried along by the skin."""
@@ -70,14 +74,22 @@ class CorrectedSkin(AbstractSkin):
         # an explicit sum, as one small product per vertex is slow on a CPU
         parts = []
         for first, last in _runs(rates):
-            joint, size = rates.joints[first], self.features.num_of_joint
+            joint = rates.joints[first]
             part = rows[:, :, first:last]
             if joint > 0 and rates.turning[first]:
-                block = self.directions[:, :, size * (joint - 1) : size * joint]
-                moved = block @ by_feature[first:last].T
+                moved = self._responses(pose, joint, by_feature[first:last])
                 part = part + sum(along_rest[:, :, a, None] * moved[:, None, a] for a in range(3))
             parts.append(part)
         return jnp.concatenate(parts, 2)
+
+    def _responses(self, pose: Pose, joint: int, velocities: Float[Array, "N M"]) -> Float[Array, "V 3 N"]:
+        """Compute the displacements by velocities of the features of one joint."""
+        size = self.features.num_of_joint
+        columns = slice(size * (joint - 1), size * joint)
+        if self.layer is None:
+            return self.directions[:, :, columns] @ velocities.T
+        active = self.layer @ self.features.of_rotations(pose.rotations) > 0
+        return self.directions @ jnp.where(active[:, None], self.layer[:, columns] @ velocities.T, 0.0)
 
     def _along_rest(
         self, vertices: Float[Array, "V 3"], directions, skeleton: Skeleton, pose: Pose, transforms

@@ -1,6 +1,6 @@
 """Text descriptions of bodies, skeletons and motions."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +9,20 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...io.gltf.gltf_reader import read_shape_keys
 from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
-from ..body_models import load_model
+from ..body_models import is_morphs_spec, load_model
 from ..console.console import pluralise, say
 from ..motions import extent, load_motion, warn_of_clip
 from .listing import indented, print_list
 
 #: more coefficients than any model has
 MANY = 10_000
+#: largest number of shape keys that a line lists
+MAX_LISTED_NAMES = 8
 
 
 def describe_body(body: Body) -> None:
@@ -34,10 +37,22 @@ def describe_body(body: Body) -> None:
 def describe_model(spec: str) -> str:
     """Print the family and the coefficients of a body model, and its template."""
     model = load_model(spec, num_betas=MANY, num_expression=MANY, joints="full")
-    groups = ", ".join(f"{size} {name}" for name, size in model.groups)
+    if is_morphs_spec(spec):
+        groups = (
+            f"{pluralise(len(model.groups), 'shape key')}: {list_names(name for name, _ in model.groups)}"
+        )
+    else:
+        groups = ", ".join(f"{size} {name}" for name, size in model.groups)
     say(f"body model: {model.family}, {groups}")
     describe_body(model.template)
     return "body model"
+
+
+def list_names(names: Iterable[str]) -> str:
+    """List some names in a line, and count the others."""
+    every = [shortened(name) for name in names]
+    more = f" and {len(every) - MAX_LISTED_NAMES} more" if len(every) > MAX_LISTED_NAMES else ""
+    return ", ".join(every[:MAX_LISTED_NAMES]) + more
 
 
 def describe_skeleton(skeleton: Skeleton) -> None:
@@ -72,6 +87,11 @@ def describe_skinned(path: Path) -> str:
     if motion is not None:
         describe_motion(motion)
     describe_body(body)
+    if path.suffix.lower() in (".glb", ".gltf") and (keys := read_shape_keys(path)):
+        say(
+            f"{pluralise(len(keys), 'shape key')}: {list_names(keys)}; they are the coefficients of the body {path}:morphs, for "
+            "`jaxcap fit`, `adapt` and `track --fit-shape`"
+        )
     return "skinned" if motion is None else "animated"
 
 

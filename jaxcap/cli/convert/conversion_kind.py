@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ...errors import InputError
+from ...io.body_models.model_file import MODEL_SUFFIXES
 from ...io.foreign import UNSUPPORTED_FORMATS, WRITABLE_ALTERNATIVES
 from ...io.kinds import identify, wrong_kind_error
 from ...io.meshes.mesh import SUFFIXES
@@ -71,7 +72,9 @@ def find_conversion(source: Path, target: Path, human: bool = False) -> Conversi
         raise InputError(
             f"{source}: the embedded body cannot be converted to {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
         )
-    if there in BODY_WRITERS and (here in (".npz", ".pkl") or is_skinned(source) or is_rigged(source)):
+    if there in BODY_WRITERS and (
+        here in (".npz", *MODEL_SUFFIXES) or is_skinned(source) or is_rigged(source)
+    ):
         return "body"
     if here in SUFFIXES and there in MESH_WRITTEN:
         return "mesh"

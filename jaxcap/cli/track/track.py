@@ -65,6 +65,7 @@ from .depth import (
     depth_clouds,
     people_clouds,
 )
+from .deviations import find_deviations
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from .people import follow_people, people_template, read_count, write_people
 from .person_shape import find_shapes
@@ -84,6 +85,12 @@ JOURNAL = "journal"
 People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
 #: values of --initialise
 SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
+
+#: options that affect the result
+SETTINGS = (
+    "normal_angle", "sigma0", "outlier", "damping", "iterations", "limit_weight", "depth_scale", "vertices", "unit", "up",
+    "estimate_priors", "initialise", "partial", "clothes", "keep_planes", "fit_shape", "background", "people",
+)  # fmt: skip
 
 
 @dataclass
@@ -118,6 +125,8 @@ class Track:
     fit_shape: Flag = False
     """Estimate the shape of the person from the first 40 frames before tracking, write it to person.npz, and track with it;
     with --people, of each person who is in them. BODY must be a body model or have the joints of the embedded human, as `human` does."""
+    deviations: Flag = False
+    """With --fit-shape, also write the standard deviations of coefficients and joints to parameters.npz."""
     skl: Skl = None
     vj: Vj = None
     limits: LimitsFile = None
@@ -243,8 +252,12 @@ class Track:
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
         write_results(self.out, body.skeleton, results, rate.frames, clouds.names)
+        known = None
+        if self.deviations:
+            model = load_model_of(self.body, self.vertices)
+            known = find_deviations(tracker, model, clouds, results.poses, results.verdicts, planes)
         motion = Motion(results.poses, rate.frames)
-        write_parameters(self.out / PARAMETERS, self.body, body, motion, self.vertices)
+        write_parameters(self.out / PARAMETERS, self.body, body, motion, self.vertices, known)
         say(
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
@@ -321,32 +334,12 @@ class Track:
             read_count(self.people)
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
+        if self.deviations and (not self.fit_shape or self.people is not None):
+            raise InputError("--deviations is for --fit-shape of one person; give it without --people.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
-        numbers = (
-            "normal_angle",
-            "sigma0",
-            "outlier",
-            "damping",
-            "iterations",
-            "limit_weight",
-            "depth_scale",
-        )
-        choices = (
-            "vertices",
-            "unit",
-            "up",
-            "estimate_priors",
-            "initialise",
-            "partial",
-            "clothes",
-            "keep_planes",
-            "fit_shape",
-            "background",
-            "people",
-        )
-        return {name: getattr(self, name) for name in (*numbers, *choices)}
+        return {name: getattr(self, name) for name in SETTINGS}
 
     def tracker(self, body: Body, limits: AbstractLimits | None) -> Tracker:
         terms = read_terms(

@@ -28,7 +28,7 @@ from ...fit.correspondence.nearest_assignment import (
     make_mesh_scan,
 )
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
-from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients, Size, make_body
+from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients, Size, make_body, model_coefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry import rotation
 from ...geometry.mesh import vertex_areas, vertex_normals
@@ -115,11 +115,11 @@ def _reduced_surface(surface: RestSurface) -> RestSurface:
 
 def _make_fit(target: BodyModel | Body, size: float) -> _RestFit:
     if isinstance(target, BodyModel):
-        body, modes, deviation = target.template, target.modes, 1.0
-        unknowns: dict[str, AbstractUnknown] = {"shape": ShapeCoefficients(modes)}
+        body, deviation = target.template, 1.0
+        unknowns: dict[str, AbstractUnknown] = {"shape": model_coefficients(target)}
     else:
-        body, modes, deviation = target, joint_modes(target), CENTRE_DEVIATION * size
-        unknowns = {"shape": ShapeCoefficients(modes), "size": Size()}
+        body, deviation = target, CENTRE_DEVIATION * size
+        unknowns = {"shape": ShapeCoefficients(joint_modes(target)), "size": Size()}
     deviations = {"shape": deviation, "size": SIZE_DEVIATION}
     dtype = body.vertices.dtype
     priors = tuple(

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from ...arguments import check_fields
 from ...body.body import Body, scale_body
+from ...body.body_model import BodyModel
 from ...body.shape_modes import ShapeModes, apply_modes
 from ...errors import InputError
 from ...geometry import rotation
@@ -166,6 +167,14 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
         low, high = (jnp.full_like(value, sign * jnp.inf) for sign in (-1, 1))
         low = low if self.lowest is None else self.lowest - value
         return low, high if self.highest is None else self.highest - value
+
+
+def model_coefficients(model: BodyModel) -> ShapeCoefficients:
+    """Make the unknown of a model's coefficients, relative to the template's, within the bounds of the model."""
+    low, high = (
+        None if end is None else end - model.template_coefficients for end in (model.lowest, model.highest)
+    )
+    return ShapeCoefficients(model.modes, low, high)
 
 
 class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):

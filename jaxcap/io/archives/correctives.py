@@ -23,6 +23,8 @@ FEATURES: dict[str, AbstractPoseFeatures] = {
     "quaternions": QuaternionFeatures(),
 }
 _FEATURES, _DIRECTIONS = "correctives.features", "correctives.directions"
+#: weights of a layer between the features and the directions
+_LAYER = "correctives.layer"
 
 
 def corrective_arrays(skin: CorrectedSkin, path: str | Path) -> dict[str, Any]:
@@ -33,7 +35,8 @@ def corrective_arrays(skin: CorrectedSkin, path: str | Path) -> dict[str, Any]:
             f"{path}: the displacements of this body depend on {type(skin.features).__name__}, which cannot be written; use "
             f"{' or '.join(FEATURES)}."
         )
-    return {_FEATURES: np.array(kind), _DIRECTIONS: skin.directions}
+    layer = {} if skin.layer is None else {_LAYER: skin.layer}
+    return {_FEATURES: np.array(kind), _DIRECTIONS: skin.directions, **layer}
 
 
 def add_correctives(
@@ -57,6 +60,14 @@ def add_correctives(
             f"numbers of shape ({count}, 3, features)."
         )
     given, expected = directions.shape[2], FEATURES[kind].num_features(num_joints)
+    layer = arrays.get(_LAYER)
+    if layer is not None:
+        if layer.shape != (given, expected) or layer.dtype.kind != "f" or not np.isfinite(layer).all():
+            raise InputError(
+                f"{path}: the array '{_LAYER}' has the shape {layer.shape} and the type {layer.dtype}; expected finite numbers of "
+                f"shape ({given}, {expected})."
+            )
+        expected = given
     if given != expected:
         raise InputError(
             f"{path}: the array '{_DIRECTIONS}' has {given} features; expected {expected} for {num_joints} joints."
@@ -65,4 +76,6 @@ def add_correctives(
         raise InputError(
             f"{path}: the array '{_DIRECTIONS}' has numbers that are not finite; write it again."
         )
-    return CorrectedSkin(skin, FEATURES[kind], jnp.asarray(directions))
+    return CorrectedSkin(
+        skin, FEATURES[kind], jnp.asarray(directions), None if layer is None else jnp.asarray(layer)
+    )

@@ -8,6 +8,7 @@ import codecs
 import io
 import pickletools
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,10 +82,15 @@ def _read_string(stream: io.BytesIO) -> str:
 
 
 class PickleMachine:
-    """The stack machine of pickles, protocols 0 to 5."""
+    """The stack machine of pickles, protocols 0 to 5.
 
-    def __init__(self, data: bytes):
+    With `further` globals and their roles, references to data outside the pickle are records too, of the role `persistent`.
+    """
+
+    def __init__(self, data: bytes, further: Mapping[str, str] | None = None):
         self.data, self.stream = data, io.BytesIO(data)
+        self.known = _GLOBALS | dict(further or {})
+        self.refers = further is not None
         self.stack: list[Any] = []
         #: the stacks below the marks
         self.marks: list[list[Any]] = []
@@ -121,7 +127,7 @@ class PickleMachine:
     def push_global(self, module: str, name: str) -> None:
         """Add an inert name to the stack. Raises `InputError` if it is not in the list."""
         text = " ".join((module[:MAX_LETTERS], name[:MAX_LETTERS]))
-        role = next((role for pattern, role in _GLOBALS.items() if re.fullmatch(pattern, text)), None)
+        role = next((role for pattern, role in self.known.items() if re.fullmatch(pattern, text)), None)
         text = shortened(text.replace(" ", "."))
         if role is None:
             raise self.code(f"the global {text}")
@@ -193,6 +199,8 @@ class PickleMachine:
             case "REDUCE" | "NEWOBJ":
                 arguments, function = stack.pop(), stack.pop()
                 self.push_call(function, arguments)
+            case "BINPERSID" if self.refers:
+                stack.append(Symbol("reference", "persistent", (stack.pop(),)))
             case "BUILD":
                 state = stack.pop()
                 stack[-1].state = state

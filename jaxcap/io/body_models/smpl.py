@@ -22,7 +22,7 @@ from ...body.skin import (
 )
 from ...errors import InputError
 from ...value_checks import check_at_least
-from ..archives.archive import array_names, load_arrays
+from ..archives.archive import load_arrays
 from ..archives.npz import get_array
 from ..archives.pickle_arrays import read_pickled_arrays
 from ..kinds import kind_of_arrays
@@ -36,19 +36,6 @@ ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kint
 NUM_BETAS, NUM_EXPRESSION = 10, 10
 #: largest error of the sum of the weights of a vertex, and of a row of the joint regressor
 WEIGHT_SUM_TOLERANCE, REGRESSOR_SUM_TOLERANCE = 1e-3, 0.02
-
-
-def is_body_model(path: str | Path) -> bool:
-    """Test if a file is a body model, by its suffix or the names of its arrays; false if it is damaged."""
-    path = Path(path)
-    if path.suffix.lower() == ".pkl":
-        return path.is_file()
-    if path.suffix.lower() != ".npz":
-        return False
-    try:
-        return kind_of_arrays(array_names(path)) == "body model"
-    except InputError:
-        return False
 
 
 @checked
@@ -76,13 +63,13 @@ def read_body_model(
     check_at_least("read_body_model", 0, num_betas=num_betas, num_expression=num_expression)
     arrays = _load(Path(path))
     vertices = get_array(arrays, "v_template", path, (None, 3), row_name="vertex")
-    parents = _parents(arrays, path)
+    parents = joint_parents(arrays, path)
     count, num_joints = len(vertices), len(parents)
     directions = get_array(arrays, "shapedirs", path, (count, 3, None), row_name="vertex")
     regressor = get_array(arrays, "J_regressor", path, (num_joints, count), row_name="joint")
     weights = get_array(arrays, "weights", path, (count, num_joints), row_name="vertex")
     faces = get_array(arrays, "f", path, (None, 3), "whole").astype(int)
-    _check_sums(weights, regressor, path)
+    check_sums(weights, regressor, path)
     correctives = _correctives(arrays, path, count, num_joints)
     family = _family(path, parents, correctives)
     groups = split_directions(family.name, directions.shape[2])
@@ -124,25 +111,27 @@ def _load(path: Path) -> Mapping[str, np.ndarray]:
     return arrays
 
 
-def _parents(arrays: Mapping[str, np.ndarray], path: str | Path) -> list[int]:
-    """Return the parents of the joints; the root's is any number that is no joint."""
-    table = get_array(arrays, "kintree_table", path, (2, None), "whole").astype(np.int64)
+def joint_parents(
+    arrays: Mapping[str, np.ndarray], path: str | Path, name: str = "kintree_table"
+) -> list[int]:
+    """Return the parents of the joints; the root's is any number that is no joint. Raises `InputError`."""
+    table = get_array(arrays, name, path, (2, None), "whole").astype(np.int64)
     parents = table[0].copy()
     parents[0] = -1
     joints = np.arange(len(parents))
     if (table[1] != joints).any():
         raise InputError(
-            f"{path}: the joints of 'kintree_table' are numbered {table[1].tolist()}; expected 0 to {len(parents) - 1} in order."
+            f"{path}: the joints of '{name}' are numbered {table[1].tolist()}; expected 0 to {len(parents) - 1} in order."
         )
     if (parents[1:] < 0).any() or (parents >= joints).any():
         wrong = int(np.argmax((parents >= joints) | ((parents < 0) & (joints > 0))))
         raise InputError(
-            f"{path}: joint {wrong} has the parent {parents[wrong]} in 'kintree_table'; expected a joint before it."
+            f"{path}: joint {wrong} has the parent {parents[wrong]} in '{name}'; expected a joint before it."
         )
     return parents.tolist()
 
 
-def _check_sums(weights: Float[np.ndarray, "V J"], regressor: Float[np.ndarray, "J V"], path) -> None:
+def check_sums(weights: Float[np.ndarray, "V J"], regressor: Float[np.ndarray, "J V"], path) -> None:
     """Check that weights are at least zero, and that they and the rows of the joint regressor sum to one. Raises `InputError`."""
     if weights.min() < -WEIGHT_SUM_TOLERANCE:
         vertex, joint = np.unravel_index(int(weights.argmin()), weights.shape)

@@ -1,6 +1,6 @@
 """Bodies, skeletons and motions from glTF 2.0 files (`.glb`, `.gltf`) of any program."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from ..skinned.bind_pose import (
 )
 from ..skinned.left_out import warn_of_unread_content
 from ..system.reader_errors import reader_of
-from ..text import MAX_NUMBER
+from ..text import MAX_NUMBER, shortened
 from .gltf_file import GltfFile
 from .gltf_parts import Part
 from .gltf_surface import (
@@ -36,6 +36,8 @@ from .gltf_surface import (
 )
 from .gltf_targets import find_targets
 
+#: the family of a body whose coefficients are shape keys
+GLTF_FAMILY = "glTF"
 _KINDS_WITH_AXES = ("revolute", "universal")
 
 
@@ -86,34 +88,57 @@ def read_gltf_body(
 
 @checked
 @reader_of("a skinned glTF file")
-def read_gltf_model(path: str | Path) -> BodyModel:
+def read_gltf_model(path: str | Path, names: Sequence[str] | None = None) -> BodyModel:
     """Read the body of a file's first skin with its shape keys (morph targets) as coefficients, each a group of its own.
 
     `shape_body(model, smile=np.array([1.0]))` applies the shape key `smile`. The template has the default weights of the file. Shape
-    keys move the surface, and no joints. Skeleton and surface are those of `read_gltf_body`.
+    keys move the surface, and no joints. Skeleton and surface are those of `read_gltf_body`. A fit keeps the coefficients from 0 to
+    1, the range of a shape key, or up to a default weight outside it.
 
-    **Raises:** `InputError` as `read_gltf_body`, and if the file has no shape keys.
+    **Arguments:** `names`, the shape keys that are coefficients; the others keep their default weights. Default: all.
+
+    **Raises:** `InputError` as `read_gltf_body`, and if the file has no shape keys, or not those of `names`.
     """
     file = GltfFile(path, None)
-    bound = _read_bind_pose(file)
-    own = set(find_skins_with_joints(file, skin_joints(file, 0)))
-    targets = find_targets(file, [mesh for _, mesh, skin in skinned_meshes(file) if skin in own])
+    targets = _shape_keys(file)
     if not targets:
         raise InputError(f"{path}: the skinned meshes have no shape keys; read the file as a body.")
+    kept = list(targets if names is None else dict.fromkeys(names))
+    if unknown := [name for name in kept if name not in targets]:
+        there = ", ".join(map(shortened, targets))
+        raise InputError(f"{path}: there is no shape key '{shortened(unknown[0])}'; the file has {there}.")
+    bound = _read_bind_pose(file)
     surface = read_surface(file, _nodes(file, bound), list(targets))
     assert surface.displacements is not None
     weights = np.array(list(targets.values()))
     vertices = surface.vertices + np.einsum("k,vka->va", weights, surface.displacements)
     body = make_skinned_body(file.path, bound, surface._replace(vertices=vertices))
-    modes = np.swapaxes(surface.displacements @ bound.surface_to_world[:3, :3].T, 0, 1)
+    columns = [list(targets).index(name) for name in kept]
+    moves, weights = surface.displacements[:, columns], weights[columns]
+    modes = np.swapaxes(moves @ bound.surface_to_world[:3, :3].T, 0, 1)
     dtype = body.vertices.dtype
-    centres = jnp.zeros((len(targets), body.skeleton.num_joints, 3), dtype)
+    centres = jnp.zeros((len(kept), body.skeleton.num_joints, 3), dtype)
     return BodyModel(
         template=body,
         modes=ShapeModes(centres, jnp.asarray(modes, dtype)),
         template_coefficients=jnp.asarray(weights, dtype),
-        groups=tuple((name, 1) for name in targets),
+        groups=tuple((name, 1) for name in kept),
+        family=GLTF_FAMILY,
+        lowest=jnp.asarray(np.minimum(weights, 0.0), dtype),
+        highest=jnp.asarray(np.maximum(weights, 1.0), dtype),
     )
+
+
+@reader_of("a skinned glTF file")
+def read_shape_keys(path: str | Path) -> list[str]:
+    """Read the names of the shape keys of the meshes of a file's first skin. Raises `InputError`."""
+    return list(_shape_keys(GltfFile(path, None)))
+
+
+def _shape_keys(file: GltfFile) -> dict[str, float]:
+    """Find the shape keys of the meshes of the first skin, with their default weights."""
+    own = set(find_skins_with_joints(file, skin_joints(file, 0)))
+    return find_targets(file, [mesh for _, mesh, skin in skinned_meshes(file) if skin in own])
 
 
 def _read_bind_pose(file: GltfFile) -> BindPose:

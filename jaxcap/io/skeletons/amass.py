@@ -66,6 +66,8 @@ SMPL_X_PARTS = {
 GENDERS = ("female", "male", "neutral")
 #: groups of coefficients of a shape
 SHAPE_GROUPS = ("betas", "expression")
+#: the weights of shape keys, and their names, of a body of other groups of coefficients
+SHAPE_KEYS, SHAPE_KEY_NAMES = "morphs", "morph_names"
 #: number of shape coefficients of a motion without a shape
 NUM_BETAS = 16
 
@@ -79,6 +81,7 @@ def write_amass(
     gender: str = "neutral",
     up: Literal["y", "z"] = "z",
     with_skeleton: bool = True,
+    deviations: tuple[Mapping[str, Float[np.ndarray, "..."]], Float[np.ndarray, "F J"]] | None = None,
 ) -> None:
     """Write a motion in AMASS's format.
 
@@ -87,9 +90,12 @@ def write_amass(
     motion cannot be drawn, is under keys that begin with `skeleton.`. A constant scale of the poses is applied to the skeleton.
 
     **Arguments:** `shape`, the coefficients of a body model by the names of their groups, such as `betas` and `expression`,
-    for all frames or with one row for each; `betas` are zeros where not given; `up`, the vertical of the written world: AMASS has
+    for all frames or with one row for each; `betas` are zeros where not given; groups of other names are shape keys, written as
+    `morphs` with their `morph_names`; `up`, the vertical of the written world: AMASS has
     z, and with y the parameters are those of the motion's own coordinates. It is written as `up_axis`;
-    `with_skeleton`, write the skeleton: not for frames of different people.
+    `with_skeleton`, write the skeleton: not for frames of different people; `deviations`, standard deviations of the coefficients by
+    their groups, written as `betas_deviations` and so on, and the expected distances of the joints in each frame from the true ones,
+    `joint_deviations`, metres.
 
     **Raises:** `InputError` if a joint other than the root is translated, there are several roots, the scale
     changes, the motion has no frames or is not finite, or the file cannot be written.
@@ -129,7 +135,8 @@ def write_amass(
         _UP_KEY: np.array(up),
         "poses": turns.reshape(frames, 3 * joints),
         "betas": np.zeros(NUM_BETAS),
-        **({} if shape is None else {name: np.asarray(values, float) for name, values in shape.items()}),
+        **_shape_arrays(shape or {}),
+        **({} if deviations is None else _deviation_arrays(*deviations)),
         "gender": np.array(gender),
         **_parts(skeleton, turns),
         **{name: np.array(float(motion.rate)) for name in _RATE_KEYS},
@@ -137,6 +144,27 @@ def write_amass(
     }
     with atomic_path(path) as beside, open(beside, "wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+def _shape_arrays(shape: Mapping[str, Float[Array | np.ndarray, "..."]]) -> dict[str, np.ndarray]:
+    """Return the arrays of groups of coefficients: those of SMPL's family by their names, all others as shape keys."""
+    arrays = {name: np.asarray(values, float) for name, values in shape.items()}
+    others = [name for name in arrays if name not in SHAPE_GROUPS]
+    found = {name: values for name, values in arrays.items() if name in SHAPE_GROUPS}
+    if others:
+        found[SHAPE_KEYS] = np.concatenate([arrays[name] for name in others], axis=-1)
+        found[SHAPE_KEY_NAMES] = np.repeat(others, [arrays[name].shape[-1] for name in others])
+    return found
+
+
+def _deviation_arrays(
+    shape: Mapping[str, Float[np.ndarray, "..."]], joints: Float[np.ndarray, "F J"]
+) -> dict[str, np.ndarray]:
+    arrays = {name: values for name, values in _shape_arrays(shape).items() if name != SHAPE_KEY_NAMES}
+    return {
+        **{f"{name}_deviations": values for name, values in arrays.items()},
+        "joint_deviations": joints,
+    }
 
 
 def _up_axis(path: str | Path, arrays: Mapping[str, np.ndarray]) -> str:
@@ -164,11 +192,11 @@ def _parts(skeleton: Skeleton, turns: Float[np.ndarray, "F J 3"]) -> dict[str, n
 def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
     """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
 
-    The gender is empty if the file has none, or has it as an object.
+    Shape keys are groups of one coefficient. The gender is empty if the file has none, or has it as an object.
 
     **Raises:** `InputError` if the file is damaged, or its frames have different shapes.
     """
-    arrays = load_arrays(path, lambda name: name in SHAPE_GROUPS)
+    arrays = load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES))
     for name, values in arrays.items():
         if values.ndim == 2:
             raise InputError(
@@ -176,6 +204,10 @@ def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]
                 "parameters of one person."
             )
     shape = {name: get_array(arrays, name, path, (None,)) for name in SHAPE_GROUPS if name in arrays}
+    if SHAPE_KEYS in arrays:
+        weights = get_array(arrays, SHAPE_KEYS, path, (None,))
+        names = get_array(arrays, SHAPE_KEY_NAMES, path, (len(weights),), "text")
+        shape |= {str(name): weights[k : k + 1] for k, name in enumerate(names)}
     return shape, _gender(path)
 
 

@@ -1,5 +1,7 @@
 """Morph targets of glTF, dense and sparse, against the arrays that were written."""
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import pygltflib
@@ -7,6 +9,8 @@ import pytest
 from helpers import chain_body
 
 import jaxcap as jc
+from jaxcap.cli import main
+from jaxcap.cli.body_models import load_shaped_body
 
 COUNT = 2
 
@@ -75,6 +79,44 @@ def test_a_fit_finds_the_weights(written):
     meshes = jc.MeshSequence(jc.body.posed_vertices(wanted, poses), wanted.faces, 30.0)
     fit = jc.fit_model(model, meshes)
     np.testing.assert_allclose(fit.coefficients[0], [0.7, 0.2], atol=1e-3)
+
+
+def test_a_fit_keeps_the_range_of_shape_keys(written):
+    path, _, moves = written
+    model = jc.io.read_gltf_model(path, ["smile"])
+    assert model.groups == (("smile", 1),)
+    np.testing.assert_allclose(model.modes.vertices[0], moves[0], atol=1e-6)
+    wanted = jc.shape_body(model, smile=jnp.array([1.5]))
+    poses = jc.body.sample_poses(wanted.skeleton, count=3)
+    meshes = jc.MeshSequence(jc.body.posed_vertices(wanted, poses), wanted.faces, 30.0)
+    np.testing.assert_allclose(jc.fit_model(model, meshes).coefficients[0], [1.0], atol=1e-6)
+
+
+def test_the_command_line_fits_shape_keys(written, capsys):
+    path, _, _ = written
+    folder = path.parent
+    model = jc.io.read_gltf_model(path)
+    wanted = jc.shape_body(model, smile=jnp.array([0.3]), frown=jnp.array([0.9]))
+    poses = jc.body.sample_poses(wanted.skeleton, count=2)
+    faces = np.asarray(wanted.faces)
+    vertices = np.asarray(jc.body.posed_vertices(wanted, poses))
+    np.savez(folder / "meshes.npz", vertices=vertices, faces=faces)
+    with warnings.catch_warnings():
+        # the command line prints the warning that a plain body has no shape keys
+        warnings.simplefilter("always")
+        main(["info", str(path)])
+    told = capsys.readouterr().out
+    assert "2 shape keys: smile, frown" in told and f"{path}:morphs" in told
+    main(["fit", f"{path}:morphs", str(folder / "meshes.npz"), "-o", str(folder / "fit.npz")])
+    with np.load(folder / "fit.npz") as found:
+        assert found["morph_names"].tolist() == ["smile", "frown"]
+        np.testing.assert_allclose(found["morphs"], [0.3, 0.9], atol=1e-3)
+    # the file's shape is applied where the motion is used again
+    shaped = load_shaped_body(f"{path}:morphs", folder / "fit.npz")
+    np.testing.assert_allclose(shaped.vertices, wanted.vertices, atol=1e-4)
+    with pytest.raises(SystemExit):
+        main(["fit", f"{path}:morphs,grin", str(folder / "meshes.npz"), "-o", str(folder / "no.npz")])
+    assert "there is no shape key 'grin'; the file has smile, frown." in capsys.readouterr().err
 
 
 def test_a_file_without_shape_keys_is_refused(written):
