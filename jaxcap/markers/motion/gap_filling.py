@@ -49,7 +49,7 @@ def fill_gaps(
     """
     matched = match_markers(subject, frames)
     positions, seen = np.asarray(matched.positions, float), np.asarray(matched.seen)
-    local = np.asarray(_to_rest_frames(subject, motion.poses, matched.positions), float)
+    local = np.asarray(rest_frame_positions(subject, motion, matched.positions), float)
     trusted = seen if weights is None else seen & (np.asarray(weights) >= 0.5)
     filled = np.tile(np.asarray(subject.offsets, float), (len(positions), 1, 1))
     at = np.arange(len(positions))
@@ -73,6 +73,13 @@ def predicted_positions(subject: Subject, motion: Motion) -> Float[Array, "F M 3
     """Predict the marker positions of a motion, metres; circle and sphere markers as if rigid."""
     local = jnp.broadcast_to(subject.offsets, (len(motion), *subject.offsets.shape))
     return _to_world(subject, motion.poses, local)
+
+
+def rest_frame_positions(
+    subject: Subject, motion: Motion, positions: Float[Array, "F M 3"]
+) -> Float[Array, "F M 3"]:
+    """Transform marker positions of a motion to the rest frames of their bones, metres."""
+    return _to_rest_frames(subject, motion.poses, positions)
 
 
 @eqx.filter_jit
