@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -103,5 +102,3 @@ def _ghost(places, seen: Bool[np.ndarray, "F M"], rng) -> tuple[int, int, int, F
             out = rng.normal(size=3)
             path = places[frames, marker] + rng.uniform(0.02, 0.06) * out / np.linalg.norm(out)
     return begin, begin + length, -1, path + 1e-3 * rng.normal(size=path.shape)
-
-

@@ -94,12 +94,14 @@ def _solve_hypotheses(
     matched = np.stack([*hypotheses, *[hypotheses[-1]] * (NUM_SOLVED - len(hypotheses))])
     targets, shown = _targets(points, matched, subject.offsets.dtype)
     # one frame at a time: the root keeps its pose from frame to frame if it is unknown
-    single = [estimate_initial_poses(subject, targets[k : k + 1], shown[k : k + 1]) for k in range(NUM_SOLVED)]
+    single = [
+        estimate_initial_poses(subject, targets[k : k + 1], shown[k : k + 1]) for k in range(NUM_SOLVED)
+    ]
     poses = jax.tree.map(lambda *leaves: concatenate(leaves), *single)
     poses, predicted = _solve_each(subject, poses, targets, shown, INITIAL_SEARCH)
     used = np.asarray(subject.weights) > 0
     for gate in GATES:
-        gates = np.where(used, gate, 1e-6)
+        gates = np.where(used, gate, 1e-6)[:, None]
         matched = np.stack([match_points(np.asarray(one, float), points, gates) for one in predicted])
         poses, predicted = _solve_each(
             subject, poses, *_targets(points, matched, subject.offsets.dtype), NEAR_SEARCH

@@ -29,6 +29,26 @@ class _Growth(NamedTuple):
     score: float
 
 
+class _Search:
+    """The points of a frame, and the markers of each bone that are looked for among them."""
+
+    def __init__(self, subject: Subject, points, steady, tolerance: float, rotations=None):
+        bones, used = np.asarray(subject.bones), np.asarray(subject.weights) > 0
+        self.subject, self.points, self.steady, self.tolerance = subject, points, steady, tolerance
+        # the rotations of bones in a pose near by, or at rest
+        self.rotations = (
+            np.tile(np.eye(3), (len(subject.skeleton.parents), 1, 1)) if rotations is None else rotations
+        )
+        self.offsets = np.asarray(subject.offsets, float)
+        self.centres = np.asarray(subject.skeleton.centres, float)
+        self.members = [np.flatnonzero((bones == bone) & used) for bone in range(subject.skeleton.num_joints)]
+        self.distances = np.linalg.norm(points[:, None] - points, axis=2)
+
+    def match_rigidly(self, bone: int) -> BoneMatches:
+        offsets = self.offsets[self.members[bone]]
+        return match_rigid_bone(offsets, self.points, self.distances, self.steady, self.tolerance)
+
+
 def grow_hypotheses(
     subject: Subject,
     points: Float[np.ndarray, "P 3"],
@@ -40,30 +60,50 @@ def grow_hypotheses(
     **Arguments:** `points` metres; `steady` pairs, whose distance is constant in the frames around;
     `tolerance` of distances on one bone, metres.
     """
-    skeleton, bones = subject.skeleton, np.asarray(subject.bones)
-    offsets, used = np.asarray(subject.offsets, float), np.asarray(subject.weights) > 0
-    members = [np.flatnonzero((bones == bone) & used) for bone in range(skeleton.num_joints)]
-    distances = np.linalg.norm(points[:, None] - points, axis=2)
-    rigid = [match_rigid_bone(offsets[some], points, distances, steady, tolerance) for some in members]
+    search = _Search(subject, points, steady, tolerance)
+    rigid = [search.match_rigidly(bone) for bone in range(subject.skeleton.num_joints)]
     seeds = sorted(
-        (bone for bone in range(skeleton.num_joints) if len(rigid[bone].scores)),
+        (bone for bone, found in enumerate(rigid) if len(found.scores)),
         key=lambda bone: -rigid[bone].scores.max(),
     )[:NUM_SEEDS]
     grown: list[_Growth] = []
     for seed in seeds:
-        beam = [_begin(subject, seed, members[seed], rigid[seed], k) for k in range(len(rigid[seed].scores))]
-        for bone, before in _outwards(skeleton.parents, seed):
-            options = [
-                option
-                for one in beam
-                for option in _continue(
-                    one, subject, bone, before, members[bone], rigid[bone], points, distances, steady, tolerance
-                )
-            ]
+        beam = [
+            _begin(subject, seed, search.members[seed], rigid[seed], k)
+            for k in range(len(rigid[seed].scores))
+        ]
+        for bone, before in _outwards(subject.skeleton.parents, [seed]):
+            options = [option for one in beam for option in _continue(one, search, bone, before, rigid[bone])]
             beam = sorted(options, key=lambda one: -one.score)[:NUM_HYPOTHESES]
         grown += beam
     unique = {tuple(one.points.tolist()): one for one in sorted(grown, key=lambda one: one.score)}
     return [one.points for one in sorted(unique.values(), key=lambda one: -one.score)]
+
+
+def regrow_bones(
+    subject: Subject,
+    rotations: Float[np.ndarray, "J 3 3"],
+    translations: Float[np.ndarray, "J 3"],
+    known: Bool[np.ndarray, "J"],
+    matched: Int[np.ndarray, "M"],
+    points: Float[np.ndarray, "P 3"],
+    tolerance: float,
+) -> Int[np.ndarray, "M"]:
+    """Match the bones of a pose that are not `known` anew, outwards from those that are.
+
+    `matched` are the points of the markers, or -1; those of unknown bones are ignored. Returns the points
+    of all markers.
+    """
+    steady = np.ones((len(points), len(points)), bool)
+    search = _Search(subject, points, steady, tolerance, rotations)
+    kept = np.where(known[np.asarray(subject.bones)], matched, -1)
+    slacks = np.where(known, JOINT_SLACK, np.inf)
+    beam = [_Growth(rotations, translations, slacks, kept, 0.0)]
+    for bone, before in _outwards(subject.skeleton.parents, np.flatnonzero(known).tolist()):
+        rigid = search.match_rigidly(bone)
+        options = [option for one in beam for option in _continue(one, search, bone, before, rigid)]
+        beam = sorted(options, key=lambda one: -one.score)[:NUM_OPTIONS]
+    return beam[0].points
 
 
 def _begin(subject: Subject, bone: int, members, matches: BoneMatches, k: int) -> _Growth:
@@ -77,9 +117,9 @@ def _begin(subject: Subject, bone: int, members, matches: BoneMatches, k: int) -
     return _Growth(rotations, translations, slacks, points, float(matches.scores[k]))
 
 
-def _outwards(parents: tuple[int, ...], seed: int) -> list[tuple[int, int]]:
-    """List the other bones from a seed outwards, each with the adjacent bone before it."""
-    reached, order = [seed], []
+def _outwards(parents: tuple[int, ...], reached: list[int]) -> list[tuple[int, int]]:
+    """List the other bones outwards from those that are reached, each with the adjacent bone before it."""
+    reached, order = list(reached), []
     for bone in reached:
         around = [parents[bone], *(child for child, parent in enumerate(parents) if parent == bone)]
         new = [other for other in around if other >= 0 and other not in reached]
@@ -88,36 +128,26 @@ def _outwards(parents: tuple[int, ...], seed: int) -> list[tuple[int, int]]:
     return order
 
 
-def _continue(
-    grown: _Growth,
-    subject: Subject,
-    bone: int,
-    before: int,
-    members: Int[np.ndarray, "N"],
-    rigid: BoneMatches,
-    points,
-    distances,
-    steady,
-    tolerance: float,
-) -> list[_Growth]:
+def _continue(grown: _Growth, search: _Search, bone: int, before: int, rigid: BoneMatches) -> list[_Growth]:
     """Continue a hypothesis with a bone: at its best candidates, or without matched markers."""
-    parents, centres = subject.skeleton.parents, np.asarray(subject.skeleton.centres, float)
-    pivot = centres[bone if parents[bone] == before else before]
-    own = centres[before]
-    turn = grown.rotations[before]
-    pivot_at = turn @ pivot + grown.translations[before]
+    parents, members = search.subject.skeleton.parents, search.members[bone]
+    pivot, own = search.centres[bone if parents[bone] == before else before], search.centres[before]
+    pivot_at = grown.rotations[before] @ pivot + grown.translations[before]
+    # without other evidence a bone keeps its rotation from the one before it
+    turn = grown.rotations[before] @ search.rotations[before].T @ search.rotations[bone]
     slack = grown.slacks[before]
     if slack > JOINT_SLACK:
         slack = slack + SLACK_PER_METRE * float(np.linalg.norm(pivot - own))
     results = [_place(grown, bone, turn, pivot_at - turn @ pivot, slack)]
     candidates = [rigid] if len(rigid.scores) else []
     if len(members) >= 2 and slack < MAX_PIVOT_SLACK:
-        offsets = np.asarray(subject.offsets, float)[members]
-        candidates += _match_pairs(offsets, pivot, pivot_at, turn, slack, points, distances, steady, tolerance)
+        candidates += _match_pairs(search, search.offsets[members], pivot, pivot_at, turn, slack)
     if not candidates:
         return results
     found = best_matches(candidates, len(members))
-    off = np.linalg.norm(found.rotations @ pivot + found.translations - pivot_at, axis=1) / (slack + tolerance)
+    off = np.linalg.norm(found.rotations @ pivot + found.translations - pivot_at, axis=1) / (
+        slack + search.tolerance
+    )
     cosine = (np.einsum("kab,ab->k", found.rotations, turn) - 1) / 2
     angles = np.arccos(np.clip(cosine, -1, 1)) / np.pi
     taken = np.isin(found.points, grown.points[grown.points >= 0]) & (found.points >= 0)
@@ -137,16 +167,17 @@ def _place(grown: _Growth, bone: int, rotation, translation, slack: float) -> _G
     return _Growth(rotations, translations, slacks, grown.points.copy(), grown.score)
 
 
-def _match_pairs(
-    offsets, pivot, pivot_at, turn, slack: float, points, distances, steady, tolerance: float
-) -> list[BoneMatches]:
+def _match_pairs(search: _Search, offsets, pivot, pivot_at, turn, slack: float) -> list[BoneMatches]:
     """Find pairs of points with the distances of two markers of a bone from each other and from its joint."""
+    points, tolerance = search.points, search.tolerance
     out = np.linalg.norm(offsets - pivot, axis=1)
     first, second = np.argsort(-out)[:2]
     away = np.linalg.norm(points - pivot_at, axis=1)
     near = [np.abs(away - out[marker]) < tolerance + slack for marker in (first, second)]
     length = np.linalg.norm(offsets[first] - offsets[second])
-    pairs = np.argwhere((np.abs(distances - length) < tolerance) & steady & near[0][:, None] & near[1])
+    pairs = np.argwhere(
+        (np.abs(search.distances - length) < tolerance) & search.steady & near[0][:, None] & near[1]
+    )
     if not len(pairs):
         return []
     target, source = points[pairs] - pivot_at, offsets[[first, second]] - pivot

@@ -15,9 +15,9 @@ from ..motion.inverse_kinematics import MIN_MARKERS, MarkerSolution, solve_marke
 from ..segments.gaps import find_runs
 from ..subject import Subject, shift_markers
 from .describe_labels import TrackLabel, describe_labels, describe_misfit, refuse_subject
-from .first_pose import MIN_EXPLAINED, PointPose, find_first_pose
+from .first_pose import MIN_EXPLAINED, find_first_pose
 from .follow_points import PointSequence, follow_points
-from .tracks import Track, cut_tracks, tracks_by_frame
+from .tracks import cut_tracks, tracks_by_frame
 from .vote import LabelledTrack, vote_on_tracks
 
 _LOG = logging.getLogger(__name__)
@@ -96,7 +96,9 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
         )
         for one in labelled
     )
-    messages = describe_labels(subject, named, seen, ~known, [label for label in frames.labels if label in place])
+    messages = describe_labels(
+        subject, named, seen, ~known, [label for label in frames.labels if label in place]
+    )
     return Labelling(found, solution.motion, named, ~known, messages)
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 def match_points(
     predicted: Float[np.ndarray, "M 3"],
     points: Float[np.ndarray, "N 3"],
-    gates: float | Float[np.ndarray, "M"],
+    gates: Float[np.ndarray, "M N"] | Float[np.ndarray, "M 1"],
     discounts: Float[np.ndarray, "M N"] | None = None,
 ) -> Int[np.ndarray, "M"]:
     """Find the point of each marker, -1 where none is within its gate.
@@ -19,7 +19,7 @@ def match_points(
     """
     if not len(points):
         return np.full(len(predicted), -1)
-    cost = (cdist(predicted, points) / np.reshape(gates, (-1, 1))) ** 2
+    cost = (cdist(predicted, points) / gates) ** 2
     inside = cost < 1.0
     cost = np.where(inside, cost if discounts is None else cost * discounts, 1.0)
     rows, columns = linear_sum_assignment(cost)

@@ -74,9 +74,7 @@ def match_moved(
     # a point belongs to one marker only
     shared = (nearest[:, :, None] == nearest[:, None]) & (gain[:, None] > gain[:, :, None])
     kept = (gain > 0) & ~shared.any(2)
-    return BoneMatches(
-        rotations, translations, np.where(kept, nearest, -1), np.where(kept, gain, 0.0).sum(1)
-    )
+    return BoneMatches(rotations, translations, np.where(kept, nearest, -1), np.where(kept, gain, 0.0).sum(1))
 
 
 def best_matches(found: list[BoneMatches], count: int) -> BoneMatches:

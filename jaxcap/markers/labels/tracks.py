@@ -1,5 +1,6 @@
 """Tracks: pieces of trajectories without gaps and without jumps, each of one marker at most."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -42,13 +43,11 @@ def cut_tracks(
             far = np.linalg.norm(steps, axis=1) > limit
             jumps = np.flatnonzero(far & (np.minimum(before, after) > limit)) + 1
             edges = [begin, *(begin + jumps).tolist(), end]
-            tracks += [Track(column, a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            tracks += [Track(column, a, b) for a, b in itertools.pairwise(edges)]
     return tuple(tracks)
 
 
-def tracks_by_frame(
-    tracks: tuple[Track, ...], shape: tuple[int, int]
-) -> Int[np.ndarray, "F N"]:
+def tracks_by_frame(tracks: tuple[Track, ...], shape: tuple[int, int]) -> Int[np.ndarray, "F N"]:
     """Give the number of the track in each frame and column, -1 where there is none."""
     numbers = np.full(shape, -1)
     for number, track in enumerate(tracks):

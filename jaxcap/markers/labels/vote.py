@@ -37,11 +37,14 @@ def vote_on_tracks(
     A track is cut where another label explains it better from there on. Two tracks never have one label
     in the same frame: the track with more evidence keeps it. Frames with no `known` pose are no evidence.
     """
-    parts: list[tuple[Track, Float[np.ndarray, "M"]]] = []
+    parts: list[tuple[Track, Float[np.ndarray, M]]] = []
     for track in tracks:
         costs = _frame_costs(track, positions, predicted, known, gates, int(given[track.column]))
         parts += [
-            (Track(track.column, track.begin + a, track.begin + b), NO_LABEL_COST * (b - a) - costs[a:b].sum(0))
+            (
+                Track(track.column, track.begin + a, track.begin + b),
+                NO_LABEL_COST * (b - a) - costs[a:b].sum(0),
+            )
             for a, b in _cut_by_label(costs)
         ]
     taken = np.zeros((len(predicted), len(gates)), bool)
@@ -59,9 +62,7 @@ def vote_on_tracks(
     return sorted(labelled, key=lambda one: (one.track.column, one.track.begin))
 
 
-def _frame_costs(
-    track: Track, positions, predicted, known, gates, given: int
-) -> Float[np.ndarray, "T M"]:
+def _frame_costs(track: Track, positions, predicted, known, gates, given: int) -> Float[np.ndarray, "T M"]:
     """Compute the squared distances from all markers in gates, at most one; of frames without a pose the cost of no label."""
     away = positions[track.frames, track.column][:, None] - predicted[track.frames]
     costs = np.minimum(np.einsum("tma,tma->tm", away, away) / gates**2, 1.0)
@@ -94,4 +95,3 @@ def _cut_by_label(costs: Float[np.ndarray, "T M"]) -> list[tuple[int, int]]:
         state = earlier
     edges.append(0)
     return list(zip(edges[::-1][:-1], edges[::-1][1:], strict=True))
-
