@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.pose import Pose
+from ...geometry import rotation
 from ...stacking import concatenate
 from ..motion.initial_pose import estimate_initial_poses
 from ..motion.inverse_kinematics import INITIAL_SEARCH, MIN_MARKERS
@@ -28,6 +29,8 @@ WINDOW, WINDOW_FRAMES = 0.15, 5
 #: a pose is accepted if it explains this share of the points or of the markers, whichever are fewer; the search ends
 #: at once if a frame has the second share
 MIN_EXPLAINED, WELL_EXPLAINED = 0.65, 0.9
+#: penalty of a joint that is half a turn from rest, in the score: decides between mirror images of two markers on a bone
+TURN_PENALTY = 0.01
 #: search of a hypothesis that is near already
 NEAR_SEARCH = SearchCriteria(max_iterations=12)
 
@@ -40,7 +43,7 @@ class PointPose(NamedTuple):
     columns: Int[np.ndarray, "M"]
     #: share of the points or of the markers, whichever are fewer, that the pose explains
     explained: float
-    #: sum over matched markers of one minus the squared distance in gates, divided by the same number
+    #: sum over matched markers of one minus the squared distance in gates, divided by the same number, less the turn penalty
     score: float
 
 
@@ -109,7 +112,8 @@ def _solve_hypotheses(
     away = np.linalg.norm(np.asarray(predicted, float) - points[matched], axis=2)
     gain = np.where(matched >= 0, np.maximum(1 - (away / GATES[-1]) ** 2, 0), 0.0)
     possible = min(len(points), int(used.sum()))
-    scores = gain.sum(1) / possible
+    angles = np.linalg.norm(np.asarray(rotation.log(poses.rotations), float), axis=2)
+    scores = gain.sum(1) / possible - TURN_PENALTY * ((angles / np.pi) ** 2).sum(1)
     k = int(scores.argmax())
     good = gain[k] > 0
     return PointPose(

@@ -17,6 +17,7 @@ from ..subject import Subject, shift_markers
 from .describe_labels import TrackLabel, describe_labels, describe_misfit, refuse_subject
 from .first_pose import MIN_EXPLAINED, find_first_pose
 from .follow_points import PointSequence, follow_points
+from .half_turns import undo_half_turns
 from .tracks import cut_tracks, tracks_by_frame
 from .vote import LabelledTrack, vote_on_tracks
 
@@ -81,7 +82,8 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
         solution = solve_markers(subject, _collect(subject, positions, columns, frames.rate))
         known &= ~solution.lost
         subject = _shift_to_means(subject, solution, positions, columns)
-        predicted = np.asarray(predicted_positions(subject, solution.motion), float)
+        motion = undo_half_turns(subject, solution.motion)
+        predicted = np.asarray(predicted_positions(subject, motion), float)
         gates = _vote_gates(subject, predicted, positions, columns)
         labelled = vote_on_tracks(tracks, positions, predicted, known, gates, given)
         columns = _columns_of(labelled, len(positions), subject.num_markers)
