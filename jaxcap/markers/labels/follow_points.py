@@ -31,7 +31,7 @@ MAX_ROUNDS = 3
 #: factors of the squared distance for a track that keeps its label, and for a given label
 TRACK_DISCOUNT, GIVEN_DISCOUNT = 0.25, 0.1
 #: bones with fewer than this share of their markers are matched anew, every so many frames, with this tolerance in metres
-BONE_SHARE, REGROW_EVERY, REGROW_TOLERANCE = 0.5, 5, 0.02
+BONE_SHARE, REGROW_EVERY, REGROW_TOLERANCE = 0.5, 5, 0.025
 #: a frame is doubtful if fewer than this share of its points, or of the markers, have labels
 MIN_SHARE = 0.5
 #: seconds of doubtful frames after which the pose is lost
@@ -52,10 +52,10 @@ class PointSequence(NamedTuple):
 
 def follow_points(
     subject: Subject, points: PointSequence, start: PointPose, frames: Iterable[int]
-) -> dict[int, Int[np.ndarray, "M"]]:
+) -> dict[int, tuple[Int[np.ndarray, "M"], Pose]]:
     """Label frames in their order, forwards or backwards, from the pose of a frame next to the first.
 
-    Returns the columns of the markers in each frame that the pose explains. Ends at the first frame of the
+    Returns the columns of the markers in each frame that the pose explains, and the pose. Ends at the first frame of the
     doubtful ones if these last longer than `MAX_DOUBT`.
     """
     state = _State.begin(subject, points, start)
@@ -71,7 +71,7 @@ def follow_points(
                 break
             continue
         doubt = 0
-        found[frame] = np.where(matched >= 0, columns[matched], -1)
+        found[frame] = np.where(matched >= 0, columns[matched], -1), state.pose
     return found
 
 
@@ -153,7 +153,7 @@ def _regrow(subject: Subject, used, moment: "_Moment", at, matched) -> tuple["_M
     targets = _targets(at, grown, subject)
     guess = estimate_initial_poses(subject, targets[0][None], targets[1][None])
     other = _advance(subject, jax.tree.map(lambda leaf: leaf[0], guess), *targets, INITIAL_SEARCH)
-    again = match_points(np.asarray(other.markers, float), at, np.where(used, NEW_GATE, 1e-6)[:, None])
+    again = match_points(np.asarray(other.markers, float), at, np.where(used, TRACK_GATE, 1e-6)[:, None])
     if (again >= 0).sum() <= (matched >= 0).sum():
         return moment, matched
     return other, again

@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
-from ...body.pose import Motion
+from ...body.pose import Motion, Pose, stack_poses, take_poses
 from ...observe.markers import MarkerFrames
-from ..motion.gap_filling import predicted_positions, rest_frame_positions
-from ..motion.inverse_kinematics import MIN_MARKERS, MarkerSolution, solve_markers
+from ..motion.gap_filling import predicted_positions
+from ..motion.gap_offsets import rest_frame_positions
+from ..motion.inverse_kinematics import MIN_MARKERS, solve_from_poses
 from ..segments.gaps import find_runs
 from ..subject import Subject, shift_markers
 from .describe_labels import TrackLabel, describe_labels, describe_misfit, refuse_subject
@@ -29,6 +30,10 @@ NUM_VOTES = 2
 MAX_SEARCHES, MIN_LOST = 12, 0.2
 #: gate of a marker in a vote: this multiple of its median distance, within these bounds, metres
 GATE_RATIO, MIN_GATE, MAX_GATE = 5.0, 0.025, 0.05
+#: gate in the first vote, metres
+FIRST_GATE = 0.06
+#: a pose with a larger median residual does not fit, metres
+MAX_MEDIAN = 0.05
 #: frames in which a marker has to be visible for its mean position on its bone to be estimated
 MIN_FRAMES = 50
 
@@ -74,20 +79,22 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
     tracks = cut_tracks(positions, seen, frames.rate)
     numbers = tracks_by_frame(tracks, seen.shape)
     points = PointSequence(positions, numbers, given, frames.rate)
-    columns, known = _label_frames(subject, points, frames)
+    columns, poses, known = _label_frames(subject, points, frames)
     labelled: list[LabelledTrack] = []
-    solution: MarkerSolution | None = None
-    for _ in range(NUM_VOTES):
+    for number in range(NUM_VOTES):
         _LOG.info("solving the motion of the labelled markers")
-        solution = solve_markers(subject, _collect(subject, positions, columns, frames.rate))
-        known &= ~solution.lost
-        subject = _shift_to_means(subject, solution, positions, columns)
-        motion = undo_half_turns(subject, solution.motion)
+        motion, weights, known = _solve_labelled(subject, poses, positions, columns, known, frames.rate)
+        subject = _shift_to_means(subject, motion, weights, positions, columns)
+        motion = undo_half_turns(subject, motion)
         predicted = np.asarray(predicted_positions(subject, motion), float)
-        gates = _vote_gates(subject, predicted, positions, columns)
+        # first wide ones: a bone that was turned back by half a turn is not solved yet
+        gates = np.full(subject.num_markers, FIRST_GATE)
+        if number > 0:
+            gates = _vote_gates(predicted, positions, columns)
+        gates = np.where(np.asarray(subject.weights) > 0, gates, 1e-6)
         labelled = vote_on_tracks(tracks, positions, predicted, known, gates, given)
-        columns = _columns_of(labelled, len(positions), subject.num_markers)
-    assert solution is not None
+        columns, poses = _columns_of(labelled, len(positions), subject.num_markers), motion.poses
+    motion, _, known = _solve_labelled(subject, poses, positions, columns, known, frames.rate)
     found = _collect(subject, positions, columns, frames.rate, np.asarray(frames.positions).dtype)
     named = tuple(
         TrackLabel(
@@ -101,15 +108,19 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
     messages = describe_labels(
         subject, named, seen, ~known, [label for label in frames.labels if label in place]
     )
-    return Labelling(found, solution.motion, named, ~known, messages)
+    return Labelling(found, motion, named, ~known, messages)
 
 
 def _label_frames(
     subject: Subject, points: PointSequence, frames: MarkerFrames
-) -> tuple[Int[np.ndarray, "F M"], Bool[np.ndarray, "F"]]:
-    """Label frame by frame from found poses, and search again in long runs without labels."""
+) -> tuple[Int[np.ndarray, "F M"], Pose, Bool[np.ndarray, "F"]]:
+    """Label frame by frame from found poses, and search again in long runs without labels.
+
+    Returns the columns, the poses, and the frames where these are known; others have the pose of the nearest one.
+    """
     seen, count = points.tracks >= 0, len(points.positions)
     columns = np.full((count, subject.num_markers), -1)
+    poses: dict[int, Pose] = {}
     known, searched = np.zeros(count, bool), seen.sum(1) < MIN_MARKERS
     for number in range(MAX_SEARCHES):
         runs = find_runs(~known & ~searched)
@@ -126,11 +137,27 @@ def _label_frames(
             searched[begin:end] = True
             continue
         for way in (range(start.frame, end), range(start.frame - 1, begin - 1, -1)):
-            for frame, some in follow_points(subject, points, start, way).items():
-                columns[frame], known[frame] = some, True
-        if not known[start.frame]:
-            searched[start.frame] = True
-    return columns, known
+            for frame, (some, pose) in follow_points(subject, points, start, way).items():
+                columns[frame], poses[frame], known[frame] = some, pose, True
+        searched[start.frame] = not known[start.frame]
+    labelled = np.flatnonzero(known)
+    nearest = labelled[np.abs(labelled[:, None] - np.arange(count)).argmin(0)]
+    stacked = stack_poses([poses[frame] for frame in labelled.tolist()]).poses
+    return columns, take_poses(stacked, np.searchsorted(labelled, nearest)), known
+
+
+def _solve_labelled(
+    subject: Subject, poses: Pose, positions, columns, known: Bool[np.ndarray, "F"], rate: float
+) -> tuple[Motion, Float[np.ndarray, "F M"], Bool[np.ndarray, "F"]]:
+    """Solve the poses of labelled markers from poses near them; also return robust weights and the frames with a pose."""
+    found = _collect(subject, positions, columns, rate)
+    at = jnp.asarray(found.positions, subject.offsets.dtype)
+    solved = solve_from_poses(subject, poses, at, jnp.asarray(found.visible))
+    lengths = np.where(columns >= 0, np.asarray(solved.residuals, float), np.nan)
+    fits = np.zeros(len(columns), bool)
+    some = (columns >= 0).sum(1) >= MIN_MARKERS
+    fits[some] = np.nanmedian(lengths[some], axis=1) < MAX_MEDIAN
+    return Motion(solved.pose, rate), np.asarray(solved.weights), known & fits
 
 
 def _collect(
@@ -150,23 +177,22 @@ def _columns_of(labelled: list[LabelledTrack], count: int, markers: int) -> Int[
     return columns
 
 
-def _shift_to_means(subject: Subject, solution: MarkerSolution, positions, columns) -> Subject:
+def _shift_to_means(subject: Subject, motion: Motion, weights, positions, columns) -> Subject:
     """Shift each marker to its median position on its bone in these frames: markers are placed anew on other days."""
-    found = _collect(subject, positions, columns, solution.motion.rate)
-    local = np.asarray(rest_frame_positions(subject, solution.motion, jnp.asarray(found.positions)), float)
-    trusted = (solution.weights > 0.5) & np.asarray(found.visible)
+    found = _collect(subject, positions, columns, motion.rate)
+    local = np.asarray(rest_frame_positions(subject, motion, jnp.asarray(found.positions)), float)
+    trusted = (weights > 0.5) & np.asarray(found.visible)
     shifts = np.zeros((subject.num_markers, 3))
     for marker in np.flatnonzero(trusted.sum(0) >= MIN_FRAMES):
         shifts[marker] = np.median(local[trusted[:, marker], marker], axis=0) - subject.offsets[marker]
     return shift_markers(subject, jnp.asarray(shifts, subject.offsets.dtype))
 
 
-def _vote_gates(subject: Subject, predicted, positions, columns) -> Float[np.ndarray, "M"]:
-    found = _collect(subject, positions, columns, 1.0)
-    away = np.linalg.norm(np.asarray(found.positions, float) - predicted, axis=2)
-    away = np.where(columns >= 0, away, np.nan)
+def _vote_gates(predicted, positions, columns) -> Float[np.ndarray, "M"]:
+    """Compute the gates of markers by their usual distances from the predicted positions."""
+    at = np.take_along_axis(positions, np.maximum(columns, 0)[..., None], 1)
+    away = np.where(columns >= 0, np.linalg.norm(at - predicted, axis=2), np.nan)
     some = (columns >= 0).any(0)
     middle = np.full(len(some), MAX_GATE)
     middle[some] = np.nanmedian(away[:, some], axis=0)
-    gates = np.clip(GATE_RATIO * middle, MIN_GATE, MAX_GATE)
-    return np.where(np.asarray(subject.weights) > 0, gates, 1e-6)
+    return np.clip(GATE_RATIO * middle, MIN_GATE, MAX_GATE)
