@@ -11,8 +11,14 @@ from .calibration.calibration_problem import CalibrationProblem as CalibrationPr
 from .calibration.calibration_problem import make_calibration_problem as make_calibration_problem
 from .calibration.solve_calibration import CalibrationSolution as CalibrationSolution
 from .calibration.solve_calibration import solve_calibration as solve_calibration
+from .labels.exchanges import MendedLabels as MendedLabels
+from .labels.exchanges import mend_labels as mend_labels
+from .labels.label_markers import Labelling as Labelling
+from .labels.label_markers import label_markers as label_markers
 from .local_technique import LocalFit as LocalFit
 from .local_technique import fit_local as fit_local
+from .motion.gap_filling import GapEstimate as GapEstimate
+from .motion.gap_filling import estimate_gaps as estimate_gaps
 from .motion.gap_filling import fill_gaps as fill_gaps
 from .motion.gap_filling import joint_frames as joint_frames
 from .motion.inverse_kinematics import MarkerSolution as MarkerSolution

@@ -1,5 +1,6 @@
 """Labels that were exchanged in a trial of a known subject, undone by its poses."""
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +55,7 @@ def mend_labels(
         seen &= ~np.asarray(lost)[:, None]
     predicted = np.asarray(predicted_positions(subject, motion), float)
     away = np.where(seen, np.linalg.norm(positions - predicted, axis=2), np.nan)
-    some = seen.any(0)
+    some = np.asarray(seen.any(0))
     usual = np.zeros(len(some))
     usual[some] = np.nanmedian(away[:, some], axis=0)
     bound = np.maximum(MIN_WRONG, WRONG_RATIO * usual)
@@ -78,7 +79,7 @@ def _find_sources(positions, seen, predicted, away, bound, usual, rate: float) -
         # an exchange of near markers is no jump: cut also where the distance changes from right to wrong
         wrong = away[track.frames, track.column] > bound[track.column]
         edges = [0, *(1 + np.flatnonzero(np.diff(wrong))).tolist(), len(wrong)]
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in itertools.pairwise(edges):
             if b > a and wrong[a]:
                 pieces.append((track.column, track.begin + a, track.begin + b))
                 good[track.begin + a : track.begin + b, track.column] = False

@@ -59,7 +59,7 @@ def follow_points(
     doubtful ones if these last longer than `MAX_DOUBT`.
     """
     state = _State.begin(subject, points, start)
-    found: dict[int, Int[np.ndarray, M]] = {}
+    found = {}
     doubt = 0
     for frame in frames:
         columns = np.flatnonzero(points.tracks[frame] >= 0)

@@ -161,7 +161,7 @@ def _solve_labelled(
 
 
 def _collect(
-    subject: Subject, positions, columns: Int[np.ndarray, "F M"], rate: float, dtype=float
+    subject: Subject, positions, columns: Int[np.ndarray, "F M"], rate: float, dtype: np.dtype | type = float
 ) -> MarkerFrames:
     """Collect the labelled points as the subject's markers."""
     shown = columns >= 0

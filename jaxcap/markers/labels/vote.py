@@ -37,7 +37,7 @@ def vote_on_tracks(
     A track is cut where another label explains it better from there on. Two tracks never have one label
     in the same frame: the track with more evidence keeps it. Frames with no `known` pose are no evidence.
     """
-    parts: list[tuple[Track, Float[np.ndarray, M]]] = []
+    parts = []
     for track in tracks:
         costs = _frame_costs(track, positions, predicted, known, gates, int(given[track.column]))
         parts += [

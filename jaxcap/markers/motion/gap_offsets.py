@@ -28,13 +28,13 @@ from .gap_model import (
 from .inverse_kinematics import solve_markers
 
 #: number of rounds of made gaps, and share of the frames of a marker in them in each round
-NUM_ROUNDS, MADE_SHARE = 3, 0.2
+NUM_ROUNDS, MADE_SHARE = 4, 0.06
 #: longest made gap, as a share of the take
 MAX_MADE = 0.1
 #: number of frames in which gaps are made at most
 MAX_FRAMES = 3000
-#: fewest errors from which a marker's own quantile is used; with fewer it is that of all markers
-MIN_ERRORS = 100
+#: number of gaps that the quantile of all markers' errors counts as
+PRIOR_GAPS = 8.0
 
 
 class FilledOffsets(NamedTuple):
@@ -164,14 +164,18 @@ def _learn_models(
             model = model._replace(neighbours=others[:0], mean=np.asarray(subject.offsets[marker], float))
         models[marker], errors[marker] = model, standardised_errors(model, made, marker)
     whole = np.concatenate([*errors.values(), np.zeros(0)])
-    common = float(np.quantile(np.abs(whole), 0.9)) / NINETY if len(whole) >= MIN_ERRORS else 1.0
-    scales = {
-        marker: max(float(np.quantile(np.abs(own), 0.9)) / NINETY, 0.5 * common)
-        if len(own) >= MIN_ERRORS
-        else common
-        for marker, own in errors.items()
-    }
+    common = _interval_factor(whole) if len(whole) else 1.0
+    scales = {}
+    for marker, own in errors.items():
+        count = sum(gap.marker == marker for one in made for gap in one.gaps)
+        share = count / (count + PRIOR_GAPS)
+        scales[marker] = common ** (1 - share) * (_interval_factor(own) if len(own) else common) ** share
     return models, scales
+
+
+def _interval_factor(errors: Float[np.ndarray, "E"]) -> float:
+    """Compute the factor of the deviation with which the normal interval has nine of ten errors."""
+    return max(float(np.quantile(np.abs(errors), 0.9)) / NINETY, 1e-3)
 
 
 def _pooled_covariance(subject: Subject, made: list[MadeGaps], rate: float) -> Float[np.ndarray, "3 3"]:
