@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 import jaxcap as jc
+from jaxcap.markers.labels.label_markers import Labelling
 from jaxcap.markers.segments.gaps import find_runs
 from jaxcap.markers.subject import Subject, make_subject
 
@@ -102,3 +103,24 @@ def _ghost(places, seen: Bool[np.ndarray, "F M"], rng) -> tuple[int, int, int, F
             out = rng.normal(size=3)
             path = places[frames, marker] + rng.uniform(0.02, 0.06) * out / np.linalg.norm(out)
     return begin, begin + length, -1, path + 1e-3 * rng.normal(size=path.shape)
+
+
+class LabelErrors(NamedTuple):
+    """Shares of the places of markers that have their own label, and another one; the longest wrong label, seconds."""
+
+    right: float
+    wrong: float
+    longest: float
+
+
+def label_errors(subject: Subject, hidden: UnlabelledTake, found: Labelling) -> LabelErrors:
+    """Compare labels with the truth; a label on a ghost is wrong."""
+    labels = np.full(hidden.markers.shape, -1)
+    for one in found.tracks:
+        column = hidden.frames.labels.index(one.name)
+        labels[one.begin : one.end, column] = -1 if one.label is None else subject.labels.index(one.label)
+    real = hidden.markers >= 0
+    wrong = (labels >= 0) & (labels != hidden.markers)
+    longest = max((end - begin for column in wrong.T for begin, end in find_runs(column)), default=0)
+    right = float((labels == hidden.markers)[real].mean())
+    return LabelErrors(right, float(wrong.sum() / real.sum()), longest / hidden.frames.rate)

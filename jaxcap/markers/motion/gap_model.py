@@ -13,8 +13,10 @@ from jaxtyping import Bool, Float, Int
 
 from ...geometry.linear import inverse_symmetric
 
-#: times of correlation that are compared, seconds
-TIMES = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+#: times of correlation that are compared, seconds; the last is that of a random walk
+TIMES = (0.05, 0.2, 1.0, 5.0, 1e4)
+#: independent variances of the neighbours that are compared, as shares of their own; the last leaves neighbours out
+RIDGES = (0.03, 0.3, np.inf)
 #: deviation of observed positions, metres
 NOISE = 1e-3
 #: number of made gaps that the covariance of all markers counts as
@@ -53,6 +55,8 @@ class GapModel(NamedTuple):
     time: float
     #: covariance of what neither neighbours nor ends explain, for a bridge of unit variance
     residual: Float[np.ndarray, "3 3"]
+    #: errors in made gaps, predicted by the other rounds, for a bridge of unit variance
+    errors: Float[np.ndarray, "E 3"]
 
 
 def bridge(
@@ -76,49 +80,70 @@ def learn_gap_model(
     rate: float,
 ) -> GapModel:
     """Learn the statistics of a marker from its made gaps; with few of them, `pooled (3, 3)` is its covariance."""
+    mine = [one._replace(gaps=[gap for gap in one.gaps if gap.marker == marker]) for one in made]
+    mine = [one for one in mine if one.gaps]
+    count = sum(len(one.gaps) for one in mine)
+    size = 3 * (1 + len(neighbours))
+    nothing = GapModel(
+        neighbours[:0], np.full(size, np.nan), np.eye(size), 0.2 * rate, pooled, np.zeros((0, 3))
+    )
+    if len(mine) < 2:
+        return nothing
+    best, chosen = -np.inf, nothing
+    for ridge in RIDGES:
+        kept = neighbours if np.isfinite(ridge) else neighbours[:0]
+        if len(kept) == 0 and np.isfinite(ridge):
+            continue
+        # each round of made gaps is predicted by the others
+        folds = [_moments(marker, kept, [other for other in mine if other is not one], ridge) for one in mine]
+        explained = [
+            (gap, one.offsets, _explained(fold, one.offsets, one.seen, gap))
+            for one, fold in zip(mine, folds, strict=True)
+            for gap in one.gaps
+        ]
+        for seconds in TIMES:
+            errors = np.concatenate([_standard_errors(*each, seconds * rate) for each in explained])
+            scatter = errors[:, :3].T @ errors[:, :3] / len(errors)
+            # log likelihood with the scatter's own mean variance
+            fit = -1.5 * np.log(np.trace(scatter)) - 1.5 * np.mean(np.log(errors[:, 3]))
+            if fit > best:
+                residual = (count * scatter + PRIOR_GAPS * pooled) / (count + PRIOR_GAPS)
+                model = _moments(marker, kept, mine, ridge)
+                best = fit
+                chosen = model._replace(time=seconds * rate, residual=residual, errors=errors[:, :3])
+    return chosen
+
+
+def _moments(marker: int, neighbours: Int[np.ndarray, "K"], made: list[MadeGaps], ridge: float) -> GapModel:
+    """Compute the mean and covariance of the offsets of a marker and its neighbours in made gaps."""
     index = np.array([marker, *neighbours])
-    rows, counts = [], 0
+    rows = []
     for one in made:
         for gap in one.gaps:
-            if gap.marker == marker:
-                known = one.seen[gap.begin : gap.end, index]
-                values = np.where(known[..., None], one.offsets[gap.begin : gap.end, index], np.nan)
-                rows.append(values.reshape(len(values), -1))
-                counts += 1
-    if not rows:
-        size = 3 * len(index)
-        return GapModel(neighbours, np.full(size, np.nan), np.eye(size), 0.2 * rate, pooled)
+            known = one.seen[gap.begin : gap.end, index]
+            # the made gap is known to us
+            known[:, 0] = True
+            values = np.where(known[..., None], one.offsets[gap.begin : gap.end, index], np.nan)
+            rows.append(values.reshape(len(values), -1))
     samples = np.concatenate(rows)
     known = ~np.isnan(samples)
-    mean = np.where(known.any(0), np.nansum(samples, 0) / np.maximum(known.sum(0), 1), 0.0)
+    mean = np.where(known, samples, 0.0).sum(0) / np.maximum(known.sum(0), 1)
     centred = np.where(known, samples - mean, 0.0)
-    pairs = np.maximum(known.T.astype(float) @ known, 1.0)
-    covariance = centred.T @ centred / pairs
-    # few gaps say little about the regression: as many unexplained ones are added to the neighbours
-    ridge = NOISE**2 + np.diagonal(covariance) * PRIOR_GAPS / (counts + PRIOR_GAPS)
-    ridge[:3] = 0.0
-    first = GapModel(neighbours, mean, covariance + np.diag(ridge), 0.0, pooled)
-    best, chosen = -np.inf, first
-    for seconds in TIMES:
-        model = first._replace(time=seconds * rate)
-        errors = np.concatenate(
-            [_standard_errors(model, one, gap) for one in made for gap in one.gaps if gap.marker == marker]
-        )
-        scatter = errors[:, :3].T @ errors[:, :3] / len(errors)
-        residual = (counts * scatter + PRIOR_GAPS * pooled) / (counts + PRIOR_GAPS)
-        # log likelihood with the scatter's own mean variance
-        fit = -1.5 * np.log(np.trace(scatter)) - 1.5 * np.mean(np.log(errors[:, 3]))
-        if fit > best:
-            best, chosen = fit, model._replace(residual=residual)
-    return chosen
+    covariance = centred.T @ centred / np.maximum(known.T.astype(float) @ known, 1.0)
+    added = NOISE**2 + np.diagonal(covariance) * (ridge if np.isfinite(ridge) else 0.0)
+    added[:3] = 0.0
+    return GapModel(neighbours, mean, covariance + np.diag(added), 0.0, np.eye(3), np.zeros((0, 3)))
 
 
 def estimate_gap(
     model: GapModel, gap: Gap, offsets: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"]
 ) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T"]]:
     """Estimate the offsets of a marker in a gap; also return the variance factor of `residual` in each frame."""
-    left, right, variance = bridge(gap, max(model.time, 1e-3))
-    explained = _explained(model, offsets, seen, gap)
+    return _bridge_gap(gap, offsets, _explained(model, offsets, seen, gap), model.time)
+
+
+def _bridge_gap(gap: Gap, offsets, explained, time: float) -> tuple[np.ndarray, np.ndarray]:
+    left, right, variance = bridge(gap, time)
     ends = [
         offsets[end, gap.marker] - explained[at] if end >= 0 else np.zeros(3)
         for end, at in ((gap.before, 0), (gap.after, -1))
@@ -126,17 +151,10 @@ def estimate_gap(
     return explained[1:-1] + left[:, None] * ends[0] + right[:, None] * ends[1], variance
 
 
-def standardised_errors(model: GapModel, made: list[MadeGaps], marker: int) -> Float[np.ndarray, "E"]:
+def standardised_errors(model: GapModel) -> Float[np.ndarray, "E"]:
     """Compute the errors along the worst axis in made gaps, in standard deviations."""
     axis = worst_axis(model.residual)
-    spread = np.sqrt(axis @ model.residual @ axis)
-    errors = [
-        _standard_errors(model, one, gap)[:, :3] @ axis / spread
-        for one in made
-        for gap in one.gaps
-        if gap.marker == marker
-    ]
-    return np.concatenate(errors) if errors else np.zeros(0)
+    return model.errors @ axis / np.sqrt(axis @ model.residual @ axis)
 
 
 def worst_axis(covariance: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
@@ -162,8 +180,8 @@ def _explained(model: GapModel, offsets, seen, gap: Gap) -> Float[np.ndarray, "T
     return result
 
 
-def _standard_errors(model: GapModel, made: MadeGaps, gap: Gap) -> Float[np.ndarray, "T 4"]:
+def _standard_errors(gap: Gap, offsets, explained, time: float) -> Float[np.ndarray, "T 4"]:
     """Compute the errors in a made gap for a bridge of unit variance, and that variance."""
-    found, variance = estimate_gap(model, gap, made.offsets, made.seen)
-    errors = made.offsets[gap.begin : gap.end, gap.marker] - found
+    found, variance = _bridge_gap(gap, offsets, explained, time)
+    errors = offsets[gap.begin : gap.end, gap.marker] - found
     return np.concatenate([errors / np.sqrt(variance)[:, None], variance[:, None]], 1)

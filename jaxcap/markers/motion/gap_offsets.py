@@ -162,7 +162,7 @@ def _learn_models(
         model = learn_gap_model(marker, others, made, pooled, rate)
         if np.isnan(model.mean[:3]).any():
             model = model._replace(neighbours=others[:0], mean=np.asarray(subject.offsets[marker], float))
-        models[marker], errors[marker] = model, standardised_errors(model, made, marker)
+        models[marker], errors[marker] = model, standardised_errors(model)
     whole = np.concatenate([*errors.values(), np.zeros(0)])
     common = _interval_factor(whole) if len(whole) else 1.0
     scales = {}
