@@ -69,7 +69,7 @@ class Solve:
     name of the trial as a prefix."""
     filled: Files = ()
     """Output files for markers without gaps, .trc, .c3d or .csv. If OUT is a folder, they are named as for
-    --joints. Beside each, NAME-deviations.csv has the standard deviations of the filled positions, metres."""
+    --joints. NAME-deviations.csv in the same folder has the standard deviations of the filled positions, metres."""
     tasks: OptionalFile = None
     """Tasks of OpenSim's inverse kinematics for an OpenSim model (.xml): weights of markers and of coordinates."""
     limits: LimitsFile = None

@@ -34,7 +34,7 @@ def list_frames(mask: Bool[np.ndarray, "F"]) -> str:
 
 
 def refuse_subject(subject: Subject) -> str:
-    """Say why a subject cannot label points, or return an empty text."""
+    """Describe why a subject cannot label points; empty if it can."""
     bones = np.asarray(subject.bones)[np.asarray(subject.weights) > 0]
     most = int(np.bincount(bones, minlength=1).max()) if len(bones) else 0
     if most >= 3:
@@ -48,7 +48,7 @@ def refuse_subject(subject: Subject) -> str:
 def describe_misfit(
     subject: Subject, frames: MarkerFrames, seen: Bool[np.ndarray, "F N"], best: PointPose | None
 ) -> str:
-    """Say how badly the best pose explains the points, and which bones have no points."""
+    """Describe how badly the best pose explains the points, and list the bones without points."""
     if best is None:
         return (
             f"In no frame do three points have the distances of three markers on one bone of the subject; check the unit, and "

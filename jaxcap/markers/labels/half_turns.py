@@ -16,7 +16,7 @@ NUM_UPDATES = 5
 
 
 def undo_half_turns(subject: Subject, motion: Motion) -> Motion:
-    """Turn bones back in frames in which they are nearer to half a turn from their mean rotation.
+    """Rotate bones back in frames in which they are nearer to half a turn from their mean rotation.
 
     These are the ends of the skeleton with two markers at equal distances from the joint. Half a turn about the line
     from the joint to the middle of the markers exchanges these, so that no distance distinguishes their labels.

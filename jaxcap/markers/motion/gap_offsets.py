@@ -114,7 +114,7 @@ def _offsets_without(
 def _make_gaps(
     subject: Subject, rate: float, positions, trusted: Bool[np.ndarray, "F M"], gaps: list[Gap]
 ) -> list[MadeGaps]:
-    """Make gaps as long as the real ones in visible pieces of the same markers, beside the real ones."""
+    """Make gaps as long as the real ones in visible pieces of the same markers, in addition to the real ones."""
     rng = np.random.default_rng(0)
     first = max(0, (len(trusted) - MAX_FRAMES) // 2)
     part = slice(first, first + MAX_FRAMES)
