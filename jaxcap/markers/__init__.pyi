@@ -13,10 +13,16 @@ from .calibration.solve_calibration import CalibrationSolution as CalibrationSol
 from .calibration.solve_calibration import solve_calibration as solve_calibration
 from .human.fit_human import HumanFit as HumanFit
 from .human.fit_human import fit_human as fit_human
+from .labels.exchanges import MendedLabels as MendedLabels
+from .labels.exchanges import mend_labels as mend_labels
+from .labels.label_markers import Labelling as Labelling
+from .labels.label_markers import label_markers as label_markers
 from .local_technique import LocalFit as LocalFit
 from .local_technique import fit_local as fit_local
 from .marker_sets.recognise import MarkerSet as MarkerSet
 from .marker_sets.recognise import recognise_markers as recognise_markers
+from .motion.gap_filling import GapEstimate as GapEstimate
+from .motion.gap_filling import estimate_gaps as estimate_gaps
 from .motion.gap_filling import fill_gaps as fill_gaps
 from .motion.gap_filling import joint_frames as joint_frames
 from .motion.inverse_kinematics import MarkerSolution as MarkerSolution

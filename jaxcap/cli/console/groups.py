@@ -4,12 +4,13 @@ from .verbs import Verb, VerbGroup
 
 MARKERS = VerbGroup(
     "Optical markers: calibrate a subject, solve its motion",
-    """Optical markers: inspect a file of markers, calibrate a subject from takes, solve its motion in trials.
+    """Optical markers: inspect a file of markers, calibrate a subject from takes, label raw markers, solve motion in trials.
 
 Results are in metres; TRC and C3D files are in millimetres. The axes of the files are kept unless --up is given.""",
     {
         "info": Verb("markers.info.Info", "Describe a file of markers"),
         "fit": Verb("markers.fit.Fit", "Calibrate a subject from its takes"),
+        "label": Verb("markers.label.Label", "Label unlabelled markers by a calibrated subject"),
         "solve": Verb("markers.solve.Solve", "Solve for the motion of a subject in trials"),
     },
 )

@@ -28,7 +28,7 @@ from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
 from ..console.console import say
 from ..console.heartbeat import set_activity
-from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, Up, arg
+from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_skeleton
 from ..outputs import check_npz, make_folder
 from ..terms import FloorHeight, read_terms
@@ -38,6 +38,7 @@ from .takes import (
     Files,
     OptionalFolder,
     OptionalSubject,
+    OptionalUp,
     Pieces,
     TakesSpec,
     check_folder,
@@ -48,7 +49,6 @@ from .takes import (
 )
 
 OptionalThreshold = Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")]
-OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_hint="")]
 SamePairs = Annotated[tuple[str, ...], arg(metavar="LEFT:RIGHT", help_behavior_hint="")]
 
 

@@ -12,28 +12,31 @@ from ...errors import InputError
 from ...io.archives.journal import hash_file, hash_files
 from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
 from ...io.opensim.storage import write_coordinates
-from ...io.registry import MOTION_WRITERS, write_markers, write_motion
+from ...io.registry import MOTION_WRITERS, write_motion
 from ...io.system.run_lock import run_lock
-from ...markers.motion.gap_filling import fill_gaps
+from ...markers.labels.exchanges import mend_labels
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.motion.solve_coordinates import solve_coordinates
 from ...markers.subject import Subject, marker_body
 from ...observe.markers import MarkerFrames
-from ...report.markers.markers import assigned_residuals, report_markers, score_markers, summarise_residuals
-from ..console.console import print_table, say, warn
+from ...report.markers.markers import assigned_residuals, report_markers
+from ..console.console import say, warn
 from ..console.heartbeat import set_activity
-from ..console.options import Flag, OptionalFile, OptionalUnit, Up, arg
+from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_parent, is_run_complete, make_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .filled_markers import deviations_path, write_filled
 from .opensim import SUFFIX as OSIM_SUFFIX
 from .opensim import SolvedModel, load_subject_or_model
 from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays
+from .solved_residuals import print_residuals
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
 from .takes import (
     Files,
     OptionalFolder,
     OptionalSubject,
+    OptionalUp,
     Pieces,
     Take,
     check_folder,
@@ -44,9 +47,6 @@ from .takes import (
 )
 
 TrialsSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="TRIALS...", help_behavior_hint="")]]
-OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_hint="")]
-#: number of markers in the table, the worst first
-MAX_LISTED = 10
 
 
 @dataclass
@@ -54,8 +54,8 @@ class Solve:
     """Solve for the motion of a subject in trials; write the motion and, if requested, joint centres, markers without
     gaps, and a report.
 
-    Frames with too few markers, or without a pose that fits, keep the previous pose. The numbers of these frames
-    are printed."""
+    Exchanged labels are corrected by the poses, and reported. Frames with too few markers, or without a pose that fits,
+    keep the previous pose. The numbers of these frames are printed."""
 
     subject_file: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
     """A subject: a result of `jaxcap markers fit`, or an OpenSim model (.osim) with its markers."""
@@ -69,7 +69,7 @@ class Solve:
     name of the trial as a prefix."""
     filled: Files = ()
     """Output files for markers without gaps, .trc, .c3d or .csv. If OUT is a folder, they are named as for
-    --joints."""
+    --joints. NAME-deviations.csv in the same folder has the standard deviations of the filled positions, metres."""
     tasks: OptionalFile = None
     """Tasks of OpenSim's inverse kinematics for an OpenSim model (.xml): weights of markers and of coordinates."""
     limits: LimitsFile = None
@@ -78,7 +78,7 @@ class Solve:
     limit_weight: LimitWeight = 100.0
     stream: Flag = False
     """Solve each frame without knowledge of later frames, as in a live stream, and print the computing time per
-    frame."""
+    frame. Exchanged labels are left out, and not corrected."""
     report: OptionalFolder = None
     """Output folder for report.json, and pictures of the skeleton with its markers and of the residuals."""
     unit: OptionalUnit = None
@@ -223,6 +223,7 @@ class Solve:
             *self.motions(trial),
             *self.point_paths(self.joints, trial),
             *self.point_paths(self.filled, trial),
+            *map(deviations_path, self.point_paths(self.filled, trial)),
         ]
 
     def motions(self, trial: str) -> tuple[Path, ...]:
@@ -247,20 +248,19 @@ class Solve:
         trial: Take,
         terms: tuple[AbstractEnergy, ...],
     ) -> None:
-        latency: Latency | None = None
-        values, frames = None, trial.frames
+        frames = trial.frames
         if model is not None and trial.up not in (None, "y"):
             warn(
                 f"{path}: {trial.up} is probably up in the trial, and y is in the model; give --up {trial.up}"
             )
-        if model is not None:
-            values, solution = solve_coordinates(
-                model.model, subject, frames, targets=model.targets, terms=terms
-            )
-        elif self.stream:
-            solution, latency = solve_streamed(subject, frames, terms)
-        else:
-            solution = solve_markers(subject, frames, terms=terms)
+        values, solution, latency = self.find_poses(subject, model, frames, terms)
+        if latency is None and not solution.lost.all():
+            mended = mend_labels(subject, solution.motion, frames, lost=solution.lost)
+            if mended.changed.any():
+                set_activity(f"solving {path} with corrected labels")
+                frames = mended.frames
+                values, solution, _ = self.find_poses(subject, model, frames, terms)
+                solution = solution._replace(messages=(*mended.messages, *solution.messages))
         if solution.lost.all():
             raise InputError(
                 f"{path}: the subject explains enough markers in none of {len(frames)} frames; check that the trial "
@@ -281,17 +281,31 @@ class Solve:
                 write_motion(file, subject.skeleton, solution.motion)
                 say(f"motion: {file}")
         write_joints(self.point_paths(self.joints, path), subject.skeleton, solution.motion, solution.lost)
-        for file in self.point_paths(self.filled, path):
-            whole = fill_gaps(subject, solution.motion, frames, weights=solution.weights, lost=solution.lost)
-            write_markers(file, whole)
-            say(f"markers without gaps: {file}")
-        _print_residuals(subject, solution)
+        if self.filled:
+            set_activity(f"filling the gaps of {path}")
+            write_filled(self.point_paths(self.filled, path), subject, solution, frames)
+        print_residuals(subject, solution)
         if latency is not None:
             say(latency.sentence())
         for sentence in solution.messages:
             warn(f"{Path(path).name}: {sentence}")
         if self.report is not None:
             self.write_report(subject, frames, solution, path, latency)
+
+    def find_poses(
+        self,
+        subject: Subject,
+        model: SolvedModel | None,
+        frames: MarkerFrames,
+        terms: tuple[AbstractEnergy, ...],
+    ) -> tuple[np.ndarray | None, MarkerSolution, Latency | None]:
+        """Solve the poses of frames: as one of a model's coordinates, frame by frame, or at once."""
+        if model is not None:
+            found = solve_coordinates(model.model, subject, frames, targets=model.targets, terms=terms)
+            return found.values, found.markers, None
+        if self.stream:
+            return None, *solve_streamed(subject, frames, terms)
+        return None, solve_markers(subject, frames, terms=terms), None
 
     def write_report(
         self,
@@ -317,35 +331,3 @@ class Solve:
             extra=more,
         )
         say(f"report.json and pictures are in {folder}")
-
-
-def _print_residuals(subject: Subject, solution: MarkerSolution) -> None:
-    """Print the residuals over all markers, and the markers with the largest ones."""
-    kept = assigned_residuals(subject, solution.residuals, solution.lost)
-    totals = summarise_residuals(kept)
-    out = np.isfinite(kept) & (solution.weights < 0.5)
-    wrong = (
-        f"; {int(out.sum())} marker positions have a low weight, as if swapped or moved" if out.any() else ""
-    )
-    say(
-        f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, 95 % within "
-        f"{1e3 * totals['p95']:.2f} mm{wrong}"
-    )
-    scores = [
-        score for score in score_markers(subject, solution.residuals, solution.lost) if np.isfinite(score.rms)
-    ]
-    scores.sort(key=lambda score: -score.rms)
-    print_table(
-        ["marker", "bone", "seen", "rms", "median", "worst"],
-        [
-            [
-                score.label,
-                score.bone,
-                f"{100 * score.seen:.1f} %",
-                *(f"{1e3 * value:.1f} mm" for value in (score.rms, score.median, score.worst)),
-            ]
-            for score in scores[:MAX_LISTED]
-        ],
-    )
-    if len(scores) > MAX_LISTED:
-        say(f"... and {len(scores) - MAX_LISTED} more with smaller residuals; --report lists all")

@@ -24,6 +24,7 @@ from ..sources import Up, up_rotation
 
 TakesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="FILES...", help_behavior_hint="")]]
 OptionalSubject = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
+OptionalUp = Annotated[Up | None, arg(metavar="{x,y,z,-x,-y,-z}", help_behavior_hint="")]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 Files = Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]
 #: treatment of trajectories that look like one under several names

@@ -24,9 +24,9 @@ from .describe_human import describe_human
 from .further_markers import attach_further_markers
 from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
 
-#: number of frames that tell as much as one with independent errors, as the displacement of skin repeats with
-#: the pose
-FRAMES_PER_OBSERVATION = 10.0
+#: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
+#: a hundred frames tell hardly more of a joint's place than one
+FRAMES_PER_OBSERVATION = 100.0
 #: age below which people differ otherwise than adults do, years
 ADULT_AGE = 20.0
 

@@ -1,5 +1,7 @@
 """Joint centres of a solved motion, and markers with their gaps filled."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,8 +13,8 @@ from ...body.kinematics import forward_kinematics, joint_positions
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
 from ...observe.markers import MarkerFrames
-from ..calibration.residuals import rest_positions
 from ..subject import Subject
+from .gap_offsets import fill_offsets
 from .label_matching import match_markers
 
 
@@ -28,6 +30,15 @@ def joint_frames(
     return MarkerFrames(np.where(seen[..., None], positions, 0), seen, skeleton.names, motion.rate)
 
 
+class GapEstimate(NamedTuple):
+    """The subject's markers with their gaps filled, and the uncertainty of the filled positions."""
+
+    frames: MarkerFrames
+    #: standard deviation of each filled position along its least certain axis, metres; zero where observed, NaN in gaps that
+    #: stay
+    deviations: Float[np.ndarray, "F M"]
+
+
 @checked
 def fill_gaps(
     subject: Subject,
@@ -37,11 +48,25 @@ def fill_gaps(
     weights: Float[np.ndarray, "F M"] | None = None,
     lost: Bool[np.ndarray, "F"] | None = None,
 ) -> MarkerFrames:
-    """Fill the gaps of the subject's markers with predictions from their bones; observed positions stay.
+    """Fill the gaps of the subject's markers; observed positions stay. Arguments are those of `estimate_gaps`."""
+    return estimate_gaps(subject, motion, frames, weights=weights, lost=lost).frames
 
-    The offset of a marker from its predicted position is interpolated linearly across a gap, in the frame of
-    the bone, so that nothing jumps. Before the first and after the last observation it is constant. A marker
-    that is never visible is at its predicted position.
+
+@checked
+def estimate_gaps(
+    subject: Subject,
+    motion: Motion,
+    frames: MarkerFrames,
+    *,
+    weights: Float[np.ndarray, "F M"] | None = None,
+    lost: Bool[np.ndarray, "F"] | None = None,
+) -> GapEstimate:
+    """Estimate the positions of the subject's markers in gaps by pose, neighbours and time; observed positions stay.
+
+    The poses carry a marker through its gap. Its offset from its bone follows from the offsets of the other
+    markers of the bone and from those before and after the gap (`gap_model`). The statistics, and with them the
+    deviations, are those of gaps that are made in visible pieces of the same frames and filled in the same way. A marker
+    that is never visible is at its predicted position, with the deviation that the subject gives.
 
     **Arguments:** `motion` through the frames; `weights` of the markers from the solve, in the subject's
     order: an observation with a weight below 0.5 is an outlier and replaced as in a gap; in `lost` frames,
@@ -49,24 +74,18 @@ def fill_gaps(
     """
     matched = match_markers(subject, frames)
     positions, seen = np.asarray(matched.positions, float), np.asarray(matched.seen)
-    local = np.asarray(_to_rest_frames(subject, motion.poses, matched.positions), float)
     trusted = seen if weights is None else seen & (np.asarray(weights) >= 0.5)
-    filled = np.tile(np.asarray(subject.offsets, float), (len(positions), 1, 1))
-    at = np.arange(len(positions))
-    for marker in np.flatnonzero(trusted.any(0)):
-        known = np.flatnonzero(trusted[:, marker])
-        for axis in range(3):
-            filled[:, marker, axis] = np.interp(at, known, local[known, marker, axis])
-    on_bones = np.asarray(subject.weights) > 0
-    gap = ~trusted & on_bones
+    gap = ~trusted & (np.asarray(subject.weights) > 0)
     if lost is not None:
         gap &= ~np.asarray(lost)[:, None]
+    filled = fill_offsets(subject, motion, matched.positions, trusted, gap)
     carried = np.asarray(
-        _to_world(subject, motion.poses, jnp.asarray(filled, matched.positions.dtype)), float
+        _to_world(subject, filled.poses, jnp.asarray(filled.offsets, matched.positions.dtype)), float
     )
     whole = np.where(gap[..., None], carried, positions)
     dtype = np.asarray(frames.positions).dtype
-    return MarkerFrames(whole.astype(dtype), seen | gap, subject.labels, frames.rate)
+    deviations = np.where(gap, filled.deviations, np.where(seen, 0.0, np.nan))
+    return GapEstimate(MarkerFrames(whole.astype(dtype), seen | gap, subject.labels, frames.rate), deviations)
 
 
 def predicted_positions(subject: Subject, motion: Motion) -> Float[Array, "F M 3"]:
@@ -78,15 +97,6 @@ def predicted_positions(subject: Subject, motion: Motion) -> Float[Array, "F M 3
 @eqx.filter_jit
 def _joint_centres(skeleton: Skeleton, poses: Pose) -> Float[Array, "F J 3"]:
     return jax.lax.map(lambda pose: joint_positions(skeleton, forward_kinematics(skeleton, pose)), poses)
-
-
-@eqx.filter_jit
-def _to_rest_frames(subject: Subject, poses: Pose, positions: Float[Array, "F M 3"]) -> Float[Array, "F M 3"]:
-    def of_frame(frame):
-        pose, observed = frame
-        return rest_positions(subject, pose, forward_kinematics(subject.skeleton, pose), observed)
-
-    return jax.lax.map(of_frame, (poses, positions))
 
 
 @eqx.filter_jit

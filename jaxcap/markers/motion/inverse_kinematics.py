@@ -88,6 +88,26 @@ def solve_markers(
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)
 
 
+def solve_from_poses(
+    subject: Subject,
+    starts: Pose,
+    positions: Float[Array, "F M 3"],
+    seen: Bool[Array, "F M"],
+    search: SearchCriteria = SearchCriteria(),
+) -> SolvedFrame:
+    """Solve each frame from a pose of its own, independently of the other frames."""
+    count = len(positions)
+    chunks = range(0, count, CHUNK_SIZE)
+
+    def run(first: int) -> SolvedFrame:
+        rows = np.minimum(np.arange(first, first + CHUNK_SIZE), count - 1)
+        start = jax.tree.map(lambda leaf: leaf[rows], starts)
+        return jax.block_until_ready(_solve_each(subject, start, positions[rows], seen[rows], None, search))
+
+    parts = parallel_map(run, chunks)
+    return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
+
+
 def _solve_in_chunks(subject: Subject, positions, seen, search: SearchCriteria, energy) -> SolvedFrame:
     """Solve chunks of frames in parallel threads, each from an initial guess of its first frame.
 
@@ -148,9 +168,11 @@ def _solve_doubtful_frames(
 
 
 @eqx.filter_jit
-def _solve_each(subject: Subject, starts: Pose, positions, seen, energy) -> SolvedFrame:
+def _solve_each(
+    subject: Subject, starts: Pose, positions, seen, energy, search: SearchCriteria = INITIAL_SEARCH
+) -> SolvedFrame:
     return jax.lax.map(
-        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], INITIAL_SEARCH, energy),
+        lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], search, energy),
         (starts, positions, seen),
     )
 

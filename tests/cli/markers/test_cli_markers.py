@@ -320,3 +320,38 @@ def test_options_are_checked(capsys, folder, tmp_path):
         capsys, "markers", "solve", folder / "subject.npz", others, "-o", tmp_path / "o.bvh"
     )
     assert not tree(tmp_path).keys() - {"others.c3d", "m.npz"}
+
+
+def test_raw_markers_are_labelled_and_exchanges_corrected(capsys, folder, scene, tmp_path):
+    """Points without names get those of the subject; a file of exchanged names is solved as one of right names."""
+    trial = jc.read_markers(folder / "trial.c3d")
+    places, seen = np.asarray(trial.positions), np.asarray(trial.visible)
+    order = np.random.default_rng(1).permutation(len(LABELS))
+    names = tuple(f"*{i + 1}" for i in range(len(LABELS)))
+    jc.write_markers(
+        tmp_path / "raw.c3d", jc.MarkerFrames(places[:, order], seen[:, order], names, trial.rate)
+    )
+    command = ("markers", "label", tmp_path / "raw.c3d", "--subject", folder / "subject.npz")
+    told = runs(capsys, *command, "-o", tmp_path / "labelled.c3d", "--tracks", tmp_path / "tracks.csv")
+    assert "(100.0 %) have labels" in told and "0 tracks with 0 points" in told
+    found = jc.read_markers(tmp_path / "labelled.c3d")
+    chosen = [found.labels.index(label) for label in trial.labels]
+    np.testing.assert_allclose(np.asarray(found.positions)[:, chosen], places, atol=1e-6)
+    assert (tmp_path / "tracks.csv").read_text().startswith("name,begin,end,label\n")
+    assert "already exists" in fails(capsys, *command, "-o", tmp_path / "labelled.c3d")
+
+    pair = [LABELS.index("rarm0"), LABELS.index("lhand2")]
+    mixed = np.array(places)
+    mixed[100:130, pair] = mixed[100:130, pair[::-1]]
+    jc.write_markers(tmp_path / "mixed.c3d", jc.MarkerFrames(mixed, seen, trial.labels, trial.rate))
+    told = runs(
+        capsys, "markers", "solve", folder / "subject.npz", tmp_path / "mixed.c3d", "-o", tmp_path / "m.npz",
+        "--filled", tmp_path / "filled.trc",
+    )  # fmt: skip
+    assert "'rarm0' and 'lhand2' were swapped in 30 frames (100 to 129)" in told
+    assert 0.2 < residual_in(told) < 0.4
+    rows = (tmp_path / "filled-deviations.csv").read_text().splitlines()
+    column = rows[0].split(",").index(HIDDEN)
+    cells = [row.split(",")[column] for row in rows[1:]]
+    assert [bool(cell) for cell in cells] == [GAP.start <= i < GAP.stop for i in range(FRAMES)]
+    assert all(2e-5 < float(cell) < 3e-3 for cell in cells if cell)
