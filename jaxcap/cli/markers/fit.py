@@ -140,7 +140,7 @@ class Fit:
             self.fit_segments(united, pairs)
 
     def is_person(self, frames: MarkerFrames) -> bool:
-        """Decide if the markers are those of a person with known labels, and tell if they are not."""
+        """Decide if the markers are those of a person with known labels, and say if they are not."""
         if self.template is not None:
             return self.template == "human"
         free = self.free_options()

@@ -69,7 +69,7 @@ class Calibration(NamedTuple):
     #: indices of the frames that the subject was calibrated with
     frame_indices: Float[np.ndarray, "C"]
     converged: bool
-    #: number of the chosen frames that tell as much as one with independent errors
+    #: number of the chosen frames with the information of one with independent errors
     frames_per_observation: float
     #: the last fit's problem and its solution, in double precision; `solve_calibration(problem, estimate)` has derivatives
     problem: CalibrationProblem
@@ -104,8 +104,8 @@ def calibrate(
     bones as joints rotate, where residuals show it; `symmetry`, pairs of joint names with bones of exactly
     equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
     `template_prior` in the template, the prior of what the frames do not determine; `frames_per_observation`,
-    how many of the chosen frames tell as much as one with independent errors (for the covariance, at least as many
-    as the autocorrelation of the residuals tells); `max_steps` at most; `terms`,
+    how many of the chosen frames have the information of one with independent errors (for the covariance, at
+    least as many as follows from the autocorrelation of the residuals); `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
 
@@ -211,13 +211,13 @@ def _calibrate(
 
 
 def with_frames_per_observation(problem: CalibrationProblem, share: float) -> CalibrationProblem:
-    """Make a problem in which `share` frames tell as much as one."""
+    """Make a problem in which `share` frames have the information of one."""
     value = jnp.asarray(share, problem.frames_per_observation.dtype)
     return eqx.tree_at(lambda p: p.frames_per_observation, problem, value)
 
 
 def _frames_per_observation(subject: Subject, motion: Motion, matched, explained, chosen) -> float:
-    """Estimate how many of the chosen frames tell as much as one, at least 1, from a motion through all frames."""
+    """Estimate how many of the chosen frames have the information of one, at least 1, from a motion through all frames."""
     residuals = np.asarray(marker_residuals_of_frames(subject, motion.poses, matched.positions), float)
     independent = len(residuals) / correlation_time(residuals, explained)
     return max(1.0, len(chosen) / independent)

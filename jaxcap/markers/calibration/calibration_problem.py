@@ -65,7 +65,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
     - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
       deviation of all slides, metres a radian.
-    - `frames_per_observation`: that many frames tell as much of what they share as one would with independent
+    - `frames_per_observation`: that many frames have the information on shared unknowns that one has with independent
       errors. Both priors of shared unknowns count that many times, which is the same as a likelihood with that share.
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers

@@ -1,7 +1,7 @@
-"""How many frames tell as much as one with independent errors.
+"""The number of frames with the information of one with independent errors.
 
 Residuals of markers on skin last: those of a frame are nearly those of the next one. Frames that count as
-independent would tell bone lengths with far too small deviations. The number of independent ones is estimated from the
+independent would give bone lengths far too small deviations. The number of independent ones is estimated from the
 autocorrelation of all residuals (Geyer, Practical Markov Chain Monte Carlo, 1992).
 """
 

@@ -1,4 +1,4 @@
-"""Lengths of a person's segments, left and right, beside those of other adults."""
+"""Lengths of a person's segments, left and right, and those of other adults."""
 
 import math
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class SegmentLength(NamedTuple):
     left: float
     #: NaN for a width
     right: float
-    #: standard deviation of one side; NaN where the takes do not tell it
+    #: standard deviation of one side; NaN where the takes do not determine it
     deviation: float
     #: percentile among adults of the mean of both sides; NaN where unknown
     percentile: float

@@ -75,7 +75,7 @@ def check_explained(lost: np.ndarray, labels: tuple[str, ...]) -> None:
 
 
 def stands_still(subject: Subject, motion: Motion) -> bool:
-    """Tell if no joint with markers below it rotates."""
+    """Return true if no joint with markers below it rotates."""
     skeleton = subject.skeleton
     carried = np.sum(skeleton.descendants[:, np.asarray(subject.bones)], axis=1)
     joints = np.flatnonzero((np.array(skeleton.parents) >= 0) & (carried > 0))

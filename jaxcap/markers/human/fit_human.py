@@ -25,7 +25,7 @@ from .further_markers import attach_further_markers
 from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
-#: a hundred frames tell hardly more of a joint's place than one
+#: a hundred frames determine the place of a joint hardly better than one
 FRAMES_PER_OBSERVATION = 100.0
 #: age below which people differ otherwise than adults do, years
 ADULT_AGE = 20.0
@@ -41,7 +41,7 @@ class HumanFit(NamedTuple):
     #: the embedded human with the person's traits
     body: Body
     traits: Traits
-    #: what the labels tell
+    #: the landmarks that the labels name
     marker_set: MarkerSet
     calibration: Calibration
     #: messages to the user, in sentences, the most serious first
@@ -58,8 +58,8 @@ def fit_human(
 ) -> HumanFit:
     """Fit the embedded human's skeleton to markers with the labels of a laboratory.
 
-    Labels tell the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
-    equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not tell stays as anatomy has it.
+    Labels name the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
+    equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not determine keeps its anatomical place.
 
     **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
@@ -97,7 +97,7 @@ def fit_human(
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:
-    """Estimate the traits, and give the joints that no marker tells the places of a person with these traits."""
+    """Estimate the traits, and place the joints that no marker determines as in a person with these traits."""
     shared = np.asarray(shared_parameters(template.subject, found.subject, found.joints), float)
     amounts = template.prior.estimate_traits(template.subject, found.joints, shared)
     values = np.array(template.traits) + amounts * np.array(TRAIT_DEVIATIONS)
@@ -117,7 +117,7 @@ def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Trai
 
 
 def _is_unseen(found: Calibration, joint: int) -> bool:
-    """Tell if neither the joint nor any below it carries a marker, and its centre was not solved."""
+    """Return true if neither the joint nor any below it carries a marker, and its centre was not solved."""
     skeleton = found.subject.skeleton
     carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
     return joint not in found.joints and not carried

@@ -50,7 +50,7 @@ class MarkerSet(NamedTuple):
 
 @checked
 def recognise_markers(labels: Sequence[str]) -> MarkerSet:
-    """Recognise markers by their labels.
+    """Find the landmarks of markers by their labels.
 
     The set is the one with most of the labels. Labels that it does not have are looked up in the other sets,
     then as words, then as numbered markers on plates. A label about which the other sets disagree stays
