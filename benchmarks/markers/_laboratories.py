@@ -19,6 +19,7 @@ from jaxcap.body.pose import rest_pose
 from jaxcap.geometry import rotation
 from jaxcap.geometry.attachment import Attachment, attach_points, attached_positions
 from jaxcap.geometry.mesh import area_normals
+from jaxcap.markers.marker_sets.joints_by_landmarks import joints_by_landmarks
 from jaxcap.markers.marker_sets.landmarks import landmark_attachment
 from jaxcap.markers.marker_sets.recognise import MarkerSet, recognise_markers
 from jaxcap.markers.subject import Subject, make_subject
@@ -92,8 +93,8 @@ class LaboratoryScene(NamedTuple):
 def make_person(seed: int, resolution: str = "medium") -> Person:
     """Draw the traits of an adult, and scale single bones, left as right, with their skin.
 
-    The knees, ankles and elbows are between their landmarks as those of the man of 25 are, which the joints of
-    other traits are not: those of the knees are off by up to 3 cm.
+    Joints of limbs and the neck are relative to the landmarks as those of the man of 25 are, which the joints of
+    other traits are not: those of the knees are off by up to 3 cm (`joints_by_landmarks`).
     """
     rng = np.random.default_rng([seed, 1])
     sex = float(seed % 2)
@@ -113,22 +114,10 @@ def make_person(seed: int, resolution: str = "medium") -> Person:
 
 
 def centre_joints(body: jc.Body, resolution: str) -> jc.Body:
-    """Move knees, ankles and elbows to where those of the man of 25 are between their landmarks."""
-    names, hold = landmark_attachment(resolution)
-    model = jc.human(resolution=resolution, joints="tracking")  # pyright: ignore[reportArgumentType]
-    skeleton, centres = body.skeleton, np.array(body.skeleton.centres, float)
-    here, there = (
-        dict(zip(names, attached_positions(hold, np.asarray(one.vertices, float)), strict=True))
-        for one in (body, model)
+    """Place joints relative to the landmarks of the skin, where those of the man of 25 are."""
+    centres = joints_by_landmarks(
+        np.asarray(body.vertices, float), np.asarray(body.skeleton.centres, float), resolution
     )
-    for side in ("Left", "Right"):
-        for landmark, joint in (("knee", "Leg"), ("ankle", "Foot"), ("elbow", "ForeArm")):
-            index = skeleton.index(side + joint)
-            middle, usual = (
-                (at[f"{side.lower()} {landmark}_lateral"] + at[f"{side.lower()} {landmark}_medial"]) / 2
-                for at in (here, there)
-            )
-            centres[index] = middle + np.asarray(model.skeleton.centres, float)[index] - usual
     return eqx.tree_at(lambda b: b.skeleton.centres, body, jnp.asarray(centres, body.vertices.dtype))
 
 

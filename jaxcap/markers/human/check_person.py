@@ -15,7 +15,7 @@ from .human_template import placed_markers
 MIN_MARKERS, MIN_BONES = 6, 3
 #: bones that hardly move relative to each other
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder", "LeftUpLeg", "RightUpLeg")
-#: share of the distances that exchanged sides leave, below which they are exchanged
+#: share of the distances that exchanged sides leave in the best frame, below which they are exchanged
 MIRRORED_SHARE = 0.7
 #: number of frames that are looked at
 NUM_FRAMES = 25
@@ -49,14 +49,15 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
         return
     rest = np.asarray(template.offsets, float)[chosen]
     columns = [frames.labels.index(template.labels[m]) for m in chosen]
-    visible, ratios = np.asarray(frames.visible)[:, columns], []
+    visible, misfits = np.asarray(frames.visible)[:, columns], []
     for frame in np.linspace(0, len(frames) - 1, NUM_FRAMES).astype(int):
         seen = visible[frame, np.arange(len(partner))] & visible[frame, partner]
         if seen.sum() < 4:
             continue
         places = np.asarray(frames.positions, float)[frame, columns]
-        ratios.append(_misfit(rest[seen], places[partner][seen]) / _misfit(rest[seen], places[seen]))
-    if len(ratios) and np.median(ratios) < MIRRORED_SHARE:
+        misfits.append([_misfit(rest[seen], places[order][seen]) for order in (range(len(rest)), partner)])
+    # in the frame in which the person is most upright
+    if misfits and np.divide(*np.min(misfits, axis=0)[::-1]) < MIRRORED_SHARE:
         raise InputError(
             "Left and right are exchanged: the markers of the trunk fit a person only if the labels of its sides are "
             f"exchanged ({', '.join(template.labels[m] for m in chosen[:6])}, ...). Correct the labels, or the axes of the file "

@@ -1,6 +1,5 @@
 """The embedded human with a laboratory's markers on it, and how it changes with a person's traits."""
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,11 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.people.anatomy import rest_deviations
-from ...body.people.human import human, human_from_traits, shape_from_traits
+from ...body.people.human import human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.skeleton import Skeleton
 from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
+from ..marker_sets.joints_by_landmarks import joints_by_landmarks
 from ..marker_sets.landmarks import landmark_attachment
 from ..marker_sets.recognise import MarkerSet
 from ..subject import Subject, make_subject
@@ -24,8 +24,6 @@ from .anatomical_prior import AnatomicalPrior
 RESOLUTION = "low"
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
-#: joints between two landmarks. The joints of the morph targets are off by up to 3 cm for other people than the man of 25
-CENTRED_JOINTS = {"Leg": "knee", "Foot": "ankle", "ForeArm": "elbow"}
 #: standard deviation of a free rotation, radians
 FREE_DEVIATION = 100.0
 
@@ -137,30 +135,5 @@ def _rest_positions(
     every, hold = landmark_attachment(RESOLUTION)
     rows = [every.index(name) for name in names]
     own = Attachment(hold.corners[rows], hold.barycentric[rows], heights)
-    shift, usual = _centred_joints(vertices), _usual_offsets()
-    centres = ends[:, 0].copy()
-    for joint, middle in shift.items():
-        centres[joint] = middle + usual[joint]
-    return np.asarray(attached_positions(own, vertices), float), centres
-
-
-def _centred_joints(vertices: Float[np.ndarray, "V 3"]) -> dict[int, Float[np.ndarray, "3"]]:
-    """Compute the middles between the lateral and the medial landmark of knees, ankles and elbows, metres."""
-    every, hold = landmark_attachment(RESOLUTION)
-    at = dict(zip(every, np.asarray(attached_positions(hold, vertices), float), strict=True))
-    names = human(resolution=RESOLUTION).skeleton.names
-    return {
-        names.index(f"{side}{joint}"): 0.5
-        * (at[f"{side.lower()} {landmark}_lateral"] + at[f"{side.lower()} {landmark}_medial"])
-        for side in ("Left", "Right")
-        for joint, landmark in CENTRED_JOINTS.items()
-    }
-
-
-@functools.cache
-def _usual_offsets() -> dict[int, Float[np.ndarray, "3"]]:
-    """Compute how far the joints of the man of 25 are from these middles, metres."""
-    body = human(resolution=RESOLUTION)
-    centres = np.asarray(body.skeleton.centres, float)
-    middles = _centred_joints(np.asarray(body.vertices, float))
-    return {joint: centres[joint] - middle for joint, middle in middles.items()}
+    places = np.asarray(attached_positions(own, vertices), float)
+    return places, joints_by_landmarks(vertices, ends[:, 0], RESOLUTION)
