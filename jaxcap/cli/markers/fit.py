@@ -26,6 +26,7 @@ from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import Subject, marker_body
 from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
+from ...report.markers.person_page import write_person_page
 from ..console.console import say
 from ..console.heartbeat import set_activity
 from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
@@ -174,8 +175,9 @@ class Fit:
         self.write_results(fit.subject, fit.motion, None)
         if self.report is not None:
             extra = {"segments": bone_rows(fit), "traits": fit.traits._asdict()}
-            self.draw_report(self.report, fit, frames, (*fit.messages, *notes), None, extra)
-            say(f"report.json and pictures are in {self.report}")
+            pictures = self.draw_report(self.report, fit, frames, (*fit.messages, *notes), None, extra)
+            write_person_page(self.report / "report.html", fit, self.title(), pictures, notes)
+            say(f"report.html, report.json and pictures are in {self.report}")
 
     def fit_segments(self, united: MarkerFrames, pairs: tuple[tuple[str, str], ...]) -> None:
         """Find segments and joints, fit a skeleton of them, and write it."""
@@ -266,21 +268,25 @@ class Fit:
         notes: Sequence[str],
         lost: Bool[np.ndarray, "F"] | None,
         extra: Mapping[str, object],
-    ) -> None:
-        """Draw the pictures and write `report.json`."""
+    ) -> list[Path]:
+        """Draw the pictures and write `report.json`; return the pictures."""
         set_activity("drawing the report")
         make_folder(folder)
-        report_markers(
+        return report_markers(
             folder,
             fit.subject,
             fit.motion,
             frames,
             fit.residuals,
-            title=f"{self.out.stem}: " + ", ".join(Path(path).name for path in self.files),
+            title=self.title(),
             notes=notes,
             lost=lost,
             extra=extra,
         )
+
+    def title(self) -> str:
+        """Make the title of the report: the subject and its takes."""
+        return f"{self.out.stem}: " + ", ".join(Path(path).name for path in self.files)
 
     def check(self) -> tuple[tuple[str, str], ...]:
         """Check that options are in range and compatible; return the pairs of `--symmetry`. Raises

@@ -1,5 +1,7 @@
 """What a user has to know of a person's skeleton, in sentences, the most serious first."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..calibration.calibrate import Calibration
@@ -21,12 +23,15 @@ PARTS = {
 DOUBTFUL_DEVIATION = 0.03
 
 
-def describe_human(further: FurtherMarkers, found: Calibration, known: MarkerSet) -> tuple[str, ...]:
+def describe_human(
+    further: FurtherMarkers, found: Calibration, known: MarkerSet, misplaced: Sequence[str]
+) -> tuple[str, ...]:
     """Describe parts without markers, joints that only anatomy places, and markers that do not fit."""
     return (
         *_parts_without_markers(found),
         *_stillness(found),
-        *_misplaced_markers(found),
+        *_misplaced_markers(misplaced),
+        *_wandering_markers(found),
         *_joints_by_anatomy(found),
         *_unknown_markers(further, known),
     )
@@ -52,7 +57,16 @@ def _stillness(found: Calibration) -> list[str]:
     ]
 
 
-def _misplaced_markers(found: Calibration) -> list[str]:
+def _misplaced_markers(labels: Sequence[str]) -> list[str]:
+    if not labels:
+        return []
+    return [
+        f"{len(labels)} markers are not at the landmarks of their labels: {', '.join(labels[:12])}. Two of them may have each "
+        "other's labels; their places were found from the motion alone."
+    ]
+
+
+def _wandering_markers(found: Calibration) -> list[str]:
     wide = np.asarray(found.subject.deviations, float)
     order = np.argsort(-wide)
     worst = [

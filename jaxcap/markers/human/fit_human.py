@@ -23,10 +23,14 @@ from .check_person import check_explained, check_recognised, check_sides
 from .describe_human import describe_human
 from .further_markers import attach_further_markers
 from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
+from .misplaced_markers import find_misplaced
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
 #: a hundred frames determine the place of a joint hardly better than one
 FRAMES_PER_OBSERVATION = 100.0
+#: standard deviation of the placement of a marker that is not at its landmark, metres; number of calibrations until all of
+#: these are found
+MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
 #: age below which people differ otherwise than adults do, years
 ADULT_AGE = 20.0
 
@@ -71,15 +75,23 @@ def fit_human(
     check_recognised(known, frames)
     template = make_human_template(known, person_of_size(known, median_distances(frames)))
     check_sides(template.subject, known, frames)
-    found = calibrate(
-        frames,
-        template.subject,
-        skin=skin,
-        num_frames=num_frames,
-        template_prior=template.prior,
-        frames_per_observation=FRAMES_PER_OBSERVATION,
-        terms=terms,
-    )
+    prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
+    for number in range(MAX_CALIBRATIONS):
+        found = calibrate(
+            frames,
+            template.subject,
+            skin=skin,
+            num_frames=num_frames,
+            template_prior=prior,
+            frames_per_observation=FRAMES_PER_OBSERVATION,
+            terms=terms,
+        )
+        further_off = find_misplaced(found, frames, template.prior.placements) & ~misplaced
+        if not further_off.any() or number == MAX_CALIBRATIONS - 1:
+            break
+        misplaced |= further_off
+        placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
+        prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
     check_explained(found.lost, frames.labels)
     traits, subject = complete_skeleton(template, found)
     further = attach_further_markers(subject, found.motion, frames, known)
@@ -92,7 +104,9 @@ def fit_human(
         traits,
         known,
         found,
-        describe_human(further, found, known),
+        describe_human(
+            further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
+        ),
     )
 
 

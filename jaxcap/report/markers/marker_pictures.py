@@ -17,6 +17,8 @@ from ..render import INK, PAPER, distinct_colours, set_frame
 
 #: frames in a picture; largest number of columns for frames; largest number of labelled markers
 NUM_FRAMES, MAX_COLUMNS, MAX_LABELS = 3, 1200, 150
+#: height of the three views, inches
+HEIGHT = 12.6
 #: colours of a marker on no bone, and of missing observations
 LOOSE_COLOUR, MISSING_COLOUR = "#9aa5b1", (0.80, 0.80, 0.80)
 #: columns of the legend of bones
@@ -34,7 +36,7 @@ def draw_skeleton(
     residuals: Float[np.ndarray, "F M"],
     title: str,
 ) -> None:
-    """Write a PNG of some frames from the front and, below, from the side.
+    """Write a PNG of some frames from the front and, below, from the side and from above.
 
     Bones go from joint to joint, and to the markers at a limb's end. Observed markers are dots in the colour
     of their bone; crosses are their positions predicted by the subject.
@@ -51,9 +53,9 @@ def draw_skeleton(
     palette = distinct_colours(subject.skeleton.num_joints)
     axes = upright_view(positions[shown], seen[shown])
     middles = [_centre(positions[f, seen[f]], joints[i]) for i, f in enumerate(shown)]
-    views = [axes, np.array([-axes[2], axes[1], axes[0]])]
+    views = [axes, np.array([-axes[2], axes[1], axes[0]]), np.array([axes[0], -axes[2], axes[1]])]
     legend = 0.2 * -(-subject.skeleton.num_joints // LEGEND_COLUMNS)
-    canvas, figure = new_figure(3.9 * len(shown) + 0.4, 9.6 + legend)
+    canvas, figure = new_figure(3.9 * len(shown) + 0.4, HEIGHT + legend)
     plots = figure.subplots(len(views), len(shown), squeeze=False)
     for row, view in enumerate(views):
         # the frame ignores loose markers, which may be far from the body
@@ -76,16 +78,16 @@ def draw_skeleton(
     figure.suptitle(_escape_dollars(title), fontsize=12, color=INK, y=0.985)
     figure.text(
         0.5,
-        0.1 / (9.6 + legend),
+        0.1 / (HEIGHT + legend),
         "dots: observed markers, in the colour of their bone (grey: on no bone); crosses: predicted positions; "
-        "top row from the front, bottom row from the side",
+        "rows: from the front, from the side, from above",
         ha="center",
         fontsize=7.5,
         color=INK,
         wrap=True,
     )
-    _add_bone_legend(figure, subject, palette, 0.3 / (9.6 + legend))
-    bottom = (0.45 + legend) / (9.6 + legend)
+    _add_bone_legend(figure, subject, palette, 0.3 / (HEIGHT + legend))
+    bottom = (0.45 + legend) / (HEIGHT + legend)
     figure.subplots_adjust(left=0.01, right=0.99, top=0.92, bottom=bottom, wspace=0.02, hspace=0.04)
     with atomic_path(path) as beside:
         canvas.print_png(beside)
