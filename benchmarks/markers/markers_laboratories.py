@@ -9,6 +9,7 @@ The quick default has 2 builds and takes minutes; `--builds 10` is the whole.
 import argparse
 import time
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -90,6 +91,8 @@ def main() -> None:
             fit = jc.markers.fit_human(scene.frames)
             taken = time.perf_counter() - start
             row = fit_errors(scene, fit)
+            # each set has shapes of its own, and a process can hold only so many programs
+            jax.clear_caches()
             rows[laboratory].append(row)
             seconds.setdefault(laboratory, []).append(taken)
             progress(
