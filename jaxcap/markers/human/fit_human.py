@@ -1,5 +1,6 @@
 """The skeleton of a person from labelled markers, with the embedded human as the template."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -75,10 +76,11 @@ def fit_human(
     check_recognised(known, frames)
     template = make_human_template(known, person_of_size(known, median_distances(frames)))
     check_sides(template.subject, known, frames)
+    landmarks = select_markers(frames, template.subject.labels)
     prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
-            frames,
+            landmarks,
             template.subject,
             skin=skin,
             num_frames=num_frames,
@@ -86,7 +88,7 @@ def fit_human(
             frames_per_observation=FRAMES_PER_OBSERVATION,
             terms=terms,
         )
-        further_off = find_misplaced(found, frames, template.prior.placements) & ~misplaced
+        further_off = find_misplaced(found, landmarks, template.prior.placements) & ~misplaced
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
         misplaced |= further_off
@@ -135,6 +137,13 @@ def _is_unseen(found: Calibration, joint: int) -> bool:
     skeleton = found.subject.skeleton
     carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
     return joint not in found.joints and not carried
+
+
+def select_markers(frames: MarkerFrames, labels: Sequence[str]) -> MarkerFrames:
+    """Select markers by their labels."""
+    columns = [frames.labels.index(label) for label in labels]
+    positions, visible = np.asarray(frames.positions)[:, columns], np.asarray(frames.visible)[:, columns]
+    return MarkerFrames(positions, visible, tuple(labels), frames.rate)
 
 
 def median_distances(frames: MarkerFrames) -> Float[np.ndarray, "M M"]:

@@ -12,8 +12,9 @@ from ..marker_sets.recognise import MarkerSet
 from ..motion.inverse_kinematics import marker_residuals_of_frames
 from ..subject import Subject, make_subject
 
-#: largest standard deviation of a marker's position on its bone, metres; others are on no bone
-MAX_SPREAD = 0.02
+#: distance of a marker from its median position on its bone that this percentile of the frames is within, at most, metres;
+#: others are on no bone
+MAX_SPREAD, SPREAD_PERCENTILE = 0.03, 90
 #: largest distance of a marker from the joint of its bone, metres
 MAX_DISTANCE = 0.6
 #: least number of frames with the marker
@@ -61,7 +62,8 @@ def attach_further_markers(
         shown = seen[:, index]
         middle = np.median(local[shown], axis=0)
         apart = np.linalg.norm(local - middle, axis=2)
-        spread = np.sqrt(np.median(apart[shown] ** 2, axis=0))
+        # nearly all of the time, as a mark on the floor is at rest relative to a foot at times
+        spread = np.percentile(apart[shown], SPREAD_PERCENTILE, axis=0)
         spread[np.linalg.norm(middle - centres[bones], axis=1) > MAX_DISTANCE] = np.inf
         best = int(np.argmin(spread))
         if spread[best] > MAX_SPREAD:
