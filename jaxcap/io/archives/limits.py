@@ -106,7 +106,7 @@ def _for_skeleton(
     try:
         anatomy, reason = find_anatomical_joints(skeleton, motion), ""
     except InputError as error:
-        anatomy, reason = {}, f" ({error})"
+        anatomy, reason = {}, f" {error}"
     try:
         return transfer_limits(limits, skeleton, anatomy)
     except InputError as error:

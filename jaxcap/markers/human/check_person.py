@@ -13,6 +13,8 @@ from .human_template import placed_markers
 
 #: least number of markers on known landmarks, and of bones that carry them
 MIN_MARKERS, MIN_BONES = 6, 3
+#: largest standard deviation of a marker on a landmark, metres; those on plates have more
+MAX_DEVIATION = 0.03
 #: bones that hardly move relative to each other
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder", "LeftUpLeg", "RightUpLeg")
 #: share of the distances that exchanged sides leave in the best frame, below which they are exchanged
@@ -27,7 +29,7 @@ STILL_ANGLE = np.radians(10.0)
 
 def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
     """Check that enough visible markers have labels of a person's landmarks. Raises `InputError`."""
-    placed = placed_markers(known)
+    placed = [index for index in placed_markers(known) if known.deviations[index] <= MAX_DEVIATION]
     visible = [index for index in placed if np.asarray(frames.visible)[:, index].any()]
     bones = {known.bones[index] for index in visible}
     if len(visible) < MIN_MARKERS or len(bones) < MIN_BONES:
@@ -42,7 +44,8 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
     """Check that the markers of the trunk are not those of its mirror image. Raises `InputError`."""
     names = dict(zip(known.labels, known.names, strict=True))
     bones = [template.skeleton.names[bone] for bone in np.asarray(template.bones)]
-    chosen = [m for m, bone in enumerate(bones) if bone in TRUNK]
+    exact = np.asarray(template.deviations) <= MAX_DEVIATION
+    chosen = [m for m, bone in enumerate(bones) if bone in TRUNK and exact[m]]
     landmarks = [str(names[template.labels[m]]) for m in chosen]
     partner = [_partner(landmarks, name) for name in landmarks]
     if not any(other != index for index, other in enumerate(partner)):
