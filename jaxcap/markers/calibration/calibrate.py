@@ -20,7 +20,12 @@ from ..motion.label_matching import match_markers
 from ..subject import Subject, marker_body
 from .bundle_adjustment import AdjustmentResult, bundle_adjust
 from .calibration_parameters import AbstractTemplatePrior, TemplatePrior, solved_joints
-from .calibration_problem import CalibrationEstimate, CalibrationProblem, make_calibration_problem
+from .calibration_problem import (
+    MAX_DEVIATION_RATIO,
+    CalibrationEstimate,
+    CalibrationProblem,
+    make_calibration_problem,
+)
 from .effective_frames import correlation_time
 from .frame_selection import choose_frames
 from .observability import (
@@ -93,6 +98,7 @@ def calibrate(
     num_frames: int = 100,
     template_prior: AbstractTemplatePrior = TemplatePrior(),
     frames_per_observation: float = 1.0,
+    max_deviation_ratio: float = MAX_DEVIATION_RATIO,
     max_steps: int = 240,
     terms: UserTerms = (),
 ) -> Calibration:
@@ -105,7 +111,8 @@ def calibrate(
     equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
     `template_prior` in the template, the prior of what the frames do not determine; `frames_per_observation`,
     how many of the chosen frames have the information of one with independent errors (for the covariance, at
-    least as many as follows from the autocorrelation of the residuals); `max_steps` at most; `terms`,
+    least as many as follows from the autocorrelation of the residuals); `max_deviation_ratio`, the largest deviation of
+    a marker as a multiple of that of all; `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
 
@@ -124,6 +131,7 @@ def calibrate(
             num_frames,
             template_prior,
             frames_per_observation,
+            max_deviation_ratio,
             max_steps,
             terms,
         )
@@ -139,6 +147,7 @@ def _calibrate(
     num_frames,
     template_prior,
     frames_per_observation,
+    max_deviation_ratio,
     max_steps,
     terms,
 ) -> Calibration:
@@ -165,6 +174,8 @@ def _calibrate(
             template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
         )
         problem = with_frames_per_observation(problem, frames_per_observation)
+        ratio = jnp.asarray(max_deviation_ratio, problem.max_deviation_ratio.dtype)
+        problem = eqx.tree_at(lambda p: p.max_deviation_ratio, problem, ratio)
         fit = bundle_adjust(
             problem,
             subject,

@@ -39,6 +39,8 @@ from .rotation_prior import (
 
 #: information on every number of a pose, 1/radian² and 1/metre²: undetermined ones keep their values
 RIDGE = 1.0
+#: largest deviation of a marker, as a multiple of that of all markers
+MAX_DEVIATION_RATIO = 10.0
 #: number of frames that are linearised at once
 BATCH_SIZE = 5
 
@@ -67,6 +69,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
       deviation of all slides, metres a radian.
     - `frames_per_observation`: that many frames have the information on shared unknowns that one has with independent
       errors. Both priors of shared unknowns count that many times, which is the same as a likelihood with that share.
+    - `max_deviation_ratio`: no marker has a larger deviation than this multiple of that of all.
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
       as vertices.
@@ -82,6 +85,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     skin_features: Float[Array, "F M K"]
     slide_deviation: Float[Array, ""]
     frames_per_observation: Float[Array, ""]
+    max_deviation_ratio: Float[Array, ""]
     outlier_bound: Float[Array, ""]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
@@ -319,6 +323,7 @@ def make_calibration_problem(
         jnp.zeros((*seen.shape, 0), dtype),
         jnp.ones((), dtype),
         jnp.ones((), dtype),
+        jnp.asarray(MAX_DEVIATION_RATIO, dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
         posture_prior(template, sum_user_terms("make_calibration_problem", terms, marker_body(template))),
         joints,

@@ -23,8 +23,8 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
 
     Residuals are smaller than the noise, as poses adapt to it. So the degrees of freedom of a marker, three
     a frame, are reduced by its leverage on the frame's pose, and by three for its own position. With few
-    observations the estimate is close to that of all markers. It is limited to between a third and ten times
-    that, so that no bone depends on one marker alone.
+    observations the estimate is close to that of all markers. It is limited to between a third and
+    `max_deviation_ratio` times that, so that no bone depends on one marker alone.
     """
     subject, dofs = problem.subject(y), problem.template.skeleton.num_dofs
     information = subject.weights / problem.deviations**2
@@ -47,6 +47,8 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
     left = jnp.maximum(left - 3.0, 0.0)
     common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
     variance = jnp.clip(
-        (squares + SHRINKAGE_WEIGHT * common) / (left + SHRINKAGE_WEIGHT), common / 9.0, common * 100.0
+        (squares + SHRINKAGE_WEIGHT * common) / (left + SHRINKAGE_WEIGHT),
+        common / 9.0,
+        common * problem.max_deviation_ratio**2,
     )
     return jnp.maximum(jnp.sqrt(variance), MIN_DEVIATION)

@@ -29,6 +29,9 @@ from .misplaced_markers import find_misplaced
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
 #: a hundred frames determine the place of a joint hardly better than one
 FRAMES_PER_OBSERVATION = 100.0
+#: largest deviation of a marker as a multiple of that of all: a marker that is off its landmark is to move there, and not to lose
+#: its weight
+MAX_DEVIATION_RATIO = 3.0
 #: standard deviation of the placement of a marker that is not at its landmark, metres; number of calibrations until all of
 #: these are found
 MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
@@ -86,6 +89,7 @@ def fit_human(
             num_frames=num_frames,
             template_prior=prior,
             frames_per_observation=FRAMES_PER_OBSERVATION,
+            max_deviation_ratio=MAX_DEVIATION_RATIO,
             terms=terms,
         )
         further_off = find_misplaced(found, landmarks, template.prior.placements) & ~misplaced
