@@ -2,7 +2,6 @@
 
 import re
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -153,7 +152,8 @@ def test_a_marker_that_follows_no_bone_is_loose():
     rng = np.random.default_rng(2)
     places = np.concatenate([np.asarray(frames.positions), rng.uniform(-1, 1, (20, 1, 3))], axis=1)
     more = MarkerFrames(places, np.ones(places.shape[:2], bool), (*LABELS, "Fly"), 30.0)
-    found = attach_further_markers(subject, Motion(poses, 30.0), more, recognise_markers(more.labels))
+    lost, known = np.zeros(20, bool), recognise_markers(more.labels)
+    found = attach_further_markers(subject, Motion(poses, 30.0), lost, more, known)
     assert found.loose == ("Fly",) and found.added == ()
 
 
@@ -161,4 +161,4 @@ def test_percentiles_of_adults():
     assert adult_percentile("thigh", 0.2425 * 1.69) == pytest.approx(50)
     assert adult_percentile("upper arm", 0.35) > 95
     assert np.isnan(adult_percentile("hips", 0.2))
-    assert jnp.isfinite(adult_percentile("shank", 0.4))
+    assert adult_percentile("shank", 0.38) < 25

@@ -45,7 +45,8 @@ def test_sliding_markers_are_filled_better_than_by_their_bone_and_the_interval_h
     np.testing.assert_array_equal(np.asarray(found.frames.positions)[seen], places[seen])
     off = np.linalg.norm(np.asarray(found.frames.positions) - places, axis=2)[~seen]
     assert (found.deviations[seen] == 0).all() and (found.deviations[~seen] > 0).all()
-    assert np.sqrt(np.mean(off**2)) < 0.014
+    by_bone = np.linalg.norm(np.asarray(predicted_positions(SUBJECT, solved.motion)) - places, axis=2)[~seen]
+    assert np.sqrt(np.mean(off**2)) < 0.85 * np.sqrt(np.mean(by_bone**2))
     # three axes with at most this deviation along each
     inside = off < 2.5 * found.deviations[~seen]
     assert inside.mean() > 0.85

@@ -25,7 +25,7 @@ from ...geometry.linear import inverse_symmetric
 from ...observe.clouds import Cloud, stack_clouds
 from ...stacking import stack_trees
 from ...tracking.track_frame import Tracker
-from .tracked_shape import coefficient_spread, find_space, frame_terms
+from .tracked_shape import find_space, frame_terms
 
 #: points that count as one independent measurement, because errors of neighbouring points are alike: from two made people,
 #: whose coefficients were off by 7 deviations of independent points. The share of intervals was not measured
@@ -64,8 +64,8 @@ def shape_uncertainty(
 ) -> ShapeUncertainty:
     """Compute how well tracked frames determine the shape coefficients of a person.
 
-    The covariance is that of the normal equations of all poses and coefficients at the solution, without the poses, times
-    `POINTS_PER_INDEPENDENT`. The coefficients are those of the tracker's body.
+    The information is that of the normal equations of all poses and coefficients at the solution, without the poses, divided
+    by `POINTS_PER_INDEPENDENT`, and that of a standard normal prior. The coefficients are those of the tracker's body.
 
     **Arguments:** `clouds` and `poses`, of the frames that determined the shape, tracked by `tracker` with the person's body;
     `space`, the shape space, that of `shape_space_like` where not given.
@@ -80,14 +80,15 @@ def shape_uncertainty(
         )
     frames = stack_clouds(clouds)
     found = _frames(tracker, space, frames, stack_trees(list(poses)))
-    spread = np.asarray(coefficient_spread(space, frames), float)
-    information = np.diag(1.0 / spread**2)
+    # a coefficient that no frame determines has the deviation of people, one
+    count = len(space.template_coefficients)
+    information = np.eye(count)
     for frame in found:
-        information += _without_pose(frame, len(spread))[0]
+        information += _without_pose(frame, count)[0] / POINTS_PER_INDEPENDENT
     dtype = space.template_coefficients.dtype
     return ShapeUncertainty(
         body_coefficients(space, tracker.body),
-        jnp.asarray(POINTS_PER_INDEPENDENT * inverse_symmetric(information), dtype),
+        jnp.asarray(inverse_symmetric(information), dtype),
     )
 
 

@@ -16,7 +16,7 @@ from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.human.check_person import check_recognised
-from ...markers.human.fit_human import HumanFit, fit_human
+from ...markers.human.fit_human import HumanFit, fit_human, visible_markers
 from ...markers.human.human_template import make_human_template
 from ...markers.local_technique import LocalFit, fit_local
 from ...markers.marker_sets.recognise import recognise_markers
@@ -166,16 +166,18 @@ class Fit:
             f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
             f"{len(frames)} frames"
         )
-        template = make_human_template(recognise_markers(frames.labels)).subject
+        template = make_human_template(recognise_markers(visible_markers(frames).labels)).subject
         terms = read_terms(marker_body(template), floor=self.floor)
         fit = fit_human(frames, num_frames=self.frames, skin=not self.rigid, terms=terms)
         print_person(fit)
         notes = fit.calibration.motion_messages
-        notes = self.print_residuals(fit.subject, fit.residuals, None, notes)
-        self.write_results(fit.subject, fit.motion, None)
+        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, notes)
+        self.write_results(fit.subject, fit.motion, fit.lost)
         if self.report is not None:
             extra = {"segments": bone_rows(fit), "traits": fit.traits._asdict()}
-            pictures = self.draw_report(self.report, fit, frames, (*fit.messages, *notes), None, extra)
+            pictures = self.draw_report(
+                self.report, fit, fit.markers, (*fit.messages, *notes), fit.lost, extra
+            )
             write_person_page(self.report / "report.html", fit, self.title(), pictures, notes)
             say(f"report.html, report.json and pictures are in {self.report}")
 
@@ -214,7 +216,7 @@ class Fit:
                 terms=terms,
             )
             subject = fitted.subject
-        lost = fitted.lost if isinstance(fitted, MarkerSolution) else None
+        lost = fitted.lost
         if not np.isfinite(assigned_residuals(subject, fitted.residuals, lost)).any():
             raise InputError(
                 f"{', '.join(self.files)}: no pose of the estimated skeleton explains any frame; check that the markers are of one body, and the unit."

@@ -336,6 +336,8 @@ class Track:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
         if self.deviations and (not self.fit_shape or self.people is not None):
             raise InputError("--deviations is for --fit-shape of one person; give it without --people.")
+        if self.deviations and not is_model_spec(self.body):
+            raise InputError("--deviations is for body models; give one as BODY, such as smplx.npz.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""

@@ -4,6 +4,7 @@ The pickle is interpreted and never unpickled, as those of body models are, and 
 """
 
 import math
+import os
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -64,16 +65,17 @@ def read_torch_arrays(
             raise InputError(
                 f"{path}: its data.pkl has {info.file_size} bytes; expected at most {MAX_PICKLE}."
             )
-        if members.get(f"{folder}/byteorder") and file.read(f"{folder}/byteorder") != b"little":
+        order = members.get(f"{folder}/byteorder")
+        if order is not None and (order.file_size > 16 or file.read(order) != b"little"):
             raise InputError(
                 f"{path}: the tensors are in the byte order of another machine; save the file on this one."
             )
         root = PickleMachine(file.read(info), _GLOBALS).run()
-        tensors = [pair for pair in _walk(root, (), 0) if select(pair[0])]
+        tensors = [pair for pair in _walk(root, (), 0, set()) if select(pair[0])]
         if len(tensors) > MAX_ARRAYS:
             raise InputError(f"{path}: the file has {len(tensors)} tensors; expected at most {MAX_ARRAYS}.")
         # a stored member cannot be larger than the file
-        limit = 4 * sum(each.compress_size for each in members.values()) + 2**20
+        limit = 4 * os.path.getsize(path) + 2**20
         found = {}
         for name, record in tensors:
             where = f"{path}: the tensor '{shortened(name)}'"
@@ -86,14 +88,15 @@ def read_torch_arrays(
     return found
 
 
-def _walk(value: Any, above: tuple[str, ...], depth: int) -> Iterator[tuple[str, Symbol]]:
-    """List the tensors of a module and those below it, with their names."""
+def _walk(value: Any, above: tuple[str, ...], depth: int, seen: set[int]) -> Iterator[tuple[str, Symbol]]:
+    """List the tensors of a module and those below it, with their names; a module that occurs again is left out."""
     if role_of(value) == "tensor":
         yield ".".join(above), value
-    elif role_of(value) == "module" and depth < MAX_DEPTH:
+    elif role_of(value) == "module" and depth < MAX_DEPTH and id(value) not in seen:
+        seen.add(id(value))
         state = value.state
         for name, each in state.items() if isinstance(state, dict) else ():
-            yield from _walk(each, (*above, name), depth + 1)
+            yield from _walk(each, (*above, name), depth + 1, seen)
 
 
 def _tensor(

@@ -47,7 +47,7 @@ class _Joints(NamedTuple):
 def is_skel(path: str | Path) -> bool:
     """Test if a pickle has SKEL's arrays; false if it is damaged."""
     try:
-        return "version" in read_pickled_arrays(path, ("version",))
+        return "osim_kintree_table" in read_pickled_arrays(path, ("osim_kintree_table",))
     except InputError:
         return False
 

@@ -5,6 +5,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...errors import InputError
 from .samples import JointSamples
 
 HeldOut = Literal["people", "takes", "blocks"]
@@ -27,11 +28,17 @@ def make_folds(samples: JointSamples, held_out: HeldOut) -> list[Fold]:
     """Split samples into folds, one for each person or take, or five over blocks.
 
     A capture with fewer blocks is cut into five.
+
+    **Raises:** `InputError` where there are not several people or takes.
     """
     if held_out == "blocks":
         return block_folds(samples.blocks)
     groups = samples.people if held_out == "people" else samples.takes
-    assert groups is not None
+    count = 0 if groups is None else len(np.unique(groups))
+    if groups is None or count < 2:
+        raise InputError(
+            f"The samples are of {count or 'an unknown number of'} {held_out}, so none can be left out; give several, or leave out blocks."
+        )
     return [(np.flatnonzero(groups != one), np.flatnonzero(groups == one)) for one in np.unique(groups)]
 
 

@@ -34,7 +34,7 @@ class SegmentLength(NamedTuple):
     left: float
     #: NaN for a width
     right: float
-    #: standard deviation of one side; NaN where the takes do not determine it
+    #: the larger standard deviation of both sides; NaN where the takes do not determine both
     deviation: float
     #: percentile among adults of the mean of both sides; NaN where unknown
     percentile: float
@@ -52,10 +52,9 @@ def segment_lengths(found: Calibration, skeleton: Skeleton) -> tuple[SegmentLeng
     for name, (start, end) in PAIRED.items():
         sides = [length(start.replace("Left", side), end.replace("Left", side)) for side in ("Left", "Right")]
         spread = [deviations[skeleton.index(end.replace("Left", side))] for side in ("Left", "Right")]
-        known = [float(value) for value in spread if np.isfinite(value)]
         rows.append(
             SegmentLength(
-                name, sides[0], sides[1], max(known, default=math.nan), adult_percentile(name, np.mean(sides))
+                name, sides[0], sides[1], float(np.max(spread)), adult_percentile(name, np.mean(sides))
             )
         )
     for name, (start, end) in WIDTHS.items():

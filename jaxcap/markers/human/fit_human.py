@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...arguments import checked
 from ...body.body import Body
@@ -19,6 +19,7 @@ from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
+from ..segments.swaps import correct_swaps
 from ..subject import Subject
 from .check_person import check_explained, check_recognised, check_sides
 from .describe_human import describe_human
@@ -35,6 +36,8 @@ MAX_DEVIATION_RATIO = 3.0
 #: standard deviation of the placement of a marker that is not at its landmark, metres; number of calibrations until all of
 #: these are found
 MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
+#: least number of frames that show if labels are exchanged
+MIN_FRAMES_OF_EXCHANGES = 10
 #: age below which people differ otherwise than adults do, years
 ADULT_AGE = 20.0
 
@@ -46,6 +49,10 @@ class HumanFit(NamedTuple):
     motion: Motion
     #: distances between observed and predicted markers, metres, NaN where not visible; in the subject's order
     residuals: Float[np.ndarray, "F M"]
+    #: frames with too few markers or without a pose that fits; they keep the last pose
+    lost: Bool[np.ndarray, "F"]
+    #: the markers that are ever visible, after exchanged labels were corrected
+    markers: MarkerFrames
     #: the embedded human with the person's traits
     body: Body
     traits: Traits
@@ -75,11 +82,16 @@ def fit_human(
     **Raises:** `InputError` where too few labels are known, left and right are exchanged, or no pose of a person explains
     most frames.
     """
+    never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
     known = recognise_markers(frames.labels)
     check_recognised(known, frames)
+    frames, exchanges = correct_labels(visible_markers(frames))
+    known = recognise_markers(frames.labels)
     template = make_human_template(known, person_of_size(known, median_distances(frames)))
     check_sides(template.subject, known, frames)
     landmarks = select_markers(frames, template.subject.labels)
+    # a single frame is an observation too
+    share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
     prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
@@ -88,30 +100,36 @@ def fit_human(
             skin=skin,
             num_frames=num_frames,
             template_prior=prior,
-            frames_per_observation=FRAMES_PER_OBSERVATION,
+            frames_per_observation=share,
             max_deviation_ratio=MAX_DEVIATION_RATIO,
             terms=terms,
         )
         further_off = find_misplaced(found, landmarks, template.prior.placements) & ~misplaced
+        misplaced |= further_off
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
-        misplaced |= further_off
         placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
         prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
     check_explained(found.lost, frames.labels)
-    traits, subject = complete_skeleton(template, found)
-    further = attach_further_markers(subject, found.motion, frames, known)
+    traits, subject = complete_skeleton(template._replace(prior=prior), found)
+    further = attach_further_markers(subject, found.motion, found.lost, frames, known)
     body = human_from_traits(traits, RESOLUTION, "tracking")
     return HumanFit(
         further.subject,
         found.motion,
         further.residuals(found.residuals),
+        found.lost,
+        frames,
         body,
         traits,
         known,
         found,
-        describe_human(
-            further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
+        (
+            *describe_human(
+                further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
+            ),
+            *exchanges,
+            *([f"{len(never)} markers are never visible: {', '.join(never[:10])}."] if never else []),
         ),
     )
 
@@ -141,6 +159,28 @@ def _is_unseen(found: Calibration, joint: int) -> bool:
     skeleton = found.subject.skeleton
     carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
     return joint not in found.joints and not carried
+
+
+def visible_markers(frames: MarkerFrames) -> MarkerFrames:
+    """Select the markers that are ever visible."""
+    seen = _ever_seen(frames)
+    return select_markers(frames, [label for label, some in zip(frames.labels, seen, strict=True) if some])
+
+
+def correct_labels(frames: MarkerFrames) -> tuple[MarkerFrames, tuple[str, ...]]:
+    """Correct exchanged labels, with messages on these."""
+    if len(frames) < MIN_FRAMES_OF_EXCHANGES:
+        return frames, ()
+    places, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
+    mended = correct_swaps(places, seen, frames.labels)
+    if not mended.messages:
+        return frames, ()
+    positions = mended.positions.astype(np.asarray(frames.positions).dtype)
+    return MarkerFrames(positions, mended.seen, frames.labels, frames.rate), tuple(mended.messages)
+
+
+def _ever_seen(frames: MarkerFrames) -> Bool[np.ndarray, "M"]:
+    return np.asarray(np.any(np.asarray(frames.visible), axis=0))
 
 
 def select_markers(frames: MarkerFrames, labels: Sequence[str]) -> MarkerFrames:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...body.pose import Motion
 from ...observe.markers import MarkerFrames
@@ -37,7 +37,7 @@ class FurtherMarkers(NamedTuple):
 
 
 def attach_further_markers(
-    subject: Subject, motion: Motion, frames: MarkerFrames, markers: MarkerSet
+    subject: Subject, motion: Motion, lost: Bool[np.ndarray, "F"], frames: MarkerFrames, markers: MarkerSet
 ) -> FurtherMarkers:
     """Attach each unknown marker to the bone on which its position varies least.
 
@@ -47,7 +47,7 @@ def attach_further_markers(
     unknown = [
         index
         for index, label in enumerate(frames.labels)
-        if label not in subject.labels and not markers.virtual[index] and seen[:, index].sum() >= MIN_FRAMES
+        if label not in subject.labels and not markers.virtual[index]
     ]
     bones = sorted(set(np.asarray(subject.bones).tolist()))
     centres = np.asarray(subject.skeleton.centres, float)
@@ -59,7 +59,10 @@ def attach_further_markers(
         )
         targets = jnp.asarray(np.repeat(positions[:, index, None], len(bones), 1), subject.offsets.dtype)
         local = np.asarray(marker_residuals_of_frames(probes, motion.poses, targets), float)
-        shown = seen[:, index]
+        shown = seen[:, index] & ~lost
+        if shown.sum() < MIN_FRAMES:
+            loose.append(frames.labels[index])
+            continue
         middle = np.median(local[shown], axis=0)
         apart = np.linalg.norm(local - middle, axis=2)
         # nearly all of the time, as a mark on the floor is at rest relative to a foot at times
@@ -72,7 +75,8 @@ def attach_further_markers(
         added.append(frames.labels[index])
         rows.append(bones[best])
         places.append(middle[best])
-        spreads.append(max(float(spread[best]), 1e-3))
+        variance = np.mean(np.var(local[shown][:, best], axis=0))
+        spreads.append(max(float(np.sqrt(variance)), 1e-3))
         residuals.append(np.where(shown, apart[:, best], np.nan))
     wider = make_subject(
         subject.skeleton,

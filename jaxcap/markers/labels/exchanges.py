@@ -16,8 +16,8 @@ from ..subject import Subject
 from .tracks import cut_tracks
 
 #: a track has a wrong label if its median distance from the prediction is above this, metres, and above this multiple of
-#: the marker's usual distance
-MIN_WRONG, WRONG_RATIO = 0.03, 5.0
+#: the marker's usual distance; above the last, metres, always
+MIN_WRONG, WRONG_RATIO, MAX_RIGHT = 0.03, 5.0, 0.08
 #: another label fits within this share of the distance from the own one
 MAX_SHARE = 0.4
 
@@ -58,7 +58,8 @@ def mend_labels(
     some = np.asarray(seen.any(0))
     usual = np.zeros(len(some))
     usual[some] = np.nanmedian(away[:, some], axis=0)
-    bound = np.maximum(MIN_WRONG, WRONG_RATIO * usual)
+    # a label that is wrong most of the time has a large usual distance
+    bound = np.clip(WRONG_RATIO * usual, MIN_WRONG, MAX_RIGHT)
     source = _find_sources(positions, seen, predicted, away, bound, usual, frames.rate)
     changed = (source != np.arange(len(used))).any(1)
     if not changed.any():
@@ -122,6 +123,9 @@ def _apply(subject: Subject, frames: MarkerFrames, source: Int[np.ndarray, "F M"
         rows = np.flatnonzero(source[:, marker] != marker)
         if label not in place or not len(rows):
             continue
+        # a point of a label that the file lacks stays where it is
+        kept = [i < 0 or subject.labels[i] in place for i in source[rows, marker]]
+        rows = rows[kept]
         from_columns = np.array(
             [place.get(subject.labels[i], -1) if i >= 0 else -1 for i in source[rows, marker]]
         )

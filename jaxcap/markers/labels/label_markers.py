@@ -141,7 +141,9 @@ def _label_frames(
                 columns[frame], poses[frame], known[frame] = some, pose, True
         searched[start.frame] = not known[start.frame]
     labelled = np.flatnonzero(known)
-    nearest = labelled[np.abs(labelled[:, None] - np.arange(count)).argmin(0)]
+    # the nearest frame with a pose
+    ends = np.concatenate([[-np.inf], (labelled[1:] + labelled[:-1]) / 2])
+    nearest = labelled[np.searchsorted(ends, np.arange(count), side="right") - 1]
     stacked = stack_poses([poses[frame] for frame in labelled.tolist()]).poses
     return columns, take_poses(stacked, np.searchsorted(labelled, nearest)), known
 

@@ -67,7 +67,7 @@ def _frame_costs(track: Track, positions, predicted, known, gates, given: int) -
     away = positions[track.frames, track.column][:, None] - predicted[track.frames]
     costs = np.minimum(np.einsum("tma,tma->tm", away, away) / gates**2, 1.0)
     if given >= 0:
-        costs[:, given] *= GIVEN_FACTOR
+        costs[:, given] = np.where(costs[:, given] < 1, costs[:, given] * GIVEN_FACTOR, 1.0)
     return np.where(known[track.frames][:, None], costs, NO_LABEL_COST)
 
 

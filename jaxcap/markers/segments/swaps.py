@@ -151,7 +151,7 @@ def _relabelled(positions, seen, partners: _Partners, steps: _Steps) -> dict[_Pi
     taken = good.copy()
     for _, _, piece, label in sorted(options):
         frames = slice(piece.begin, piece.end)
-        long = piece.end - piece.begin > min(MAX_SWAP_FRAMES, len(positions) // 2)
+        long = piece.end - piece.begin > len(positions) // 2
         if piece in found or taken[frames, label].any() or long:
             continue
         found[piece] = label

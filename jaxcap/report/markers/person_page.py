@@ -85,7 +85,9 @@ def _angle_charts(fit: HumanFit) -> list[Markup]:
     charts = []
     for title, name in ANGLES:
         lines = [
-            Line(side, times, np.asarray(angles[f"{name}_{side[0]}"], float), style)
+            Line(
+                side, times, np.where(fit.lost, np.nan, np.asarray(angles[f"{name}_{side[0]}"], float)), style
+            )
             for side, style in (("left", "c2"), ("right", "c0"))
             if f"{name}_{side[0]}" in angles.names
         ]
@@ -105,7 +107,7 @@ def _markers(fit: HumanFit) -> Markup:
             f"{100 * score.seen:.0f} %",
             "" if math.isnan(score.rms) else f"{1e3 * score.rms:.1f}",
         ]
-        for score in score_markers(fit.subject, fit.residuals)
+        for score in score_markers(fit.subject, fit.residuals, fit.lost)
     ]
     caption = "Residuals are root mean squares, millimetres."
     return table(caption, ["marker", "landmark", "bone", "visible", "residual"], rows, words=(1, 2))
