@@ -24,7 +24,7 @@ from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
 from ...tracking.track import track_frames
 from ...tracking.track_frame import Tracker, make_tracker, replace_body
-from ..body_models import load_model_of, write_parameters
+from ..body_models import is_model_spec, load_model_of, write_parameters
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (

@@ -63,7 +63,7 @@ def estimate_gaps(
 ) -> GapEstimate:
     """Estimate the positions of the subject's markers in gaps by pose, neighbours and time; observed positions stay.
 
-    The poses carry a marker through its gap: those of `motion`, and beside a gap those that the other markers give. Its offset from its bone follows from the offsets of the other
+    The poses carry a marker through its gap: those of `motion`, and next to a gap those that the other markers give. Its offset from its bone follows from the offsets of the other
     markers of the bone and from those before and after the gap (`gap_model`). The statistics, and with them the
     deviations, are those of gaps that are made in visible pieces of the same frames and filled in the same way. A marker
     that is never visible is at its predicted position, with the deviation that the subject gives.
