@@ -65,7 +65,7 @@ def markers_page(folder: Path) -> dict[str, object]:
     rng = np.random.default_rng(0)
     subject = truth()
     frames = seen_by(subject, moving(rng, 60), rng)
-    for name in ("trial", "rom"):
+    for name in ("trial", "rom", "raw"):
         jc.write_markers(folder / f"{name}.c3d", frames)
     jc.write_markers(folder / "static.c3d", frames[:10])
     (folder / "corrections.txt").write_text("trunk_0 - 0\n")
@@ -82,6 +82,11 @@ def markers_page(folder: Path) -> dict[str, object]:
     )
     nearest = np.argmin(np.linalg.norm(spots[:, None] - np.asarray(body.vertices), axis=2), axis=1)
     turned = jc.body.sample_poses(body.skeleton, count=2)
+    moving_spots = held.positions(jc.pose_body(body, jax.tree.map(lambda leaf: leaf[1], turned)))
+    walking = np.stack(
+        [spots + share * (np.asarray(moving_spots) - spots) for share in np.linspace(0, 0.3, 12)]
+    )
+    jc.write_markers(folder / "walking.c3d", jc.make_markers(walking, held.labels, 100.0))
     return {
         "trajectories": np.asarray(frames.positions),
         "labels": frames.labels,
