@@ -3,6 +3,7 @@
 import numpy as np
 
 import jaxcap as jc
+from jaxcap.markers.motion.gap_filling import predicted_positions
 from jaxcap.markers.motion.gap_model import Gap, bridge
 from tests.markers_limb import moving, seen_by, truth
 
