@@ -49,6 +49,18 @@ class Scene(NamedTuple):
     swapped: Bool[np.ndarray, "F M"]
 
 
+def distant_vertices(
+    vertices: np.ndarray, own: np.ndarray, count: int, least: float, rng: np.random.Generator
+) -> list[int]:
+    """Choose vertices of a bone far from each other, at random: distances count for `least` to 1 times."""
+    chosen: list[int] = []
+    for _ in range(count):
+        apart = [np.linalg.norm(vertices[own] - vertices[c], axis=1) for c in chosen]
+        far = np.min(apart, axis=0) if apart else rng.uniform(size=len(own))
+        chosen.append(int(own[np.argmax(far * rng.uniform(least, 1.0, len(own)))]))
+    return chosen
+
+
 def true_subject(seed: int = 0, dtype=jnp.float32) -> Subject:
     """Place about 60 markers on the surface of the embedded human, spread over the vertices of each bone."""
     body = jc.human(joints="tracking", resolution="low")
@@ -61,11 +73,7 @@ def true_subject(seed: int = 0, dtype=jnp.float32) -> Subject:
         joint = skeleton.index(name)
         own = np.flatnonzero(influence[:, joint] > 0.5 * influence.max(1).mean())
         own = own if len(own) >= count else np.argsort(-influence[:, joint])[: 4 * count]
-        chosen: list[int] = []
-        for _ in range(count):
-            apart = [np.linalg.norm(vertices[own] - vertices[c], axis=1) for c in chosen]
-            far = np.min(apart, axis=0) if apart else rng.uniform(size=len(own))
-            chosen.append(int(own[np.argmax(far * rng.uniform(0.8, 1.0, len(own)))]))
+        chosen = distant_vertices(vertices, own, count, 0.8, rng)
         bones += [joint] * count
         places += [vertices[c] for c in chosen]
         labels += [f"{name}{number}" for number in range(count)]

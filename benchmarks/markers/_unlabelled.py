@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 import jaxcap as jc
+from benchmarks.markers._markers import distant_vertices
 from jaxcap.markers.labels.label_markers import Labelling
 from jaxcap.markers.segments.gaps import find_runs
 from jaxcap.markers.subject import Subject, make_subject
@@ -38,11 +39,7 @@ def laboratory_subject(count: int, seed: int = 0) -> Subject:
         number = LAYOUTS[count].get(name.replace("Right", "Left"), 0)
         joint = skeleton.index(name)
         own = np.flatnonzero(influence[:, joint] > 0.6 * influence[:, joint].max())
-        chosen: list[int] = []
-        for _ in range(number):
-            away = [np.linalg.norm(vertices[own] - vertices[c], axis=1) for c in chosen]
-            far = np.min(away, axis=0) if away else rng.uniform(size=len(own))
-            chosen.append(int(own[np.argmax(far * rng.uniform(0.7, 1.0, len(own)))]))
+        chosen = distant_vertices(vertices, own, number, 0.7, rng)
         bones += [joint] * number
         places += [vertices[c] for c in chosen]
         labels += [f"{name}{index}" for index in range(number)]

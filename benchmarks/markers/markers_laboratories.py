@@ -23,7 +23,7 @@ from benchmarks.report import finish, progress
 LIMBS = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
 JOINTS = (*(side + limb for side in ("Left", "Right") for limb in LIMBS), "Neck")
 BONES = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
-#: bones that must have markers or be told to have none
+#: bones that must have markers, or a message that they have none
 CARRIERS = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")
 
 

@@ -121,104 +121,76 @@ def calibrate(
     """
     # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
-        return _calibrate(
-            frames,
-            subject,
-            motion,
-            robust,
-            skin,
-            symmetry,
-            num_frames,
-            template_prior,
-            frames_per_observation,
-            max_deviation_ratio,
-            max_steps,
-            terms,
+        sum_user_terms("calibrate", terms, marker_body(subject))
+        matched = match_markers(subject, frames)
+        used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
+        if used.any(0).sum() < 3:
+            raise ValueError(
+                f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and "
+                "several on each bone."
+            )
+        template, pairs = subject, _symmetric_bones(subject, symmetry)
+        usable, explained = used.sum(1) >= 3, used
+        if motion is None:
+            motion, usable, explained = _solve_motion(template, frames, used, terms)
+        while True:
+            chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
+            joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
+            positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
+            again = subject is template and not explained[used].all()
+            _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
+            # a rough fit is enough to find swapped labels
+            problem = make_calibration_problem(
+                template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
+            )
+            problem = with_frames_per_observation(problem, frames_per_observation)
+            ratio = jnp.asarray(max_deviation_ratio, problem.max_deviation_ratio.dtype)
+            problem = eqx.tree_at(lambda p: p.max_deviation_ratio, problem, ratio)
+            fit = bundle_adjust(
+                problem,
+                subject,
+                take_poses(motion.poses, chosen),
+                allow_sliding=skin,
+                max_steps=max_steps,
+                rough=again,
+            )
+            subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
+            if not again:
+                break
+            # the subject is known better now, and so are the swapped labels
+            motion, usable, explained = _solve_motion(
+                _subject_with_sliding_variance(fit), frames, used, terms
+            )
+        best = _subject_with_sliding_variance(fit)
+        slid = _sliding_variances(fit)
+        solved = solve_markers(best, frames, terms=terms)
+        explained = used & (solved.weights >= MIN_INLIER_WEIGHT)
+        lasting = _frames_per_observation(best, solved.motion, matched, explained, chosen)
+        share = max(frames_per_observation, lasting)
+        _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
+        known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
+        hardly = find_imprecise_directions(best, known, joints)
+        messages = (*_describe_sliding(best, slid), *solved.messages)
+        if not fit.converged:
+            messages += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
+        return Calibration(
+            best,
+            solved.motion,
+            solved.residuals,
+            solved.lost,
+            known.covariance,
+            np.sqrt(3.0 * slid),
+            tuple(hardly),
+            tuple(describe_precision(best, known, poses, joints, hardly)),
+            messages,
+            fit.history,
+            joints,
+            chosen,
+            fit.converged,
+            share,
+            fit.problem,
+            fit.estimate,
         )
-
-
-def _calibrate(
-    frames,
-    subject,
-    motion,
-    robust,
-    skin,
-    symmetry,
-    num_frames,
-    template_prior,
-    frames_per_observation,
-    max_deviation_ratio,
-    max_steps,
-    terms,
-) -> Calibration:
-    sum_user_terms("calibrate", terms, marker_body(subject))
-    matched = match_markers(subject, frames)
-    used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
-    if used.any(0).sum() < 3:
-        raise ValueError(
-            f"Only {int(used.any(0).sum())} markers are ever visible; a body needs at least three, and "
-            "several on each bone."
-        )
-    template, pairs = subject, _symmetric_bones(subject, symmetry)
-    usable, explained = used.sum(1) >= 3, used
-    if motion is None:
-        motion, usable, explained = _solve_motion(template, frames, used, terms)
-    while True:
-        chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
-        joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
-        positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
-        again = subject is template and not explained[used].all()
-        _LOG.info("fitting %d frames jointly%s", len(chosen), ", with rough tolerances" if again else "")
-        # a rough fit is enough to find swapped labels
-        problem = make_calibration_problem(
-            template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
-        )
-        problem = with_frames_per_observation(problem, frames_per_observation)
-        ratio = jnp.asarray(max_deviation_ratio, problem.max_deviation_ratio.dtype)
-        problem = eqx.tree_at(lambda p: p.max_deviation_ratio, problem, ratio)
-        fit = bundle_adjust(
-            problem,
-            subject,
-            take_poses(motion.poses, chosen),
-            allow_sliding=skin,
-            max_steps=max_steps,
-            rough=again,
-        )
-        subject, poses = fit.problem.subject(fit.estimate), fit.estimate.poses
-        if not again:
-            break
-        # the subject is known better now, and so are the swapped labels
-        motion, usable, explained = _solve_motion(_subject_with_sliding_variance(fit), frames, used, terms)
-    best = _subject_with_sliding_variance(fit)
-    slid = _sliding_variances(fit)
-    solved = solve_markers(best, frames, terms=terms)
-    explained = used & (solved.weights >= MIN_INLIER_WEIGHT)
-    lasting = _frames_per_observation(best, solved.motion, matched, explained, chosen)
-    share = max(frames_per_observation, lasting)
-    _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
-    known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
-    hardly = find_imprecise_directions(best, known, joints)
-    messages = (*_describe_sliding(best, slid), *solved.messages)
-    if not fit.converged:
-        messages += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
-    return Calibration(
-        best,
-        solved.motion,
-        solved.residuals,
-        solved.lost,
-        known.covariance,
-        np.sqrt(3.0 * slid),
-        tuple(hardly),
-        tuple(describe_precision(best, known, poses, joints, hardly)),
-        messages,
-        fit.history,
-        joints,
-        chosen,
-        fit.converged,
-        share,
-        fit.problem,
-        fit.estimate,
-    )
 
 
 def with_frames_per_observation(problem: CalibrationProblem, share: float) -> CalibrationProblem:

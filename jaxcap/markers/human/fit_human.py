@@ -19,6 +19,7 @@ from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
+from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps
 from ..subject import Subject
 from .check_person import check_explained, check_recognised, check_sides
@@ -87,7 +88,12 @@ def fit_human(
     check_recognised(known, frames)
     frames, exchanges = correct_labels(visible_markers(frames))
     known = recognise_markers(frames.labels)
-    template = make_human_template(known, person_of_size(known, median_distances(frames)))
+    template = make_human_template(
+        known,
+        person_of_size(
+            known, median_distances(np.asarray(frames.positions, float), np.asarray(frames.visible))
+        ),
+    )
     check_sides(template.subject, known, frames)
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
@@ -188,17 +194,3 @@ def select_markers(frames: MarkerFrames, labels: Sequence[str]) -> MarkerFrames:
     columns = [frames.labels.index(label) for label in labels]
     positions, visible = np.asarray(frames.positions)[:, columns], np.asarray(frames.visible)[:, columns]
     return MarkerFrames(positions, visible, tuple(labels), frames.rate)
-
-
-def median_distances(frames: MarkerFrames) -> Float[np.ndarray, "M M"]:
-    """Compute the median distance of each two markers over the frames in which both are visible, metres."""
-    step = max(1, len(frames) // 200)
-    places = np.asarray(frames.positions, float)[::step].copy()
-    places[~np.asarray(frames.visible)[::step]] = np.nan
-    count = places.shape[1]
-    result = np.full((count, count), np.nan)
-    for marker in range(count):
-        apart = np.linalg.norm(places - places[:, marker, None], axis=2)
-        some = np.isfinite(apart).any(0)
-        result[marker, some] = np.nanmedian(apart[:, some], axis=0)
-    return result

@@ -43,8 +43,6 @@ class FilledOffsets(NamedTuple):
     offsets: Float[np.ndarray, "F M 3"]
     #: metres, along the least certain axis; of gaps only
     deviations: Float[np.ndarray, "F M"]
-    #: the axis, in the rest frame of the bone
-    axes: Float[np.ndarray, "M 3"]
     poses: Pose
 
 
@@ -60,14 +58,12 @@ def fill_offsets(
     The frames next to a gap are solved without its marker, as the frames in it: so the offsets at both ends
     belong to the same kind of pose. `trusted` are the observed positions, `gap` those to be estimated.
     """
-    count, markers = gap.shape
-    offsets = np.tile(np.asarray(subject.offsets, float), (count, 1, 1))
+    offsets = np.tile(np.asarray(subject.offsets, float), (len(gap), 1, 1))
     deviations = np.zeros(gap.shape)
     deviations[:] = np.asarray(subject.deviations, float)
-    axes = np.tile([1.0, 0.0, 0.0], (markers, 1))
     filling = gap & trusted.any(0)
     if not filling.any():
-        return FilledOffsets(offsets, deviations, axes, motion.poses)
+        return FilledOffsets(offsets, deviations, motion.poses)
     gaps = find_gaps(filling, trusted)
     poses, local = _offsets_without(subject, motion.rate, positions, trusted, gaps)
     made = _make_gaps(subject, motion.rate, positions, trusted, gaps)
@@ -78,8 +74,8 @@ def fill_offsets(
         offsets[one.begin : one.end, one.marker] = found
         axis = worst_axis(model.residual)
         spread = scales[one.marker] * np.sqrt(variance * (axis @ model.residual @ axis))
-        deviations[one.begin : one.end, one.marker], axes[one.marker] = spread, axis
-    return FilledOffsets(offsets, deviations, axes, poses)
+        deviations[one.begin : one.end, one.marker] = spread
+    return FilledOffsets(offsets, deviations, poses)
 
 
 def find_gaps(gap: Bool[np.ndarray, "F M"], trusted: Bool[np.ndarray, "F M"]) -> list[Gap]:

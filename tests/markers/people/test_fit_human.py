@@ -11,10 +11,11 @@ from jaxcap.body.pose import Motion
 from jaxcap.errors import InputError
 from jaxcap.markers.human.body_lengths import adult_percentile
 from jaxcap.markers.human.check_person import check_recognised, check_sides
-from jaxcap.markers.human.fit_human import fit_human, median_distances
+from jaxcap.markers.human.fit_human import fit_human
 from jaxcap.markers.human.further_markers import attach_further_markers
 from jaxcap.markers.human.human_template import make_human_template, person_of_size
 from jaxcap.markers.marker_sets.recognise import recognise_markers
+from jaxcap.markers.segments.pair_distances import median_distances
 from jaxcap.markers.subject import make_subject
 from jaxcap.observe.markers import MarkerFrames
 
@@ -73,10 +74,14 @@ def test_the_prior_is_the_inverse_of_the_covariance_it_describes():
 def test_the_size_of_a_person_follows_from_markers_of_single_bones():
     """A taller person has a larger stature, whatever the pose."""
     known = recognise_markers(LABELS)
-    small, tall = (
-        person_of_size(known, median_distances(seen(person(traits=traits, placing=0.0), count=8)[0])).stature
-        for traits in (Traits(0.5, 35.0, 0.5, 0.5, -0.4), Traits(0.5, 35.0, 0.5, 0.5, 0.4))
-    )
+
+    def stature(traits):
+        frames, _ = seen(person(traits=traits, placing=0.0), count=8)
+        return person_of_size(
+            known, median_distances(np.asarray(frames.positions), np.asarray(frames.visible))
+        ).stature
+
+    small, tall = (stature(Traits(0.5, 35.0, 0.5, 0.5, value)) for value in (-0.4, 0.4))
     assert small < -0.15 and tall > 0.15
 
 
