@@ -53,9 +53,9 @@ def scene(rng, models=None, terms=()):
     )
     features = jnp.asarray(rng.normal(size=(FRAMES, subject.num_markers, 2)))
     problem = eqx.tree_at(
-        lambda p: (p.rotation_prior, p.skin_features, p.slide_deviation),
+        lambda p: (p.rotation_prior, p.skin_features, p.slide_deviations),
         problem,
-        (turning, features, jnp.asarray(0.02)),
+        (turning, features, jnp.linspace(0.01, 0.03, 2 * subject.num_markers).reshape(2, -1)),
     )
     estimate = CalibrationEstimate(
         motion.poses,

@@ -25,7 +25,8 @@ from .calibration_problem import CalibrationEstimate, CalibrationProblem, apply_
 from .residuals import marker_residuals
 from .robust import MEDIAN_SQUARED_LENGTH, UNBOUNDED
 from .rotation_prior import estimate_rotation_prior, free_rotation_prior
-from .soft_tissue import estimate_slide_deviation, initial_slide_deviation, skin_features
+from .prior_scales import slide_variances, update_scales
+from .soft_tissue import MAX_SLIDING, MIN_SLIDING, initial_slide_deviation, refit_slides, skin_features
 from .variances import MIN_DEVIATION, marker_deviations
 
 _LOG = logging.getLogger(__name__)
@@ -42,6 +43,8 @@ NUM_ROUGH_UPDATES = 2
 FIRST_NOISE_UPDATE = 4
 #: and after which the rounds may end
 MIN_UPDATES = 5
+#: largest change of the logarithm of a prior's deviation in the last update
+MAX_SCALE_CHANGE = 0.2
 
 _SOLVER = LevenbergMarquardt(atol=1e-9, damping=FIRST_DAMPING, relative=True)
 
@@ -117,12 +120,12 @@ def _update_problem(
     change = float(jnp.max(jnp.abs(deviations / problem.deviations - 1.0)))
     settled = change < 0.05 and number > MIN_UPDATES
     problem = eqx.tree_at(lambda p: p.deviations, problem, deviations)
+    if number >= FIRST_NOISE_UPDATE:
+        problem, steady = _update_priors(problem, y)
+        settled = settled and steady
     if y.slides.size:
-        after = estimate_slide_deviation(
-            problem.subject(y), np.asarray(problem.skin_features), np.asarray(y.slides)
-        )
-        settled = settled and abs(after / float(problem.slide_deviation) - 1.0) <= 0.1
-        return eqx.tree_at(lambda p: p.slide_deviation, problem, jnp.asarray(after)), y, settled
+        problem, y = _renew_features(problem, y)
+        return problem, y, settled
     if allow_sliding and number == FIRST_NOISE_UPDATE:
         features = skin_features(problem.template, y.poses)
         found = initial_slide_deviation(
@@ -131,12 +134,56 @@ def _update_problem(
         if found is not None:
             _LOG.info("skin slides on its bones by %.1f mm per radian", 1000 * found)
             slides = jnp.zeros((features.shape[2], problem.template.num_markers, 3))
-            replaced = jnp.asarray(features), jnp.asarray(found)
-            problem = eqx.tree_at(lambda p: (p.skin_features, p.slide_deviation), problem, replaced)
+            replaced = jnp.asarray(features), jnp.full(slides.shape[:2], found)
+            problem = eqx.tree_at(lambda p: (p.skin_features, p.slide_deviations), problem, replaced)
             return problem, CalibrationEstimate(y.poses, y.shared, slides), False
     poses, covariances = _poses_without_prior(problem, y)
     turning = estimate_rotation_prior(problem.template.skeleton, poses, covariances)
     return eqx.tree_at(lambda p: p.rotation_prior, problem, turning), y, settled
+
+
+def _update_priors(problem: CalibrationProblem, y: CalibrationEstimate) -> tuple[CalibrationProblem, bool]:
+    """Update the deviations of the template and of the slides, and test if they hardly change."""
+    groups, deviations = _next_priors(problem, y)
+    change = [jnp.zeros(1), jnp.log(deviations / problem.slide_deviations).ravel()]
+    problem = eqx.tree_at(lambda p: p.slide_deviations, problem, deviations)
+    if groups is not None:
+        change.append(jnp.log(groups.scales / problem.prior_groups.scales))
+        replaced = groups, groups.precision()
+        problem = eqx.tree_at(lambda p: (p.prior_groups, p.prior), problem, replaced)
+    return problem, bool(jnp.max(jnp.abs(jnp.concatenate(change))) <= MAX_SCALE_CHANGE)
+
+
+@eqx.filter_jit
+def _next_priors(problem: CalibrationProblem, y: CalibrationEstimate):
+    size, template = len(problem.prior), problem.template
+    covariance = problem.shared_covariance(y)
+    groups = problem.prior_groups
+    if groups is not None:
+        groups = update_scales(groups, y.shared, covariance[:size, :size])
+    deviations = problem.slide_deviations
+    if y.slides.size:
+        known = jnp.diagonal(covariance)[size:].reshape(y.slides.shape)
+        variances = slide_variances(
+            y.slides,
+            known,
+            template.bones,
+            deviations**2,
+            template.skeleton.num_joints,
+            (MIN_SLIDING, MAX_SLIDING),
+        )
+        deviations = jnp.sqrt(variances)
+    return groups, deviations
+
+
+def _renew_features(
+    problem: CalibrationProblem, y: CalibrationEstimate
+) -> tuple[CalibrationProblem, CalibrationEstimate]:
+    """Recompute the features from the poses, and the slides that shift the markers as before."""
+    features = skin_features(problem.template, y.poses)
+    slides = refit_slides(np.asarray(problem.skin_features), np.asarray(y.slides), features)
+    problem = eqx.tree_at(lambda p: p.skin_features, problem, jnp.asarray(features))
+    return problem, CalibrationEstimate(y.poses, y.shared, jnp.asarray(slides))
 
 
 @eqx.filter_jit

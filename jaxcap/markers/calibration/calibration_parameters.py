@@ -6,6 +6,7 @@ the others move with their parents.
 """
 
 import abc
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,6 +18,15 @@ from ...body.symmetry import length_differences
 from ..subject import Subject
 
 
+class PriorGroups(NamedTuple):
+    """Independent normal priors of linear functions of `s`, in groups with a common unknown scale."""
+
+    #: each function of `s`, in units of its standard deviation at a scale of one
+    rows: Float[np.ndarray, "N S"]
+    #: the group of each, from 0
+    groups: Int[np.ndarray, "N"]
+
+
 class AbstractTemplatePrior(eqx.Module):
     """A normal prior of `s` about a template."""
 
@@ -24,12 +34,20 @@ class AbstractTemplatePrior(eqx.Module):
     def precision(self, template: Subject, joints: tuple[int, ...]) -> Float[np.ndarray, "S S"]:
         """Compute the inverse covariance of `s`, for the given solved joints."""
 
+    @abc.abstractmethod
+    def groups(self, template: Subject, joints: tuple[int, ...]) -> PriorGroups | None:
+        """Divide the prior into groups with deviations that the data choose; None if all are given."""
+
 
 class TemplatePrior(AbstractTemplatePrior):
     """Uncertainty of any template, as standard deviations of its bones and of the markers on them.
 
     The prior means are the template's bones and its marker positions *on their bones*, so that a longer bone
     shifts all below it. The prior determines what no motion does, and is negligible where a motion does.
+
+    If `adaptive`, the deviations are initial values for three groups: lengths of bones, their directions, and placements.
+    The scale of each group maximises the marginal likelihood (`jaxcap.markers.calibration.evidence`). So a template with the
+    right directions and other lengths determines the centres of hinges along their axes.
     """
 
     #: of each coordinate of a bone, as a share of its length
@@ -38,15 +56,28 @@ class TemplatePrior(AbstractTemplatePrior):
     joints: float = eqx.field(static=True, default=0.01)
     #: of each coordinate of a marker's position on its bone, metres
     placements: float = eqx.field(static=True, default=0.02)
+    #: false keeps these deviations
+    adaptive: bool = eqx.field(static=True, default=True)
 
     def precision(self, template, joints):
+        rows, _ = self._rows_and_groups(template, joints)
+        return rows.T @ rows
+
+    def groups(self, template, joints):
+        return PriorGroups(*self._rows_and_groups(template, joints)) if self.adaptive else None
+
+    def _rows_and_groups(self, template: Subject, joints: tuple[int, ...]):
         bones = bone_vectors(template.skeleton, joints)
-        deviations = np.append(
-            self.lengths * np.linalg.norm(bones, axis=1) + self.joints,
-            np.full(template.num_markers, self.placements),
-        )
+        lengths, count = np.linalg.norm(bones, axis=1), template.num_markers
+        deviations = np.append(self.lengths * lengths + self.joints, np.full(count, self.placements))
         scaled = bone_and_placement_jacobian(template, joints) / deviations[:, None]
-        return np.kron(scaled.T @ scaled, np.eye(3))
+        # the axes of a bone: along it, and two across it; those of markers are the world's
+        axes = np.tile(np.eye(3), (len(scaled), 1, 1))
+        for bone, vector in enumerate(bones):
+            axes[bone] = np.linalg.svd(vector[None])[2]
+        rows = np.einsum("ns,nab->nasb", scaled, axes).reshape(3 * len(scaled), -1)
+        groups = np.concatenate([np.tile([0, 1, 1], len(bones)), np.full(3 * count, 2)])
+        return rows, groups
 
 
 def solved_joints(subject: Subject, used: Bool[np.ndarray, "M"]) -> tuple[int, ...]:

@@ -28,6 +28,7 @@ from .calibration_parameters import (
     equal_length_constraints,
     shift_subject,
 )
+from .prior_scales import ScaledGroups, scaled_groups
 from .residuals import linearise_residuals, marker_residuals
 from .robust import OUTLIER_BOUND, UNBOUNDED, robust_kernel
 from .rotation_prior import (
@@ -65,8 +66,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
 
     - `deviations (M,)` of markers, metres; residuals beyond `outlier_bound` squared deviations have lower weights.
     - `rotation_prior` is the prior of rotations about axes that joints hardly rotate about.
-    - `prior (S, S)` is the inverse covariance of `s` about the template; `slide_deviation` is the standard
-      deviation of all slides, metres a radian.
+    - `prior (S, S)` is the inverse covariance of `s` about the template, with the scales that `prior_groups` has found;
+      `slide_deviations (K, M)` are those of the slides, metres a radian.
     - `frames_per_observation`: that many frames have the information on shared unknowns that one has with independent
       errors. Both priors of shared unknowns count that many times, which is the same as a likelihood with that share.
     - `max_deviation_ratio`: no marker has a larger deviation than this multiple of that of all.
@@ -82,8 +83,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     deviations: Float[Array, "M"]
     rotation_prior: RotationPrior
     prior: Float[Array, "S S"]
+    prior_groups: ScaledGroups | None
     skin_features: Float[Array, "F M K"]
-    slide_deviation: Float[Array, ""]
+    slide_deviations: Float[Array, "K M"]
     frames_per_observation: Float[Array, ""]
     max_deviation_ratio: Float[Array, ""]
     outlier_bound: Float[Array, ""]
@@ -145,6 +147,13 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         frames = self._frame_inputs(y)
         poses = jax.lax.map(lambda x: improve(*x), (frames, steps), batch_size=BATCH_SIZE)
         return CalibrationEstimate(poses, y.shared, y.slides)
+
+    def shared_covariance(self, y: CalibrationEstimate) -> Float[Array, "S S"]:
+        """Compute the posterior covariance of all shared unknowns, from the normal equations at `y`."""
+        factor = self.normal_equations(y)[2].factorise().shared
+        size = len(self.prior) + y.slides.size
+        found = self.frames_per_observation * factor.solve(jnp.eye(size, dtype=self.prior.dtype))
+        return (found + found.T) / 2
 
     def pose_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, "F D D"], Float[Array, "F D"]]:
         """Compute `J^T J` and `J^T r` of each frame with respect to its own pose, all else fixed."""
@@ -227,18 +236,18 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         prior, stiff = self.frames_per_observation * self.prior, self._slide_precision()
         count = len(prior)
         pull = jnp.concatenate([prior @ y.shared, stiff * y.slides.reshape(-1)])
-        firm = jnp.zeros_like(arrow.shared).at[:count, :count].set(prior)
-        firm = firm + jnp.diag(jnp.where(jnp.arange(len(firm)) < count, 0.0, stiff))
+        firm = jnp.diag(jnp.concatenate([jnp.zeros(count, stiff.dtype), stiff])).at[:count, :count].set(prior)
         shared = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared + firm)
         return value + self._prior_value(y), (gradient[0], gradient[1] + pull), shared
 
     def _prior_value(self, y: CalibrationEstimate) -> Float[Array, ""]:
         away = y.shared
         bones = self.frames_per_observation * (away @ self.prior @ away)
-        return 0.5 * (bones + self._slide_precision() * jnp.sum(y.slides**2))
+        return 0.5 * (bones + self._slide_precision() @ y.slides.reshape(-1) ** 2)
 
-    def _slide_precision(self) -> Float[Array, ""]:
-        return self.frames_per_observation / self.slide_deviation**2
+    def _slide_precision(self) -> Float[Array, "Z"]:
+        """Compute the precision of each number of the slides."""
+        return self.frames_per_observation * jnp.repeat(self.slide_deviations.reshape(-1), 3) ** -2.0
 
     def _frame_inputs(self, y: CalibrationEstimate):
         return y.poses, self.positions, self.seen, self.skin_features
@@ -313,6 +322,7 @@ def make_calibration_problem(
 ) -> CalibrationProblem:
     """Build a problem about a template, with its deviations, free rotations and skin that does not slide."""
     dtype = positions.dtype
+    groups = template_prior.groups(template, joints)
     return CalibrationProblem(
         template,
         positions,
@@ -320,8 +330,9 @@ def make_calibration_problem(
         template.deviations,
         free_rotation_prior(template.skeleton),
         jnp.asarray(template_prior.precision(template, joints), dtype),
+        None if groups is None else scaled_groups(groups, dtype),
         jnp.zeros((*seen.shape, 0), dtype),
-        jnp.ones((), dtype),
+        jnp.zeros((0, template.num_markers), dtype),
         jnp.ones((), dtype),
         jnp.asarray(MAX_DEVIATION_RATIO, dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),

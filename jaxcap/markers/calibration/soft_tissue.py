@@ -18,15 +18,12 @@ from ...body.pose import Pose
 from ..subject import Subject
 from .rotation_prior import rotation_vectors_from_mean
 
-#: number of directions: more would attribute to skin what the segments lack in joints
-NUM_DIRECTIONS = 2
+#: number of directions for the markers of a bone
+NUM_DIRECTIONS = 4
 #: rotations have to explain this multiple of what chance explains of the residuals
 MIN_EXPLAINED_RATIO = 6.0
 #: lower and upper limit of skin sliding, metres a radian
 MIN_SLIDING, MAX_SLIDING = 2e-4, 0.05
-#: approximate distance of markers from the centroid of their bone's markers, metres
-MARKER_LEVER = 0.05
-
 
 def skin_shifts(
     features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
@@ -88,27 +85,12 @@ def initial_slide_deviation(
     return float(np.clip(np.sqrt(explained / squares), MIN_SLIDING, MAX_SLIDING))
 
 
-def estimate_slide_deviation(
-    subject: Subject, features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
-) -> float:
-    """Estimate the standard deviation of the slides that move the markers of a bone relative to each other.
-
-    The rest of the slides is a rigid motion of the bone, which only joints contradict. If it were included,
-    ever larger slides would replace poses.
-    """
-    bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
-    squares = numbers = 0.0
-    for bone in np.unique(bones):
-        members = np.flatnonzero(bones == bone)
-        arms = offsets[members] - offsets[members].mean(0)
-        turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1)
-        shifts = np.tile(np.eye(3), (1, len(members)))
-        _, sizes, basis = np.linalg.svd(np.concatenate([turns / MARKER_LEVER, shifts]), full_matrices=False)
-        rigid = basis[sizes > 1e-3]
-        for each, phi in zip(
-            slides[:, members].reshape(-1, 3 * len(members)), features[:, members[0]].T, strict=True
-        ):
-            if phi.any():
-                squares += float(each @ each - np.sum((rigid @ each) ** 2))
-                numbers += each.size - len(rigid)
-    return float(np.clip(np.sqrt(squares / max(numbers, 1.0)), MIN_SLIDING, MAX_SLIDING))
+def refit_slides(
+    old: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"], new: Float[np.ndarray, "F M K"]
+) -> Float[np.ndarray, "K M 3"]:
+    """Find the slides that shift the markers with new features as nearly as possible as with the old ones."""
+    result = np.zeros_like(slides)
+    for marker in range(slides.shape[1]):
+        shifts = old[:, marker] @ slides[:, marker]
+        result[:, marker] = np.linalg.pinv(new[:, marker], 1e-6) @ shifts
+    return result

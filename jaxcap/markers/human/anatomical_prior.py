@@ -44,6 +44,9 @@ class AnatomicalPrior(AbstractTemplatePrior):
         inner = np.eye(modes.shape[1]) + modes.T @ pull
         return free - pull @ np.linalg.pinv(inner, hermitian=True) @ pull.T
 
+    def groups(self, template, joints):
+        return None
+
     def trait_modes(self, joints: tuple[int, ...]) -> Float[np.ndarray, "S T"]:
         """Compute the change of `s` by each trait."""
         wide = np.concatenate([self.centre_modes[:, list(joints)], self.marker_modes], axis=1)
