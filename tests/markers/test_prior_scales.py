@@ -6,6 +6,10 @@ import scipy.optimize
 
 from jaxcap.markers.calibration.calibration_parameters import PriorGroups
 from jaxcap.markers.calibration.prior_scales import next_variances, scaled_groups, slide_variances
+from jaxcap.markers.calibration.soft_tissue import relative_modes
+from tests.markers_limb import truth
+
+SUBJECT = truth()
 
 
 def _posterior(design, data, variances):
@@ -27,7 +31,9 @@ def test_the_update_converges_to_a_maximum_of_the_marginal_likelihood(rng):
     variances = jnp.ones(2)
     for _ in range(300):
         means, covariance = _posterior(design, data, np.asarray(variances)[groups])
-        variances = next_variances(means, np.diag(covariance), groups, variances, 1.0, 0.0)
+        variances = next_variances(
+            jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), variances, 1.0, 0.0
+        )
     np.testing.assert_allclose(variances, best, rtol=1e-3)
 
 
@@ -38,7 +44,11 @@ def test_numbers_without_data_have_no_influence(rng):
     for count in (5, 55):
         means, covariance = _posterior(design[:, :count], data, np.ones(count))
         groups = np.zeros(count, int)
-        results.append(next_variances(means, np.diag(covariance), groups, jnp.ones(1), 1.0, 2.0))
+        results.append(
+            next_variances(
+                jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), jnp.ones(1), 1.0, 2.0
+            )
+        )
     np.testing.assert_allclose(*results, rtol=1e-9)
 
 
@@ -55,6 +65,19 @@ def test_each_bone_and_feature_has_its_own_variance_of_slides(rng):
     bones = np.repeat([0, 3], 40)
     true = np.array([[0.01, 0.01], [0.002, 0.01], [0.01, 0.03]])
     slides = rng.normal(size=(3, 80, 3)) * np.repeat(true, 40, 1)[..., None]
-    known = np.full((3, 80, 3), 1e-12)
-    found = slide_variances(slides, known, bones, jnp.full((3, 80), 1e-4), 4, (1e-4, 0.05))
-    np.testing.assert_allclose(np.sqrt(found)[:, [0, 79]], true, rtol=0.3)
+    modes, old = jnp.eye(240), jnp.full((3, 240), 1e-4)
+    found = slide_variances(
+        jnp.asarray(slides), jnp.zeros((3, 240, 240)), modes, jnp.asarray(np.repeat(bones, 3)), old, 4
+    )
+    np.testing.assert_allclose(np.sqrt(found)[:, [0, 3]], true, rtol=0.25)
+
+
+def test_relative_modes_are_no_rigid_motion(rng):
+    modes = relative_modes(SUBJECT)
+    np.testing.assert_allclose(modes.rows @ modes.rows.T, np.eye(len(modes.rows)), atol=1e-12)
+    bones, offsets = np.asarray(SUBJECT.bones), np.asarray(SUBJECT.offsets)
+    for bone in np.unique(bones):
+        own = (bones == bone)[:, None]
+        moved = own * (rng.normal(size=3) + np.cross(rng.normal(size=3), offsets))
+        np.testing.assert_allclose(modes.rows @ moved.ravel(), 0, atol=1e-9)
+        assert np.sum(modes.bones == bone) == 3 * own.sum() - 6

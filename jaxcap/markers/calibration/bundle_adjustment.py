@@ -22,11 +22,19 @@ from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..subject import Subject
 from .calibration_parameters import shared_parameters
 from .calibration_problem import CalibrationEstimate, CalibrationProblem, apply_sliding
+from .prior_scales import slide_variances, update_scales
 from .residuals import marker_residuals
 from .robust import MEDIAN_SQUARED_LENGTH, UNBOUNDED
 from .rotation_prior import estimate_rotation_prior, free_rotation_prior
-from .prior_scales import slide_variances, update_scales
-from .soft_tissue import MAX_SLIDING, MIN_SLIDING, initial_slide_deviation, refit_slides, skin_features
+from .soft_tissue import (
+    MAX_SLIDING,
+    MIN_SLIDING,
+    RelativeModes,
+    initial_slide_deviation,
+    refit_slides,
+    relative_modes,
+    skin_features,
+)
 from .variances import MIN_DEVIATION, marker_deviations
 
 _LOG = logging.getLogger(__name__)
@@ -43,6 +51,8 @@ NUM_ROUGH_UPDATES = 2
 FIRST_NOISE_UPDATE = 4
 #: and after which the rounds may end
 MIN_UPDATES = 5
+#: number of the last update that recomputes the features of the skin, so that the rounds converge
+LAST_RENEWAL = 8
 #: largest change of the logarithm of a prior's deviation in the last update
 MAX_SCALE_CHANGE = 0.2
 
@@ -124,7 +134,8 @@ def _update_problem(
         problem, steady = _update_priors(problem, y)
         settled = settled and steady
     if y.slides.size:
-        problem, y = _renew_features(problem, y)
+        if number <= LAST_RENEWAL:
+            problem, y = _renew_features(problem, y)
         return problem, y, settled
     if allow_sliding and number == FIRST_NOISE_UPDATE:
         features = skin_features(problem.template, y.poses)
@@ -144,10 +155,10 @@ def _update_problem(
 
 def _update_priors(problem: CalibrationProblem, y: CalibrationEstimate) -> tuple[CalibrationProblem, bool]:
     """Update the deviations of the template and of the slides, and test if they hardly change."""
-    groups, deviations = _next_priors(problem, y)
+    groups, deviations = _next_priors(problem, y, relative_modes(problem.template))
     change = [jnp.zeros(1), jnp.log(deviations / problem.slide_deviations).ravel()]
     problem = eqx.tree_at(lambda p: p.slide_deviations, problem, deviations)
-    if groups is not None:
+    if groups is not None and problem.prior_groups is not None:
         change.append(jnp.log(groups.scales / problem.prior_groups.scales))
         replaced = groups, groups.precision()
         problem = eqx.tree_at(lambda p: (p.prior_groups, p.prior), problem, replaced)
@@ -155,7 +166,7 @@ def _update_priors(problem: CalibrationProblem, y: CalibrationEstimate) -> tuple
 
 
 @eqx.filter_jit
-def _next_priors(problem: CalibrationProblem, y: CalibrationEstimate):
+def _next_priors(problem: CalibrationProblem, y: CalibrationEstimate, modes: RelativeModes):
     size, template = len(problem.prior), problem.template
     covariance = problem.shared_covariance(y)
     groups = problem.prior_groups
@@ -163,16 +174,12 @@ def _next_priors(problem: CalibrationProblem, y: CalibrationEstimate):
         groups = update_scales(groups, y.shared, covariance[:size, :size])
     deviations = problem.slide_deviations
     if y.slides.size:
-        known = jnp.diagonal(covariance)[size:].reshape(y.slides.shape)
-        variances = slide_variances(
-            y.slides,
-            known,
-            template.bones,
-            deviations**2,
-            template.skeleton.num_joints,
-            (MIN_SLIDING, MAX_SLIDING),
-        )
-        deviations = jnp.sqrt(variances)
+        kinds, count = len(y.slides), y.slides[0].size
+        blocks = covariance[size:, size:].reshape(kinds, count, kinds, count)
+        own = blocks[jnp.arange(kinds), :, jnp.arange(kinds)]
+        old = deviations[:, modes.markers] ** 2
+        variances = slide_variances(y.slides, own, modes.rows, modes.bones, old, template.skeleton.num_joints)
+        deviations = jnp.clip(jnp.sqrt(variances), MIN_SLIDING, MAX_SLIDING)[:, template.bones]
     return groups, deviations
 
 

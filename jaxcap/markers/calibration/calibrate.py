@@ -34,7 +34,7 @@ from .observability import (
     find_imprecise_directions,
     shared_covariance,
 )
-from .soft_tissue import shift_variances
+from .soft_tissue import MAX_SLIDING, shift_variances
 
 _LOG = logging.getLogger(__name__)
 
@@ -168,9 +168,15 @@ def calibrate(
         lasting = _frames_per_observation(best, solved.motion, matched, explained, chosen)
         share = max(frames_per_observation, lasting)
         _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
-        known = shared_covariance(with_frames_per_observation(fit.problem, share), fit.estimate)
+        known = shared_covariance(
+            _with_given_prior(with_frames_per_observation(fit.problem, share), template_prior), fit.estimate
+        )
         hardly = find_imprecise_directions(best, known, joints)
-        messages = (*_describe_sliding(best, slid), *solved.messages)
+        messages = (
+            *_describe_sliding(best, slid),
+            *_describe_excessive_sliding(best, fit.problem),
+            *solved.messages,
+        )
         if not fit.converged:
             messages += (f"The fit did not converge in {max_steps} steps; allow more steps.",)
         return Calibration(
@@ -199,6 +205,12 @@ def with_frames_per_observation(problem: CalibrationProblem, share: float) -> Ca
     return eqx.tree_at(lambda p: p.frames_per_observation, problem, value)
 
 
+def _with_given_prior(problem: CalibrationProblem, prior: AbstractTemplatePrior) -> CalibrationProblem:
+    """Replace the deviations that the data chose for the prior by the given ones, as that choice is uncertain itself."""
+    given = jnp.asarray(prior.precision(problem.template, problem.joints), problem.prior.dtype)
+    return eqx.tree_at(lambda p: p.prior, problem, given)
+
+
 def _frames_per_observation(subject: Subject, motion: Motion, matched, explained, chosen) -> float:
     """Estimate how many of the chosen frames have the information of one, at least 1, from a motion through all frames."""
     residuals = np.asarray(marker_residuals_of_frames(subject, motion.poses, matched.positions), float)
@@ -214,6 +226,18 @@ def _describe_sliding(subject: Subject, variances: Float[np.ndarray, "M"]) -> li
         return []
     each = ", ".join(f"{subject.labels[marker]} ({1000 * far[marker]:.0f} mm)" for marker in most)
     return [f"Skin slides on its bones as the joints rotate; the markers with the most sliding are {each}."]
+
+
+def _describe_excessive_sliding(subject: Subject, problem: CalibrationProblem) -> list[str]:
+    """Describe bones with markers that would have to slide more than soft tissue does."""
+    at_limit = np.any(np.asarray(problem.slide_deviations) >= 0.99 * MAX_SLIDING, axis=0)
+    names = [subject.skeleton.names[bone] for bone in np.unique(np.asarray(subject.bones)[at_limit])]
+    if not names:
+        return []
+    return [
+        f"Markers of {', '.join(names)} would have to slide by more than {1000 * MAX_SLIDING:.0f} mm per radian, more than "
+        "soft tissue does. Check if all markers of each of these are on one bone."
+    ]
 
 
 def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"], terms: UserTerms):

@@ -18,10 +18,11 @@ from .calibration_parameters import PriorGroups
 
 #: number of determined numbers that the initial deviations of a template count for
 TEMPLATE_WEIGHT = 2.0
-#: and that the deviation of all slides counts for in that of a bone's
-SLIDE_WEIGHT = 6.0
-#: lower and upper limit of the scale of a template's group
-MIN_SCALE, MAX_SCALE = 0.05, 4.0
+#: and that the deviation of all slides counts for in that of a bone, and this one in that of a bone and feature
+BONE_WEIGHT, SLIDE_WEIGHT = 3.0, 3.0
+#: lower and upper limit of the scale of a template's group. The given deviations are the largest: data that contradict
+#: them contradict the model, as where skin slides
+MIN_SCALE, MAX_SCALE = 0.05, 1.0
 
 
 class ScaledGroups(eqx.Module):
@@ -76,23 +77,28 @@ def update_scales(
 
 def slide_variances(
     slides: Float[Array, "K M 3"],
-    variances: Float[Array, "K M 3"],
-    bones: Int[Array, "M"],
-    old: Float[Array, "K M"],
+    covariance: Float[Array, "K N N"],
+    modes: Float[Array, "R N"],
+    bones: Int[Array, "R"],
+    old: Float[Array, "K R"],
     num_bones: int,
-    limits: tuple[float, float],
-) -> Float[Array, "K M"]:
+) -> Float[Array, "K B"]:
     """Update the prior variance of the slides of each bone with each feature, metres squared a square radian.
 
-    The variance of all slides together counts as `SLIDE_WEIGHT` numbers of each bone. `limits` are those of deviations.
+    `covariance`, that of the slides with each feature. `modes` change the distances between markers of a bone, `bones` are
+    those of the modes. A rigid motion of all markers of a bone is left out: if it were included, ever larger slides would
+    replace poses. The variance of all slides together counts as `BONE_WEIGHT` numbers of each bone, and that of a bone as
+    `SLIDE_WEIGHT` numbers of each of its features.
     """
-    kinds, markers = slides.shape[:2]
-    own = (jnp.arange(kinds)[:, None] * num_bones + bones[None]).reshape(-1)
-    groups = jnp.repeat(own, 3)
-    each, known = slides.reshape(-1), variances.reshape(-1)
-    prior = jnp.zeros(kinds * num_bones, slides.dtype).at[own].set(old.reshape(-1))
-    prior = jnp.where(prior > 0, prior, 1.0)
-    determined = jnp.sum(jnp.maximum(1.0 - known / prior[groups], 0.0))
-    common = jnp.sum(each**2) / jnp.maximum(determined, 1.0)
-    found = next_variances(each, known, groups, prior, common, SLIDE_WEIGHT)
-    return jnp.clip(found[own].reshape(kinds, markers), limits[0] ** 2, limits[1] ** 2)
+    kinds = len(slides)
+    means = slides.reshape(kinds, -1) @ modes.T
+    known = jnp.einsum("rn,knm,rm->kr", modes, covariance, modes)
+    determined = jnp.maximum(1.0 - known / old, 0.0)
+    common = jnp.sum(means**2) / jnp.maximum(jnp.sum(determined), 1.0)
+
+    def by_bone(values):
+        return jax.ops.segment_sum(values.T, bones, num_bones).T
+
+    squares, counts = by_bone(means**2), by_bone(determined)
+    of_bone = (jnp.sum(squares, 0) + BONE_WEIGHT * common) / (jnp.sum(counts, 0) + BONE_WEIGHT)
+    return (squares + SLIDE_WEIGHT * of_bone) / (counts + SLIDE_WEIGHT)

@@ -7,12 +7,16 @@ soft tissue mostly does (Camomilla, Cereatti, Cutti and others 2013; Bonci and o
 
 `phi` are the rotations about their means, along the few directions with the largest variance, radians. A
 shift that follows a joint is similar to a shift of the centre. Without this model it is mistaken for one,
-with more certainty the more frames there are. `d` is unknown with a prior at zero; the markers of all bones
-determine its deviation. So what the data cannot separate counts as unknown.
+with more certainty the more frames there are. `d` is unknown with a prior at zero. Its deviation, one for each bone and
+direction, maximises the marginal likelihood (`jaxcap.markers.calibration.prior_scales`). So what the data cannot separate
+counts as unknown.
 """
 
+from typing import NamedTuple
+
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ...body.pose import Pose
 from ..subject import Subject
@@ -22,8 +26,12 @@ from .rotation_prior import rotation_vectors_from_mean
 NUM_DIRECTIONS = 4
 #: rotations have to explain this multiple of what chance explains of the residuals
 MIN_EXPLAINED_RATIO = 6.0
-#: lower and upper limit of skin sliding, metres a radian
-MIN_SLIDING, MAX_SLIDING = 2e-4, 0.05
+#: lower and upper limit of the standard deviation of skin sliding, metres a radian. Markers on a thigh move by up to 3 cm
+#: as hip and knee bend by a radian, other markers by less (Leardini and others 2005; Peters and others 2010)
+MIN_SLIDING, MAX_SLIDING = 2e-4, 0.03
+#: approximate distance of markers from the centroid of their bone's markers, metres
+MARKER_LEVER = 0.05
+
 
 def skin_shifts(
     features: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"]
@@ -94,3 +102,35 @@ def refit_slides(
         shifts = old[:, marker] @ slides[:, marker]
         result[:, marker] = np.linalg.pinv(new[:, marker], 1e-6) @ shifts
     return result
+
+
+class RelativeModes(NamedTuple):
+    """Unit shifts of the markers of a bone that no rigid motion of the bone makes: R in all."""
+
+    #: shift of each marker along each axis
+    rows: Float[Array, "R N"]
+    #: the bone of each, and a marker on it
+    bones: Int[Array, "R"]
+    markers: Int[Array, "R"]
+
+
+def relative_modes(subject: Subject) -> RelativeModes:
+    """Find an orthonormal basis of the shifts of each bone's markers relative to each other.
+
+    Only joints contradict slides that move all markers of a bone rigidly, as the bone itself may have moved.
+    """
+    bones, offsets = np.asarray(subject.bones), np.asarray(subject.offsets, float)
+    rows, owners, markers = [], [], []
+    for bone in np.unique(bones):
+        members = np.flatnonzero(bones == bone)
+        arms = offsets[members] - offsets[members].mean(0)
+        turns = np.cross(np.eye(3)[:, None], arms).reshape(3, -1) / MARKER_LEVER
+        rigid = np.concatenate([turns, np.tile(np.eye(3), (1, len(members)))])
+        _, sizes, basis = np.linalg.svd(rigid)
+        kept = basis[np.count_nonzero(sizes > 1e-3) :]
+        wide = np.zeros((len(kept), len(bones), 3))
+        wide[:, members] = kept.reshape(len(kept), -1, 3)
+        rows.append(wide.reshape(len(kept), -1))
+        owners += [bone] * len(kept)
+        markers += [members[0]] * len(kept)
+    return RelativeModes(jnp.asarray(np.concatenate(rows)), jnp.array(owners, int), jnp.array(markers, int))
