@@ -7,11 +7,12 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.body_model import BodyModel, shape_body, split_coefficients
 from ..errors import InputError, user_message
+from ..fit.covariance.model_uncertainty import model_uncertainty
 from ..fit.fit_meshes import MeshFit, fit_meshes
 from ..fit.fit_model import ModelFit, fit_model
 from ..io.archives.npz import save_motion
@@ -23,6 +24,7 @@ from ..observe.meshes import MeshSequence
 from ..report.pictures import error_pictures
 from .body_models import is_model_spec, load_model, stated_gender
 from .console.console import pluralise, print_table, say, warn
+from .console.heartbeat import set_activity
 from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
 from .scoring import print_scores, score_motion
@@ -61,6 +63,8 @@ class Fit:
     """Output folder for report.json and pictures of the errors as heat maps."""
     each_person: Flag = False
     """Each mesh is another person, with coefficients of its own. Default: all meshes show one person."""
+    deviations: Flag = False
+    """Also write the standard deviations of the coefficients and joints of a body model."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
@@ -96,7 +100,7 @@ class Fit:
         if model is None or isinstance(fit, MeshFit):
             save_motion(self.out, fit.motion, body.skeleton)
         else:
-            body = self.write_parameters(model, fit)
+            body = self.write_parameters(model, fit, sequence)
             if self.each_person:
                 print_parameter_errors(fit, names)
                 say(
@@ -123,18 +127,26 @@ class Fit:
             return load_model(
                 self.body, joints="full", num_expression=NUM_EXPRESSION if self.each_person else 0
             )
+        if self.deviations:
+            raise InputError(f"{self.body}: --deviations is for body models, which have coefficients.")
         if self.each_person:
             raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
         return None
 
-    def write_parameters(self, model: BodyModel, fit: ModelFit) -> Body:
+    def write_parameters(self, model: BodyModel, fit: ModelFit, sequence: MeshSequence) -> Body:
         """Write the parameters of a model in AMASS's format; return the body of the first mesh."""
         coefficients = np.asarray(fit.coefficients, float)
         groups = split_coefficients(model, coefficients if self.each_person else coefficients[0])
         body = shape_body(model, coefficients[0])
-        gender = stated_gender(self.body) or "neutral"
         write_amass(
-            self.out, body.skeleton, fit.motion, groups, gender, up="y", with_skeleton=not self.each_person
+            self.out,
+            body.skeleton,
+            fit.motion,
+            groups,
+            stated_gender(self.body) or "neutral",
+            up="y",
+            with_skeleton=not self.each_person,
+            deviations=self.find_deviations(model, fit, sequence) if self.deviations else None,
         )
         known = np.isfinite(np.asarray(fit.rmse))
         typical = float(np.median(np.asarray(fit.rmse)[known])) if known.any() else 0.0
@@ -144,6 +156,15 @@ class Fit:
                 "show different people, give --each-person"
             )
         return body
+
+    def find_deviations(
+        self, model: BodyModel, fit: ModelFit, sequence: MeshSequence
+    ) -> tuple[dict[str, Float[np.ndarray, "..."]], Float[np.ndarray, "F J"]]:
+        """Compute the standard deviations of coefficients, by their groups, and of joints."""
+        set_activity("computing the deviations")
+        found = model_uncertainty(model, sequence, fit, same_person=not self.each_person)
+        own = found.coefficients if self.each_person else found.coefficients[0]
+        return split_coefficients(model, own), found.joints
 
 
 def print_parameter_errors(fit: ModelFit, names: Sequence[str]) -> None:

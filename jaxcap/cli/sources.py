@@ -29,7 +29,7 @@ from ..observe.clouds import Cloud, make_cloud
 from ..observe.floors_and_walls import describe_room, find_room, remove_planes
 from ..observe.planes import Plane, in_room
 from ..tracking.check_cloud import check_cloud_extent
-from .body_models import is_model_spec, load_model
+from .body_models import load_model_of
 from .console.console import say
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -66,17 +66,17 @@ def load_body(
 
     **Raises:** `InputError`.
     """
-    path, made, model = split_clip(spec)[0], is_human_spec(spec), is_model_spec(spec)
-    if not made and not model and not path.exists():
+    path, made, model = split_clip(spec)[0], is_human_spec(spec), load_model_of(spec, vertices)
+    if model is not None:
+        return model.template, None if limits is None else read_limits(limits, model.template.skeleton)
+    if not made and not path.exists():
         raise InputError(f"{path}: there is no such file; give {BODY_FORMATS}.")
     # a file of these formats without a .skl has a skin of its own, or an error that `read_body` describes
     own_skin = path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file()
     mesh = (
         not made and path.suffix.lower() in SUFFIXES and not (skl is None and (own_skin or is_skinned(path)))
     )
-    if model:
-        body = load_model(spec).template
-    elif made:
+    if made:
         body = _human(spec, vertices)
     elif mesh and path.is_file():
         skl = _find_companion(path, skl, ".skl")

@@ -25,6 +25,8 @@ from .correspondence.nearest_assignment import make_mesh_scan as make_mesh_scan
 from .correspondence.nearest_assignment import make_scan as make_scan
 from .correspondence.part_blocks import make_part_blocks as make_part_blocks
 from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
+from .covariance.model_uncertainty import ModelUncertainty as ModelUncertainty
+from .covariance.model_uncertainty import model_uncertainty as model_uncertainty
 from .fit_meshes import MeshFit as MeshFit
 from .fit_model import ModelFit as ModelFit
 from .flat_problems import flat_problem as flat_problem

@@ -13,7 +13,8 @@ from ..body.retraction import difference, retract
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.free_space import FreeSpace
 from ..energy.energy import AbstractEnergy, Sum, terms_of, weighted
-from ..energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from ..energy.priors.gaussian_pose_prior import GaussianPrior
+from ..energy.priors.human_prior import human_prior
 from ..energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks

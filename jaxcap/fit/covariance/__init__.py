@@ -1,0 +1,1 @@
+"""Covariances of fitted body models, from the residuals of their fits."""
