@@ -14,6 +14,7 @@ from ...energy.data.pairs import PairDistances, PointPairs, stack_pairs
 from ...fit.correspondence.find_pairs import Matching, find_pairs
 from ...fit.correspondence.nearest_assignment import IndexedScan, NearestOnSurface, make_scan
 from ...observe.clouds import Cloud
+from ...tracking.track_frame import Tracker
 
 #: points farther from the surface are in no pair, as a multiple of their standard deviation in the frame, and metres
 MAX_DEVIATIONS, MIN_REACH, FIRST_REACH = 4.0, 0.006, 0.05
@@ -23,6 +24,11 @@ MIN_SIGMA = 5e-4
 TANGENTIAL_WEIGHT = 0.001
 #: of a normal distribution, standard deviation over median distance
 _OF_MEDIAN = 1.4826
+
+
+def normal_angle(tracker: Tracker) -> float:
+    """Return the largest angle between the normals of a pair of a tracker, degrees."""
+    return float(np.degrees(np.arccos(np.clip(float(tracker.mixture.normal_threshold), -1.0, 1.0))))
 
 
 def index_clouds(clouds: Sequence[Cloud]) -> list[tuple[IndexedScan, Float[np.ndarray, "N"]]]:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ...arguments import checked
@@ -39,7 +38,7 @@ from ...tracking.track import track_frames
 from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...value_checks import check_at_least
 from .shape_space import shape_space_like
-from .surface_pairs import index_clouds, pair_frames
+from .surface_pairs import index_clouds, normal_angle, pair_frames
 
 _LOG = logging.getLogger(__name__)
 
@@ -166,7 +165,7 @@ def fit_tracked_shape(
         nonlocal widths
         _LOG.info("fitting the shape of the person to triangles, round %d of %d", number + 1, exact_rounds)
         body = empty.body_at(y.values)
-        distances, widths = pair_frames(body, y.poses, scans, widths, angle)
+        distances, widths = pair_frames(body, y.poses, scans, widths, normal_angle(tracker))
         others = further_terms(tracker, body, frames)
         return problem([Stacked(term) for term in (distances, *others)])
 
@@ -175,7 +174,6 @@ def fit_tracked_shape(
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3)
     found = anneal_problem(renew, empty.start(start), solver, range(rounds))
     scans, widths = index_clouds(clouds), None
-    angle = float(np.degrees(np.arccos(np.clip(float(tracker.mixture.normal_threshold), -1.0, 1.0))))
     found = anneal_problem(renew_pairs, found, solver, range(exact_rounds))
     return empty.body_at(found.values)
 
