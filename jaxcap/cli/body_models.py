@@ -1,4 +1,4 @@
-"""Body models as a user names them: a file, `human:anny`, or shape keys, with options after a colon."""
+"""Body models as a user names them: a file, `human:anny`, `human:betas=20` or shape keys, with options after a colon."""
 
 import functools
 import re
@@ -19,6 +19,7 @@ from ..io.body_models.model_file import is_body_model, read_model_file
 from ..io.gltf.gltf_reader import read_gltf_model
 from ..io.skeletons.amass import GENDERS, SHAPE_GROUPS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
+from .models.human_models import is_human_model, load_human_model
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl|pt))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 #: a glTF whose shape keys are coefficients, all or some of them
@@ -53,7 +54,12 @@ def is_morphs_spec(spec: str) -> bool:
 
 def is_model_spec(spec: str) -> bool:
     """Test if an argument names a body model."""
-    return is_anny_spec(spec) or is_morphs_spec(spec) or is_body_model(split_model(spec)[0])
+    return (
+        is_anny_spec(spec)
+        or is_morphs_spec(spec)
+        or is_human_model(spec)
+        or is_body_model(split_model(spec)[0])
+    )
 
 
 def is_own_file(spec: str | Path) -> bool:
@@ -73,6 +79,9 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     if is_morphs_spec(spec):
         names = list(filter(None, words.split(",")[1:]))
         return _read_once(_read_keys, path, _state(path), names=tuple(names))
+    if is_human_model(spec):
+        given = {name: value for name, value in defaults.items() if name in ("num_betas", "joints")}
+        return _read_once(load_human_model, spec, None, **given)
     options: dict[str, Any] = {"joints": "tracking", "num_expression": 0, **defaults}
     anny = is_anny_spec(spec)
     for word in filter(None, words.split(",")):
@@ -94,7 +103,7 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
 
 @functools.lru_cache(maxsize=2)
 def _read_once(
-    read: Callable[..., BodyModel], path: Path, state: tuple[int, int] | None, **options: Any
+    read: Callable[..., BodyModel], path: Path | str, state: tuple[int, int] | None, **options: Any
 ) -> BodyModel:
     """Read a model once for all uses of a verb; `state` of its file is part of the key, as a window may outlive a file."""
     del state
@@ -182,6 +191,8 @@ def stated_gender(spec: str) -> str:
     """Find the gender that the name of a model's file, or else of its folder, states; empty if they state none."""
     if is_anny_spec(spec):
         return ""
+    if is_human_model(spec):
+        return next((word for word in spec[6:].split(",") if word in GENDERS), "")
     path = split_model(spec)[0]
     for name in (path.stem, path.absolute().parent.name):
         words = re.split(r"[^a-z]+", name.lower())

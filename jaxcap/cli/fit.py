@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from ..body.body import Body
 from ..body.body_model import BodyModel, shape_body, split_coefficients
 from ..errors import InputError, user_message
-from ..fit.covariance.model_uncertainty import model_uncertainty
+from ..fit.body_models.model_uncertainty import model_uncertainty
+from ..fit.body_models.varying_groups import fit_varying_model
 from ..fit.fit_meshes import MeshFit, fit_meshes
 from ..fit.fit_model import ModelFit, fit_model
 from ..io.archives.npz import save_motion
@@ -63,6 +64,8 @@ class Fit:
     """Output folder for report.json and pictures of the errors as heat maps."""
     each_person: Flag = False
     """Each mesh is another person, with coefficients of its own. Default: all meshes show one person."""
+    expressions: Flag = False
+    """All meshes show one person whose expression changes from mesh to mesh."""
     deviations: Flag = False
     """Also write the standard deviations of the coefficients and joints of a body model."""
     limits: LimitsFile = None
@@ -89,6 +92,8 @@ class Fit:
         try:
             if model is None:
                 fit = fit_meshes(body, sequence, terms=terms)
+            elif self.expressions:
+                fit = fit_varying_model(model, sequence, terms=terms)
             else:
                 fit = fit_model(model, sequence, same_person=not self.each_person, terms=terms)
         except ValueError as error:
@@ -101,11 +106,10 @@ class Fit:
             save_motion(self.out, fit.motion, body.skeleton)
         else:
             body = self.write_parameters(model, fit, sequence)
-            if self.each_person:
+            if self.each_person or self.expressions:
                 print_parameter_errors(fit, names)
-                say(
-                    f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}, each with coefficients of its own"
-                )
+                own = "coefficients" if self.each_person else "an expression"
+                say(f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}, each with {own} of its own")
                 return
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         print_scores({"all": scores}, per_mesh=True)
@@ -122,13 +126,17 @@ class Fit:
             raise InputError(
                 "--each-person and --report were both given; a report is of one person. Give one of them."
             )
+        if self.expressions and (self.each_person or self.deviations or self.report is not None):
+            raise InputError(
+                "--expressions is for one person, without --each-person, --deviations and --report; leave these out."
+            )
         if is_model_spec(self.body):
             # an expression is another one in every mesh
-            return load_model(
-                self.body, joints="full", num_expression=NUM_EXPRESSION if self.each_person else 0
-            )
-        if self.deviations:
-            raise InputError(f"{self.body}: --deviations is for body models, which have coefficients.")
+            number = NUM_EXPRESSION if self.each_person or self.expressions else 0
+            return load_model(self.body, joints="full", num_expression=number)
+        for name, given in (("--deviations", self.deviations), ("--expressions", self.expressions)):
+            if given:
+                raise InputError(f"{self.body}: {name} is for body models, which have coefficients.")
         if self.each_person:
             raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
         return None
@@ -137,6 +145,8 @@ class Fit:
         """Write the parameters of a model in AMASS's format; return the body of the first mesh."""
         coefficients = np.asarray(fit.coefficients, float)
         groups = split_coefficients(model, coefficients if self.each_person else coefficients[0])
+        if self.expressions:
+            groups["expression"] = split_coefficients(model, coefficients)["expression"]
         body = shape_body(model, coefficients[0])
         write_amass(
             self.out,

@@ -109,7 +109,7 @@ def make_tracker(
     **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
     and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
     anatomy (`body.people.anatomy`); `partial`, the clouds show a part of the body, as those of one depth camera
-    do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
+    do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose

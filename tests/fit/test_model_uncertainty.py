@@ -10,7 +10,7 @@ import jaxcap as jc
 from jaxcap.body.body_model import BodyModel, shape_from_template
 from jaxcap.body.retraction import retract
 from jaxcap.body.shape_modes import ShapeModes
-from jaxcap.fit.covariance.model_uncertainty import model_uncertainty
+from jaxcap.fit.body_models.model_uncertainty import model_uncertainty
 
 FRAMES, NOISE, REPEATS = 3, 0.003, 8
 COEFFICIENTS = np.array([0.5, -0.5])

@@ -20,7 +20,7 @@ from ...energy.data.pairs import PairDistances
 from ...energy.energy import Sum
 from ...energy.priors.reference_pose import RestPrior
 from ...errors import InputError
-from ...fit.covariance.region_covariance import (
+from ...fit.body_models.region_covariance import (
     NUM_REGIONS,
     RegionEquations,
     coefficient_covariance,
@@ -71,7 +71,7 @@ def shape_uncertainty(
     """Compute how well tracked frames determine the shape coefficients of a person.
 
     The covariance comes from the distances of the points from the triangles at the solution, whose errors may be alike within each
-    of 64 regions of the surface (`jaxcap.fit.covariance.region_covariance`), and from a standard normal prior. The coefficients are
+    of 64 regions of the surface (`jaxcap.fit.body_models.region_covariance`), and from a standard normal prior. The coefficients are
     those of the tracker's body.
 
     **Arguments:** `clouds` and `poses`, of the frames that determined the shape, tracked by `tracker` with the person's body;

@@ -17,6 +17,7 @@ from ...observe.floors_and_walls import remove_planes
 from ...observe.planes import Plane
 from ...tracking.track_frame import Tracker
 from ..console.console import progress
+from .person_shape import SHAPE_FRAMES
 
 #: those of the coefficients, and of the joints of each frame, metres
 Deviations = tuple[Float[np.ndarray, "*frames K"], Float[np.ndarray, "F J"]]
@@ -28,17 +29,18 @@ def find_deviations(
     cloud: Callable[[int], Cloud],
     poses: Pose,
     good: Sequence[int],
-    of_shape: Sequence[int],
+    of_shape: Sequence[int] | None = None,
 ) -> Deviations:
     """Compute the deviations of the coefficients, and of the joints of each frame, NaN where the body was not fitted well.
 
     **Arguments:** `cloud`, the points of a frame that were fitted; `good`, the frames that were fitted well; `of_shape`, those of them
-    that determined the shape.
+    that determined the shape, those of the first frames where not given.
 
     **Raises:** `InputError` if no frame that determined the shape was fitted well, or the body is no model.
     """
     if model is None:
         raise InputError("--deviations is for body models, which have coefficients; give one as BODY.")
+    of_shape = [number for number in good if number < SHAPE_FRAMES] if of_shape is None else of_shape
     if not of_shape:
         raise InputError(
             "none of the frames that determine the shape has the verdict 'good', so deviations are not known; leave out --deviations."

@@ -57,7 +57,7 @@ from ..depth.sources import (
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .announce import make_announcer
+from .announce import make_announcer, warn_without_prior
 from .depth import (
     BACKGROUND_KEY,
     announce_missing,
@@ -70,7 +70,7 @@ from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
-from .person_shape import SHAPE_FRAMES, find_shapes
+from .person_shape import find_shapes
 from .results import (
     PARAMETERS,
     check_complete,
@@ -257,9 +257,8 @@ class Track:
         known = None
         if self.deviations:
             good, model = good_frames(results.verdicts), load_model_of(self.body, self.vertices)
-            some = [number for number in good if number < SHAPE_FRAMES]
             cloud = partial(own_cloud, clouds, planes)
-            known = find_deviations(tracker, model, cloud, results.poses, good, some)
+            known = find_deviations(tracker, model, cloud, results.poses, good)
         motion = Motion(results.poses, rate.frames)
         write_parameters(self.out / PARAMETERS, self.body, body, motion, self.vertices, known)
         say(
@@ -361,7 +360,8 @@ class Track:
         )
         partial = self.partial or self.clothes or bool(self.depth)
         steps = self.iterations
-        return make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
+        made = make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
+        return warn_without_prior(made) if partial else made
 
     def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:
         """Append the frames of all `steps` to the journal, each with its seconds; Ctrl-C stops early."""

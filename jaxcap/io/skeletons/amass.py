@@ -68,6 +68,8 @@ SMPL_X_PARTS = {
 GENDERS = ("female", "male", "neutral")
 #: groups of coefficients of a shape
 SHAPE_GROUPS = ("betas", "expression")
+#: the group that may change from frame to frame in a motion of one person
+_VARYING = "expression"
 #: the weights of shape keys, and their names, of a body of other groups of coefficients
 SHAPE_KEYS, SHAPE_KEY_NAMES = "morphs", "morph_names"
 #: number of shape coefficients of a motion without a shape
@@ -194,11 +196,13 @@ def _parts(skeleton: Skeleton, turns: Float[np.ndarray, "F J 3"]) -> dict[str, n
 def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
     """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
 
-    Shape keys are groups of one coefficient. The gender is empty if the file has none, or has it as an object.
+    Shape keys are groups of one coefficient. An expression of each frame is left out. The gender is empty if the file has none, or has it as an object.
 
     **Raises:** `InputError` if the file is damaged, or its frames have different shapes.
     """
-    arrays = load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES))
+    arrays = dict(load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES)))
+    if arrays.get(_VARYING, np.zeros(0)).ndim == 2:
+        del arrays[_VARYING]
     for name, values in arrays.items():
         if values.ndim == 2:
             raise InputError(
@@ -228,7 +232,11 @@ def read_amass_deviations(
     arrays = load_arrays(path, lambda name: name.endswith(_DEVIATIONS))
     if not arrays:
         return None
-    joints = get_array(arrays, f"joint{_DEVIATIONS}", path, (None, None), finite=False)
+    joints = arrays.get(f"joint{_DEVIATIONS}")
+    if joints is None or joints.ndim != 2 or joints.dtype.kind != "f":
+        raise InputError(
+            f"{path}: the array 'joint{_DEVIATIONS}' is missing or damaged; write the file again."
+        )
     groups = {
         name.removesuffix(_DEVIATIONS): values.astype(float)
         for name, values in arrays.items()

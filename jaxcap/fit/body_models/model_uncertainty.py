@@ -55,12 +55,7 @@ def model_uncertainty(
     **Raises:** `InputError` where the meshes have other vertices than the model.
     """
     check_mesh_sequence(model.template, sequence)
-    changes = fit.coefficients - model.template_coefficients
-    regions = jnp.asarray(surface_regions(model.template.vertices))
-    positions = sequence.vertices.astype(model.template.vertices.dtype)
-    matrices, sides, joints = (
-        np.asarray(each, float) for each in _equations(model, fit.motion.poses, changes, positions, regions)
-    )
+    matrices, sides, joints = _linearise(model, sequence, fit)
     count = len(model.template_coefficients)
     frames = [RegionEquations(*each) for each in zip(matrices, sides, strict=True)]
     fitted = np.asarray(fit.converged)
@@ -78,6 +73,20 @@ def model_uncertainty(
     if same_person and len(groups[0]):
         deviations[:] = deviations[groups[0][0]]
     return ModelUncertainty(deviations, distances)
+
+
+def mesh_equations(model: BodyModel, sequence: MeshSequence, fit: ModelFit) -> dict[int, RegionEquations]:
+    """Linearise the meshes that were fitted, by pose and coefficients, each by its number."""
+    matrices, sides, _ = _linearise(model, sequence, fit)
+    return {int(k): RegionEquations(matrices[k], sides[k]) for k in np.flatnonzero(np.asarray(fit.converged))}
+
+
+def _linearise(model: BodyModel, sequence: MeshSequence, fit: ModelFit) -> tuple[np.ndarray, ...]:
+    changes = fit.coefficients - model.template_coefficients
+    regions = jnp.asarray(surface_regions(model.template.vertices))
+    positions = sequence.vertices.astype(model.template.vertices.dtype)
+    found = _equations(model, fit.motion.poses, changes, positions, regions)
+    return tuple(np.asarray(each, float) for each in found)
 
 
 @eqx.filter_jit

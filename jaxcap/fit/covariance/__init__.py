@@ -1,1 +1,0 @@
-"""Covariances of fitted body models, from the residuals of their fits."""
