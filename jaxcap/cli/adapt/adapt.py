@@ -215,9 +215,8 @@ class Adapt:
             state = self.adapt(task, state, header, scans.names[0])
             self.write(state, header, scans, carried)
         if self.parameters is not None:
-            write_actor_parameters(
-                self.parameters, self.body, self.vertices, task, state, deviations=self.deviations
-            )
+            of_task = task if self.deviations else None
+            write_actor_parameters(self.parameters, self.body, self.vertices, state, of_task)
         if self.report is not None:
             self.write_report(self.report, task, state, known)
         self.checkpoint_path.unlink(missing_ok=True)

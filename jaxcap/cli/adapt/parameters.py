@@ -19,12 +19,12 @@ MAX_NAMED = 10
 
 
 def write_actor_parameters(
-    path: Path, spec: str, vertices: int | None, task: AdaptTask, state: AdaptState, deviations: bool
+    path: Path, spec: str, vertices: int | None, state: AdaptState, task: AdaptTask | None = None
 ) -> None:
     """Write the parameters of the body model that come nearest to an adapted person, and print the distance that remains.
 
-    **Arguments:** `spec` names the model, reduced to about `vertices` vertices if given; `deviations`, also write standard deviations of
-    coefficients and joints.
+    **Arguments:** `spec` names the model, reduced to about `vertices` vertices if given; `task`, also write standard deviations of
+    coefficients and joints, which its clouds determine.
     """
     model = load_model_of(spec, vertices)
     assert model is not None
@@ -34,7 +34,7 @@ def write_actor_parameters(
         model,
         progress=lambda every: progress(every, len(every), label="parameters", noun="blocks of frames"),
     )
-    known = _deviations(model, task, state, found) if deviations else None
+    known = None if task is None else _deviations(model, task, state, found)
     write_parameters(path, spec, found.body, found.motion, vertices, known)
     say(f"{path}: the parameters of {model.family or 'the model'}; {describe_residual(found)}")
     lost = np.flatnonzero(found.error.failed).tolist()

@@ -24,7 +24,7 @@ def test_free_vertices_leave_a_residual(tmp_path, capsys):
     state = AdaptState(
         9, eqx.tree_at(lambda b: b.vertices, person, person.vertices + jnp.asarray(free)), 1.0, motion
     )
-    write_actor_parameters(tmp_path / "p.npz", spec, None, None, state, deviations=False)
+    write_actor_parameters(tmp_path / "p.npz", spec, None, state)
     printed = capsys.readouterr().out
     residual = float(printed.split("free vertices leave ")[1].split(" mm")[0])
     # what six coefficients and a pose cannot follow of 1 mm along each axis, 1.6 mm on average
