@@ -109,7 +109,7 @@ def _carry_samples(source: Skeleton, skeleton: Skeleton, plan: RetargetPlan) -> 
 
 
 def _scipy(quaternions: Float[Array, "... 4"]) -> Float[np.ndarray, "... 4"]:
-    """Reorder quaternions as SciPy has them, the scalar last."""
+    """Convert quaternions to the order of SciPy, the scalar last."""
     return np.asarray(quaternions, float)[..., [1, 2, 3, 0]]
 
 
