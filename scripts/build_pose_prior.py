@@ -14,7 +14,7 @@ import numpy as np
 import jaxcap as jc
 from benchmarks._scenes import human_motion
 from jaxcap.assets import PACKAGE
-from jaxcap.energy.priors.gaussian_pose_prior import HUMAN_PRIOR
+from jaxcap.energy.priors.human_prior import HUMAN_PRIOR
 from jaxcap.prior.gaussian_mixture import fit_mixture
 from jaxcap.prior.learn_pose_prior import rotation_vectors
 

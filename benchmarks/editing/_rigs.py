@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
-from jaxcap.edit.matching.upright_pose import joint_transforms
+from jaxcap.body.matching.upright_pose import joint_transforms
 
 #: joints of the ASF files that a rig is made of; the rest is left out
 SIDED = ["clavicle", "humerus", "radius", "wrist", "femur", "tibia", "foot", "toes", "hand"]

@@ -25,9 +25,9 @@ from benchmarks._scenes import CAPTURE_RATE, RATE, cmu_motion, shared_folder
 from benchmarks.editing._foreign_rigs import HELD_OUT, LACKING, TUNED
 from benchmarks.editing._rigs import Rig, make_rig, world_motion
 from benchmarks.report import finish, progress
-from jaxcap.edit.matching.limbs import find_limbs
-from jaxcap.edit.matching.names import parse_joint_name
-from jaxcap.edit.matching.upright_pose import joint_transforms
+from jaxcap.body.matching.limbs import find_limbs
+from jaxcap.body.matching.names import parse_joint_name
+from jaxcap.body.matching.upright_pose import joint_transforms
 from jaxcap.io.registry import read_motion
 
 TAKES = ("02_01", "02_05", "01_01")

@@ -12,13 +12,13 @@ from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from ..arguments import check_fields, checked
+from ..body.matching.names import Side
+from ..body.matching.pairing import SIDES
+from ..body.matching.person_joints import PersonJoints, far_end, identify_joints
+from ..body.matching.sides import UnknownSides, toes_point_backward
+from ..body.matching.upright_pose import UprightPose, find_upright_pose
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..edit.matching.names import Side
-from ..edit.matching.pairing import SIDES
-from ..edit.matching.person_joints import PersonJoints, far_end, identify_joints
-from ..edit.matching.sides import UnknownSides, toes_point_backward
-from ..edit.matching.upright_pose import UprightPose, find_upright_pose
 from ..errors import InputError
 from ..geometry.axes import nearest_signed_permutation
 from .conventions import SEGMENTS

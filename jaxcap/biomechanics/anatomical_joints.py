@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arguments import checked
+from ..body.matching.pairing import SIDES
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
-from ..edit.matching.pairing import SIDES
 from ..limits.rest_poses.anatomical_joint import AnatomicalJoint
 from .anatomical_frames import find_anatomical_frames, find_upright
 from .conventions import MIDLINE

@@ -1,7 +1,8 @@
-"""Body models as a user names them: a file, `human:anny`, or shape keys, with options after a colon."""
+"""Body models as a user names them: a file, `human:anny`, `human:betas=20` or shape keys, with options after a colon."""
 
 import functools
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from ..io.body_models.model_file import is_body_model, read_model_file
 from ..io.gltf.gltf_reader import read_gltf_model
 from ..io.skeletons.amass import GENDERS, SHAPE_GROUPS, is_amass, read_amass_shape, write_amass
 from .console.console import warn
+from .models.human_models import is_human_model, load_human_model
 
 _SPEC = re.compile(r"(.+?\.(?:npz|pkl|pt))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 #: a glTF whose shape keys are coefficients, all or some of them
@@ -52,7 +54,12 @@ def is_morphs_spec(spec: str) -> bool:
 
 def is_model_spec(spec: str) -> bool:
     """Test if an argument names a body model."""
-    return is_anny_spec(spec) or is_morphs_spec(spec) or is_body_model(split_model(spec)[0])
+    return (
+        is_anny_spec(spec)
+        or is_morphs_spec(spec)
+        or is_human_model(spec)
+        or is_body_model(split_model(spec)[0])
+    )
 
 
 def is_own_file(spec: str | Path) -> bool:
@@ -71,7 +78,10 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
     path, words = split_model(spec)
     if is_morphs_spec(spec):
         names = list(filter(None, words.split(",")[1:]))
-        return read_gltf_model(path, names or None)
+        return _read_once(_read_keys, path, _state(path), names=tuple(names))
+    if is_human_model(spec):
+        given = {name: value for name, value in defaults.items() if name in ("num_betas", "joints")}
+        return _read_once(load_human_model, spec, None, **given)
     options: dict[str, Any] = {"joints": "tracking", "num_expression": 0, **defaults}
     anny = is_anny_spec(spec)
     for word in filter(None, words.split(",")):
@@ -87,22 +97,50 @@ def load_model(spec: str, **defaults: Any) -> BodyModel:
             raise InputError(f"{spec}: '{word}' is not an option of a body model; give {known}.")
     if anny:
         del options["num_expression"]
-        return _load_anny(find_anny(), **options)
-    return read_model_file(path, **options)
+        return _read_once(read_anny, find_anny(), None, **options)
+    return _read_once(read_model_file, path, _state(path), **options)
 
 
 @functools.lru_cache(maxsize=2)
-def _load_anny(folder: Path, **options: Any) -> BodyModel:
-    """Read Anny once for all uses of a verb."""
-    return read_anny(folder, **options)
+def _read_once(
+    read: Callable[..., BodyModel], path: Path | str, state: tuple[int, int] | None, **options: Any
+) -> BodyModel:
+    """Read a model once for all uses of a verb; `state` of its file is part of the key, as a window may outlive a file."""
+    del state
+    return read(path, **options)
+
+
+def _read_keys(path: Path, names: tuple[str, ...]) -> BodyModel:
+    return read_gltf_model(path, list(names) or None)
+
+
+def _state(path: Path) -> tuple[int, int] | None:
+    """Return the time of the last change of a file and its size; None if there is none, which the reader reports."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
 
 
 def load_model_of(spec: str, vertices: int | None = None) -> BodyModel | None:
     """Load the body model that an argument names, reduced to about so many vertices; None if it names another body."""
     if not is_model_spec(spec):
         return None
+    if vertices is None:
+        return load_model(spec)
+    return _reduce_once(spec, _state(split_model(spec)[0]), vertices)
+
+
+@functools.lru_cache(maxsize=1)
+def _reduce_once(spec: str, state: tuple[int, int] | None, vertices: int) -> BodyModel:
+    """Reduce a model once for all uses of a verb."""
+    del state
     model = load_model(spec)
-    return model if vertices is None else reduce_model(model, vertices)
+    try:
+        return reduce_model(model, vertices)
+    except ValueError as error:
+        raise InputError(f"{spec}: {user_message(error)}") from None
 
 
 def takes_shape(spec: str, motion: str | Path) -> bool:
@@ -153,6 +191,8 @@ def stated_gender(spec: str) -> str:
     """Find the gender that the name of a model's file, or else of its folder, states; empty if they state none."""
     if is_anny_spec(spec):
         return ""
+    if is_human_model(spec):
+        return next((word for word in spec[6:].split(",") if word in GENDERS), "")
     path = split_model(spec)[0]
     for name in (path.stem, path.absolute().parent.name):
         words = re.split(r"[^a-z]+", name.lower())

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.body_model import BodyModel, shape_body, split_coefficients
 from ..errors import InputError, user_message
+from ..fit.body_models.model_uncertainty import model_uncertainty
+from ..fit.body_models.varying_groups import fit_varying_model
 from ..fit.fit_meshes import MeshFit, fit_meshes
 from ..fit.fit_model import ModelFit, fit_model
 from ..io.archives.npz import save_motion
@@ -23,6 +25,7 @@ from ..observe.meshes import MeshSequence
 from ..report.pictures import error_pictures
 from .body_models import is_model_spec, load_model, stated_gender
 from .console.console import pluralise, print_table, say, warn
+from .console.heartbeat import set_activity
 from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
 from .scoring import print_scores, score_motion
@@ -61,6 +64,10 @@ class Fit:
     """Output folder for report.json and pictures of the errors as heat maps."""
     each_person: Flag = False
     """Each mesh is another person, with coefficients of its own. Default: all meshes show one person."""
+    expressions: Flag = False
+    """All meshes show one person whose expression changes from mesh to mesh."""
+    deviations: Flag = False
+    """Also write the standard deviations of the coefficients and joints of a body model."""
     limits: LimitsFile = None
     prior: PriorFile = None
     floor: FloorHeight = None
@@ -85,6 +92,8 @@ class Fit:
         try:
             if model is None:
                 fit = fit_meshes(body, sequence, terms=terms)
+            elif self.expressions:
+                fit = fit_varying_model(model, sequence, terms=terms)
             else:
                 fit = fit_model(model, sequence, same_person=not self.each_person, terms=terms)
         except ValueError as error:
@@ -96,12 +105,11 @@ class Fit:
         if model is None or isinstance(fit, MeshFit):
             save_motion(self.out, fit.motion, body.skeleton)
         else:
-            body = self.write_parameters(model, fit)
-            if self.each_person:
+            body = self.write_parameters(model, fit, sequence)
+            if self.each_person or self.expressions:
                 print_parameter_errors(fit, names)
-                say(
-                    f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}, each with coefficients of its own"
-                )
+                own = "coefficients" if self.each_person else "an expression"
+                say(f"{self.out}: {pluralise(fit.motion.num_frames, 'pose')}, each with {own} of its own")
                 return
         scores = score_motion(body, fit.motion, np.asarray(fit.converged), sequence, names)
         print_scores({"all": scores}, per_mesh=True)
@@ -118,23 +126,37 @@ class Fit:
             raise InputError(
                 "--each-person and --report were both given; a report is of one person. Give one of them."
             )
+        if self.expressions and (self.each_person or self.deviations or self.report is not None):
+            raise InputError(
+                "--expressions is for one person, without --each-person, --deviations and --report; leave these out."
+            )
         if is_model_spec(self.body):
             # an expression is another one in every mesh
-            return load_model(
-                self.body, joints="full", num_expression=NUM_EXPRESSION if self.each_person else 0
-            )
+            number = NUM_EXPRESSION if self.each_person or self.expressions else 0
+            return load_model(self.body, joints="full", num_expression=number)
+        for name, given in (("--deviations", self.deviations), ("--expressions", self.expressions)):
+            if given:
+                raise InputError(f"{self.body}: {name} is for body models, which have coefficients.")
         if self.each_person:
             raise InputError(f"{self.body}: --each-person is for body models, which have coefficients.")
         return None
 
-    def write_parameters(self, model: BodyModel, fit: ModelFit) -> Body:
+    def write_parameters(self, model: BodyModel, fit: ModelFit, sequence: MeshSequence) -> Body:
         """Write the parameters of a model in AMASS's format; return the body of the first mesh."""
         coefficients = np.asarray(fit.coefficients, float)
         groups = split_coefficients(model, coefficients if self.each_person else coefficients[0])
+        if self.expressions:
+            groups["expression"] = split_coefficients(model, coefficients)["expression"]
         body = shape_body(model, coefficients[0])
-        gender = stated_gender(self.body) or "neutral"
         write_amass(
-            self.out, body.skeleton, fit.motion, groups, gender, up="y", with_skeleton=not self.each_person
+            self.out,
+            body.skeleton,
+            fit.motion,
+            groups,
+            stated_gender(self.body) or "neutral",
+            up="y",
+            with_skeleton=not self.each_person,
+            deviations=self.find_deviations(model, fit, sequence) if self.deviations else None,
         )
         known = np.isfinite(np.asarray(fit.rmse))
         typical = float(np.median(np.asarray(fit.rmse)[known])) if known.any() else 0.0
@@ -144,6 +166,15 @@ class Fit:
                 "show different people, give --each-person"
             )
         return body
+
+    def find_deviations(
+        self, model: BodyModel, fit: ModelFit, sequence: MeshSequence
+    ) -> tuple[dict[str, Float[np.ndarray, "..."]], Float[np.ndarray, "F J"]]:
+        """Compute the standard deviations of coefficients, by their groups, and of joints."""
+        set_activity("computing the deviations")
+        found = model_uncertainty(model, sequence, fit, same_person=not self.each_person)
+        own = found.coefficients if self.each_person else found.coefficients[0]
+        return split_coefficients(model, own), found.joints
 
 
 def print_parameter_errors(fit: ModelFit, names: Sequence[str]) -> None:

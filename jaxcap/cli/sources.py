@@ -10,7 +10,6 @@ import numpy as np
 
 from ..body.body import Body
 from ..body.decimate import reduce_body
-from ..body.people.human import RESOLUTIONS, human
 from ..body.skeleton import Skeleton
 from ..errors import InputError, user_message
 from ..fit.correspondence.nearest_assignment import IndexedScan, make_mesh_scan, make_scan
@@ -29,22 +28,18 @@ from ..observe.clouds import Cloud, make_cloud
 from ..observe.floors_and_walls import describe_room, find_room, remove_planes
 from ..observe.planes import Plane, in_room
 from ..tracking.check_cloud import check_cloud_extent
-from .body_models import is_model_spec, load_model
+from .body_models import load_model_of
 from .console.console import say
+from .models.human_models import is_human_spec as is_human_spec
+from .models.human_models import load_human
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 #: description of body files in help texts and errors
 BODY_FORMATS = (
-    "`human` (with options, as in `human:female,height=1.7`), `human:anny`, a body .npz, a body model of SMPL's family (.npz or "
+    "`human` (with options, as in `human:female,height=1.7`, or `human:betas=20` for a build that is fitted), `human:anny`, a body .npz, a body model of SMPL's family (.npz or "
     ".pkl) or MHR (.pt), a skinned .glb, .gltf or USD, a .glb with shape keys as coefficients (`character.glb:morphs`), or a mesh with its .skl "
     "and .vj in the same folder"
 )
-
-
-def is_human_spec(spec: str) -> bool:
-    """Check if an argument means the embedded `human`, with or without options, and not a file of that
-    name."""
-    return spec.split(":")[0] == "human" and not Path(spec).exists()
 
 
 def load_body(
@@ -66,18 +61,18 @@ def load_body(
 
     **Raises:** `InputError`.
     """
-    path, made, model = split_clip(spec)[0], is_human_spec(spec), is_model_spec(spec)
-    if not made and not model and not path.exists():
+    path, made, model = split_clip(spec)[0], is_human_spec(spec), load_model_of(spec, vertices)
+    if model is not None:
+        return model.template, None if limits is None else read_limits(limits, model.template.skeleton)
+    if not made and not path.exists():
         raise InputError(f"{path}: there is no such file; give {BODY_FORMATS}.")
     # a file of these formats without a .skl has a skin of its own, or an error that `read_body` describes
     own_skin = path.suffix.lower() in SKINNED_READERS and not path.with_suffix(".skl").is_file()
     mesh = (
         not made and path.suffix.lower() in SUFFIXES and not (skl is None and (own_skin or is_skinned(path)))
     )
-    if model:
-        body = load_model(spec).template
-    elif made:
-        body = _human(spec, vertices)
+    if made:
+        body = load_human(spec, vertices)
     elif mesh and path.is_file():
         skl = _find_companion(path, skl, ".skl")
         body = read_body(path, skl, _find_companion(path, vj, ".vj"), unit)
@@ -162,30 +157,6 @@ def upright_skeleton(skeleton: Skeleton, up: Up) -> Skeleton:
             rotation.multiply(q, skeleton.orientations),
         ),
     )
-
-
-def _human(spec: str, vertices: int | None) -> Body:
-    options: dict = {"joints": "tracking", "resolution": "medium" if vertices is None else "full"}
-    for word in filter(None, spec[6:].split(",")):
-        key, _, value = word.partition("=")
-        if word in ("female", "male"):
-            options["sex"] = word
-        elif word in RESOLUTIONS:
-            options["resolution"] = word
-        elif key in ("age", "weight", "muscle", "height"):
-            try:
-                options[key] = float(value)
-            except ValueError:
-                raise InputError(f"{spec}: '{value}' for the {key} is not a number.") from None
-        else:
-            raise InputError(
-                f"{spec}: '{word}' is not an option of the human; give female, male, "
-                f"{', '.join(RESOLUTIONS)}, or age, weight, muscle, height with =NUMBER."
-            )
-    try:
-        return human(**options)
-    except ValueError as error:
-        raise InputError(f"{spec}: {user_message(error)}") from None
 
 
 def _find_companion(mesh: Path, explicit: Path | None, suffix: str) -> Path:

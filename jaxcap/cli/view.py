@@ -14,7 +14,7 @@ from ..view.contents import Contents
 from ..view.figures.depth_layers import DepthLayers
 from ..view.load import load
 from ..view.windows.serve import HOST
-from .body_models import is_model_spec
+from .body_models import is_model_spec, load_shaped_body, takes_shape
 from .console.console import warn
 from .console.options import BODY_FORMATS, DepthSpec, Flag, OptionalUnit, Up, arg
 from .console.window import Port, run_window
@@ -97,6 +97,7 @@ class View:
             upright_rotation=up_rotation(self.up),
             rate=self.rate,
             follow=self.follow,
+            shape=body_of_motion,
         )
         if self.depth:
             self.add_depths(contents)
@@ -142,3 +143,8 @@ class View:
             [(name, load_body(name, unit=self.unit or "m", up=self.up)[0]) for name in (*self.body, *named)],
             [name for name in self.files if name not in named],
         )
+
+
+def body_of_motion(spec: str, motion: Path) -> Body | None:
+    """Load a body model in the shape of a motion in AMASS's format; None for other bodies and motions. Raises `InputError`."""
+    return load_shaped_body(spec, motion) if takes_shape(spec, motion) else None

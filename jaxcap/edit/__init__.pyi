@@ -1,6 +1,11 @@
 """Edit motions: retarget, cut, join, loop, redirect the gaze, and reduce to keys; animate scans; solve
 inverse kinematics."""
 
+from ..body.matching.joint_matches import JointMatches as JointMatches
+from ..body.matching.joint_matches import UnmatchedJoints as UnmatchedJoints
+from ..body.matching.match_joints import match_joints as match_joints
+from ..body.matching.plan import RetargetPlan as RetargetPlan
+from ..body.matching.plan import plan_retarget as plan_retarget
 from .clips import LoopedMotion as LoopedMotion
 from .clips import cut as cut
 from .clips import join as join
@@ -33,12 +38,7 @@ from .linear_blend.convert import linear_motion as linear_motion
 from .linear_blend.convert import linear_pose as linear_pose
 from .linear_blend.convert import to_linear_blend as to_linear_blend
 from .linear_blend.influences import limit_influences as limit_influences
-from .matching.joint_matches import JointMatches as JointMatches
-from .matching.joint_matches import UnmatchedJoints as UnmatchedJoints
-from .matching.match_joints import match_joints as match_joints
 from .mirror_motion import mirror as mirror
-from .retargeting.plan import RetargetPlan as RetargetPlan
-from .retargeting.plan import plan_retarget as plan_retarget
 from .retargeting.point_pairs import PointPair as PointPair
 from .retargeting.point_pairs import PointPairResult as PointPairResult
 from .retargeting.point_pairs import match_points as match_points

@@ -16,7 +16,7 @@ from .data.sufficient_statistics import RigidMoments as RigidMoments
 from .data.sufficient_statistics import rigid_moments as rigid_moments
 from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
 from .priors.gaussian_pose_prior import GaussianPrior as GaussianPrior
-from .priors.gaussian_pose_prior import human_prior as human_prior
+from .priors.human_prior import human_prior as human_prior
 from .priors.reference_pose import PosePrior as PosePrior
 from .priors.reference_pose import ReferencePrior as ReferencePrior
 from .priors.reference_pose import tangent_deviations as tangent_deviations

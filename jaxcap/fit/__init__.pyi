@@ -16,6 +16,9 @@ from ..tracking.track import track_frames as track_frames
 from ..tracking.track_frame import Tracker as Tracker
 from ..tracking.track_frame import start_state as start_state
 from ..tracking.track_frame import track_frame as track_frame
+from .body_models.model_uncertainty import ModelUncertainty as ModelUncertainty
+from .body_models.model_uncertainty import model_uncertainty as model_uncertainty
+from .body_models.varying_groups import fit_varying_model as fit_varying_model
 from .coordinate_problem import CoordinateProblem as CoordinateProblem
 from .correspondence.find_pairs import Matching as Matching
 from .correspondence.find_pairs import find_pairs as find_pairs

@@ -45,6 +45,7 @@ from .registry import read_skinned as read_skinned
 from .registry import write_angles as write_angles
 from .registry import write_motion as write_motion
 from .skeletons.amass import read_amass as read_amass
+from .skeletons.amass import read_amass_deviations as read_amass_deviations
 from .skeletons.amass import read_amass_shape as read_amass_shape
 from .skeletons.amass import write_amass as write_amass
 from .skeletons.amc import read_amc as read_amc

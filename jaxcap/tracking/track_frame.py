@@ -13,7 +13,8 @@ from ..body.retraction import difference, retract
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.free_space import FreeSpace
 from ..energy.energy import AbstractEnergy, Sum, terms_of, weighted
-from ..energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from ..energy.priors.gaussian_pose_prior import GaussianPrior
+from ..energy.priors.human_prior import human_prior
 from ..energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
@@ -108,7 +109,7 @@ def make_tracker(
     **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
     and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
     anatomy (`body.people.anatomy`); `partial`, the clouds show a part of the body, as those of one depth camera
-    do: a body with the joint names of the embedded human then has the prior of people's poses (`human_prior`), and
+    do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose

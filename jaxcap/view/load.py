@@ -1,7 +1,7 @@
 """Load the contents of a window from files: every kind that `jaxcap info` knows, and the folders of runs and
 scans."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from ..io.registry import (
     read_skeleton,
     read_skinned,
 )
-from ..io.skeletons.amass import has_other_shape
+from ..io.skeletons.amass import has_other_shape, is_amass
 from ..io.skeletons.body_motion import read_body_motion
 from ..io.skinned.clip import split_clip, suffix_of
 from ..io.text import read_json
@@ -72,25 +72,26 @@ def load(
     upright_rotation: Float[np.ndarray, "3 3"] | None = None,
     rate: float | None = None,
     follow: bool = False,
+    shape: Callable[[str, Path], Body | None] | None = None,
 ) -> Contents:
     """Load files, folders and patterns.
 
     **Arguments:** `files`, as a user names them; `bodies` by name, each applied to every motion of its
-    skeleton; `clouds`, sources that hold only scans; `unit` of lengths if a file has none; `upright_rotation
+    skeleton; `shape`, the body of such a name in the shape of a motion, None if it has no shape of its own; `clouds`, sources that hold only scans; `unit` of lengths if a file has none; `upright_rotation
     (3, 3)` of scans and meshes; `rate` of an unfinished run; `follow`, whether a run may not have begun yet,
     or resumes after a stop.
 
     **Raises:** `InputError` if a file is invalid, or a motion matches none of the given bodies.
     """
-    return _Loader(list(bodies), unit, upright_rotation, rate, follow).load(files, clouds)
+    return _Loader(list(bodies), unit, upright_rotation, rate, follow, shape).load(files, clouds)
 
 
 class _Loader:
     """The contents found so far. Motions are loaded last, as their bodies may be named after them."""
 
-    def __init__(self, bodies, unit: str | None, turn, rate: float | None, follow: bool):
+    def __init__(self, bodies, unit: str | None, turn, rate: float | None, follow: bool, shape):
         self.bodies: list[tuple[str, Body]] = bodies
-        self.unit, self.turn, self.rate, self.follow = unit, turn, rate, follow
+        self.unit, self.turn, self.rate, self.follow, self.shape = unit, turn, rate, follow, shape
         self.contents = Contents()
         self.motions: list[Path] = []
         self.subjects: list[tuple[str, Subject]] = []
@@ -240,21 +241,33 @@ class _Loader:
         why: list[str] = []
         for body_name, body in self.sort_unused_first(self.bodies):
             try:
-                motion = read_body_motion(body, path, self.unit)
+                shaped = self.shape(body_name, path) if self.shape else None
+                own = body if shaped is None else shaped
+                motion = read_body_motion(own, path, self.unit)
             except InputError as error:
                 why.append(user_message(error))
                 continue
             _check_frames(motion, path)
-            if has_other_shape(path):
+            if shaped is None and has_other_shape(path):
                 self.contents.notes.append(
                     f"{path}: the shape of this motion (betas) is not applied to {body_name}."
                 )
             self.used_ids.add(id(body))
             title = name if len(self.bodies) == 1 else f"{name} on {body_name}"
-            return make_take(title, body.skeleton, body, motion, **more)
+            return make_take(title, own.skeleton, own, motion, **more)
+        if is_amass(path) and not self.bodies:
+            self.contents.notes.append(
+                f"{path}: the bones of this motion are shown; give its body model by --body for the surface of the person."
+            )
         given = ", ".join(body_name for body_name, _ in self.bodies)
         bare = path.suffix.lower() == ".npz" and not {"names", "poses"} & set(array_names(path))
-        skeleton, motion = self.skeleton_of(path, why) if bare else read_motion(path, self.unit)
+        try:
+            skeleton, motion = self.skeleton_of(path, why) if bare else read_motion(path, self.unit)
+        except InputError as error:
+            # a file of AMASS has no bones, so the reason why no body fits is the only remedy
+            if not why or bare:
+                raise
+            raise InputError(f"{path}: {_without_path(why[0], path)}") from error
         _check_frames(motion, path)
         if why:
             self.contents.notes.append(

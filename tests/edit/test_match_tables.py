@@ -6,8 +6,8 @@ from command_line import fails, runs
 from stick_person import PERSON, build
 
 import jaxcap as jc
-from jaxcap.edit.matching.joint_matches import UnmatchedJoints
-from jaxcap.edit.matching.match_joints import match_joints
+from jaxcap.body.matching.joint_matches import UnmatchedJoints
+from jaxcap.body.matching.match_joints import match_joints
 from jaxcap.io.skeletons.joint_names import read_joint_names, write_joint_names
 from tests.edit.test_matching import SCHEMES, still
 

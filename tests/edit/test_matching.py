@@ -7,17 +7,17 @@ from scipy.spatial.transform import Rotation
 from stick_person import PERSON, build
 
 from jaxcap.body.kinematics import joint_paths
+from jaxcap.body.matching.hinges import hinge_axis
+from jaxcap.body.matching.joint_matches import UnmatchedJoints
+from jaxcap.body.matching.limbs import find_limbs
+from jaxcap.body.matching.match_joints import match_joints
+from jaxcap.body.matching.names import parse_joint_name
+from jaxcap.body.matching.person_joints import identify_joints
+from jaxcap.body.matching.plan import plan_retarget
+from jaxcap.body.matching.upright_pose import joint_transforms
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
-from jaxcap.edit.matching.joint_matches import UnmatchedJoints
-from jaxcap.edit.matching.limbs import find_limbs
-from jaxcap.edit.matching.match_joints import match_joints
-from jaxcap.edit.matching.names import parse_joint_name
-from jaxcap.edit.matching.person_joints import identify_joints
-from jaxcap.edit.matching.upright_pose import joint_transforms
-from jaxcap.edit.retargeting.hinges import hinge_axis
-from jaxcap.edit.retargeting.plan import plan_retarget
 from jaxcap.edit.retargeting.retarget import retarget
 
 #: other programs' names of the same joints, in that order

@@ -11,7 +11,8 @@ import jaxcap as jc
 from jaxcap.body.pose import local_rotation_vectors
 from jaxcap.depth import make_depth_view
 from jaxcap.energy.data.free_space import FRONT_TOLERANCE, SIDE_TOLERANCE, FreeSpace
-from jaxcap.energy.priors.gaussian_pose_prior import GaussianPrior, human_prior
+from jaxcap.energy.priors.gaussian_pose_prior import GaussianPrior
+from jaxcap.energy.priors.human_prior import human_prior
 from jaxcap.energy.priors.self_collision import ALLOWED_DEPTH, make_self_collision
 from jaxcap.geometry.camera import look_at
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth

@@ -77,6 +77,13 @@ def test_rooms_clutter(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_coefficient_intervals(checkout, shared):
+    line = run(checkout, "coefficient_intervals", "--people", "1")
+    assert line["figures"]["coefficients"] < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_fit_parameters(checkout, shared):
     line = run(checkout, "fit_parameters", "--alone", "--people", "2", "--scanned", "1")
     assert not line["missed"]

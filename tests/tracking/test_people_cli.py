@@ -1,5 +1,6 @@
 """`jaxcap track --people`: a folder for each person, refusals, and a stopped run."""
 
+import dataclasses
 import json
 
 import equinox as eqx
@@ -7,12 +8,21 @@ import numpy as np
 import pytest
 from command_line import FRAMES, fails, runs, write_inputs
 
+from jaxcap.body.body import pose_body
+from jaxcap.body.people.human import human
+from jaxcap.body.pose import rest_pose, shift_roots
 from jaxcap.cli import main
 from jaxcap.cli.sources import load_body
 from jaxcap.cli.track import person_shape
+from jaxcap.cli.track.frame_records import pack
+from jaxcap.cli.track.people import people_template
+from jaxcap.cli.track.people_deviations import divide_clouds
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion
+from jaxcap.io.lazy_frames import LazyFrames
+from jaxcap.observe.clouds import make_cloud
 from jaxcap.tracking import advance
+from jaxcap.tracking.track_frame import make_tracker, start_state
 
 DISTANCE = 1.4
 
@@ -134,3 +144,24 @@ def test_wrong_numbers_are_refused(inputs, tmp_path, capsys):
     for people in ("0", "two", "-1"):
         line = fails(capsys, *command(inputs, tmp_path / "out", f"--people={people}"))
         assert "at least 1, or auto" in line
+
+
+def test_the_points_of_a_frame_are_those_of_their_person():
+    body = human(resolution="low", joints="tracking")
+    trackers = [make_tracker(body)] * 2
+    template = people_template(trackers, 0)
+    rest, people, points = rest_pose(body.skeleton), [], []
+    for number, absent in enumerate(template):
+        pose = shift_roots(body.skeleton, rest, np.array([number * DISTANCE, 0.0, 0.0]))
+        tracked = dataclasses.replace(absent.tracked, state=start_state(trackers[0], pose, 0.01), pose=pose)
+        people.append(dataclasses.replace(absent, tracked=tracked, seen=True, present=True))
+        points.append(np.asarray(body.vertices) + [number * DISTANCE, 0.0, 0.0])
+    cloud = make_cloud(np.concatenate(points), np.tile(np.asarray(pose_body(body, rest).normals), (2, 1)))
+    rows = np.stack([pack(tuple(people), 0.0)])
+    own = divide_clouds(trackers, template, rows, LazyFrames(["both"], lambda frame: cloud))
+    there = np.asarray(cloud.weights) > 0
+    right = np.asarray(cloud.points)[:, 0] > DISTANCE / 2
+    for number in range(2):
+        weights = np.asarray(own(number, 0).weights)
+        assert weights[there & (right == number)].mean() > 0.95
+        assert weights[there & (right != number)].mean() < 0.01

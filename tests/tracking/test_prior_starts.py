@@ -7,7 +7,7 @@ import numpy as np
 import jaxcap as jc
 from jaxcap.body.body import pose_body
 from jaxcap.body.retraction import retract
-from jaxcap.energy.priors.gaussian_pose_prior import human_prior
+from jaxcap.energy.priors.human_prior import human_prior
 from jaxcap.tracking.search.prior_starts import LIMBS, limb_starts, mean_pose, upright_starts
 
 BODY = jc.human(resolution="low", joints="tracking")

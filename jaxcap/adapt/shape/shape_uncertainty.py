@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, pose_body
@@ -16,24 +16,30 @@ from ...body.body_model import BodyModel, body_coefficients
 from ...body.pose import Pose
 from ...body.retraction import retract
 from ...body.shape_modes import apply_modes
+from ...energy.data.pairs import PairDistances
 from ...energy.energy import Sum
 from ...energy.priors.reference_pose import RestPrior
 from ...errors import InputError
+from ...fit.body_models.region_covariance import (
+    NUM_REGIONS,
+    RegionEquations,
+    coefficient_covariance,
+    eliminate_pose,
+    joint_distances,
+    surface_regions,
+)
 from ...fit.frame_equations import frame_equations
-from ...fit.linearise import body_tangent
-from ...geometry.linear import inverse_symmetric
+from ...fit.linearise import body_tangent, frame_jacobian
+from ...fit.solve import solve
+from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...observe.clouds import Cloud, stack_clouds
 from ...stacking import stack_trees
-from ...tracking.track_frame import Tracker
-from .tracked_shape import find_space, frame_terms
+from ...tracking.track_frame import Tracker, partial_terms
+from .surface_pairs import index_clouds, normal_angle, pair_frames
+from .tracked_shape import find_space
 
-#: points that count as one independent measurement, because errors of neighbouring points are alike: from two made people,
-#: whose coefficients were off by 7 deviations of independent points. The share of intervals was not measured
-POINTS_PER_INDEPENDENT = 50.0
-#: assignments of points, at fixed poses, that find their standard deviation
-ASSIGNMENTS = 8
-#: curvature of coordinates that nothing determines, as a share of the largest one
-MIN_CURVATURE = 1e-9
+#: steps of the poses to their best places on the triangles
+STEPS = 4
 
 
 class ShapeUncertainty(eqx.Module):
@@ -52,9 +58,9 @@ class ShapeUncertainty(eqx.Module):
 
 
 class _Frame(NamedTuple):
-    """The normal equations of a frame by pose and coefficients, and the derivatives of the joints by both."""
+    """The equations of a frame by pose and coefficients, and the derivatives of the joints by both."""
 
-    matrix: Float[np.ndarray, "N N"]
+    equations: RegionEquations
     joints: Float[np.ndarray, "J 3 N"]
 
 
@@ -64,8 +70,9 @@ def shape_uncertainty(
 ) -> ShapeUncertainty:
     """Compute how well tracked frames determine the shape coefficients of a person.
 
-    The information is that of the normal equations of all poses and coefficients at the solution, without the poses, divided
-    by `POINTS_PER_INDEPENDENT`, and that of a standard normal prior. The coefficients are those of the tracker's body.
+    The covariance comes from the distances of the points from the triangles at the solution, whose errors may be alike within each
+    of 64 regions of the surface (`jaxcap.fit.body_models.region_covariance`), and from a standard normal prior. The coefficients are
+    those of the tracker's body.
 
     **Arguments:** `clouds` and `poses`, of the frames that determined the shape, tracked by `tracker` with the person's body;
     `space`, the shape space, that of `shape_space_like` where not given.
@@ -78,17 +85,11 @@ def shape_uncertainty(
             f"shape_uncertainty: there are {len(clouds)} clouds and {len(poses)} poses; expected one pose for each cloud, and at least "
             "one."
         )
-    frames = stack_clouds(clouds)
-    found = _frames(tracker, space, frames, stack_trees(list(poses)))
-    # a coefficient that no frame determines has the deviation of people, one
     count = len(space.template_coefficients)
-    information = np.eye(count)
-    for frame in found:
-        information += _without_pose(frame, count)[0] / POINTS_PER_INDEPENDENT
-    dtype = space.template_coefficients.dtype
+    frames = _frames(tracker, space, clouds, stack_trees(list(poses)))
+    covariance = coefficient_covariance([eliminate_pose(frame.equations, count) for frame in frames])
     return ShapeUncertainty(
-        body_coefficients(space, tracker.body),
-        jnp.asarray(inverse_symmetric(information), dtype),
+        body_coefficients(space, tracker.body), jnp.asarray(covariance, space.template_coefficients.dtype)
     )
 
 
@@ -109,61 +110,67 @@ def joint_deviations(
     **Raises:** `InputError` if the body is not one of the space.
     """
     space = find_space(tracker, space)
-    frame = _frames(tracker, space, stack_clouds([cloud]), stack_trees([pose]))[0]
-    count = len(shape.coefficients)
-    _, inverse, follow = _without_pose(frame, count)
-    by_pose, by_shape = frame.joints[..., :-count], frame.joints[..., -count:]
-    by_shape = by_shape - by_pose @ follow
-    own = POINTS_PER_INDEPENDENT * np.einsum("jan,nm,jam->j", by_pose, inverse, by_pose)
-    shared = np.einsum("jak,kl,jal->j", by_shape, np.asarray(shape.covariance, float), by_shape)
-    return np.sqrt(np.maximum(own + shared, 0.0))
+    frame = _frames(tracker, space, [cloud], stack_trees([pose]))[0]
+    reduced = eliminate_pose(frame.equations, len(shape.coefficients))
+    return joint_distances(frame.joints, frame.equations, reduced, np.asarray(shape.covariance, float))
 
 
-def _frames(tracker: Tracker, space: BodyModel, clouds: Cloud, poses: Pose) -> list[_Frame]:
-    matrices, joints = (np.asarray(each, float) for each in _equations(tracker, space, clouds, poses))
-    return [_Frame(*each) for each in zip(matrices, joints, strict=True)]
+def _frames(tracker: Tracker, space: BodyModel, clouds: Sequence[Cloud], poses: Pose) -> list[_Frame]:
+    """Linearise frames at the poses that are best on the triangles."""
+    scans, stacked, sigmas = index_clouds(clouds), stack_clouds(clouds), None
+    angle = normal_angle(tracker)
+    # the standard deviations of the first pairs select those of the second
+    for _ in range(2):
+        distances, sigmas = pair_frames(tracker.body, poses, scans, sigmas, angle)
+        poses = _best_poses(tracker, distances, stacked, poses)
+    distances, _ = pair_frames(tracker.body, poses, scans, sigmas, angle)
+    regions = jnp.asarray(surface_regions(space.template.vertices))
+    found = _equations(tracker, space, distances, stacked, poses, regions)
+    arrays = (np.asarray(each, float) for each in found)
+    return [_Frame(RegionEquations(*each[:2]), each[2]) for each in zip(*arrays, strict=True)]
 
 
 @eqx.filter_jit
-def _equations(tracker: Tracker, space: BodyModel, clouds: Cloud, poses: Pose):
-    """Linearise all frames: normal matrices `(F, N, N)`, and the derivatives of the joints `(F, J, 3, N)`."""
+def _best_poses(tracker: Tracker, distances: PairDistances, clouds: Cloud, poses: Pose) -> Pose:
+    def of_frame(frame):
+        own, cloud, pose = frame
+        energy = Sum((own, *_other_terms(tracker, cloud)))
+        return solve(energy, tracker.body, pose, LevenbergMarquardt(), STEPS).pose
+
+    return jax.lax.map(of_frame, (distances, clouds, poses))
+
+
+def _other_terms(tracker: Tracker, cloud: Cloud) -> tuple:
+    return RestPrior(tracker.rest_deviations), *partial_terms(tracker, cloud)
+
+
+@eqx.filter_jit
+def _equations(
+    tracker: Tracker,
+    space: BodyModel,
+    distances: PairDistances,
+    clouds: Cloud,
+    poses: Pose,
+    regions: Int[Array, "V"],
+):
+    """Linearise all frames: matrices `(F, N, N)`, gradients of the regions `(F, B, N)`, and derivatives of the joints `(F, J, 3, N)`."""
     body, count = tracker.body, len(space.template_coefficients)
-    start = jnp.full(len(poses.scale), tracker.sigma_start, poses.rotations.dtype)
-
-    def assign(_, sigmas):
-        return frame_terms(tracker, body, clouds, poses, sigmas)[1]
-
-    sigmas = jax.lax.fori_loop(0, ASSIGNMENTS, assign, start)
-    terms = frame_terms(tracker, body, clouds, poses, sigmas)[0]
     body_at = partial(apply_modes, body, space.modes)
     tangent = body_tangent(body_at, body, count)
     dofs = body.skeleton.num_dofs
 
     def of_frame(frame):
-        terms, pose = frame
-        energy = Sum((*terms, RestPrior(tracker.rest_deviations)))
-        matrix = frame_equations(energy, body, pose, body_at, tangent)[2]
+        own, cloud, pose = frame
+        residual, rows = frame_jacobian(own, body, pose, body_at, tangent)
+        by_point = jnp.sum((residual[:, None] * rows).reshape(-1, 3, rows.shape[1]), 1)
+        sides = jax.ops.segment_sum(by_point, regions[own.pairs.vertices[:, 0]], NUM_REGIONS)
+        further = frame_equations(Sum(_other_terms(tracker, cloud)), body, pose, body_at, tangent)[2]
 
         def joints(d: Float[Array, "N"]) -> Float[Array, "J 3"]:
             moved: Body = body_at(d[dofs:])
             return pose_body(moved, retract(body.skeleton, pose, d[:dofs])).joints
 
-        return matrix, jax.jacfwd(joints)(jnp.zeros(dofs + count, matrix.dtype))
+        return rows.T @ rows + further, sides, jax.jacfwd(joints)(jnp.zeros(dofs + count, rows.dtype))
 
     with jax.default_matmul_precision("highest"):
-        return jax.lax.map(of_frame, (terms, poses))
-
-
-def _without_pose(
-    frame: _Frame, count: int
-) -> tuple[Float[np.ndarray, "K K"], Float[np.ndarray, "D D"], Float[np.ndarray, "D K"]]:
-    """Eliminate the pose: the information of the coefficients, the inverse of the pose's, and how the pose follows them, negative."""
-    own, coupling, shared = (
-        frame.matrix[:-count, :-count],
-        frame.matrix[:-count, -count:],
-        frame.matrix[-count:, -count:],
-    )
-    diagonal = np.diagonal(own)
-    inverse = inverse_symmetric(own + np.diag(np.where(diagonal > 0, MIN_CURVATURE * diagonal, 1.0)))
-    follow = inverse @ coupling
-    return shared - coupling.T @ follow, inverse, follow
+        return jax.lax.map(of_frame, (distances, clouds, poses))

@@ -38,6 +38,7 @@ from ...tracking.track import track_frames
 from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
 from ...value_checks import check_at_least
 from .shape_space import shape_space_like
+from .surface_pairs import index_clouds, normal_angle, pair_frames
 
 _LOG = logging.getLogger(__name__)
 
@@ -45,6 +46,8 @@ _LOG = logging.getLogger(__name__)
 NUM_FRAMES = 8
 #: rounds of new correspondences, with one step each
 ROUNDS = 20
+#: rounds of nearest points in triangles after these, with one step each: a tangent plane of a vertex is only near the triangles
+EXACT_ROUNDS = 10
 #: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
 FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.015)
 
@@ -118,6 +121,7 @@ def fit_tracked_shape(
     poses: Sequence[Pose],
     space: BodyModel | None = None,
     rounds: int = ROUNDS,
+    exact_rounds: int = EXACT_ROUNDS,
 ) -> Body:
     """Fit the shape of a person to several tracked frames, together with the poses of these.
 
@@ -157,10 +161,20 @@ def fit_tracked_shape(
         terms, sigmas = frame_terms(tracker, body, frames, y.poses, sigmas)
         return problem([Stacked(term) for term in terms])
 
+    def renew_pairs(y: SequenceEstimate, number: int) -> SequenceProblem:
+        nonlocal widths
+        _LOG.info("fitting the shape of the person to triangles, round %d of %d", number + 1, exact_rounds)
+        body = empty.body_at(y.values)
+        distances, widths = pair_frames(body, y.poses, scans, widths, normal_angle(tracker))
+        others = further_terms(tracker, body, frames)
+        return problem([Stacked(term) for term in (distances, *others)])
+
     empty = problem(())
     sigmas = jnp.full(len(clouds), tracker.sigma_start, spread.dtype)
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3)
     found = anneal_problem(renew, empty.start(start), solver, range(rounds))
+    scans, widths = index_clouds(clouds), None
+    found = anneal_problem(renew_pairs, found, solver, range(exact_rounds))
     return empty.body_at(found.values)
 
 
@@ -185,6 +199,13 @@ def coefficient_spread(space: BodyModel, frames: Cloud) -> Float[Array, "K"]:
     """Compute the standard deviations of the prior of the coefficients, in residuals of the points of stacked frames."""
     total = jnp.mean(jnp.sum(frames.weights, 1))
     return jnp.full(len(space.template_coefficients), (POINTS_PER_MEASUREMENT / total) ** 0.5)
+
+
+@eqx.filter_jit
+def further_terms(tracker: Tracker, body: Body, clouds: Cloud) -> tuple:
+    """Make the terms of each frame other than those of its points, stacked over the frames."""
+    tracker = eqx.tree_at(lambda t: t.body, tracker, body)
+    return jax.lax.map(lambda cloud: jax.tree.map(jnp.asarray, partial_terms(tracker, cloud)), clouds)
 
 
 @eqx.filter_jit

@@ -56,6 +56,7 @@ from .input import (
     warn_of_lost,
     warn_of_unusable,
 )
+from .parameters import check_parameters, write_actor_parameters
 from .prior import PRIOR_FORMS, PriorForm, carried_arrays, prior_file, read_priors
 from .state import (
     check_results,
@@ -69,6 +70,12 @@ from .state import (
 #: minimum number of frames within a long stage between two checkpoints, and maximum number of checkpoints, as
 #: each one has all poses
 MIN_CHECKPOINT_FRAMES, MAX_CHECKPOINTS = 25, 40
+#: options that affect the result
+SETTINGS = (
+    "frames", "adapt_every", "prior_form", "ignore_occlusion", "assignment", "pair_angle", "pair_distance", "tangential_weight",
+    "joint_deviation", "simultaneous", "floor", "limit_weight", "unordered", "ordered", "keep_planes", "smoothness", "pose_weight",
+    "unit", "up", "vertices", "first", "last",
+)  # fmt: skip
 OptionalWeight = Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")]
 
 
@@ -117,6 +124,11 @@ class Adapt:
     """Omit the check that the first scan shows one person."""
     report: OptionalFile = None
     """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
+    parameters: OptionalFile = None
+    """Also write the parameters of a body model that come nearest to the actor, .npz in AMASS's format. --resume adds them to a
+    finished run."""
+    deviations: Flag = False
+    """With --parameters, also write the standard deviations of coefficients and joints."""
     report_every: Annotated[int, arg(metavar="N")] = 1
     """Measure every N-th frame for the report, for speed."""
     frames: Annotated[int, arg(metavar="N")] = 40
@@ -168,7 +180,9 @@ class Adapt:
     @property
     def results(self) -> list[Path]:
         """All output files of the run."""
-        return [path for path in (self.out, self.motion_path, self.report) if path is not None]
+        return [
+            path for path in (self.out, self.motion_path, self.parameters, self.report) if path is not None
+        ]
 
     def adapt_all(self) -> None:
         """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
@@ -200,6 +214,9 @@ class Adapt:
         if state is None or not finished:
             state = self.adapt(task, state, header, scans.names[0])
             self.write(state, header, scans, carried)
+        if self.parameters is not None:
+            of_task = task if self.deviations else None
+            write_actor_parameters(self.parameters, self.body, self.vertices, state, of_task)
         if self.report is not None:
             self.write_report(self.report, task, state, known)
         self.checkpoint_path.unlink(missing_ok=True)
@@ -311,7 +328,8 @@ class Adapt:
             raise InputError("--unordered and --ordered are opposites; give one of them, or none.")
         if self.ignore_occlusion and self.cameras is None:
             raise InputError("--ignore-occlusion needs cameras; give them with --cameras.")
-        check_results(self.out, self.motion_path, self.report, self.resume, self.overwrite)
+        check_parameters(self.parameters, self.body, self.deviations)
+        check_results(self.results, self.report, self.resume, self.overwrite)
 
     def read_files(self, body: Body, limits: AbstractLimits | None, prior: Path | None) -> RunFiles:
         """Read the files of the options other than body and scans; `limits` are read. Raises `InputError`."""
@@ -366,31 +384,7 @@ class Adapt:
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
-        names = (
-            "frames",
-            "adapt_every",
-            "prior_form",
-            "ignore_occlusion",
-            "assignment",
-            "pair_angle",
-            "pair_distance",
-            "tangential_weight",
-            "joint_deviation",
-            "simultaneous",
-            "floor",
-            "limit_weight",
-            "unordered",
-            "ordered",
-            "keep_planes",
-            "smoothness",
-            "pose_weight",
-            "unit",
-            "up",
-            "vertices",
-            "first",
-            "last",
-        )
         files = hash_files({"cameras": self.cameras, "start": self.start})
-        plain = {name: getattr(self, name) for name in names}
+        plain = {name: getattr(self, name) for name in SETTINGS}
         rate = find_rate(self.rate, self.clouds).frames
         return {**plain, "rate": rate, "shape_weight": list(self.shape_weight), **files}

@@ -11,9 +11,9 @@ from ...adapt.check_scans import check_actor, check_cameras
 from ...adapt.poses.select_frames import select_evenly
 from ...adapt.task import AdaptState, AdaptTask
 from ...body.body import Body
+from ...body.matching.plan import plan_retarget
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message

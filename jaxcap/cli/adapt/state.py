@@ -24,11 +24,12 @@ from ..track.results import make_writable
 REQUIRED_ARRAYS = ("done", "within", "size", "lost", "chosen", "traits", "weight", "terms")
 
 
-def check_results(out: Path, motion: Path, report: Path | None, resume: bool, overwrite: bool) -> None:
-    """Check that body, motion and report can be written, and make missing folders.
+def check_results(every: Sequence[Path], report: Path | None, resume: bool, overwrite: bool) -> None:
+    """Check that the output files of a run can be written, the body, its motion and others, and make missing folders.
 
-    **Raises:** `InputError` for other file types, existing results, and folders without write access.
+    **Raises:** `InputError` for other file types, existing results, one name for two, and folders without write access.
     """
+    out, motion = every[:2]
     if out.suffix.lower() != ".npz":
         raise InputError(f"{out}: bodies are written as .npz; give a name that ends in .npz.")
     if motion.suffix.lower() not in MOTION_WRITERS:
@@ -39,9 +40,11 @@ def check_results(out: Path, motion: Path, report: Path | None, resume: bool, ov
         raise InputError(f"{report}: the report is an HTML file; give a name that ends in .html.")
     if resume and overwrite:
         raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
-    every = [path for path in (out, motion, report) if path is not None]
     if motion.resolve() == out.resolve():
         raise InputError(f"{out}: body and motion cannot be one file; give --motion another name.")
+    places = [path.resolve() for path in every]
+    if len(set(places)) < len(places):
+        raise InputError(f"{every[-1]}: two results cannot be one file; give each a name of its own.")
     check_absent(every, overwrite or resume)
     for path in every:
         make_writable(path.absolute().parent)

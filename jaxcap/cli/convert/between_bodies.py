@@ -7,12 +7,12 @@ import numpy as np
 from ...adapt.shape.shape_space import shape_space_like
 from ...body.body import Body
 from ...body.body_model import BodyModel, split_coefficients
+from ...body.matching.plan import plan_retarget
 from ...body.people.human import RESOLUTIONS
 from ...body.pose import Motion, rest_pose, stack_poses
 from ...body.skeleton import Skeleton
 from ...edit.conversion.convert_motion import ConvertedMotion, convert_motion
 from ...edit.conversion.match_surfaces import match_surfaces
-from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, user_message
 from ...io.archives.npz import save_body

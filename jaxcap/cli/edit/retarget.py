@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from ...body.body import Body
 from ...body.kinematics import joint_paths
+from ...body.matching.joint_matches import UnmatchedJoints
+from ...body.matching.plan import UP, plan_retarget
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...edit.matching.joint_matches import UnmatchedJoints
-from ...edit.retargeting.plan import UP, plan_retarget
 from ...edit.retargeting.point_pairs import match_points
 from ...edit.retargeting.retarget import retarget
 from ...edit.retargeting.retarget_shape import retarget_shape

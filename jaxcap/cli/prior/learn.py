@@ -8,9 +8,9 @@ import numpy as np
 
 from ...adapt.shape.shape_prior import ShapePrior
 from ...body.body import Body
+from ...body.matching.plan import plan_retarget
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton, has_same_joints
-from ...edit.retargeting.plan import plan_retarget
 from ...edit.retargeting.retarget import retarget
 from ...errors import InputError, user_message
 from ...io.archives.npz import load_body_limits

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from ...tracking.advance import Search
+from ...tracking.track_frame import Tracker
 from ..console.console import warn
 
 
@@ -23,3 +24,13 @@ def make_announcer() -> Callable[..., None]:
         compiled = True
 
     return announce
+
+
+def warn_without_prior(tracker: Tracker) -> Tracker:
+    """Warn if a tracker of partial views has no prior of people's poses; return it."""
+    if tracker.pose_prior is None:
+        warn(
+            "the joints of the body have no names of a person's arms and legs, so no prior of people's poses determines the joints "
+            "that the clouds do not show"
+        )
+    return tracker

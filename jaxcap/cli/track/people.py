@@ -1,6 +1,7 @@
 """`jaxcap track --people`: the journal, the frames and the results of several people."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -18,9 +19,11 @@ from ...tracking.people.person_frame import PersonFrame, absent_person
 from ...tracking.people.track_people import track_people
 from ...tracking.track import unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
-from ..body_models import write_parameters
+from ..body_models import load_model_of, write_parameters
 from ..console.console import say, warn
+from .deviations import Deviations, find_deviations, good_frames
 from .frame_records import POSE_AT, Results, unpack, unpack_results
+from .person_shape import SHAPE_FRAMES
 from .results import PARAMETERS, make_writable, person_folder, write_results
 
 AUTO = "auto"
@@ -90,10 +93,12 @@ def write_people(
     names: Sequence[str],
     spec: str,
     vertices: int | None,
+    own_cloud: Callable[[int, int], Cloud] | None = None,
 ) -> None:
     """Write the results of each person into the folder `person_1` and so on, and print what was found.
 
-    **Arguments:** `spec` names the body, which was reduced to about `vertices` vertices if given.
+    **Arguments:** `spec` names the body, which was reduced to about `vertices` vertices if given; `own_cloud`, the points of a person
+    in a frame (`divide_clouds`), with which standard deviations are written too.
 
     **Raises:** `InputError` if nobody was found.
     """
@@ -111,7 +116,12 @@ def write_people(
         make_writable(where)
         body = trackers[number].body
         write_results(where, body.skeleton, results, rate, names)
-        write_parameters(where / PARAMETERS, spec, body, Motion(results.poses, rate), vertices)
+        known = None
+        if own_cloud is not None:
+            known = person_deviations(
+                trackers[number], spec, vertices, results, partial(own_cloud, number), number
+            )
+        write_parameters(where / PARAMETERS, spec, body, Motion(results.poses, rate), vertices, known)
         for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
             warn(f"person {number + 1}: {sentence}")
         for sentence in exchange_sentences(number, person, own):
@@ -125,6 +135,25 @@ def write_people(
         f"{found} {'person was' if found == 1 else 'people were'} found; motion.bvh, motion.npz, statistics.csv and "
         f"statistics.json of each are in {person_folder(folder, 0)}{'' if found == 1 else ' and so on'}"
     )
+
+
+def person_deviations(
+    tracker: Tracker,
+    spec: str,
+    vertices: int | None,
+    results: Results,
+    cloud: Callable[[int], Cloud],
+    number: int,
+) -> Deviations | None:
+    """Compute the deviations of one person; None, with a warning, if no frame that determines the shape is good."""
+    good = good_frames(results.verdicts)
+    some = [frame for frame in good if frame < SHAPE_FRAMES]
+    if not some:
+        warn(
+            f"person {number + 1}: none of the first {SHAPE_FRAMES} frames has the verdict 'good', so deviations are not known"
+        )
+        return None
+    return find_deviations(tracker, load_model_of(spec, vertices), cloud, results.poses, good, some)
 
 
 def person_results(template: PersonFrame, rows: Float[np.ndarray, "N R"]) -> Results | None:

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -56,7 +57,7 @@ from ..depth.sources import (
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
-from .announce import make_announcer
+from .announce import make_announcer, warn_without_prior
 from .depth import (
     BACKGROUND_KEY,
     announce_missing,
@@ -65,9 +66,10 @@ from .depth import (
     depth_clouds,
     people_clouds,
 )
-from .deviations import find_deviations
+from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from .people import follow_people, people_template, read_count, write_people
+from .people_deviations import divide_clouds
 from .person_shape import find_shapes
 from .results import (
     PARAMETERS,
@@ -254,8 +256,9 @@ class Track:
         write_results(self.out, body.skeleton, results, rate.frames, clouds.names)
         known = None
         if self.deviations:
-            model = load_model_of(self.body, self.vertices)
-            known = find_deviations(tracker, model, clouds, results.poses, results.verdicts, planes)
+            good, model = good_frames(results.verdicts), load_model_of(self.body, self.vertices)
+            cloud = partial(own_cloud, clouds, planes)
+            known = find_deviations(tracker, model, cloud, results.poses, good)
         motion = Motion(results.poses, rate.frames)
         write_parameters(self.out / PARAMETERS, self.body, body, motion, self.vertices, known)
         say(
@@ -300,7 +303,9 @@ class Track:
             self.track_remaining(timed(frames), clouds, journal)
         set_activity("writing the results")
         rows = journal.read()[: len(clouds)]
-        write_people(self.out, trackers, template, rows, rate.frames, clouds.names, self.body, self.vertices)
+        own = divide_clouds(trackers, template, rows, clouds, planes) if self.deviations else None
+        where = self.out, trackers, template, rows, rate.frames, clouds.names
+        write_people(*where, self.body, self.vertices, own)
         check_complete(len(rows), clouds)
 
     def check(self) -> None:
@@ -334,8 +339,8 @@ class Track:
             read_count(self.people)
         if self.resume and self.overwrite:
             raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
-        if self.deviations and (not self.fit_shape or self.people is not None):
-            raise InputError("--deviations is for --fit-shape of one person; give it without --people.")
+        if self.deviations and not self.fit_shape:
+            raise InputError("--deviations is for --fit-shape; give both.")
         if self.deviations and not is_model_spec(self.body):
             raise InputError("--deviations is for body models; give one as BODY, such as smplx.npz.")
 
@@ -355,7 +360,8 @@ class Track:
         )
         partial = self.partial or self.clothes or bool(self.depth)
         steps = self.iterations
-        return make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
+        made = make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
+        return warn_without_prior(made) if partial else made
 
     def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:
         """Append the frames of all `steps` to the journal, each with its seconds; Ctrl-C stops early."""

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from ...body.body import Body, Posed, pose_body, posed_vertices
 from ...body.body_model import BodyModel
 from ...body.decimate import decimate, reduce_body, reduce_model
+from ...body.matching.plan import plan_retarget
 from ...body.pose import Motion, Pose, rest_pose, shift_roots, stack_poses
 from ...body.shape_modes import joint_modes
 from ...body.skeleton import dof_layout
@@ -32,7 +33,6 @@ from ...fit.sequences.unknowns import AbstractUnknown, ShapeCoefficients, Size, 
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...geometry import rotation
 from ...geometry.mesh import vertex_areas, vertex_normals
-from ..retargeting.plan import plan_retarget
 from ..retargeting.retarget import retarget
 
 #: height of the bodies for which the lengths of this module are, metres

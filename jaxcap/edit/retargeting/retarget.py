@@ -3,19 +3,15 @@
 import warnings
 from collections.abc import Mapping
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ...arguments import checked
-from ...body.kinematics import forward_kinematics, joint_positions
-from ...body.pose import Motion, Pose, rest_pose, universal_angles
+from ...body.matching.follow_joints import follow_joints
+from ...body.matching.plan import UP, RetargetPlan, plan_retarget
+from ...body.matching.upright_pose import joint_transforms
+from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...geometry import rotation
-from ..matching.upright_pose import joint_transforms
-from .plan import UP, RetargetPlan, plan_retarget
 
 #: share of frames in which a motion may be below its floor
 FLOOR_QUANTILE = 0.02
@@ -69,21 +65,9 @@ def retarget(
     positions, turns = joint_transforms(source, motion.poses)
     if floor is None:
         floor = floor_height(positions, plan.up)
-    dtype = target.centres.dtype
-    since = _multiply_quaternions(turns, plan.reference * np.array([1.0, -1.0, -1.0, -1.0]))
-    first, second = (since[:, np.maximum(plan.sources[:, end], 0)] for end in (0, 1))
     lift = (1.0 - plan.ratio) * floor * plan.up
-    poses = _retarget_frames(
-        target,
-        jnp.asarray(first, dtype),
-        jnp.asarray(second, dtype),
-        jnp.asarray(plan.shares, dtype),
-        jnp.asarray(plan.alignment, dtype),
-        jnp.asarray(plan.sources[:, 0] >= 0),
-        jnp.asarray(plan.ratio * positions[:, plan.anchors[0]].mean(1) + lift, dtype),
-        jnp.asarray(plan.anchors[1]),
-    )
-    return Motion(poses, motion.rate)
+    anchors = plan.ratio * positions[:, plan.anchors[0]].mean(1) + lift
+    return Motion(follow_joints(target, plan, turns, anchors), motion.rate)
 
 
 @checked
@@ -124,67 +108,3 @@ def floor_height(points: Float[Array | np.ndarray, "F N 3"], up: np.ndarray = UP
     """
     heights = np.asarray(points, float) @ up
     return float(np.quantile(heights.min(axis=1), FLOOR_QUANTILE)) if heights.size else 0.0
-
-
-def _multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    w = aw * bw - np.sum(av * bv, -1, keepdims=True)
-    return np.concatenate([w, aw * bv + bw * av + np.cross(av, bv)], -1)
-
-
-@eqx.filter_jit
-def _retarget_frames(target, first, second, shares, alignment, matched, anchors, anchor_joints) -> Pose:
-    def frame(first, second, anchor):
-        return _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchor_joints)
-
-    return jax.vmap(frame)(first, second, anchors)
-
-
-def _retarget_frame(target, first, second, shares, alignment, matched, anchor, anchor_joints) -> Pose:
-    wanted = rotation.multiply(rotation.slerp(first, second, shares), alignment)
-    rotations = _local_rotations(target, wanted, matched)
-    still = Pose(jnp.zeros_like(target.centres), rotations, jnp.ones((), rotations.dtype))
-    reached = joint_positions(target, forward_kinematics(target, still))
-    shift = anchor - jnp.mean(reached[anchor_joints], 0)
-    return Pose(still.translations.at[0].set(shift), rotations, still.scale)
-
-
-def _local_rotations(
-    target: Skeleton, world_rotations: Float[Array, "J 4"], matched: Array
-) -> Float[Array, "J 4"]:
-    """Compute local rotations that give each matched bone its `world_rotations` world rotation.
-
-    They are computed from the root down, so that each joint compensates for the restrictions of those above
-    it.
-    """
-    identity = rotation.identity(world_rotations.dtype)
-    local = jnp.tile(identity, (target.num_joints, 1))
-    whole = local
-    parents = np.array(target.parents)
-    for level in target.levels:
-        joints = np.array(level)
-        above = jnp.where(parents[joints, None] < 0, identity, whole[np.maximum(parents[joints], 0)])
-        turn = rotation.normalise(rotation.multiply(rotation.conjugate(above), world_rotations[joints]))
-        turn = _project_to_kinds(target, joints, jnp.where(matched[joints, None], turn, identity))
-        local = local.at[joints].set(turn)
-        whole = whole.at[joints].set(rotation.multiply(above, turn))
-    return local
-
-
-def _project_to_kinds(
-    skeleton: Skeleton, joints: np.ndarray, rotations: Float[Array, "N 4"]
-) -> Float[Array, "N 4"]:
-    """Project the rotations of some `joints` onto those that their kinds allow."""
-    kinds = np.array(skeleton.kinds)[joints, None]
-    first, second = skeleton.axes[joints, 0], skeleton.axes[joints, 1]
-    if "revolute" in kinds:
-        rotations = jnp.where(kinds == "revolute", rotation.swing_twist(rotations, first)[1], rotations)
-    if "universal" in kinds:
-        none = rest_pose(skeleton)
-        angles = universal_angles(
-            skeleton, Pose(none.translations, none.rotations.at[joints].set(rotations), none.scale)
-        )
-        turns = [rotation.about_axis(axis, angles[joints, i]) for i, axis in enumerate((first, second))]
-        rotations = jnp.where(kinds == "universal", rotation.multiply(*turns), rotations)
-    turns_at_all = np.isin(kinds, ["ball", "free", "revolute", "universal"])
-    return jnp.where(turns_at_all, rotations, rotation.identity(rotations.dtype))

@@ -6,9 +6,9 @@ from jaxtyping import Array, Float
 from ...arguments import checked
 from ...body.body import Body, posed_vertices
 from ...body.kinematics import joint_paths
+from ...body.matching.plan import UP
 from ...body.pose import Motion, Pose, shift_roots, take_poses
 from ...body.skeleton import Skeleton
-from .plan import UP
 from .retarget import FLOOR_QUANTILE, floor_height
 
 #: joints that come this near to the floor at some time bear the body, metres

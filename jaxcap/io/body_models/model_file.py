@@ -6,10 +6,14 @@ from typing import Any
 from ...body.body_model import BodyModel
 from ...errors import InputError
 from ..archives.archive import array_names
+from ..archives.pickle_arrays import read_pickled_arrays
 from ..kinds import kind_of_arrays
+from ..system.reader_errors import reader_of
 from .mhr import read_mhr
-from .skel import is_skel, read_skel
-from .smpl import read_body_model
+from .skel import ARRAYS as SKEL_ARRAYS
+from .skel import TREE, make_skel
+from .smpl import ARRAYS as SMPL_ARRAYS
+from .smpl import filled_arrays, make_smpl, read_body_model
 
 #: suffixes of files that hold nothing else
 MODEL_SUFFIXES = (".pkl", ".pt")
@@ -28,10 +32,17 @@ def is_body_model(path: str | Path) -> bool:
         return False
 
 
+@reader_of("a body model")
 def read_model_file(path: str | Path, **options: Any) -> BodyModel:
     """Read a body model with the options of `read_body_model`. Raises `InputError`."""
     suffix = Path(path).suffix.lower()
     if suffix == ".pt":
         return read_mhr(path, **options)
-    read = read_skel if suffix == ".pkl" and is_skel(path) else read_body_model
-    return read(path, **options)
+    if suffix != ".pkl":
+        return read_body_model(path, **options)
+    entries = read_pickled_arrays(Path(path), (*SMPL_ARRAYS, *SKEL_ARRAYS))
+    if TREE in entries:
+        return make_skel({name: entries[name] for name in SKEL_ARRAYS if name in entries}, path, **options)
+    return make_smpl(
+        filled_arrays({name: entries[name] for name in SMPL_ARRAYS if name in entries}), path, **options
+    )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,10 +26,13 @@ from .skel_joints import FIRST_ANGLES, JOINTS, NAMES, NUM_ANGLES, bone_frames, j
 from .smpl import NUM_BETAS, check_sums, joint_parents
 
 _VERSION = "1.1.1"
+#: the entry that only SKEL's files have
+TREE = "osim_kintree_table"
 #: number of the joints of SMPL, whose pose-dependent displacements SKEL has
 _SMPL_JOINTS = 24
-_ARRAYS = (
-    "skin_template_v", "skin_template_f", "shapedirs", "posedirs", "J_regressor_osim", "skin_weights", "osim_kintree_table",
+#: the entries of a file
+ARRAYS = (
+    "skin_template_v", "skin_template_f", "shapedirs", "posedirs", "J_regressor_osim", "skin_weights", TREE,
     "per_joint_rot", "apose_rel_transfo", "version",
 )  # fmt: skip
 
@@ -42,14 +45,6 @@ class _Joints(NamedTuple):
     #: orientations of bones that were learned, and their places in the OpenSim model, relative to the parents
     learned: Float[np.ndarray, "J 3 3"]
     at_rest: Float[np.ndarray, "J 4 4"]
-
-
-def is_skel(path: str | Path) -> bool:
-    """Test if a pickle has SKEL's arrays; false if it is damaged."""
-    try:
-        return "osim_kintree_table" in read_pickled_arrays(path, ("osim_kintree_table",))
-    except InputError:
-        return False
 
 
 @checked
@@ -71,8 +66,19 @@ def read_skel(
 
     **Raises:** `InputError` if the file is of another version, is damaged, or its arrays do not fit each other.
     """
+    return make_skel(read_pickled_arrays(path, ARRAYS), path, num_betas, num_expression, joints)
+
+
+def make_skel(
+    entries: Mapping[str, Any],
+    path: str | Path,
+    num_betas: int = NUM_BETAS,
+    num_expression: int = 0,
+    joints: Literal["full", "tracking"] = "full",
+) -> BodyModel:
+    """Make the model of the entries of a file, with the options of `read_skel`. Raises `InputError`."""
     check_at_least("read_skel", 0, num_betas=num_betas, num_expression=num_expression)
-    arrays = _load(path)
+    arrays = _latest(entries, path)
     found = _joints(arrays, path)
     vertices = get_array(arrays, "skin_template_v", path, (None, 3), row_name="vertex")
     count, num_joints = len(vertices), len(JOINTS)
@@ -142,7 +148,7 @@ def read_skel_motion(
 
     **Raises:** `InputError` as `read_skel`, and if there are other numbers of angles, frames or coefficients.
     """
-    arrays = _load(path)
+    arrays = _latest(read_pickled_arrays(path, ARRAYS), path)
     found = _joints(arrays, path)
     vertices = get_array(arrays, "skin_template_v", path, (found.regressor.shape[1], 3), row_name="vertex")
     directions = get_array(arrays, "shapedirs", path, (len(vertices), 3, None), row_name="vertex")
@@ -174,20 +180,19 @@ def read_skel_motion(
     return Motion(poses, rate)
 
 
-def _load(path: str | Path) -> Mapping[str, np.ndarray]:
-    """Read the arrays of a file. Raises `InputError` for another version."""
-    found = read_pickled_arrays(path, _ARRAYS)
-    if found.get("version") != _VERSION:
+def _latest(entries: Mapping[str, Any], path: str | Path) -> Mapping[str, np.ndarray]:
+    """Return the arrays of a file of the latest version. Raises `InputError` for another one."""
+    if entries.get("version") != _VERSION:
         raise InputError(
-            f"{path}: the version of this file of SKEL is {found.get('version')}; expected {_VERSION}, the latest of its authors."
+            f"{path}: the version of this file of SKEL is {entries.get('version')}; expected {_VERSION}, the latest of its authors."
         )
-    return {name: np.asarray(values) for name, values in found.items() if name != "version"}
+    return {name: np.asarray(values) for name, values in entries.items() if name != "version"}
 
 
 def _joints(arrays: Mapping[str, np.ndarray], path: str | Path) -> _Joints:
     """Read the joints of a file. Raises `InputError`."""
     count = len(JOINTS)
-    parents = joint_parents(arrays, path, "osim_kintree_table")
+    parents = joint_parents(arrays, path, TREE)
     if len(parents) != count:
         raise InputError(f"{path}: the model has {len(parents)} joints; expected the {count} of SKEL.")
     return _Joints(

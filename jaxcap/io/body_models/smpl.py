@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,8 +60,22 @@ def read_body_model(
     **Raises:** `InputError` if the file has another format or family than its name states, is damaged, or its arrays do not
     fit each other.
     """
+    return make_smpl(_load(Path(path)), path, num_betas, num_expression, joints)
+
+
+def make_smpl(
+    arrays: Mapping[str, np.ndarray],
+    path: str | Path,
+    num_betas: int = NUM_BETAS,
+    num_expression: int = NUM_EXPRESSION,
+    joints: Literal["full", "tracking"] = "full",
+) -> BodyModel:
+    """Make a body model of the arrays of a file, with the options of `read_body_model`. Raises `InputError`."""
     check_at_least("read_body_model", 0, num_betas=num_betas, num_expression=num_expression)
-    arrays = _load(Path(path))
+    if kind_of_arrays(arrays) != "body model":
+        raise InputError(
+            f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family."
+        )
     vertices = get_array(arrays, "v_template", path, (None, 3), row_name="vertex")
     parents = joint_parents(arrays, path)
     count, num_joints = len(vertices), len(parents)
@@ -100,15 +114,13 @@ def read_body_model(
 def _load(path: Path) -> Mapping[str, np.ndarray]:
     """Read the arrays of a model from a pickle or an `.npz` file."""
     if path.suffix.lower() == ".pkl":
-        found = read_pickled_arrays(path, ARRAYS)
-        arrays = {name: np.asarray(values) for name, values in found.items() if values is not None}
-    else:
-        arrays = load_arrays(path, lambda name: name in ARRAYS)
-    if kind_of_arrays(arrays) != "body model":
-        raise InputError(
-            f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family."
-        )
-    return arrays
+        return filled_arrays(read_pickled_arrays(path, ARRAYS))
+    return load_arrays(path, lambda name: name in ARRAYS)
+
+
+def filled_arrays(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the entries of a pickle as arrays, without those that are None."""
+    return {name: np.asarray(values) for name, values in found.items() if values is not None}
 
 
 def joint_parents(

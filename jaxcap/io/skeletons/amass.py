@@ -33,6 +33,8 @@ _Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 _SKELETON_PREFIX = "skeleton."
 _UP_KEY = "up_axis"
+#: end of the names of standard deviations
+_DEVIATIONS = "_deviations"
 #: largest distance of joints at rest for the same body, metres
 MAX_REST_DISTANCE = 0.01
 _TRUNK_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
@@ -66,6 +68,8 @@ SMPL_X_PARTS = {
 GENDERS = ("female", "male", "neutral")
 #: groups of coefficients of a shape
 SHAPE_GROUPS = ("betas", "expression")
+#: the group that may change from frame to frame in a motion of one person
+_VARYING = "expression"
 #: the weights of shape keys, and their names, of a body of other groups of coefficients
 SHAPE_KEYS, SHAPE_KEY_NAMES = "morphs", "morph_names"
 #: number of shape coefficients of a motion without a shape
@@ -162,8 +166,8 @@ def _deviation_arrays(
 ) -> dict[str, np.ndarray]:
     arrays = {name: values for name, values in _shape_arrays(shape).items() if name != SHAPE_KEY_NAMES}
     return {
-        **{f"{name}_deviations": values for name, values in arrays.items()},
-        "joint_deviations": joints,
+        **{f"{name}{_DEVIATIONS}": values for name, values in arrays.items()},
+        f"joint{_DEVIATIONS}": joints,
     }
 
 
@@ -192,11 +196,13 @@ def _parts(skeleton: Skeleton, turns: Float[np.ndarray, "F J 3"]) -> dict[str, n
 def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]], str]:
     """Read the shape coefficients of a motion in AMASS's format by the names of their groups, and its gender.
 
-    Shape keys are groups of one coefficient. The gender is empty if the file has none, or has it as an object.
+    Shape keys are groups of one coefficient. An expression of each frame is left out. The gender is empty if the file has none, or has it as an object.
 
     **Raises:** `InputError` if the file is damaged, or its frames have different shapes.
     """
-    arrays = load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES))
+    arrays = dict(load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES)))
+    if arrays.get(_VARYING, np.zeros(0)).ndim == 2:
+        del arrays[_VARYING]
     for name, values in arrays.items():
         if values.ndim == 2:
             raise InputError(
@@ -209,6 +215,40 @@ def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]
         names = get_array(arrays, SHAPE_KEY_NAMES, path, (len(weights),), "text")
         shape |= {str(name): weights[k : k + 1] for k, name in enumerate(names)}
     return shape, _gender(path)
+
+
+@checked
+@reader_of("an AMASS motion")
+def read_amass_deviations(
+    path: str | Path,
+) -> tuple[dict[str, Float[np.ndarray, "*frames N"]], Float[np.ndarray, "F J"]] | None:
+    """Read the standard deviations of a motion's coefficients, by the names of their groups, and of its joints, metres.
+
+    Those of coefficients have one row for each frame if these have different shapes. Shape keys are one group, `morphs`. The result
+    is None if the file has no deviations.
+
+    **Raises:** `InputError` if the file is damaged, or only a part of them is in it.
+    """
+    arrays = load_arrays(path, lambda name: name.endswith(_DEVIATIONS))
+    if not arrays:
+        return None
+    joints = arrays.get(f"joint{_DEVIATIONS}")
+    if joints is None or joints.ndim != 2 or joints.dtype.kind != "f":
+        raise InputError(
+            f"{path}: the array 'joint{_DEVIATIONS}' is missing or damaged; write the file again."
+        )
+    groups = {
+        name.removesuffix(_DEVIATIONS): values.astype(float)
+        for name, values in arrays.items()
+        if name.removesuffix(_DEVIATIONS) in (*SHAPE_GROUPS, SHAPE_KEYS)
+    }
+    for name, values in groups.items():
+        if values.ndim not in (1, 2) or (values.ndim == 2 and len(values) != len(joints)):
+            raise InputError(
+                f"{path}: the array '{name}{_DEVIATIONS}' has the shape {values.shape}; expected one row, or one for each of "
+                f"{len(joints)} frames."
+            )
+    return groups, joints
 
 
 def has_other_shape(path: str | Path) -> bool:

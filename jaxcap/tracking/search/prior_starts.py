@@ -10,7 +10,7 @@ from ...body.skeleton import Skeleton
 from ...energy.priors.gaussian_pose_prior import GaussianPrior
 from ...geometry import rotation
 
-#: first joints of the limbs that one start moves to the mean
+#: first joints of the limbs that one start moves to the mean, as roles of the joints of a prior
 LIMBS = (
     ("LeftArm",),
     ("RightArm",),
@@ -30,10 +30,10 @@ def mean_pose(prior: GaussianPrior, skeleton: Skeleton) -> Pose:
 
 def limb_starts(prior: GaussianPrior, skeleton: Skeleton, poses: Pose) -> Pose:
     """Move one or two limbs of each of P stacked poses to the mean of the prior; `(L P, ...)` for the L of `LIMBS`."""
-    mean = mean_pose(prior, skeleton).rotations
+    mean, joints = mean_pose(prior, skeleton).rotations, prior.joints_of_roles
     moved = []
     for limb in LIMBS:
-        below = np.any([skeleton.descendants[skeleton.index(name)] for name in limb], axis=0)
+        below = np.any([skeleton.descendants[joints[name]] for name in limb], axis=0)
         moved.append(jnp.where(below[:, None], mean, poses.rotations))
     translations, scale = (jnp.concatenate([leaf] * len(LIMBS)) for leaf in (poses.translations, poses.scale))
     return Pose(translations, jnp.concatenate(moved), scale)
@@ -46,7 +46,7 @@ def upright_starts(prior: GaussianPrior, skeleton: Skeleton, poses: Pose) -> Pos
     below which both arms are counts as the chest. The root has to be free.
     """
     mean, root = mean_pose(prior, skeleton).rotations, skeleton.parents.index(-1)
-    arms = [skeleton.descendants[:, skeleton.index(name)] for name in ("LeftArm", "RightArm")]
+    arms = [skeleton.descendants[:, prior.joints_of_roles[name]] for name in ("LeftArm", "RightArm")]
     chest = int(max(np.flatnonzero(arms[0] & arms[1]), key=lambda joint: skeleton.depths[joint]))
     kept = skeleton.descendants[chest].copy()
     kept[chest], kept[root] = False, True
@@ -69,7 +69,12 @@ def upright_starts(prior: GaussianPrior, skeleton: Skeleton, poses: Pose) -> Pos
 
 
 def prior_starts(prior: GaussianPrior, skeleton: Skeleton, poses: Pose) -> list[Pose]:
-    """Make all starts at the mean of a prior from P stacked poses: `limb_starts`, and `upright_starts` if the root is free."""
+    """Make all starts at the mean of a prior from P stacked poses: `limb_starts`, and `upright_starts` if the root is free.
+
+    There are none if the prior has no joints of a person's limbs.
+    """
+    if not {name for limb in LIMBS for name in limb} <= set(prior.roles):
+        return []
     starts = [limb_starts(prior, skeleton, poses)]
     if skeleton.kinds[skeleton.parents.index(-1)] == "free":
         starts.append(upright_starts(prior, skeleton, poses))

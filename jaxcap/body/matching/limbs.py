@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...body.skeleton import Skeleton
+from ..skeleton import Skeleton
 from .names import ARM, LEG, JointName, Side
 
 #: points for a name that states the part, that probably states it, that may state it, and that states another

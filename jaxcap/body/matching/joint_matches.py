@@ -3,8 +3,8 @@
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ..skeleton import Skeleton
 from .upright_pose import UprightPose
 
 

@@ -16,18 +16,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
-from ...body.pose import Motion, take_poses
-from ...body.skeleton import Skeleton
-from ...body.symmetry import left_right_pairs_by_name
 from ...geometry import rotation
 from ...geometry.axes import nearest_signed_permutation
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
-from ..matching.joint_matches import JointMatches
-from ..matching.match_joints import SIDES, match_joints
-from ..matching.person_joints import far_end
-from ..matching.upright_pose import joint_transforms
+from ..pose import Motion, take_poses
+from ..skeleton import Skeleton
+from ..symmetry import left_right_pairs_by_name
 from .hinges import hinge_axis, rest_hinge_axis, twist_between
+from .joint_matches import JointMatches
+from .match_joints import SIDES, match_joints
+from .person_joints import far_end
+from .upright_pose import joint_transforms
 
 #: default vertical, if no legs determine it
 UP = np.array([0.0, 1.0, 0.0])

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ...body.skeleton import Skeleton
 from ...geometry.axes import nearest_axis
+from ..skeleton import Skeleton
 from .limbs import Limb, Limbs, find_limbs, lowest_common
 from .names import ARM, FINGERS, LEG, JointName, Side, parse_joint_name
 
@@ -69,6 +69,20 @@ def identify_joints(skeleton: Skeleton, known_names: Mapping[int, JointName] | N
         if found and not any(limb.side for limb in found)
     )
     return PersonJoints(pelvis, spine, neck, head, parts, fingers, sideless)
+
+
+def has_named_limbs(skeleton: Skeleton) -> bool:
+    """Test if a skeleton has two arms and two legs of a person whose joints have known names with sides."""
+    person = identify_joints(skeleton)
+    if person.sideless:
+        return False
+    for side in ("left", "right"):
+        for kind, parts in (("leg", LEG), ("arm", ARM)):
+            limb = person.limb(side, kind)
+            called = [parse_joint_name(skeleton.names[joint]) for joint in limb]
+            if not limb or any(part not in name.parts for part, name in zip(parts, called, strict=True)):
+                return False
+    return True
 
 
 def trunk_direction(

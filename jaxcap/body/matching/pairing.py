@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...body.skeleton import Skeleton
+from ..skeleton import Skeleton
 from .name_table import Table
 from .names import Side, normalise_name
 from .person_joints import PersonJoints

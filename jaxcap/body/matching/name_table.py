@@ -7,7 +7,7 @@ name were that of its role in the other skeleton, so it also identifies the limb
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from ...body.skeleton import Skeleton
+from ..skeleton import Skeleton
 from .names import JointName, Side, normalise_name, parse_joint_name
 from .person_joints import LIMB_PARTS, PersonJoints
 

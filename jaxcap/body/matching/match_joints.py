@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 from ...arguments import checked
-from ...body.pose import Motion
-from ...body.skeleton import Skeleton
 from ...errors import user_message
+from ..pose import Motion
+from ..skeleton import Skeleton
 from .joint_matches import JointMatches, UnmatchedJoints, initial_name_table
 from .name_table import (
     Table,

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from ...body.skeleton import Skeleton
+from ..skeleton import Skeleton
 
 #: least sine of a bend that determines its axis: at rest, and in the motion
 MIN_REST_SINE, MIN_MOTION_SINE = 0.1, 0.25

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from ...body.pose import Motion, Pose, take_poses
-from ...body.skeleton import Skeleton
 from ...errors import user_message
 from ...geometry.axes import nearest_axis
 from ...geometry.sampling import even_indices
+from ..pose import Motion, Pose, take_poses
+from ..skeleton import Skeleton
 from .person_joints import PersonJoints, snap_to_axis, trunk_direction
 from .sides import UnknownSides, resolve_sides
 

@@ -1,0 +1,1 @@
+"""Bodies and body models that arguments name without a file."""
