@@ -21,7 +21,8 @@ from benchmarks.report import finish, progress
 from jaxcap.biomechanics.person_samples import gather_person_samples
 from jaxcap.io.registry import read_motion
 from jaxcap.limits.learning.boxes import learn_boxes
-from jaxcap.limits.learning.learn_limits import COVERAGE, learn_limits
+from jaxcap.limits.learning.choice import COVERAGE
+from jaxcap.limits.learning.learn_limits import learn_limits
 from jaxcap.limits.learning.samples import JointSamples, gather_samples
 
 PEOPLE = ("01", "02")

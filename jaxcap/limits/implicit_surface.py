@@ -3,7 +3,6 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
@@ -14,7 +13,6 @@ from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
 from .rest_poses.anatomical_joint import AnatomicalJoint
-from .rest_poses.rest_directions import bone_angle, bone_direction
 
 
 class LimitSurface(eqx.Module):
@@ -46,13 +44,14 @@ class LimitSurface(eqx.Module):
     counts: Float[Array, "V N"]
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
-    #: unit direction of the joint's bone at rest, world; zero where it is not known
-    bone: Float[Array, "3"] = eqx.field(default_factory=lambda: jnp.zeros(3))
     #: part of `thickness` beyond the voxels of samples, half a rotation in radians
     margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
     #: the joint and its parent in the skeleton that they were learned with; None where they are not recognised
     anatomy: AnatomicalJoint | None = None
     parent_anatomy: AnatomicalJoint | None = None
+    #: the skeletons from whose rest poses the rotations of the joint and of its parent are; None where there is none
+    rest: Skeleton | None = None
+    parent_rest: Skeleton | None = None
 
     def __check_init__(self):
         check_fields(self)
@@ -143,23 +142,3 @@ def _comfort(surface: LimitSurface, coordinates, parent_coordinates) -> Float[Ar
     here = density(surface, coordinates, parent_coordinates)
     rank = jnp.searchsorted(surface.densities, here, side="right")
     return rank / len(surface.densities)
-
-
-def missing_joints(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
-    """List the joints that the limits name and the skeleton lacks."""
-    named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
-    return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))
-
-
-def rest_difference(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, float]:
-    """Find the joint whose bone at rest differs most from that of the motions that the limits were learned from.
-
-    Returns its name and the angle, radians. Rotations are relative to the rest pose, so limits are valid for one rest
-    pose only, unless `transfer_limits` converts them.
-    """
-    angles = {
-        surface.joint: bone_angle(np.asarray(surface.bone, float), bone_direction(skeleton, surface.joint))
-        for surface in limits.surfaces
-    }
-    joint = max(angles, key=angles.__getitem__)
-    return joint, angles[joint]

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from ...geometry.sampling import even_indices
 from .held_out import Fold, mean_quantile
-from .voxel_size import occupied_voxels
+from .voxel_size import assign_voxels, occupied_voxels
 
 #: width of voxels by the number of angles, degrees of rotation
 RESOLUTION = {1: 2.0, 2: 4.0, 3: 8.0}
@@ -22,14 +22,22 @@ MAX_TESTED = 4000
 
 
 def choose_margin(
-    coordinates: Float[np.ndarray, "F 3"], dimension: int, folds: list[Fold], width: float, coverage: float
+    coordinates: Float[np.ndarray, "F 3"],
+    dimension: int,
+    folds: list[Fold],
+    width: float,
+    min_samples: int,
+    coverage: float,
 ) -> float:
     """Choose the smallest margin around voxels of the other folds that contains a share `coverage` of each fold, on
-    average over the folds; in the chart, half of that in rotation."""
+    average over the folds; in the chart, half of that in rotation.
+
+    **Raises:** `InputError` where the other folds have no voxel with `min_samples` samples.
+    """
     beyond = []
     for train, test in folds:
         test = test[even_indices(len(test), MAX_TESTED)]
-        cells = occupied_voxels(coordinates[train], dimension, width, 1)
+        cells = assign_voxels(coordinates[train], dimension, width, min_samples)[0]
         beyond.append(_beyond(coordinates[test], cells, dimension, width))
     return mean_quantile(beyond, coverage)
 
@@ -40,6 +48,7 @@ def choose_coupled_margin(
     dimensions: tuple[int, int],
     folds: list[Fold],
     width: float,
+    min_samples: int,
     coverage: float,
     key_width: float | None = None,
 ) -> tuple[float, float]:
@@ -47,13 +56,16 @@ def choose_coupled_margin(
 
     For each width, the margin is as in `choose_margin`, among the samples around the keyframe nearest to the parent.
     Among the widths it is the one with which the fewest children are allowed with the parents of other frames.
+
+    **Raises:** `InputError` where the other folds have no voxel with `min_samples` samples.
     """
     best, least = (0.0, 0.0), np.inf
     widths = np.radians(KEYFRAMES) / 2 if key_width is None else [key_width]
+    voxels = [assign_voxels(coordinates[train], dimensions[0], width, min_samples) for train, _ in folds]
     for each in widths:
         found = [
-            _coupled_beyond(coordinates, parent_coordinates, fold, dimensions, width, float(each))
-            for fold in folds
+            _coupled_beyond(coordinates, parent_coordinates, fold, own, dimensions, width, float(each))
+            for fold, own in zip(folds, voxels, strict=True)
         ]
         margin = mean_quantile([seen for seen, _ in found], coverage)
         shuffled = float(np.mean([(other <= margin).mean() for _, other in found]))
@@ -63,11 +75,17 @@ def choose_coupled_margin(
 
 
 def _coupled_beyond(
-    coordinates, parent_coordinates, fold: Fold, dimensions: tuple[int, int], width: float, key_width: float
+    coordinates,
+    parent_coordinates,
+    fold: Fold,
+    voxels,
+    dimensions: tuple[int, int],
+    width: float,
+    key_width: float,
 ):
     """Compute how far test children are from those of training samples with parents near theirs, and with parents of
     other frames."""
-    train, test = fold
+    (train, test), (centres, home) = fold, voxels
     test = test[even_indices(len(test), MAX_TESTED)]
     keys = occupied_voxels(parent_coordinates[train], dimensions[1], key_width, 1)
     nearest = np.asarray(KDTree(keys).query(parent_coordinates[test])[1])
@@ -75,8 +93,7 @@ def _coupled_beyond(
     beyond = np.zeros((2, len(test)))
     for key in np.unique(nearest):
         around = np.abs(parent_coordinates[train] - keys[key]).max(1) <= key_width
-        cells = occupied_voxels(coordinates[train][around], dimensions[0], width, 1)
-        here = nearest == key
+        cells, here = centres[np.unique(home[around])], nearest == key
         for row, each in enumerate(children):
             beyond[row, here] = _beyond(each[here], cells, dimensions[0], width)
     return beyond[0], beyond[1]
