@@ -46,6 +46,9 @@ class LimitSurface(eqx.Module):
     densities: Float[Array, "Q"]
     #: part of `thickness` beyond the voxels of samples, half a rotation in radians
     margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    #: growth of the margin with the distance of the parent from the balls around all keyframes, and the radius of these balls
+    growth: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    key_radius: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
     #: the joint and its parent in the skeleton that they were learned with; None where they are not recognised
     anatomy: AnatomicalJoint | None = None
     parent_anatomy: AnatomicalJoint | None = None
@@ -62,14 +65,23 @@ class LimitSurface(eqx.Module):
         return jax.nn.softmax(-0.5 * squared_distances / self.reach**2)
 
     def primitives(self, parent_coordinates: Float[Array, "3"] | None) -> Primitives:
-        """Interpolate the primitives at coordinates of the parent."""
+        """Interpolate the primitives at coordinates of the parent; they are thicker where the parent was not seen."""
         if parent_coordinates is None:
             centres, thickness = self.centres[0], self.thickness[0]
         else:
             shares = self.keyframe_weights(parent_coordinates)
             centres = jnp.tensordot(shares, self.centres, 1)
-            thickness = shares @ self.thickness
+            thickness = shares @ self.thickness + self.further_margin(parent_coordinates)
         return Primitives(centres, thickness, self.unit, self.level, self.stiffness)
+
+    def further_margin(self, parent_coordinates: Float[Array, "3"] | None) -> Float[Array, ""]:
+        """Compute the margin that is added where the parent is away from all rotations that were seen."""
+        if parent_coordinates is None:
+            return jnp.zeros((), self.margin.dtype)
+        nearest = jnp.min(jnp.sum((self.keys - parent_coordinates) ** 2, -1))
+        far = nearest > self.key_radius**2
+        distance = jnp.sqrt(jnp.where(far, nearest, 1.0))
+        return self.growth * jnp.where(far, distance - self.key_radius, 0.0)
 
     def coordinates(
         self, skeleton: Skeleton, pose: Pose

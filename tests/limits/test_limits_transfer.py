@@ -339,6 +339,48 @@ def test_margins_are_measured_from_voxels_with_enough_samples():
         margin(500)
 
 
+def test_margins_grow_where_the_parent_was_not_seen():
+    """The parent of the second take goes on to 60 degrees, and the child bends by two degrees more for each of them."""
+    rng = np.random.default_rng(0)
+    above = np.concatenate([rng.uniform(0, 30, 4000), rng.uniform(0, 60, 4000)])
+    most = 20 + 2 * np.maximum(above - 30, 0) * (np.arange(8000) >= 4000)
+    skeleton = jc.make_skeleton(
+        ("a", "b"), (-1, 0), ("revolute",) * 2, [[0.0, 0, 0], [1, 0, 0]], axes=[np.eye(3)[[2, 0]]] * 2
+    )
+
+    def turns(angles) -> np.ndarray:
+        return quaternions(Rotation.from_euler("z", np.asarray(angles, float)[:, None], degrees=True))
+
+    parent, child = (
+        JointSamples(
+            name,
+            "revolute",
+            np.eye(3)[[2, 0]],
+            turns(angles),
+            np.zeros(8000, int),
+            takes=np.repeat([0, 1], 4000),
+        )
+        for name, angles in (("a", above), ("b", rng.uniform(0, most)))
+    )
+    surface = jc.limits.learn_limits({"b": child._replace(parent=parent)}, coverage=0.999).surfaces[0]
+    # the second take goes 60 degrees beyond the first one, all of it where the parent was not seen
+    assert np.degrees(2 * float(surface.margin)) < 15
+    asked = [(10, 18), (10, 60), (59, 70), (80, 100), (80, 175)]
+    rotations = np.stack([turns(column) for column in zip(*asked, strict=True)], 1)
+    motion = jc.Motion(jc.Pose(jnp.zeros((5, 2, 3)), jnp.asarray(rotations), jnp.ones(5)), 30.0)
+    limits = jc.limits.SurfaceLimits((surface,))
+    assert np.asarray(jc.limits.allowed_frames(limits, skeleton, motion))[:, 1].tolist() == [
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
+    # the growth is no part of what was seen
+    distances = np.degrees(np.asarray(jc.limits.sample_distance_frames(limits, skeleton, motion)))[:, 0]
+    np.testing.assert_allclose(distances[[0, 2, 3]], [0, 0, 20], atol=5.0)
+
+
 def test_the_margin_between_people_is_that_of_children_too():
     takes = [(HUMAN, leg_motion(seed)) for seed in range(2)]
     knee = jc.biomechanics.gather_person_samples(takes, "LeftLeg", "LeftUpLeg")

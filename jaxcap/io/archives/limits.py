@@ -38,6 +38,9 @@ _ARRAY_SHAPES: dict[str, tuple[int | None, ...]] = {
     "densities": (None,),
 }
 
+#: numbers of a surface that files of earlier versions do not have
+_FURTHER_NUMBERS = ("margin", "growth", "key_radius")
+
 
 @checked
 def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
@@ -47,7 +50,7 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
         start = f"{number}."
         arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAY_SHAPES}
         arrays[f"{start}parent"] = np.array(surface.parent or "", dtype=str)
-        arrays[f"{start}margin"] = np.asarray(surface.margin)
+        arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _FURTHER_NUMBERS}
         arrays |= _chart_arrays(f"{start}chart.", surface.chart)
         arrays |= _anatomy_arrays(f"{start}anatomy.", surface.anatomy)
         arrays |= _anatomy_arrays(f"{start}parent_anatomy.", surface.parent_anatomy)
@@ -195,19 +198,20 @@ def _surface(arrays: Mapping[str, np.ndarray], prefix: str, joint: str, path: st
             raise InputError(
                 f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; expected a number above 0."
             )
+    further = {
+        name: get_array(arrays, f"{prefix}{name}", path, ())
+        for name in _FURTHER_NUMBERS
+        if f"{prefix}{name}" in arrays
+    }
     parent = str(get_array(arrays, f"{prefix}parent", path, (), "text")) or None
     return LimitSurface(
         joint=joint,
         parent=parent,
         chart=_chart(arrays, f"{prefix}chart.", path),
         parent_chart=None if parent is None else _chart(arrays, f"{prefix}parent_chart.", path),
-        # files of earlier versions have no margin
-        margin=jnp.asarray(
-            get_array(arrays, f"{prefix}margin", path, ()) if f"{prefix}margin" in arrays else 0.0
-        ),
         anatomy=_anatomy(arrays, f"{prefix}anatomy.", path),
         parent_anatomy=_anatomy(arrays, f"{prefix}parent_anatomy.", path),
         rest=_rest(arrays, f"{prefix}rest.", joint, path),
         parent_rest=None if parent is None else _rest(arrays, f"{prefix}parent_rest.", parent, path),
-        **{name: jnp.asarray(value) for name, value in values.items()},
+        **{name: jnp.asarray(value) for name, value in (values | further).items()},
     )

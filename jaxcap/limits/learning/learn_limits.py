@@ -40,6 +40,8 @@ class Widths(NamedTuple):
     keyframe: float
     #: distance around voxels that is allowed
     margin: float
+    #: growth of the margin with the distance of the parent from all keyframes
+    growth: float = 0.0
 
 
 @checked
@@ -135,7 +137,7 @@ def _choose_widths(
         return Widths(width, 0.0, choose_margin(own, chart.dimension, folds, width, min_samples, share))
     dimensions = chart.dimension, parent_chart.dimension
     chosen = choose_coupled_margin(own, above, dimensions, folds, width, min_samples, share, keyframe)
-    return Widths(width, chosen[1], chosen[0] if margin is None else margin)
+    return Widths(width, chosen.keyframe, chosen.margin if margin is None else margin, chosen.growth)
 
 
 def _make_surface(
@@ -147,7 +149,7 @@ def _make_surface(
     if samples.parent is None:
         voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples)
         centres, thickness = voxels.centres[None], _thickness(voxels.widths, chart, widths)[None]
-        keys, reach, counts = np.zeros((1, 3)), 1.0, voxels.counts[None]
+        keys, reach, counts, key_radius = np.zeros((1, 3)), 1.0, voxels.counts[None], 0.0
     else:
         # voxels of one size, so that the voxels of a keyframe are a subset of all
         voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples, levels=0)
@@ -162,6 +164,7 @@ def _make_surface(
         centres = np.stack([voxels.centres[rows] for rows in matched])
         thickness = np.tile(_thickness(voxels.widths, chart, widths), (len(keys), 1))
         reach = KEYFRAME_REACH * widths.keyframe
+        key_radius = np.sqrt(parent_chart.dimension) * widths.keyframe / 2
         # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
         counts = _distribute_counts(counts, matched)
     above = samples.parent
@@ -180,6 +183,8 @@ def _make_surface(
         counts=jnp.asarray(counts),
         densities=jnp.zeros(0),
         margin=jnp.asarray(widths.margin),
+        growth=jnp.asarray(widths.growth),
+        key_radius=jnp.asarray(key_radius),
         anatomy=samples.anatomy,
         parent_anatomy=None if above is None else above.anatomy,
         rest=samples.rest,
