@@ -2,7 +2,7 @@
 
 Limits of shoulders with elbows and of hips with knees are learned from all takes of one person of the CMU database and
 tested on all takes of another person, and the reverse. Margins are chosen by leaving out whole takes of the first person;
-the margin between people is a constant from the literature. Nothing is chosen on the second person. The figures are the
+the margin between people is a constant from the literature. The figures are the
 shares of frames that are allowed, and of pairs of rotations that were never seen together that are rejected. They are
 compared with boxes of Euler angles, and with widths chosen by leaving out blocks of ten seconds. With `--takes`, limits
 are also learned without one take and tested on it.

@@ -73,8 +73,8 @@ class Learn:
     """The person of each file, separated by commas. Default: files with equal joint positions at rest are of one
     person."""
     person_margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Additional margin, degrees, for the use of limits of one person for others. People's ranges differ by 5 to 12
-    degrees (standard deviation)."""
+    """Additional margin of every joint, degrees, for the use of limits of one person for others. People's ranges differ by
+    5 to 12 degrees (standard deviation)."""
     both_sides: Flag = False
     """Learn each joint also from the mirrored motion of the other side."""
     convention: Annotated[AngleUnits | None, arg(help_behavior_hint="")] = None
