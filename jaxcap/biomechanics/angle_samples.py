@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arguments import checked
 from ..errors import InputError
-from ..limits.learning.samples import BLOCK_SECONDS, JointSamples
+from ..limits.learning.samples import BLOCK_SECONDS, JointSamples, label_motions, number_names
 from ..limits.rest_poses.anatomical_joint import AnatomicalJoint, convert_rotations
 from .anatomical_joints import JOINT_NAMES, joint_segments
 from .angles import JointAngles
@@ -33,10 +33,13 @@ def gather_angle_samples(
     **Arguments:** `angles` of motions, with a rate. `names` are the tables' names in errors, and `people` the person of
     each, by default one for all. `both_sides` adds the mirrored rotations of the other side.
 
-    **Raises:** `InputError` where the joint is no anatomical name, or a table has none of its angles.
+    **Raises:** `InputError` where the joint is no anatomical name, a table has none of its angles or no frames, or the names are
+    not as many as the tables.
     """
-    labels = [f"table {n + 1}" for n in range(len(angles))] if names is None else list(names)
-    who = np.zeros(len(angles), int) if people is None else np.unique(people, return_inverse=True)[1]
+    if not angles:
+        raise InputError("There are no tables of joint angles; give at least one.")
+    labels = label_motions(len(angles), names, "table")
+    who = np.zeros(len(angles), int) if people is None else number_names(people, len(angles))
     target = _anatomical_position(joint)
     rotations, blocks, takes, persons, start = [], [], [], [], 0
     for number, table in enumerate(angles):
@@ -44,6 +47,8 @@ def gather_angle_samples(
             raise InputError(
                 f"{labels[number]}: these are the angles of a single pose; give those of a motion."
             )
+        if not len(table.values):
+            raise InputError(f"{labels[number]}: the table has no frames; give angles of a motion.")
         for place in (joint, target.other_side) if both_sides else (joint,):
             matrices = segment_rotations(table, place, labels[number])
             if place != joint:

@@ -9,10 +9,15 @@ from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
 from ..errors import InputError
-from ..limits.learning.samples import JointSamples, check_rest_pose, gather_samples, number_people
+from ..limits.learning.samples import (
+    JointSamples,
+    check_rest_pose,
+    gather_samples,
+    label_motions,
+    number_people,
+)
 from ..limits.rest_poses.anatomical_joint import AnatomicalJoint, convert_rotations
-from ..limits.rest_poses.rest_directions import bone_angle, bone_direction
-from ..limits.rest_poses.transfer import EQUAL_REST
+from ..limits.rest_poses.rest_difference import has_equal_rest
 from .anatomical_joints import find_anatomical_joints
 
 Anatomy = Mapping[str, AnatomicalJoint]
@@ -38,11 +43,11 @@ def gather_person_samples(
     the other side.
 
     **Raises:** `InputError` or `ValueError` as `gather_samples`; `InputError` where `both_sides` needs a joint that is not
-    recognised.
+    recognised on one side of one of the skeletons, or the names are not as many as the motions.
     """
     anatomies = [_anatomy(skeleton, motion) for skeleton, motion in motions]
     who = number_people([skeleton for skeleton, _ in motions], people)
-    labels = [f"motion {n + 1}" for n in range(len(motions))] if names is None else list(names)
+    labels = label_motions(len(motions), names, "motion")
 
     def gather(name: str, above: str | None) -> JointSamples:
         over = None if above is None else gather(above, None)
@@ -57,7 +62,8 @@ def gather_person_samples(
         start = 0
         for number, each in enumerate(motions):
             wanted = [name if target is None else target.name]
-            if both_sides and target is not None and target.other_side in anatomies[number]:
+            if both_sides and target is not None:
+                _check_sides(anatomies[number], target, labels[number])
                 wanted.append(target.other_side)
             for place in wanted:
                 found = _gather_one(
@@ -75,7 +81,7 @@ def gather_person_samples(
         skeleton = motions[reference][0]
         return _join(pieces, name, target)._replace(
             parent=over,
-            bone=bone_direction(skeleton, name),
+            rest=skeleton,
             axes=np.asarray(skeleton.axes[skeleton.index(name)], float),
         )
 
@@ -96,15 +102,24 @@ def _gather_one(
     source = anatomy.get(place)
     if target is not None and source is not None:
         own = gather_samples([motion], source.joint, None, [label])
-        alike = source.joint == name and _bones_agree(skeleton, reference, name)
-        if alike:
+        if source.joint == name and has_equal_rest(reference, skeleton, name):
             return own
         turned = Rotation.from_quat(own.rotations, scalar_first=True).as_matrix()
         turned = Rotation.from_matrix(convert_rotations(turned, source, target))
         return own._replace(rotations=turned.as_quat(scalar_first=True))
     own = gather_samples([motion], name, None, [label])
-    check_rest_pose(bone_direction(reference, name), own.bone, name, label)
+    check_rest_pose(reference, skeleton, name, label)
     return own
+
+
+def _check_sides(anatomy: Anatomy, target: AnatomicalJoint, label: str) -> None:
+    """Check that a joint is recognised on both sides, so that it has as many samples as its parent. Raises `InputError`."""
+    missing = [name for name in (target.name, target.other_side) if name not in anatomy]
+    if missing:
+        raise InputError(
+            f"{label}: there is no joint that is recognised as '{missing[0]}', for example because its segment has twist joints, so "
+            "the sides cannot be learned together; leave out --both-sides, or this motion."
+        )
 
 
 def _join(pieces: list[JointSamples], name: str, target: AnatomicalJoint | None) -> JointSamples:
@@ -151,7 +166,3 @@ def _reference(motions, anatomies: Sequence[Anatomy], name: str) -> tuple[int, s
 
 def _named(anatomy: Anatomy, name: str) -> AnatomicalJoint | None:
     return next((each for each in anatomy.values() if each.joint == name), None)
-
-
-def _bones_agree(one: Skeleton, other: Skeleton, joint: str) -> bool:
-    return bone_angle(bone_direction(one, joint), bone_direction(other, joint)) <= EQUAL_REST

@@ -7,19 +7,20 @@ from typing import Literal
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.io import loadmat
 
 from ..arguments import checked
 from ..biomechanics.angles import JointAngles
 from ..biomechanics.conventions import angle_conventions
 from ..errors import InputError
 from .kinds import wrong_kind_error
+from .matlab import read_matlab
 from .opensim.storage import ANGLES_TITLE, SUFFIXES, rate_of_times, read_storage
 from .system.reader_errors import reader_of
 from .text import check_frame_rate, parse_floats, read_text, shortened
 
-#: conventions of angles: those of `docs/joint_angles.md`, in degrees or in radians
-AngleUnits = Literal["isb", "isb-radians"]
+#: conventions of angles: those of `docs/joint_angles.md`, in degrees (`isb` if the numbers look like degrees,
+#: `isb-degrees` also if they are tiny) or in radians
+AngleUnits = Literal["isb", "isb-degrees", "isb-radians"]
 #: suffixes of tables of angles
 ANGLE_SUFFIXES = (".csv", ".mat", *SUFFIXES)
 #: largest angle of a table in radians; one in degrees has larger ones
@@ -33,10 +34,11 @@ TITLE = "# joint angles"
 def read_angles(path: str | Path, convention: AngleUnits | None = None) -> JointAngles:
     """Read joint angles over time from `.csv`, `.mat`, `.mot` or `.sto`.
 
-    Tables that `jaxcap convert --as angles` wrote state their convention. Other tables need one: `"isb"` for the angles of
-    `docs/joint_angles.md` in degrees, or `"isb-radians"`. Columns are found by the names of that page; others
+    Tables that `jaxcap convert --as angles` wrote state their convention and unit. Other tables need one: `"isb"` for the angles
+    of `docs/joint_angles.md` in degrees, or `"isb-radians"`. A table whose angles are all below 6.4 is refused as `"isb"`,
+    because it may be in radians; `"isb-degrees"` reads it in degrees. Columns are found by the names of that page; others
     are not used. CSV files have a column `time` in seconds. MATLAB files have a vector for each angle, at the top or in one
-    struct, and `time` or `rate`.
+    struct, and `time` or `rate`. The unit in the header of an OpenSim table has to be that of the convention.
 
     **Raises:** `InputError` if the file is invalid, states no convention and none is given, has no known angle, or its numbers
     contradict the unit.
@@ -51,6 +53,8 @@ def read_angles(path: str | Path, convention: AngleUnits | None = None) -> Joint
         table = read_storage(path)
         columns, rate = dict(zip(table.names, table.values.T, strict=True)), table.rate
         stated = ("isb" if table.in_degrees else "isb-radians") if table.title == ANGLES_TITLE else None
+        if stated is None and convention is not None and table.states_unit:
+            stated = _stated_unit(path, table.in_degrees, convention)
     else:
         raise wrong_kind_error(path, "a table of joint angles", ANGLE_SUFFIXES)
     units = stated or convention
@@ -60,7 +64,16 @@ def read_angles(path: str | Path, convention: AngleUnits | None = None) -> Joint
             "docs/joint_angles.md in degrees, or isb-radians. Coordinates of an OpenSim model become a motion with "
             "`jaxcap convert` and the model."
         )
-    return _make_angles(path, columns, rate, units)
+    # only numbers without a stated unit are judged by their size
+    return _make_angles(path, columns, rate, "isb-degrees" if stated == "isb" else units)
+
+
+def _stated_unit(path: Path, in_degrees: bool, convention: AngleUnits) -> str:
+    """Return the unit of a table's header. Raises `InputError` if that of the convention is another one."""
+    unit, stated = ("degrees", "isb") if in_degrees else ("radians", "isb-radians")
+    if in_degrees == (convention == "isb-radians"):
+        raise InputError(f"{path}: the header says that angles are in {unit}; give --convention {stated}.")
+    return stated
 
 
 def is_angle_table(path: str | Path) -> bool:
@@ -91,10 +104,10 @@ def _make_angles(
         )
     if units == "isb" and 0.0 < largest <= MAX_RADIANS and len(values) > 1:
         raise InputError(
-            f"{path}: all angles are below {largest:.3g}, which looks like radians; give --convention isb-radians, or leave "
-            "out a table that hardly moves."
+            f"{path}: all angles are at most {largest:.3g}, which looks like radians; give --convention isb-radians, or "
+            "--convention isb-degrees if they are degrees."
         )
-    values = np.radians(values) if units == "isb" else values
+    values = values if units == "isb-radians" else np.radians(values)
     return JointAngles(jnp.asarray(values), conventions, (), check_frame_rate(rate, str(path)))
 
 
@@ -120,40 +133,30 @@ def _read_csv(path: Path) -> tuple[dict[str, np.ndarray], float, str | None]:
 
 
 def _read_mat(path: Path) -> tuple[dict[str, np.ndarray], float]:
-    try:
-        content = loadmat(path, squeeze_me=True, struct_as_record=True)
-    except NotImplementedError:
-        raise InputError(f"{path}: this is a MATLAB file of version 7.3; save it with -v7.") from None
-    columns: dict[str, np.ndarray] = {}
-    rate = None
-    for name, value in content.items():
-        if name.startswith("__"):
-            continue
-        value = np.asarray(value)
-        fields: dict = {name: value}
-        if value.dtype.names is not None and value.ndim == 0:
-            fields = {field: np.asarray(value[field].item()) for field in value.dtype.names}
-        for field, numbers in fields.items():
-            numbers = np.asarray(numbers)
-            if numbers.dtype.kind not in "iuf":
-                continue
-            if numbers.ndim == 0 and field in ("rate", "fps"):
-                rate = float(numbers)
-            elif numbers.ndim == 1 and len(numbers) > 1:
-                columns[field] = numbers.astype(float)
+    groups = read_matlab(path)
+    known = {each.name for each in angle_conventions()}
+    named = [name for name, values in groups.items() if known & set(values)]
+    if len(named) > 1:
+        places = ", ".join(f"the struct '{shortened(name)}'" if name else "the top" for name in named)
+        raise InputError(
+            f"{path}: there are joint angles in {places}; save those of one motion to a file of their own."
+        )
+    # the time and the rate may be at the top, next to the struct
+    own = groups[""] | (groups[named[0]] if named else {})
+    columns = {name: each for name, each in own.items() if each.ndim == 1 and len(each) > 1}
     times = columns.pop("time", None)
-    if rate is None and times is None:
+    rates = [float(own[name]) for name in ("rate", "fps") if name in own and own[name].ndim == 0]
+    if not rates and times is None:
         raise InputError(
             f"{path}: there is neither `time` nor `rate`; add the times of the frames in seconds."
         )
-    counts = {len(each) for name, each in columns.items() if name in {c.name for c in angle_conventions()}}
+    counts = {len(each) for name, each in columns.items() if name in known}
     if len(counts) > 1:
         raise InputError(f"{path}: the angles have {sorted(counts)} frames; expected one number of frames.")
     if times is not None and counts and len(times) not in counts:
         raise InputError(
             f"{path}: there are {len(times)} times and {counts.pop()} frames; expected one time for each."
         )
-    if times is not None and rate is None:
-        rate = rate_of_times(times, path)
-    assert rate is not None
-    return columns, rate
+    if rates or times is None:
+        return columns, rates[0]
+    return columns, rate_of_times(times, path)

@@ -3,6 +3,7 @@
 A new format is one line here.
 """
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -277,7 +278,9 @@ def _select_frames(
     file: MarkerFile, path: Path, subject: str | None, size: tuple[float, float]
 ) -> MarkerFrames:
     frames = select_subject(file.frames, path, subject)
-    check_marker_extent(frames, path, file.scale, size)
+    frames, left_out = check_marker_extent(frames, path, file.scale, size)
+    for sentence in left_out:
+        warnings.warn(f"{path}: {sentence}", stacklevel=5)
     return frames
 
 

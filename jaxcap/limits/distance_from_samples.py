@@ -39,4 +39,6 @@ def _distance(surface: LimitSurface, place, parent) -> Float[Array, ""]:
     halves = jnp.where(far, jnp.sqrt(jnp.where(far, squared, 1.0)), 0.0)
     if surface.chart.kind == "ball":
         halves = jnp.arcsin(jnp.minimum(halves, 1.0 - 1e-7))
-    return 2 * jnp.maximum(jnp.min(halves - (radii(primitives) - surface.margin)), 0.0)
+    return 2 * jnp.maximum(
+        jnp.min(halves - (radii(primitives) - surface.margin - surface.further_margin(parent))), 0.0
+    )

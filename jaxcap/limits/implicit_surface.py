@@ -3,7 +3,6 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
@@ -14,7 +13,6 @@ from .chart import Chart
 from .primitives import Primitives, signed_distance
 from .project_onto_surface import project_inside
 from .rest_poses.anatomical_joint import AnatomicalJoint
-from .rest_poses.rest_directions import bone_angle, bone_direction
 
 
 class LimitSurface(eqx.Module):
@@ -46,13 +44,17 @@ class LimitSurface(eqx.Module):
     counts: Float[Array, "V N"]
     #: densities at the training samples, sorted, for the comfort of a pose
     densities: Float[Array, "Q"]
-    #: unit direction of the joint's bone at rest, world; zero where it is not known
-    bone: Float[Array, "3"] = eqx.field(default_factory=lambda: jnp.zeros(3))
     #: part of `thickness` beyond the voxels of samples, half a rotation in radians
     margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    #: growth of the margin with the distance of the parent from the balls around all keyframes, and the radius of these balls
+    growth: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
+    key_radius: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()))
     #: the joint and its parent in the skeleton that they were learned with; None where they are not recognised
     anatomy: AnatomicalJoint | None = None
     parent_anatomy: AnatomicalJoint | None = None
+    #: the skeletons from whose rest poses the rotations of the joint and of its parent are; None where there is none
+    rest: Skeleton | None = None
+    parent_rest: Skeleton | None = None
 
     def __check_init__(self):
         check_fields(self)
@@ -63,14 +65,23 @@ class LimitSurface(eqx.Module):
         return jax.nn.softmax(-0.5 * squared_distances / self.reach**2)
 
     def primitives(self, parent_coordinates: Float[Array, "3"] | None) -> Primitives:
-        """Interpolate the primitives at coordinates of the parent."""
+        """Interpolate the primitives at coordinates of the parent; they are thicker where the parent was not seen."""
         if parent_coordinates is None:
             centres, thickness = self.centres[0], self.thickness[0]
         else:
             shares = self.keyframe_weights(parent_coordinates)
             centres = jnp.tensordot(shares, self.centres, 1)
-            thickness = shares @ self.thickness
+            thickness = shares @ self.thickness + self.further_margin(parent_coordinates)
         return Primitives(centres, thickness, self.unit, self.level, self.stiffness)
+
+    def further_margin(self, parent_coordinates: Float[Array, "3"] | None) -> Float[Array, ""]:
+        """Compute the margin that is added where the parent is away from all rotations that were seen."""
+        if parent_coordinates is None:
+            return jnp.zeros((), self.margin.dtype)
+        nearest = jnp.min(jnp.sum((self.keys - parent_coordinates) ** 2, -1))
+        far = nearest > self.key_radius**2
+        distance = jnp.sqrt(jnp.where(far, nearest, 1.0))
+        return self.growth * jnp.where(far, distance - self.key_radius, 0.0)
 
     def coordinates(
         self, skeleton: Skeleton, pose: Pose
@@ -143,23 +154,3 @@ def _comfort(surface: LimitSurface, coordinates, parent_coordinates) -> Float[Ar
     here = density(surface, coordinates, parent_coordinates)
     rank = jnp.searchsorted(surface.densities, here, side="right")
     return rank / len(surface.densities)
-
-
-def missing_joints(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, ...]:
-    """List the joints that the limits name and the skeleton lacks."""
-    named = [name for s in limits.surfaces for name in (s.joint, s.parent) if name is not None]
-    return tuple(dict.fromkeys(name for name in named if name not in skeleton.names))
-
-
-def rest_difference(limits: SurfaceLimits, skeleton: Skeleton) -> tuple[str, float]:
-    """Find the joint whose bone at rest differs most from that of the motions that the limits were learned from.
-
-    Returns its name and the angle, radians. Rotations are relative to the rest pose, so limits are valid for one rest
-    pose only, unless `transfer_limits` converts them.
-    """
-    angles = {
-        surface.joint: bone_angle(np.asarray(surface.bone, float), bone_direction(skeleton, surface.joint))
-        for surface in limits.surfaces
-    }
-    joint = max(angles, key=angles.__getitem__)
-    return joint, angles[joint]

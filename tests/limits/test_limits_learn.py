@@ -18,7 +18,7 @@ from jaxcap.errors import InputError
 from jaxcap.limits.abstract_limits import allowed
 from jaxcap.limits.compare import compare_samples
 from jaxcap.limits.frame_evaluation import allowed_frames, comfort_frames, nearest_frames, residual_frames
-from jaxcap.limits.implicit_surface import SurfaceLimits, comfort, missing_joints
+from jaxcap.limits.implicit_surface import SurfaceLimits, comfort
 from jaxcap.limits.learning.boxes import learn_boxes
 from jaxcap.limits.learning.fit_chart import chart_coordinates, find_chart, middle_rotation
 from jaxcap.limits.learning.learn_limits import learn_limits
@@ -28,6 +28,7 @@ from jaxcap.limits.learning.samples import JointSamples, gather_samples, parse_j
 from jaxcap.limits.learning.voxels import voxelise
 from jaxcap.limits.motion_projection import project_motion
 from jaxcap.limits.primitives import signed_distance
+from jaxcap.limits.rest_poses.transfer import transfer_limits
 from jaxcap.observe.markers import make_markers
 
 SHOULDER = make_skeleton(
@@ -364,8 +365,10 @@ def test_inverse_kinematics_stays_within_learned_limits(learned):
 
 def test_limits_tell_which_joints_a_skeleton_lacks(learned):
     other = make_skeleton(("hip", "elbow"), (-1, 0), ("ball", "revolute"), np.zeros((2, 3)))
-    assert missing_joints(learned[0], SHOULDER) == ()
-    assert missing_joints(learned[0], other) == ("shoulder",)
+    kept = transfer_limits(learned[0], SHOULDER, {}).surfaces
+    assert all(one is two for one, two in zip(kept, learned[0].surfaces, strict=True))
+    with pytest.raises(InputError, match="'shoulder' is not among the joints hip, elbow"):
+        transfer_limits(learned[0], other, {})
 
 
 def test_comfort_of_one_pose_is_that_of_its_frame(learned):

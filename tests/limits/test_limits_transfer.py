@@ -1,10 +1,10 @@
-"""Limits for other people, takes, skeletons and rest poses, and from tables of joint angles."""
+"""Limits for other people, takes, skeletons and rest poses."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.io import savemat
+from limits_legs import HUMAN, leg_motion, quaternions
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
@@ -12,60 +12,40 @@ from jaxcap.limits.learning.held_out import make_folds, mean_quantile, widest_he
 from jaxcap.limits.learning.samples import JointSamples
 
 
-def hinged(skeleton: jc.Skeleton) -> jc.Skeleton:
-    """Knees as hinges, whose axes define those of thigh and shank exactly."""
-    kinds = [
-        "revolute" if name in ("LeftLeg", "RightLeg") else kind
-        for name, kind in zip(skeleton.names, skeleton.kinds, strict=True)
-    ]
-    return jc.make_skeleton(skeleton.names, skeleton.parents, kinds, skeleton.centres, axes=skeleton.axes)
+def unit_bone(skeleton: jc.Skeleton, begin: str, end: str) -> np.ndarray:
+    bone = np.subtract(*(np.asarray(skeleton.centres[skeleton.index(name)], float) for name in (end, begin)))
+    return bone / np.linalg.norm(bone)
 
 
-HUMAN = hinged(jc.human(resolution="low").skeleton)
-PAIRS = (("LeftUpLeg", "LeftLeg"), ("RightUpLeg", "RightLeg"))
-
-
-def quaternions(turns: Rotation) -> np.ndarray:
-    return turns.as_quat(scalar_first=True)
-
-
-def leg_motion(seed: int, frames: int = 240, size: float = 0.7) -> jc.Motion:
-    """Hips that turn any way, and knees that bend; the arms rest."""
-    rng = np.random.default_rng(seed)
-    rotations = np.tile([1.0, 0, 0, 0], (frames, HUMAN.num_joints, 1))
-    for hip, knee in PAIRS:
-        waves = np.sin(np.arange(frames)[:, None] * rng.uniform(0.02, 0.2, 3) + rng.uniform(0, 6, 3))
-        rotations[:, HUMAN.index(hip)] = quaternions(Rotation.from_rotvec(size * waves))
-        bend = 0.6 * (1 + np.sin(0.13 * np.arange(frames) + seed))
-        rotations[:, HUMAN.index(knee)] = quaternions(Rotation.from_rotvec(bend[:, None] * [1.0, 0, 0]))
-    still = jnp.zeros((frames, HUMAN.num_joints, 3))
-    return jc.Motion(jc.Pose(still, jnp.asarray(rotations), jnp.ones(frames)), 30.0)
+def posed_at_rest(skeleton: jc.Skeleton, motion: jc.Motion, extra: dict[str, Rotation], turn: Rotation):
+    """The same person and motion with another rest pose: joints are rotated by `extra` in it, and the whole by `turn`."""
+    centres = np.array(skeleton.centres, float)
+    placed, above, rest = centres.copy(), [], []
+    for joint, parent in enumerate(skeleton.parents):
+        above.append(turn if parent < 0 else rest[parent])
+        rest.append(above[-1] * extra.get(skeleton.names[joint], Rotation.identity()))
+        start = np.zeros(3) if parent < 0 else placed[parent]
+        placed[joint] = start + above[-1].apply(centres[joint] - (0 if parent < 0 else centres[parent]))
+    axes = [each.apply(pair) for each, pair in zip(rest, np.array(skeleton.axes, float), strict=True)]
+    made = jc.make_skeleton(skeleton.names, skeleton.parents, skeleton.kinds, placed, axes=axes)
+    rotations = np.array(motion.poses.rotations, float)
+    for joint in range(skeleton.num_joints):
+        own = Rotation.from_quat(rotations[:, joint], scalar_first=True)
+        # bones point in the same directions: G' C = turn G, for the rotation C of a bone from one rest pose to the other
+        rotations[:, joint] = quaternions(above[joint] * own * rest[joint].inv())
+    poses = jc.Pose(motion.poses.translations, jnp.asarray(rotations), motion.poses.scale)
+    return made, jc.Motion(poses, motion.rate)
 
 
 def other_rig(skeleton: jc.Skeleton, motion: jc.Motion, spread: float, turn: Rotation):
     """The same person and motion, with other names, legs spread by `spread` degrees at rest, and the whole rest pose turned."""
-    names = [f"rig:{name.replace('UpLeg', 'Thigh').replace('Leg', 'Shin')}" for name in skeleton.names]
-    centres = np.array(skeleton.centres, float)
-    # the rotation of every bone from the old rest pose to the new one
-    rest = [turn] * skeleton.num_joints
-    for side, sign in (("Left", 1), ("Right", -1)):
-        hip = skeleton.index(f"{side}UpLeg")
-        swing = Rotation.from_euler("z", sign * spread, degrees=True)
-        for joint in np.flatnonzero(np.asarray(skeleton.descendants)[hip]):
-            rest[joint] = turn * swing
-            centres[joint] = centres[hip] + swing.apply(centres[joint] - centres[hip])
-    axes = [each.apply(pair) for each, pair in zip(rest, np.array(skeleton.axes, float), strict=True)]
-    made = jc.make_skeleton(names, skeleton.parents, skeleton.kinds, turn.apply(centres), axes=axes)
-    rotations = np.array(motion.poses.rotations, float)
-    for joint, parent in enumerate(skeleton.parents):
-        above = turn if parent < 0 else rest[parent]
-        own = Rotation.from_quat(rotations[:, joint], scalar_first=True)
-        # bones point in the same directions: G' C = C0 G for rest rotations C, whole turn C0
-        rotations[:, joint] = quaternions(above * own * rest[joint].inv())
-        if parent < 0:
-            rotations[:, joint] = quaternions(turn * own * turn.inv())
-    poses = jc.Pose(motion.poses.translations, jnp.asarray(rotations), motion.poses.scale)
-    return made, jc.Motion(poses, motion.rate)
+    swings = {
+        f"{side}UpLeg": Rotation.from_euler("z", sign * spread, degrees=True)
+        for side, sign in (("Left", 1), ("Right", -1))
+    }
+    made, same = posed_at_rest(skeleton, motion, swings, turn)
+    names = [f"rig:{name.replace('UpLeg', 'Thigh').replace('Leg', 'Shin')}" for name in made.names]
+    return jc.make_skeleton(names, made.parents, made.kinds, made.centres, axes=made.axes), same
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +82,86 @@ def test_another_rest_pose_gives_the_same_answers(learned, spread, turn):
     # projected onto the limits, both are allowed
     nearest = jc.limits.nearest_frames(limits, rig, same)
     assert jc.limits.allowed_frames(limits, rig, nearest).all()
+
+
+def about(axis: str, angle: float) -> Rotation:
+    return Rotation.from_euler(axis, angle, degrees=True)
+
+
+KNEE = np.asarray(HUMAN.axes[HUMAN.index("LeftLeg"), 0], float)
+#: rotations of the left leg at rest: below the knee, on both of its sides, and about the thigh
+REST_POSES = {
+    "flexed": {"LeftLeg": Rotation.from_rotvec(0.4 * KNEE)},
+    "both": {"LeftUpLeg": about("x", -20.0), "LeftLeg": Rotation.from_rotvec(0.6 * KNEE)},
+    "twist": {"LeftUpLeg": Rotation.from_rotvec(np.radians(30.0) * unit_bone(HUMAN, "LeftUpLeg", "LeftLeg"))},
+}
+
+
+def same_person_at_rest(learned, skeleton: jc.Skeleton, motion: jc.Motion, rest) -> np.ndarray:
+    """The differences, in radians, of the violations of limits from those in another rest pose of the same person."""
+    rig, same = posed_at_rest(skeleton, motion, rest, Rotation.identity())
+    limits = jc.limits.transfer_limits(learned, rig, jc.biomechanics.find_anatomical_joints(rig))
+    assert [each.joint for each in limits.surfaces] == [each.joint for each in learned.surfaces]
+    before = np.asarray(jc.limits.residual_frames(learned, skeleton, motion))
+    assert (before > 0.05).any() and (before == 0).any()
+    return np.abs(np.asarray(jc.limits.residual_frames(limits, rig, same)) - before)
+
+
+@pytest.mark.parametrize("rest", REST_POSES)
+def test_each_segment_of_a_joint_may_have_another_rest_pose(learned, rest):
+    assert same_person_at_rest(learned, HUMAN, leg_motion(5, 60, 1.2), REST_POSES[rest]).max() < 2e-6
+
+
+def arm_motion(seed: int, size: float, frames: int = 120) -> jc.Motion:
+    """The left shoulder and the elbow turn any way; the rest of the body rests."""
+    rng = np.random.default_rng(seed)
+    rotations = np.tile([1.0, 0, 0, 0], (frames, BENT.num_joints, 1))
+    for joint in ("LeftArm", "LeftForeArm"):
+        waves = np.sin(np.arange(frames)[:, None] * rng.uniform(0.02, 0.2, 3) + rng.uniform(0, 6, 3))
+        rotations[:, BENT.index(joint)] = quaternions(Rotation.from_rotvec(size * waves))
+    still = jnp.zeros((frames, BENT.num_joints, 3))
+    return jc.Motion(jc.Pose(still, jnp.asarray(rotations), jnp.ones(frames)), 30.0)
+
+
+#: arms of which bent elbows and thumbs show every rotation
+BENT = jc.human(resolution="low").skeleton
+UPPER, FORE = (unit_bone(BENT, *ends) for ends in (("LeftArm", "LeftForeArm"), ("LeftForeArm", "LeftHand")))
+FLEXION = np.cross(UPPER, FORE) / np.linalg.norm(np.cross(UPPER, FORE))
+#: arms out, down, and raised forward; the elbow flexed, the forearm turned about its bone, and all of these
+ARMS = {
+    "T": {"LeftArm": about("z", 42.0), "RightArm": about("z", -42.0)},
+    "down": {"LeftArm": about("z", -40.0), "RightArm": about("z", 40.0)},
+    "front": {"LeftArm": about("x", -50.0)},
+    "flexed": {"LeftForeArm": Rotation.from_rotvec(0.6 * FLEXION)},
+    "pronated": {"LeftForeArm": Rotation.from_rotvec(0.8 * FORE)},
+    "all": {
+        "LeftArm": about("z", 42.0) * Rotation.from_rotvec(0.4 * UPPER),
+        "LeftForeArm": Rotation.from_rotvec(-0.3 * FLEXION) * Rotation.from_rotvec(-0.8 * FORE),
+    },
+}
+
+
+@pytest.mark.parametrize("rest", ARMS)
+def test_arms_may_have_another_rest_pose(rest):
+    """Elbows stay bent by more than ten degrees, so the skeleton shows the axes of both segments."""
+    samples = jc.biomechanics.gather_person_samples([(BENT, arm_motion(1, 0.5))], "LeftForeArm", "LeftArm")
+    limits = jc.limits.learn_limits(
+        {"LeftArm": samples.parent, "LeftForeArm": samples}, voxel=np.radians(15), keyframe=np.radians(30)
+    )
+    assert same_person_at_rest(limits, BENT, arm_motion(2, 0.8, 60), ARMS[rest]).max() < 2e-6
+
+
+def test_a_thigh_may_be_rotated_at_rest_above_an_equal_shank():
+    """Without hinges the axes of a thigh are known to about a degree."""
+    motion = leg_motion(1)
+    samples = jc.biomechanics.gather_person_samples([(BENT, motion)], "LeftLeg")
+    limits = jc.limits.learn_limits({"LeftLeg": samples}, voxel=np.radians(5))
+    assert limits.surfaces[0].chart.kind == "hinge"
+    rest = {"LeftUpLeg": about("z", 14.6), "LeftLeg": about("z", -14.6)}
+    bent = np.tile([1.0, 0, 0, 0], (60, BENT.num_joints, 1))
+    bent[:, BENT.index("LeftLeg")] = quaternions(about("x", np.linspace(-40, 100, 60)[:, None]))
+    wild = jc.Motion(jc.Pose(jnp.zeros((60, BENT.num_joints, 3)), jnp.asarray(bent), jnp.ones(60)), 30.0)
+    assert same_person_at_rest(limits, BENT, wild, rest).max() < np.radians(2.0)
 
 
 def test_files_of_limits_apply_to_another_rig(learned, tmp_path):
@@ -147,6 +207,40 @@ def test_the_other_side_is_its_mirror_image():
     ).rotations[50:]
     assert (apart * Rotation.from_quat(swapped, scalar_first=True)).magnitude().max() < np.radians(1.0)
     assert other.shape == right.shape
+
+
+def with_twist_joint(skeleton: jc.Skeleton, motion: jc.Motion, name: str, child: str):
+    """The same person with a twist joint in the middle of a bone."""
+    names, parents, kinds = list(skeleton.names), list(skeleton.parents), list(skeleton.kinds)
+    centres = np.asarray(skeleton.centres)
+    above, below = skeleton.index(name), skeleton.index(child)
+    parents[below] = len(names)
+    made = jc.make_skeleton(
+        [*names, f"{name}Twist"],
+        [*parents, above],
+        [*kinds, "ball"],
+        [*centres, centres[[above, below]].mean(0)],
+    )
+    order = [[*names, f"{name}Twist"].index(each) for each in made.names]
+    turns = np.concatenate([motion.poses.rotations, np.tile([1.0, 0, 0, 0], (len(motion), 1, 1))], 1)[
+        :, order
+    ]
+    poses = jc.Pose(jnp.zeros((*turns.shape[:2], 3)), jnp.asarray(turns), jnp.ones(len(motion)))
+    return made, jc.Motion(poses, motion.rate)
+
+
+def test_both_sides_have_to_be_recognised_where_one_has_a_twist_joint():
+    motion = leg_motion(3, 50)
+    twisted = with_twist_joint(HUMAN, motion, "RightUpLeg", "RightLeg")
+    assert "hip_r" not in jc.biomechanics.find_anatomical_joints(twisted[0])
+    whole = jc.biomechanics.gather_person_samples([twisted], "LeftLeg", "LeftUpLeg")
+    assert len(whole.rotations) == len(whole.parent.rotations) == 50
+    with pytest.raises(jc.InputError, match="motion 2: there is no joint that is recognised as 'hip_r'"):
+        jc.biomechanics.gather_person_samples(
+            [(HUMAN, motion), twisted], "LeftLeg", "LeftUpLeg", both_sides=True
+        )
+    with pytest.raises(jc.InputError, match="1 names for 2 motions"):
+        jc.biomechanics.gather_person_samples([(HUMAN, motion)] * 2, "LeftLeg", names=["one"])
 
 
 def test_sides_have_charts_of_one_kind():
@@ -222,6 +316,81 @@ def test_margins_are_the_distances_between_takes():
     assert float(jc.limits.learn_limits({"h": one}).surfaces[0].margin) == 0.0
 
 
+def test_margins_are_measured_from_voxels_with_enough_samples():
+    """The first take covers 0 to 40 degrees densely and has one frame at 59; the second one covers 0 to 60 degrees."""
+    angles = np.concatenate([np.linspace(0, 40, 2000), [59.0], np.linspace(0, 60, 3000)])
+    samples = JointSamples(
+        "hinge",
+        "revolute",
+        np.eye(3)[[2, 0]],
+        quaternions(Rotation.from_euler("z", angles[:, None], degrees=True)),
+        np.zeros(len(angles), int),
+        takes=np.repeat([0, 1], [2001, 3000]),
+    )
+
+    def margin(least: int) -> float:
+        found = jc.limits.learn_limits({"h": samples}, coverage=1.0, min_samples=least).surfaces[0]
+        return float(np.degrees(2 * found.margin))
+
+    # half of the way from 40 to 59, and the whole way to 60, less the width of a voxel
+    assert margin(1) == pytest.approx(9.0, abs=1.5)
+    assert margin(5) == pytest.approx(19.0, abs=1.5)
+    with pytest.raises(jc.InputError, match="No voxel has 500 samples when a part of the motion is left out"):
+        margin(500)
+
+
+def test_margins_grow_where_the_parent_was_not_seen():
+    """The parent of the second take goes on to 60 degrees, and the child bends by two degrees more for each of them."""
+    rng = np.random.default_rng(0)
+    above = np.concatenate([rng.uniform(0, 30, 4000), rng.uniform(0, 60, 4000)])
+    most = 20 + 2 * np.maximum(above - 30, 0) * (np.arange(8000) >= 4000)
+    skeleton = jc.make_skeleton(
+        ("a", "b"), (-1, 0), ("revolute",) * 2, [[0.0, 0, 0], [1, 0, 0]], axes=[np.eye(3)[[2, 0]]] * 2
+    )
+
+    def turns(angles) -> np.ndarray:
+        return quaternions(Rotation.from_euler("z", np.asarray(angles, float)[:, None], degrees=True))
+
+    parent, child = (
+        JointSamples(
+            name,
+            "revolute",
+            np.eye(3)[[2, 0]],
+            turns(angles),
+            np.zeros(8000, int),
+            takes=np.repeat([0, 1], 4000),
+        )
+        for name, angles in (("a", above), ("b", rng.uniform(0, most)))
+    )
+    surface = jc.limits.learn_limits({"b": child._replace(parent=parent)}, coverage=0.999).surfaces[0]
+    # the second take goes 60 degrees beyond the first one, all of it where the parent was not seen
+    assert np.degrees(2 * float(surface.margin)) < 15
+    asked = [(10, 18), (10, 60), (59, 70), (80, 100), (80, 175)]
+    rotations = np.stack([turns(column) for column in zip(*asked, strict=True)], 1)
+    motion = jc.Motion(jc.Pose(jnp.zeros((5, 2, 3)), jnp.asarray(rotations), jnp.ones(5)), 30.0)
+    limits = jc.limits.SurfaceLimits((surface,))
+    assert np.asarray(jc.limits.allowed_frames(limits, skeleton, motion))[:, 1].tolist() == [
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
+    # the growth is no part of what was seen
+    distances = np.degrees(np.asarray(jc.limits.sample_distance_frames(limits, skeleton, motion)))[:, 0]
+    np.testing.assert_allclose(distances[[0, 2, 3]], [0, 0, 20], atol=5.0)
+
+
+def test_the_margin_between_people_is_that_of_children_too():
+    takes = [(HUMAN, leg_motion(seed)) for seed in range(2)]
+    knee = jc.biomechanics.gather_person_samples(takes, "LeftLeg", "LeftUpLeg")
+    sizes = {"voxel": np.radians(20), "keyframe": np.radians(40), "margin": np.radians(5)}
+    found = jc.limits.learn_limits(
+        {"LeftUpLeg": knee.parent, "LeftLeg": knee}, person_margin=np.radians(7), **sizes
+    )
+    assert [float(np.degrees(2 * each.margin)) for each in found.surfaces] == pytest.approx([12.0, 12.0])
+
+
 def test_the_quantile_weighs_folds_equally():
     folds = [np.arange(10.0), np.array([100.0])]
     assert mean_quantile(folds, 0.5) == 9.0
@@ -253,59 +422,3 @@ def test_the_distance_from_what_was_seen_is_an_angle():
         lambda q: jc.limits.sample_distance(limits, skeleton, jc.Pose(jnp.zeros((1, 3)), q, jnp.ones(())))[0]
     )
     assert np.isfinite(np.asarray(slope(jnp.asarray(rotations[3])))).all()
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".mot", ".mat"])
-def test_a_table_of_angles_gives_the_limits_of_its_motion(tmp_path, suffix):
-    motion = leg_motion(4)
-    angles = jc.joint_angles(HUMAN, motion)
-    path = tmp_path / f"angles{suffix}"
-    if suffix == ".mat":
-        columns = {name: np.asarray(angles[name]) for name in angles.names}
-        savemat(path, {"angles": columns, "time": np.arange(len(motion)) / 30.0})
-        read = jc.io.read_angles(path, "isb-radians")
-    else:
-        jc.io.write_angles(path, angles)
-        read = jc.io.read_angles(path)
-    assert read.rate == pytest.approx(30.0, rel=1e-4)
-    samples = jc.biomechanics.gather_angle_samples([read], "knee_l", "hip_l")
-    limits = jc.limits.learn_limits(
-        {"hip_l": samples.parent, "knee_l": samples}, voxel=np.radians(10), keyframe=np.radians(20)
-    )
-    here = jc.limits.transfer_limits(limits, HUMAN, jc.biomechanics.find_anatomical_joints(HUMAN))
-    assert [(each.joint, each.parent) for each in here.surfaces] == [
-        ("LeftUpLeg", None),
-        ("LeftLeg", "LeftUpLeg"),
-    ]
-    assert jc.limits.allowed_frames(here, HUMAN, motion).all()
-    wild = leg_motion(9, size=2.5)
-    assert not jc.limits.allowed_frames(here, HUMAN, wild).all()
-
-
-def test_tables_without_a_convention_or_with_another_unit_are_refused(tmp_path):
-    path = tmp_path / "knee.csv"
-    path.write_text("time,knee_angle_r\n0,0.1\n0.1,1.2\n0.2,0.4\n")
-    with pytest.raises(
-        jc.InputError, match="does not state the convention of its angles; give --convention isb"
-    ):
-        jc.io.read_angles(path)
-    with pytest.raises(jc.InputError, match="looks like radians; give --convention isb-radians"):
-        jc.io.read_angles(path, "isb")
-    read = jc.io.read_angles(path, "isb-radians")
-    knee = jc.biomechanics.gather_angle_samples([read], "knee_r")
-    # flexion turns the shank backward: about -Z of anatomical axes
-    np.testing.assert_allclose(
-        Rotation.from_quat(knee.rotations, scalar_first=True).as_rotvec()[:, 2],
-        [-0.1, -1.2, -0.4],
-        atol=1e-12,
-    )
-    with pytest.raises(jc.InputError, match="no angles of 'hip_r'; there are those of knee_r"):
-        jc.biomechanics.gather_angle_samples([read], "hip_r")
-    with pytest.raises(jc.InputError, match="'Bein' is no anatomical joint"):
-        jc.biomechanics.gather_angle_samples([read], "Bein")
-    path.write_text("time,knee_angle_r\n0,10\n0.1,120\n0.2,40\n")
-    with pytest.raises(jc.InputError, match="more than a turn in radians; give --convention isb"):
-        jc.io.read_angles(path, "isb-radians")
-    path.write_text("time,knie\n0,10\n0.1,120\n0.2,40\n")
-    with pytest.raises(jc.InputError, match="the columns time, knie are no joint angles"):
-        jc.io.read_angles(path, "isb")

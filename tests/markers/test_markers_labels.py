@@ -8,7 +8,8 @@ import pytest
 import jaxcap as jc
 from jaxcap.markers.labels.match_points import match_points
 from jaxcap.markers.labels.rigid_matches import match_rigid_bone
-from jaxcap.markers.labels.tracks import cut_tracks
+from jaxcap.markers.labels.tracks import Track, cut_tracks
+from jaxcap.markers.labels.vote import vote_on_tracks
 from jaxcap.markers.segments.gaps import find_runs
 from tests.markers_limb import moving, seen_by, truth
 
@@ -91,6 +92,28 @@ def test_a_track_that_changes_marker_is_cut(scene):
     raw = jc.MarkerFrames(places, seen, tuple(f"*{i}" for i in range(18)), RATE)
     found = jc.markers.label_markers(SUBJECT, raw)
     np.testing.assert_array_equal(found.frames.positions, frames.positions)
+
+
+def test_a_pose_that_a_reflection_pulled_away_does_not_cut_a_track():
+    """The marker rests at zero; the prediction is at a reflection, six centimetres away, while that is visible."""
+
+    def vote(begin: int, end: int):
+        positions = np.zeros((60, 2, 3))
+        positions[:, 1, 0] = 0.06
+        predicted = np.zeros((60, 1, 3))
+        predicted[begin:end, 0, 0] = 0.055
+        tracks = (Track(0, 0, 60), Track(1, begin, end))
+        known, gates = np.ones(60, bool), np.array([0.025])
+        return vote_on_tracks(tracks, positions, predicted, known, gates, np.full(2, -1))
+
+    # the track is the marker in most frames, so it is the marker in all
+    assert [(one.track.begin, one.track.end, one.marker) for one in vote(20, 40)] == [
+        (0, 60, 0),
+        (20, 40, -1),
+    ]
+    # another point is the marker in most frames
+    found = [(one.track.begin, one.track.end, one.marker) for one in vote(5, 55)]
+    assert (5, 55, 0) in found and (0, 60, 0) not in found
 
 
 def test_another_object_is_refused(rng):

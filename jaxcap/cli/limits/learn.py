@@ -13,10 +13,11 @@ from ...io.angle_reader import AngleUnits, is_angle_table, read_angles
 from ...io.archives.limits import save_limits
 from ...io.registry import MARKER_READERS, read_markers
 from ...limits.implicit_surface import LimitSurface, SurfaceLimits
+from ...limits.learning.choice import Sizes, find_choice
 from ...limits.learning.fit_chart import chart_coordinates
 from ...limits.learning.full_turns import find_full_turns
-from ...limits.learning.held_out import HeldOut, widest_held_out
-from ...limits.learning.learn_limits import BLOCK_COVERAGE, COVERAGE, learn_limits
+from ...limits.learning.held_out import HeldOut
+from ...limits.learning.learn_limits import learn_limits
 from ...limits.learning.marker_frames import arm_samples
 from ...limits.learning.samples import JointSamples, angular_range, parse_joints
 from ..console.console import print_table, say, warn
@@ -26,6 +27,8 @@ from ..outputs import check_npz, make_folder
 
 #: range in degrees below which a joint's motion shows little of its limits
 MIN_RANGE = 5.0
+#: sizes of limits in sentences
+_SIZES = {"voxel": "widths of voxels", "margin": "margins", "keyframe": "widths of keyframes"}
 
 
 @dataclass
@@ -70,12 +73,13 @@ class Learn:
     """The person of each file, separated by commas. Default: files with equal joint positions at rest are of one
     person."""
     person_margin: Annotated[float, arg(metavar="DEGREES")] = 0.0
-    """Additional margin, degrees, for the use of limits of one person for others. People's ranges differ by 5 to 12
-    degrees (standard deviation)."""
+    """Additional margin of every joint, degrees, for the use of limits of one person for others. People's ranges differ by
+    5 to 12 degrees (standard deviation)."""
     both_sides: Flag = False
     """Learn each joint also from the mirrored motion of the other side."""
     convention: Annotated[AngleUnits | None, arg(help_behavior_hint="")] = None
-    """Convention of tables of joint angles that do not state it: isb is that of docs/joint_angles.md in degrees."""
+    """Convention of tables of joint angles that do not state it: that of docs/joint_angles.md in degrees (isb), in degrees
+    also if all angles are tiny (isb-degrees), or in radians (isb-radians)."""
     keyframe_width: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Width of the voxels of the parent's rotations, degrees. Each voxel has its own limits of the child. Default:
     chosen together with --voxel."""
@@ -113,7 +117,7 @@ class Learn:
                 f"'{joint}' turns through {np.degrees(span):.0f} degrees, so it has no limits and no joint depends on it"
             )
         print_summary(limits, samples)
-        say(self.describe_choice(next(iter(samples.values()))))
+        say(self.describe_choice(samples))
         say(f"written: {self.out}")
         if self.report is not None:
             self.draw(limits, samples)
@@ -173,20 +177,27 @@ class Learn:
             raise InputError(user_message(error)) from None
         return {one.joint: one for one in found}
 
-    def describe_choice(self, samples: JointSamples) -> str:
-        """Describe by what the widths and margins were chosen."""
-        kind = self.hold_out or widest_held_out(samples)
-        groups = {"people": samples.people, "takes": samples.takes, "blocks": samples.blocks}[kind]
-        count = 0 if groups is None else len(np.unique(groups))
-        share = self.coverage or (BLOCK_COVERAGE if kind == "blocks" else COVERAGE)
-        if self.voxel is not None and (self.keyframe_width is not None or ":" not in self.joints):
-            return "the widths are those given; no motion was held out"
-        if kind == "blocks":
+    def describe_choice(self, samples: dict[str, JointSamples]) -> str:
+        """Describe the sizes that were chosen, and by what."""
+        given = Sizes(self.voxel, self.keyframe_width, self.margin)
+        found = [find_choice(one, given, self.hold_out, self.coverage) for one in samples.values()]
+        names = dict.fromkeys(name for each in found for name in each.chosen)
+        if not names:
+            return "all sizes are those given; no motion was left out to choose them"
+        what, first = " and ".join(_SIZES[name] for name in names), found[0]
+        if first.left_out == "blocks":
             return (
-                f"chosen by leaving out blocks of ten seconds, of which the others allow {100 * share:g} %: other takes and other "
-                "people may go further; give several takes"
+                f"{what} are chosen by leaving out blocks of ten seconds, of which the others allow {100 * first.coverage:g} %: "
+                "other takes and other people may go further"
+                + ("; give several takes" if len(self.motions) == 1 else "")
             )
-        return f"chosen by leaving out each of {count} {kind}, of which the others allow {100 * share:g} % on average"
+        one = next(iter(samples.values()))
+        groups = one.people if first.left_out == "people" else one.takes
+        assert groups is not None
+        return (
+            f"{what} are chosen by leaving out each of {len(np.unique(groups))} {first.left_out}, of which the others allow "
+            f"{100 * first.coverage:g} % on average"
+        )
 
     def marker_samples(self, pairs) -> dict[str, JointSamples]:
         if self.markers is None or self.trunk is None:

@@ -166,8 +166,10 @@ class Fit:
             f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
             f"{len(frames)} frames"
         )
-        template = make_human_template(recognise_markers(visible_markers(frames).labels)).subject
-        terms = read_terms(marker_body(template), floor=self.floor)
+        terms = ()
+        if self.floor is not None:
+            template = make_human_template(recognise_markers(visible_markers(frames).labels)).subject
+            terms = read_terms(marker_body(template), floor=self.floor)
         fit = fit_human(frames, num_frames=self.frames, skin=not self.rigid, terms=terms)
         print_person(fit)
         notes = fit.calibration.motion_messages

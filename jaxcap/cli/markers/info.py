@@ -69,7 +69,8 @@ class Info:
                 f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject."
             )
         try:
-            check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+            for sentence in check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)[1]:
+                warn(sentence)
         except InputError as error:
             warn(user_message(error))
         if self.picture is not None:

@@ -49,7 +49,7 @@ def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, p
     """
     file = read_marker_file(path, unit)
     frames = select_subject(file.frames, path, subject, "--subject {}")
-    check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+    frames, left_out = check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
     found = find_up_axis(file._replace(frames=frames))
@@ -58,7 +58,7 @@ def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, p
         frames = MarkerFrames(
             np.asarray(frames.positions) @ turn.T, frames.visible, frames.labels, frames.rate
         )
-    for sentence in file.warnings:
+    for sentence in (*file.warnings, *left_out):
         warn(f"{Path(path).name}: {sentence}")
     shown = 100 * np.asarray(frames.visible).mean()
     say(

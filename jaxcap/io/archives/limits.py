@@ -10,10 +10,10 @@ from ...arguments import checked
 from ...biomechanics.anatomical_joints import JOINT_NAMES, find_anatomical_joints
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ...errors import InputError
+from ...errors import InputError, user_message
 from ...limits.abstract_limits import AbstractLimits, AllLimits
 from ...limits.chart import DIMENSIONS, Chart
-from ...limits.implicit_surface import LimitSurface, SurfaceLimits, missing_joints, rest_difference
+from ...limits.implicit_surface import LimitSurface, SurfaceLimits
 from ...limits.rest_poses.anatomical_joint import AnatomicalJoint
 from ...limits.rest_poses.transfer import transfer_limits
 from ..kinds import wrong_kind_error
@@ -21,7 +21,7 @@ from ..skeletons.asf import read_asf
 from ..skeletons.cst import read_cst
 from ..system.reader_errors import reader_of
 from ..text import shortened
-from .npz import MIN_QUATERNION_NORM, get_array, load_format, save_arrays
+from .npz import MIN_QUATERNION_NORM, get_array, load_format, save_arrays, skeleton_arrays, skeleton_of
 
 #: the format's name in the file
 FORMAT = "jaxcap limits"
@@ -36,8 +36,10 @@ _ARRAY_SHAPES: dict[str, tuple[int | None, ...]] = {
     "stiffness": (),
     "counts": (None, None),
     "densities": (None,),
-    "bone": (3,),
 }
+
+#: numbers of a surface that files of earlier versions do not have
+_FURTHER_NUMBERS = ("margin", "growth", "key_radius")
 
 
 @checked
@@ -48,10 +50,12 @@ def save_limits(path: str | Path, limits: SurfaceLimits) -> None:
         start = f"{number}."
         arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _ARRAY_SHAPES}
         arrays[f"{start}parent"] = np.array(surface.parent or "", dtype=str)
-        arrays[f"{start}margin"] = np.asarray(surface.margin)
+        arrays |= {f"{start}{name}": np.asarray(getattr(surface, name)) for name in _FURTHER_NUMBERS}
         arrays |= _chart_arrays(f"{start}chart.", surface.chart)
         arrays |= _anatomy_arrays(f"{start}anatomy.", surface.anatomy)
         arrays |= _anatomy_arrays(f"{start}parent_anatomy.", surface.parent_anatomy)
+        arrays |= _rest_arrays(f"{start}rest.", surface.rest)
+        arrays |= _rest_arrays(f"{start}parent_rest.", surface.parent_rest)
         if surface.parent_chart is not None:
             arrays |= _chart_arrays(f"{start}parent_chart.", surface.parent_chart)
     save_arrays(path, FORMAT, arrays)
@@ -106,22 +110,11 @@ def _for_skeleton(
     try:
         anatomy, reason = find_anatomical_joints(skeleton, motion), ""
     except InputError as error:
-        anatomy, reason = {}, f" {error}"
+        anatomy, reason = {}, f" {user_message(error)}"
     try:
         return transfer_limits(limits, skeleton, anatomy)
     except InputError as error:
-        lacking = missing_joints(limits, skeleton)
-        if lacking:
-            raise InputError(
-                f"{path}: these limits belong to another skeleton: '{lacking[0]}' is not among the joints "
-                f"{', '.join(skeleton.names)}; learn limits from motions of this skeleton. {error}{reason}"
-            ) from None
-        joint, angle = rest_difference(limits, skeleton)
-        raise InputError(
-            f"{path}: these limits are for another rest pose: the bone of '{joint}' differs by "
-            f"{np.degrees(angle):.0f} degrees at rest; transfer the motions to this skeleton with "
-            f"`jaxcap edit retarget`, and learn the limits from the results. {error}{reason}"
-        ) from None
+        raise InputError(f"{path}: {user_message(error)}{reason}") from None
 
 
 def _anatomy_arrays(prefix: str, anatomy: AnatomicalJoint | None) -> dict[str, np.ndarray]:
@@ -138,15 +131,36 @@ def _anatomy(arrays: Mapping[str, np.ndarray], prefix: str, path: str | Path) ->
         return None
     name, joint = get_array(arrays, f"{prefix}name", path, (2,), "text").tolist()
     axes = get_array(arrays, f"{prefix}axes", path, (2, 3, 3))
-    if not np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3), atol=1e-3):
+    # a left-handed frame would mirror all rotations
+    if not (
+        np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3), atol=1e-3) and (np.linalg.det(axes) > 0).all()
+    ):
         raise InputError(
-            f"{path}: the anatomical axes of '{shortened(joint)}' are not orthonormal; learn the limits again."
+            f"{path}: the anatomical axes of '{shortened(joint)}' are not orthonormal and right-handed; learn the limits again."
         )
     if name not in JOINT_NAMES:
         raise InputError(
             f"{path}: the anatomical joint '{shortened(name)}' is unknown; expected one of {', '.join(JOINT_NAMES)}."
         )
     return AnatomicalJoint(name, joint, jnp.asarray(axes[0]), jnp.asarray(axes[1]))
+
+
+def _rest_arrays(prefix: str, rest: Skeleton | None) -> dict[str, np.ndarray]:
+    return (
+        {} if rest is None else {f"{prefix}{name}": values for name, values in skeleton_arrays(rest).items()}
+    )
+
+
+def _rest(arrays: Mapping[str, np.ndarray], prefix: str, joint: str, path: str | Path) -> Skeleton | None:
+    own = {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
+    if not own:
+        return None
+    rest = skeleton_of(own, path)
+    if joint not in rest.names:
+        raise InputError(
+            f"{path}: the skeleton of the limits of '{shortened(joint)}' has no such joint; this file is damaged."
+        )
+    return rest
 
 
 def _chart_arrays(prefix: str, chart: Chart) -> dict[str, np.ndarray]:
@@ -184,17 +198,20 @@ def _surface(arrays: Mapping[str, np.ndarray], prefix: str, joint: str, path: st
             raise InputError(
                 f"{path}: the '{name}' of the limits of '{joint}' is {values[name]:g}; expected a number above 0."
             )
+    further = {
+        name: get_array(arrays, f"{prefix}{name}", path, ())
+        for name in _FURTHER_NUMBERS
+        if f"{prefix}{name}" in arrays
+    }
     parent = str(get_array(arrays, f"{prefix}parent", path, (), "text")) or None
     return LimitSurface(
         joint=joint,
         parent=parent,
         chart=_chart(arrays, f"{prefix}chart.", path),
         parent_chart=None if parent is None else _chart(arrays, f"{prefix}parent_chart.", path),
-        # files of earlier versions have no margin
-        margin=jnp.asarray(
-            get_array(arrays, f"{prefix}margin", path, ()) if f"{prefix}margin" in arrays else 0.0
-        ),
         anatomy=_anatomy(arrays, f"{prefix}anatomy.", path),
         parent_anatomy=_anatomy(arrays, f"{prefix}parent_anatomy.", path),
-        **{name: jnp.asarray(value) for name, value in values.items()},
+        rest=_rest(arrays, f"{prefix}rest.", joint, path),
+        parent_rest=None if parent is None else _rest(arrays, f"{prefix}parent_rest.", parent, path),
+        **{name: jnp.asarray(value) for name, value in (values | further).items()},
     )

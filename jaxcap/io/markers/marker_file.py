@@ -9,12 +9,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...errors import InputError
+from ...markers.segments.gaps import list_runs
 from ...observe.markers import MarkerFrames
 from ...units import UNIT_NAMES, likely_units, unit_scale
 from ..text import MAX_NUMBER, check_frame_rate
 
 #: bounds in metres of the longest side of the markers of one frame
 BODY_SIZE_RANGE = (0.2, 5.0)
+#: points are far if they are this many times as far from the middle of a frame as this share of its points; a frame needs
+#: a number of points for that, and the far ones are at most a share of all
+FAR_RATIO, FAR_QUANTILE, MIN_POINTS, MAX_FAR = 5.0, 0.9, 5, 0.1
+#: number of labels in a sentence
+MAX_LISTED = 8
 #: names of units in files, in lower case and without the plural s
 _UNIT_WORDS = {
     "m": ("m", "meter", "metre"),
@@ -149,16 +155,24 @@ def check_marker_extent(
     scale: float,
     size: tuple[float, float] = BODY_SIZE_RANGE,
     option_hint: str = "pass unit='{}', or another size if the unit is right",
-) -> None:
-    """Check that the markers have the size of a body, for a file unit of `scale` metres.
+) -> tuple[MarkerFrames, tuple[str, ...]]:
+    """Check that the markers have the size of a body, for a file unit of `scale` metres; return them with sentences on changes.
 
-    `option_hint` is the advice on the unit in errors.
+    If the markers extend too far because of a few points that are much farther away than the others, such as reflections on
+    a wall, these points become gaps. `option_hint` is the advice on the unit in errors.
 
     **Raises:** `InputError` with the likely unit.
     """
     extent = median_extent(frames)
     if np.isnan(extent) or size[0] <= extent <= size[1]:
-        return
+        return frames, ()
+    far = _far_points(frames) if extent > size[1] else np.zeros(np.shape(frames.visible), bool)
+    if 0 < far.sum() <= MAX_FAR * np.asarray(frames.visible).sum():
+        near = MarkerFrames(
+            np.where(far[..., None], 0.0, frames.positions), frames.visible & ~far, frames.labels, frames.rate
+        )
+        if size[0] <= median_extent(near) <= size[1]:
+            return near, (_describe_far(frames.labels, far),)
     length = extent / scale
     likely = likely_units(length, *size)
     hint = (
@@ -169,6 +183,28 @@ def check_marker_extent(
     raise InputError(
         f"{where}: the markers of a frame extend over {extent:.4g} m; expected {size[0]:g} to "
         f"{size[1]:g} m for a body; {hint}."
+    )
+
+
+def _far_points(frames: MarkerFrames) -> Bool[np.ndarray, "F M"]:
+    """Find the points that are much farther from the middle of a frame than nine tenths of its points; any unit."""
+    seen = np.asarray(frames.visible)
+    counts = seen.sum(1)
+    places = np.where(seen[..., None], np.asarray(frames.positions, float), np.nan)
+    middle = np.zeros((len(seen), 1, 3))
+    middle[counts > 0, 0] = np.nanmedian(places[counts > 0], axis=1)
+    away = np.where(seen, np.linalg.norm(places - middle, axis=2), np.inf)
+    rank = np.maximum(np.floor(FAR_QUANTILE * (counts - 1)).astype(int), 0)
+    usual = np.take_along_axis(np.sort(away, axis=1), rank[:, None], 1)
+    return seen & (counts >= MIN_POINTS)[:, None] & (away > FAR_RATIO * usual)
+
+
+def _describe_far(labels: Sequence[str], far: Bool[np.ndarray, "F M"]) -> str:
+    columns = np.flatnonzero(far.any(0))
+    names = ", ".join(f"'{labels[i]}'" for i in columns[:MAX_LISTED])
+    return (
+        f"points of {names}{', ...' if len(columns) > MAX_LISTED else ''} are more than {FAR_RATIO:g} times as far away as the other "
+        f"markers, and are left out, in frames {list_runs(np.asarray(far.any(1)))}."
     )
 
 
@@ -205,10 +241,18 @@ def make_marker_file(
             f"{where}: none of its {len(names)} markers is visible in any of {len(positions)} frames."
         )
     scale = unit_scale(unit)
-    if not (np.abs(positions[~lost]) * scale <= MAX_NUMBER).all():
+    beyond = ~lost & ~(np.abs(np.where(lost[..., None], 0.0, positions)) * scale <= MAX_NUMBER).all(2)
+    if beyond.sum() > MAX_FAR * (~lost).sum():
         raise InputError(
-            f"{where}: a marker is too far away, at 1e15 m or more; check the numbers and the unit."
+            f"{where}: markers are too far away, at 1e15 m or more, in frames {list_runs(beyond.any(1))}; check the numbers and the unit."
         )
+    if beyond.any():
+        label = names[int(np.flatnonzero(beyond.any(0))[0])]
+        changed.append(
+            f"{int(beyond.sum())} positions are at 1e15 m or more, the first of '{label}', and are left out, in frames "
+            f"{list_runs(beyond.any(1))}."
+        )
+        lost |= beyond
     check_frame_rate(rate, str(where))
     # `check_marker_extent` checks the unit, as it knows other units
     frames = MarkerFrames(np.where(lost[..., None], 0.0, positions * scale), ~lost, tuple(names), float(rate))

@@ -20,6 +20,10 @@ from .marker_file import MarkerFile, fill_missing_frames, make_marker_file, pars
 
 #: cells that are allowed in a file of any size
 MAX_CELLS = 1_000_000
+#: number of lines in a sentence
+MAX_LISTED = 8
+#: largest share of rows with a wrong number of cells
+MAX_DAMAGED = 0.1
 
 
 class _TrcHeader(NamedTuple):
@@ -38,15 +42,20 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     **Arguments:** `unit` of lengths, which overrides that of the header; the default without both is
     millimetres.
 
-    **Raises:** `InputError`, with the line, if there is no such file, it is no TRC file or cut short, a cell
-    is no number, or it has no markers or no frames.
+    Cells beyond the markers of the header are left out, and a row in which they are no whole points shows no marker; both are
+    reported in the warnings of the file, and so is a wrong number of frames in the header.
+
+    **Raises:** `InputError`, with the line, if there is no such file, it is no TRC file or cut short within its header or a row,
+    a cell is no number, more than a tenth of the rows have a wrong number of cells, or it has no markers or no frames.
     """
     path = Path(path)
     lines = read_text(path).splitlines()
     if not any(line.strip() for line in lines):
         raise InputError(f"{path}: the file is empty; copy or export it again.")
     head = _read_head(path, lines)
-    count, numbers, times, rows, last = len(head.labels), [], [], [], 5
+    count, numbers, times, rows = len(head.labels), [], [], []
+    # lines of rows with further points, and of rows whose cells belong to no marker
+    longer, uneven = [], []
     # empty cells may be missing, so a small file could claim many
     room = max(MAX_CELLS, 8 * sum(map(len, lines)))
     for number, line in enumerate(lines[5:], 6):
@@ -54,11 +63,11 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
             continue
         where = f"{path}:{number}"
         cells = [cell.strip() for cell in line.split("\t")] if "\t" in line else line.split()
-        last = number
-        if any(cells[2 + 3 * count :]):
-            raise InputError(
-                f"{where}: this row has {len(cells)} cells; expected {2 + 3 * count} for {count} markers."
-            )
+        width = max((i + 1 for i, cell in enumerate(cells) if cell), default=0) - 2
+        if width > 3 * count:
+            # cells that are no whole points may have shifted all others
+            (longer if width % 3 == 0 else uneven).append(number)
+            cells = cells if width % 3 == 0 else cells[:2]
         if len(rows) * 3 * count > room:
             raise InputError(
                 f"{where}: the header declares {3 * count} cells in each row, but most are missing; correct the header."
@@ -68,17 +77,16 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
         numbers.append(parse_int(cells[0], where, "the frame"))
         times.append(parse_cell(cells[1], where, "the time"))
         rows.append(np.array(parse_positions(cells[2:], head.labels, where)))
-    if head.frames is not None and len(rows) < head.frames:
+    if count and len(uneven) > MAX_DAMAGED * len(rows):
         raise InputError(
-            f"{path}:{last}: the file is cut short: it contains {len(rows)} of the {head.frames} frames of its "
-            "header."
+            f"{path}:{uneven[0]}: this row, and {len(uneven) - 1} more, have more cells than {count} markers, in no whole points; "
+            "correct the header."
         )
     positions = np.asarray(rows, float).reshape(len(rows), count, 3)
-    messages = (
-        []
-        if head.frames in (None, len(rows))
-        else [f"the file has {len(rows)} frames; its header declares {head.frames}."]
-    )
+    messages = _describe_rows(count, longer, uneven)
+    if head.frames not in (None, len(rows)):
+        cut = "; it may be cut short" if len(rows) < head.frames else ""
+        messages.append(f"the file has {len(rows)} frames; its header declares {head.frames}{cut}.")
     rate = head.rate
     if len(rows) > 1:
         at = np.asarray(numbers, float)
@@ -97,6 +105,23 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     return make_marker_file(
         path, positions, head.labels, rate, unit, first_frame=first, warnings=messages, start=start
     )
+
+
+def _describe_rows(count: int, longer: list[int], uneven: list[int]) -> list[str]:
+    """Describe rows with more cells than the header, by their lines."""
+    messages = []
+    if longer:
+        messages.append(
+            f"{len(longer)} rows have points beyond the {count} markers of the header, the first in line {longer[0]}; these "
+            "points are left out."
+        )
+    if uneven:
+        lines = ", ".join(map(str, uneven[:MAX_LISTED])) + (", ..." if len(uneven) > MAX_LISTED else "")
+        messages.append(
+            f"{len(uneven)} rows have more cells than the {count} markers of the header, in no whole points, in lines {lines}; no "
+            "marker is visible in them."
+        )
+    return messages
 
 
 def write_trc(path: str | Path, frames: MarkerFrames, unit: str | float = "mm") -> None:

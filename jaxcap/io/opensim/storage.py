@@ -39,6 +39,8 @@ class Storage(NamedTuple):
     in_degrees: bool
     #: the first line of the file
     title: str = ""
+    #: true if the header states the unit of angles
+    states_unit: bool = True
 
 
 @checked
@@ -88,6 +90,7 @@ def read_storage(path: str | Path) -> Storage:
         float(values[0, 0]),
         _are_degrees(settings, path),
         title,
+        "indegrees" in settings,
     )
 
 

@@ -12,7 +12,7 @@ HeldOut = Literal["people", "takes", "blocks"]
 #: number of folds over blocks
 FOLDS = 5
 #: indices of training and test samples
-Fold = tuple[Int[np.ndarray, "A"], Int[np.ndarray, "B"]]
+Fold = tuple[Int[np.ndarray, "_"], Int[np.ndarray, "_"]]
 
 
 def widest_held_out(samples: JointSamples) -> HeldOut:

@@ -16,18 +16,16 @@ from ...geometry.sampling import even_indices
 from ..chart import Chart
 from ..implicit_surface import LimitSurface, SurfaceLimits, density
 from ..primitives import LEVEL, STIFFNESS
+from .choice import Choice, Sizes, find_choice
 from .fit_chart import chart_coordinates, find_chart
 from .full_turns import without_full_turns
-from .held_out import HeldOut, make_folds, widest_held_out
+from .held_out import HeldOut, make_folds
 from .margins import RESOLUTION, choose_coupled_margin, choose_margin
 from .primitive_matching import match_primitives
 from .samples import JointSamples
 from .voxel_size import choose_keyframes, choose_voxel_width
 from .voxels import Voxels, voxelise
 
-#: shares of motion outside the training samples that are to be allowed: of other blocks of a take, whose neighbours
-#: were seen, and of other takes or people
-BLOCK_COVERAGE, COVERAGE = 0.98, 0.99
 #: reach of a keyframe in units of its width: neighbours share only the space between them
 KEYFRAME_REACH = 1 / 3
 #: number of samples with computed densities, and of densities that are kept
@@ -42,6 +40,8 @@ class Widths(NamedTuple):
     keyframe: float
     #: distance around voxels that is allowed
     margin: float
+    #: growth of the margin with the distance of the parent from all keyframes
+    growth: float = 0.0
 
 
 @checked
@@ -70,7 +70,7 @@ def learn_limits(
     its parent, and the margin around voxels, in radians of rotation. A given `voxel` has no margin unless one is given. A
     smallest voxel needs `min_samples` samples: the threshold of density. `coverage` is by default 0.99, and 0.98 between
     blocks; a joint and its parent together reach it between people or takes. `held_out` is `"people"`, `"takes"` or
-    `"blocks"`. `person_margin`, radians, is added to the margin of joints without a parent: what
+    `"blocks"`. `person_margin`, radians, is added to the margin of every joint: what
     people differ by, where samples of one person are for others (ranges of adults have standard deviations of 5 to
     12 degrees: Boone and Azen 1979, Roaas and Andersson 1982).
 
@@ -82,20 +82,19 @@ def learn_limits(
     coupled = {one.parent.joint for one in samples.values() if one.parent is not None}
     surfaces = []
     for one in samples.values():
-        kind = held_out or widest_held_out(one)
-        share = coverage or (BLOCK_COVERAGE if kind == "blocks" else COVERAGE)
-        if kind != "blocks" and (one.parent is not None or one.joint in coupled):
+        # halves of rotations
+        given = Sizes(*(None if each is None else each / 2 for each in (voxel, keyframe, margin)))
+        choice = find_choice(one, given, held_out, coverage)
+        if choice.left_out != "blocks" and (one.parent is not None or one.joint in coupled):
             # each of the two joints of a pair has half of what the pair may miss
-            share = 1 - (1 - share) / 2
+            choice = choice._replace(coverage=1 - (1 - choice.coverage) / 2)
         charts = _charts(one, samples)
         coordinates = [
             None if chart is None else chart_coordinates(chart, each.rotations)
             for chart, each in zip(charts, (one, one.parent or one), strict=True)
         ]
-        given = [None if each is None else each / 2 for each in (voxel, keyframe, margin)]
-        widths = _choose_widths(one, charts, coordinates, given, kind, share, min_samples)
-        if one.parent is None:
-            widths = widths._replace(margin=widths.margin + person_margin / 2)
+        widths = _choose_widths(one, charts, coordinates, given, choice, min_samples)
+        widths = widths._replace(margin=widths.margin + person_margin / 2)
         surfaces.append(_make_surface(one, charts, coordinates, widths, min_samples))
     return SurfaceLimits(tuple(surfaces))
 
@@ -114,27 +113,31 @@ def _charts(one: JointSamples, samples: Mapping[str, JointSamples]) -> tuple[Cha
 
 
 def _choose_widths(
-    samples: JointSamples, charts, coordinates, given, kind: HeldOut, share, min_samples
+    samples: JointSamples, charts, coordinates, given: Sizes, choice: Choice, min_samples: int
 ) -> Widths:
     """Choose the sizes that are not given, by cross-validation."""
     (chart, parent_chart), (own, above), (voxel, keyframe, margin) = charts, coordinates, given
-    if kind == "blocks" or voxel is not None:
+    share = choice.coverage
+    if choice.left_out == "blocks":
         if parent_chart is None:
             width = voxel or choose_voxel_width(own, chart.dimension, samples.blocks, min_samples, share)
             return Widths(width, 0.0, margin or 0.0)
-        if not (voxel and keyframe):
+        if choice.chosen:
             dimensions = chart.dimension, parent_chart.dimension
-            chosen = choose_keyframes(own, above, dimensions, samples.blocks, share)
-            voxel, keyframe = voxel or chosen[0], keyframe or chosen[1]
+            voxel, keyframe = choose_keyframes(
+                own, above, dimensions, samples.blocks, min_samples, share, voxel, keyframe
+            )
+        assert voxel is not None and keyframe is not None
         return Widths(voxel, keyframe, margin or 0.0)
-    width, folds = np.radians(RESOLUTION[chart.dimension]) / 2, make_folds(samples, kind)
+    width = np.radians(RESOLUTION[chart.dimension]) / 2
+    if not choice.chosen:
+        return Widths(width, keyframe or 0.0, margin or 0.0)
+    folds = make_folds(samples, choice.left_out)
     if parent_chart is None:
-        if margin is None:
-            margin = choose_margin(own, chart.dimension, folds, width, share)
-        return Widths(width, 0.0, margin)
+        return Widths(width, 0.0, choose_margin(own, chart.dimension, folds, width, min_samples, share))
     dimensions = chart.dimension, parent_chart.dimension
-    chosen = choose_coupled_margin(own, above, dimensions, folds, width, share, keyframe)
-    return Widths(width, chosen[1], chosen[0] if margin is None else margin)
+    chosen = choose_coupled_margin(own, above, dimensions, folds, width, min_samples, share, keyframe)
+    return Widths(width, chosen.keyframe, chosen.margin if margin is None else margin, chosen.growth)
 
 
 def _make_surface(
@@ -146,7 +149,7 @@ def _make_surface(
     if samples.parent is None:
         voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples)
         centres, thickness = voxels.centres[None], _thickness(voxels.widths, chart, widths)[None]
-        keys, reach, counts = np.zeros((1, 3)), 1.0, voxels.counts[None]
+        keys, reach, counts, key_radius = np.zeros((1, 3)), 1.0, voxels.counts[None], 0.0
     else:
         # voxels of one size, so that the voxels of a keyframe are a subset of all
         voxels = voxelise(coordinates, chart.dimension, widths.voxel, min_samples, levels=0)
@@ -161,6 +164,7 @@ def _make_surface(
         centres = np.stack([voxels.centres[rows] for rows in matched])
         thickness = np.tile(_thickness(voxels.widths, chart, widths), (len(keys), 1))
         reach = KEYFRAME_REACH * widths.keyframe
+        key_radius = np.sqrt(parent_chart.dimension) * widths.keyframe / 2
         # counts belong to the voxels themselves; primitives of voxels that a keyframe lacks are elsewhere
         counts = _distribute_counts(counts, matched)
     above = samples.parent
@@ -178,10 +182,13 @@ def _make_surface(
         stiffness=jnp.asarray(STIFFNESS),
         counts=jnp.asarray(counts),
         densities=jnp.zeros(0),
-        bone=jnp.asarray(samples.bone),
         margin=jnp.asarray(widths.margin),
+        growth=jnp.asarray(widths.growth),
+        key_radius=jnp.asarray(key_radius),
         anatomy=samples.anatomy,
         parent_anatomy=None if above is None else above.anatomy,
+        rest=samples.rest,
+        parent_rest=None if above is None else above.rest,
     )
     return _with_densities(surface, coordinates, parents)
 

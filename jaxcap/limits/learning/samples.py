@@ -11,7 +11,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ..rest_poses.anatomical_joint import AnatomicalJoint
-from ..rest_poses.rest_directions import MAX_REST_ANGLE, bone_angle, bone_direction
+from ..rest_poses.rest_difference import MAX_REST_ANGLE, rest_difference
 
 #: seconds of a motion in one block that is held out: neighbouring frames are similar
 BLOCK_SECONDS = 10.0
@@ -30,8 +30,8 @@ class JointSamples(NamedTuple):
     #: samples of one block are close in time
     blocks: Int[np.ndarray, "F"]
     parent: "JointSamples | None" = None
-    #: unit direction of the joint's bone at rest, world; zero where it is not known
-    bone: Float[np.ndarray, "3"] = np.zeros(3)
+    #: the skeleton from whose rest pose the rotations are; None where there is none
+    rest: Skeleton | None = None
     #: number of the take and of the person of each sample; None where it is one
     takes: Int[np.ndarray, "F"] | None = None
     people: Int[np.ndarray, "F"] | None = None
@@ -98,12 +98,15 @@ def gather_samples(
     **Raises:** `ValueError` where a joint is missing, does not rotate at all, or is of another kind in
     another motion, or where the rest poses of the motions differ.
     """
+    if not motions:
+        raise ValueError("There are no motions; give at least one.")
     above = None if parent is None else gather_samples(motions, parent, None, names, people)
     who = number_people([skeleton for skeleton, _ in motions], people)
+    labels = label_motions(len(motions), names, "motion")
     kinds, rotations, blocks, start = set(), [], [], 0
-    axes, bone = np.eye(3)[:2], np.zeros(3)
+    axes, rest = np.eye(3)[:2], motions[0][0]
     for number, (skeleton, motion) in enumerate(motions):
-        motion_name = f"motion {number + 1}" if names is None else names[number]
+        motion_name = labels[number]
         if joint not in skeleton.names:
             raise ValueError(
                 f"{motion_name}: there is no joint '{joint}'; it has {', '.join(skeleton.names)}."
@@ -111,9 +114,7 @@ def gather_samples(
         j = skeleton.index(joint)
         kinds.add("ball" if skeleton.kinds[j] == "free" else skeleton.kinds[j])
         axes = np.asarray(skeleton.axes[j], float)
-        here = bone_direction(skeleton, joint)
-        check_rest_pose(bone, here, joint, motion_name)
-        bone = here
+        check_rest_pose(rest, skeleton, joint, motion_name)
         turned = np.asarray(motion.poses.rotations[:, j], float)
         rotations.append(turned / np.linalg.norm(turned, axis=1, keepdims=True))
         blocks.append(start + (np.arange(len(turned)) / (BLOCK_SECONDS * motion.rate)).astype(int))
@@ -133,22 +134,30 @@ def gather_samples(
         np.concatenate(rotations),
         np.concatenate(blocks),
         above,
-        bone,
+        rest,
         np.repeat(np.arange(len(counts)), counts),
         np.repeat(who, counts),
     )
 
 
-def check_rest_pose(
-    bone: Float[np.ndarray, "3"], here: Float[np.ndarray, "3"], joint: str, motion_name: str
-) -> None:
-    """Check that a bone at rest has the direction of other motions. Raises `ValueError`."""
-    differs = bone_angle(bone, here)
-    if differs > MAX_REST_ANGLE:
+def check_rest_pose(rest: Skeleton, skeleton: Skeleton, joint: str, motion_name: str) -> None:
+    """Check that the segments of a joint have the directions at rest of another skeleton. Raises `ValueError`."""
+    differs = rest_difference(rest, skeleton, joint)
+    if differs.angle > MAX_REST_ANGLE:
         raise ValueError(
-            f"{motion_name}: its rest pose is not that of the motions before: the bone of '{joint}' differs by "
-            f"{np.degrees(differs):.0f} degrees; transfer all motions to one skeleton with `jaxcap edit retarget`."
+            f"{motion_name}: its rest pose is not that of the motions before, so rotations of '{joint}' have another meaning: "
+            f"{differs.direction} differs by {np.degrees(differs.angle):.0f} degrees; transfer all motions to one skeleton with "
+            "`jaxcap edit retarget`."
         )
+
+
+def label_motions(count: int, names: Sequence[str] | None, kind: str) -> list[str]:
+    """Return the names of motions in errors, by default numbers. Raises `InputError` where there is not one for each."""
+    if names is None:
+        return [f"{kind} {number + 1}" for number in range(count)]
+    if len(names) != count:
+        raise InputError(f"There are {len(names)} names for {count} {kind}s; give one for each.")
+    return list(names)
 
 
 def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -> Int[np.ndarray, "M"]:
@@ -157,11 +166,7 @@ def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -
     **Raises:** `InputError` where there is not one name for each motion.
     """
     if people is not None:
-        if len(people) != len(skeletons):
-            raise InputError(
-                f"There are {len(people)} names of people for {len(skeletons)} motions; give one for each motion."
-            )
-        return np.unique(np.array(people, str), return_inverse=True)[1]
+        return number_names(people, len(skeletons))
     seen: list[np.ndarray] = []
     numbers = []
     for skeleton in skeletons:
@@ -175,6 +180,15 @@ def number_people(skeletons: Sequence[Skeleton], people: Sequence[str] | None) -
         if not same:
             seen.append(centres)
     return np.array(numbers, int)
+
+
+def number_names(people: Sequence[str], count: int) -> Int[np.ndarray, "M"]:
+    """Number the people of some motions by their names. Raises `InputError` where there is not one for each motion."""
+    if len(people) != count:
+        raise InputError(
+            f"There are {len(people)} names of people for {count} motions; give one for each motion."
+        )
+    return np.unique(np.array(people, str), return_inverse=True)[1]
 
 
 def angular_range(rotations: Float[np.ndarray, "F 4"]) -> float:

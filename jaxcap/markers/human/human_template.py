@@ -60,19 +60,8 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
         deviations=deviations,
         posture=np.minimum(rest_deviations(skeleton), FREE_DEVIATION),
     )
-    by_centre, by_marker = [], []
-    for number, deviation in enumerate(TRAIT_DEVIATIONS):
-        low, high = (
-            float(np.clip(traits[number] + step * deviation, MIN_TRAITS[number], MAX_TRAITS[number]))
-            for step in (-DIFFERENCE_SHARE, DIFFERENCE_SHARE)
-        )
-        field = Traits._fields[number]
-        ends = [_rest_positions(names, heights, traits._replace(**{field: value})) for value in (low, high)]
-        share = deviation / (high - low)
-        places, centres = (share * (b - a) for a, b in zip(*ends, strict=True))
-        # the root's own centre is arbitrary and stays
-        by_marker.append(places - centres[0])
-        by_centre.append(centres - centres[0])
+    modes = [_trait_mode(names, heights, traits, number) for number in range(len(traits))]
+    by_marker, by_centre = zip(*modes, strict=True)
     anchors = nearest_joints(subject)
     prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations, anchors)
     return HumanTemplate(subject, prior, traits)
@@ -105,12 +94,13 @@ def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> T
     `distances` between markers, metres, NaN where they are never visible together.
     """
     chosen = placed_markers(markers)
-    template = make_human_template(markers)
-    bones, seen = np.asarray(template.subject.bones), distances[np.ix_(chosen, chosen)]
+    names = [str(markers.names[index]) for index in chosen]
+    heights, placed = markers.heights[chosen], markers.deviations[chosen]
+    bones, seen = [markers.bones[index] for index in chosen], distances[np.ix_(chosen, chosen)]
     pairs = [(a, b) for a in range(len(chosen)) for b in range(a) if bones[a] == bones[b]]
     mean, slope, precision = [], [], []
-    offsets, modes = np.asarray(template.subject.offsets, float), template.prior.marker_modes[-1]
-    placed = template.prior.placements
+    offsets = _rest_positions(names, heights, MEAN_TRAITS)[0]
+    modes = _trait_mode(names, heights, MEAN_TRAITS, Traits._fields.index("stature"))[0]
     for a, b in pairs:
         away = offsets[a] - offsets[b]
         length = np.linalg.norm(away)
@@ -125,6 +115,22 @@ def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> T
     )
     stature = np.clip(MEAN_TRAITS.stature + deviation * tall, MIN_TRAITS.stature, MAX_TRAITS.stature)
     return MEAN_TRAITS._replace(stature=float(stature))
+
+
+def _trait_mode(
+    names: Sequence[str], heights: Float[np.ndarray, "M"], traits: Traits, number: int
+) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "J 3"]]:
+    """Compute how markers and joints move, metres, with a standard deviation of one trait."""
+    deviation = TRAIT_DEVIATIONS[number]
+    low, high = (
+        float(np.clip(traits[number] + step * deviation, MIN_TRAITS[number], MAX_TRAITS[number]))
+        for step in (-DIFFERENCE_SHARE, DIFFERENCE_SHARE)
+    )
+    field = Traits._fields[number]
+    ends = [_rest_positions(names, heights, traits._replace(**{field: value})) for value in (low, high)]
+    places, centres = (deviation / (high - low) * (b - a) for a, b in zip(*ends, strict=True))
+    # the root's own centre is arbitrary and stays
+    return places - centres[0], centres - centres[0]
 
 
 def _rest_positions(

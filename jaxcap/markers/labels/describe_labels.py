@@ -7,7 +7,7 @@ from jaxtyping import Bool
 
 from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import MIN_MARKERS
-from ..segments.gaps import find_runs
+from ..segments.gaps import list_runs
 from ..subject import Subject
 from .first_pose import GATES, PointPose
 
@@ -25,12 +25,6 @@ class TrackLabel(NamedTuple):
     end: int
     #: None: no marker of the subject
     label: str | None
-
-
-def list_frames(mask: Bool[np.ndarray, "F"]) -> str:
-    """List the runs of true frames, such as "3, 10 to 20"."""
-    spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in find_runs(mask)]
-    return ", ".join(spans[:MAX_LISTED]) + (", ..." if len(spans) > MAX_LISTED else "")
 
 
 def refuse_subject(subject: Subject) -> str:
@@ -87,7 +81,7 @@ def describe_labels(
             others = sorted({one.label for one in mine if one.label not in (name, None)}, key=str)
             instead = f"; it is {' or '.join(map(str, others))} there" if others else ""
             messages.append(
-                f"The label '{name}' is contradicted by the poses in frames {list_frames(wrong)}{instead}."
+                f"The label '{name}' is contradicted by the poses in frames {list_runs(wrong)}{instead}."
             )
     missing = set(subject.labels) - {one.label for one in tracks}
     unused = {label for label, weight in zip(subject.labels, subject.weights, strict=True) if weight == 0}
@@ -95,10 +89,10 @@ def describe_labels(
         messages.append(f"No points were found for {_list_names(sorted(missing - unused))}.")
     empty = doubtful & (seen.sum(1) < MIN_MARKERS)
     if empty.any():
-        messages.append(f"Frames with fewer than {MIN_MARKERS} points have no pose: {list_frames(empty)}.")
+        messages.append(f"Frames with fewer than {MIN_MARKERS} points have no pose: {list_runs(empty)}.")
     if (doubtful & ~empty).any():
         messages.append(
-            f"No pose explains half of the points in frames {list_frames(doubtful & ~empty)}; check the labels there."
+            f"No pose explains half of the points in frames {list_runs(doubtful & ~empty)}; check the labels there."
         )
     return tuple(messages)
 

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -12,11 +11,11 @@ from ...body.pose import Pose
 from ...geometry import rotation
 from ...stacking import concatenate
 from ..motion.initial_pose import estimate_initial_poses
-from ..motion.inverse_kinematics import INITIAL_SEARCH, MIN_MARKERS
-from ..motion.solve_frame import SearchCriteria, solve_frame
+from ..motion.inverse_kinematics import INITIAL_SEARCH, MIN_MARKERS, solve_each_frame
+from ..motion.solve_frame import SearchCriteria
 from ..subject import Subject, marker_positions
 from .grow_pose import grow_hypotheses
-from .match_points import match_points
+from .match_points import match_points, matched_targets
 
 #: number of frames that are tried, and of hypotheses solved in each
 MAX_FRAMES, NUM_SOLVED = 10, 8
@@ -95,19 +94,19 @@ def _solve_hypotheses(
     if not hypotheses:
         return None
     matched = np.stack([*hypotheses, *[hypotheses[-1]] * (NUM_SOLVED - len(hypotheses))])
-    targets, shown = _targets(points, matched, subject.offsets.dtype)
+    targets, shown = matched_targets(subject, points, matched)
     # one frame at a time: the root keeps its pose from frame to frame if it is unknown
     single = [
         estimate_initial_poses(subject, targets[k : k + 1], shown[k : k + 1]) for k in range(NUM_SOLVED)
     ]
     poses = jax.tree.map(lambda *leaves: concatenate(leaves), *single)
-    poses, predicted = _solve_each(subject, poses, targets, shown, INITIAL_SEARCH)
+    poses, predicted = _solve_poses(subject, poses, targets, shown, INITIAL_SEARCH)
     used = np.asarray(subject.weights) > 0
     for gate in GATES:
         gates = np.where(used, gate, 1e-6)[:, None]
         matched = np.stack([match_points(np.asarray(one, float), points, gates) for one in predicted])
-        poses, predicted = _solve_each(
-            subject, poses, *_targets(points, matched, subject.offsets.dtype), NEAR_SEARCH
+        poses, predicted = _solve_poses(
+            subject, poses, *matched_targets(subject, points, matched), NEAR_SEARCH
         )
     away = np.linalg.norm(np.asarray(predicted, float) - points[matched], axis=2)
     gain = np.where(matched >= 0, np.maximum(1 - (away / GATES[-1]) ** 2, 0), 0.0)
@@ -148,17 +147,14 @@ def _steady_pairs(positions, seen, frame: int, columns, rate: float) -> Bool[np.
     return steady
 
 
-def _targets(points, matched: Int[np.ndarray, "K M"], dtype) -> tuple[Array, Array]:
-    shown = matched >= 0
-    return jnp.asarray(np.where(shown[..., None], points[matched], 0.0), dtype), jnp.asarray(shown)
+def _solve_poses(
+    subject: Subject, starts: Pose, targets: Float[Array, "K M 3"], shown, search: SearchCriteria
+) -> tuple[Pose, Float[Array, "K M 3"]]:
+    """Solve poses, and compute their markers."""
+    poses = solve_each_frame(subject, starts, targets, shown, search).pose
+    return poses, _markers_of_poses(subject, poses)
 
 
 @eqx.filter_jit
-def _solve_each(
-    subject: Subject, starts: Pose, positions: Float[Array, "K M 3"], seen, search: SearchCriteria
-) -> tuple[Pose, Float[Array, "K M 3"]]:
-    def of_frame(frame):
-        pose = solve_frame(subject, frame[0], frame[1], frame[2], search).pose
-        return pose, marker_positions(subject, pose)
-
-    return jax.lax.map(of_frame, (starts, positions, seen))
+def _markers_of_poses(subject: Subject, poses: Pose) -> Float[Array, "K M 3"]:
+    return jax.lax.map(lambda pose: marker_positions(subject, pose), poses)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -18,7 +17,7 @@ from ..motion.solve_frame import SearchCriteria, solve_frame
 from ..subject import Subject, marker_positions
 from .first_pose import PointPose
 from .grow_pose import regrow_bones
-from .match_points import match_points
+from .match_points import match_points, matched_targets
 
 #: gates around the position at the solved pose, metres: of a track that keeps its label, and of a new track
 TRACK_GATE, NEW_GATE = 0.04, 0.025
@@ -112,7 +111,7 @@ def _label_frame(
     for _ in range(MAX_ROUNDS):
         if (matched >= 0).sum() < MIN_MARKERS:
             break
-        moment = _advance(subject, state.pose, *_targets(at, matched, subject))
+        moment = _advance(subject, state.pose, *matched_targets(subject, at, matched))
         gates = np.where(continued | named, TRACK_GATE, _new_gates(subject, state, matched)[:, None])
         gates = np.where(state.used[:, None], gates, 1e-6)
         again = match_points(np.asarray(moment.markers, float), at, gates, discounts)
@@ -150,18 +149,13 @@ def _regrow(subject: Subject, used, moment: "_Moment", at, matched) -> tuple["_M
     grown = regrow_bones(subject, *places, known, matched, at, REGROW_TOLERANCE)
     if (grown >= 0).sum() <= (matched >= 0).sum():
         return moment, matched
-    targets = _targets(at, grown, subject)
+    targets = matched_targets(subject, at, grown)
     guess = estimate_initial_poses(subject, targets[0][None], targets[1][None])
     other = _advance(subject, jax.tree.map(lambda leaf: leaf[0], guess), *targets, INITIAL_SEARCH)
     again = match_points(np.asarray(other.markers, float), at, np.where(used, TRACK_GATE, 1e-6)[:, None])
     if (again >= 0).sum() <= (matched >= 0).sum():
         return moment, matched
     return other, again
-
-
-def _targets(at, matched, subject: Subject) -> tuple[Array, Array]:
-    shown = matched >= 0
-    return jnp.asarray(np.where(shown[:, None], at[matched], 0.0), subject.offsets.dtype), jnp.asarray(shown)
 
 
 class _Moment(NamedTuple):

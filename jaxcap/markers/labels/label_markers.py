@@ -19,6 +19,7 @@ from .describe_labels import TrackLabel, describe_labels, describe_misfit, refus
 from .first_pose import MIN_EXPLAINED, find_first_pose
 from .follow_points import PointSequence, follow_points
 from .half_turns import undo_half_turns
+from .rival_tracks import decide_rivals
 from .tracks import cut_tracks, tracks_by_frame
 from .vote import LabelledTrack, vote_on_tracks
 
@@ -59,7 +60,7 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
     A pose is found from distances between the points of one frame. From there the points of each frame
     are assigned to the markers of the predicted pose, forwards and backwards. Each track, which is a piece of a
     trajectory without gaps or jumps, then gets one label by all of its frames. Points that are no markers
-    get none.
+    get none, and neither do two tracks between which the poses do not decide.
 
     **Arguments:** `frames` with any labels. Labels of the subject are kept, unless the poses contradict them;
     with `ignore_labels` all are ignored.
@@ -94,6 +95,8 @@ def label_markers(subject: Subject, frames: MarkerFrames, *, ignore_labels: bool
         gates = np.where(np.asarray(subject.weights) > 0, gates, 1e-6)
         labelled = vote_on_tracks(tracks, positions, predicted, known, gates, given)
         columns, poses = _columns_of(labelled, len(positions), subject.num_markers), motion.poses
+    labelled = decide_rivals(subject, labelled, positions, predicted, columns, gates)
+    columns = _columns_of(labelled, len(positions), subject.num_markers)
     motion, _, known = _solve_labelled(subject, poses, positions, columns, known, frames.rate)
     found = _collect(subject, positions, columns, frames.rate, np.asarray(frames.positions).dtype)
     named = tuple(

@@ -1,9 +1,12 @@
 """Assignment of observed points to predicted marker positions in one frame."""
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
+
+from ..subject import Subject
 
 
 def match_points(
@@ -27,3 +30,12 @@ def match_points(
     kept = inside[rows, columns]
     found[rows[kept]] = columns[kept]
     return found
+
+
+def matched_targets(
+    subject: Subject, points: Float[np.ndarray, "N 3"], matched: Int[np.ndarray, "*K M"]
+) -> tuple[Float[Array, "*K M 3"], Bool[Array, "*K M"]]:
+    """Return the positions of the matched markers, zero where there is none, and which markers have one."""
+    shown = matched >= 0
+    targets = np.where(shown[..., None], points[matched], 0.0)
+    return jnp.asarray(targets, subject.offsets.dtype), jnp.asarray(shown)

@@ -102,7 +102,7 @@ def solve_from_poses(
     def run(first: int) -> SolvedFrame:
         rows = np.minimum(np.arange(first, first + CHUNK_SIZE), count - 1)
         start = jax.tree.map(lambda leaf: leaf[rows], starts)
-        return jax.block_until_ready(_solve_each(subject, start, positions[rows], seen[rows], None, search))
+        return jax.block_until_ready(solve_each_frame(subject, start, positions[rows], seen[rows], search))
 
     parts = parallel_map(run, chunks)
     return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
@@ -158,7 +158,9 @@ def _solve_doubtful_frames(
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
     starts = estimate_initial_poses(subject, positions[padded], jnp.asarray(used[padded]))
-    other = _solve_each(subject, starts, positions[padded], jnp.asarray(used[padded]), energy)
+    other = solve_each_frame(
+        subject, starts, positions[padded], jnp.asarray(used[padded]), INITIAL_SEARCH, energy
+    )
     better = np.flatnonzero(
         ~(np.asarray(solved.residual_scale)[doubtful] <= np.asarray(other.residual_scale)[: len(doubtful)])
     )
@@ -168,9 +170,10 @@ def _solve_doubtful_frames(
 
 
 @eqx.filter_jit
-def _solve_each(
-    subject: Subject, starts: Pose, positions, seen, energy, search: SearchCriteria = INITIAL_SEARCH
+def solve_each_frame(
+    subject: Subject, starts: Pose, positions, seen, search: SearchCriteria, energy=None
 ) -> SolvedFrame:
+    """Solve each frame from a pose of its own, in one compiled loop; `solve_from_poses` takes any number of frames."""
     return jax.lax.map(
         lambda frame: solve_frame(subject, frame[0], frame[1], frame[2], search, energy),
         (starts, positions, seen),

@@ -24,6 +24,8 @@ MAX_SPEED = 10.0
 POSITION_NOISE = 0.002
 #: largest movement of any marker in a static take, metres
 STATIC_TOLERANCE = 1e-6
+#: number of runs of frames in a sentence
+MAX_LISTED = 8
 
 
 class GapStatistics(NamedTuple):
@@ -51,6 +53,12 @@ def find_runs(mask: Bool[np.ndarray, "F"]) -> list[tuple[int, int]]:
     """Find the runs of true values as `(begin, end)`, the end exclusive."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def list_runs(mask: Bool[np.ndarray, "F"]) -> str:
+    """List the runs of true frames, such as "3, 10 to 20"."""
+    spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in find_runs(mask)]
+    return ", ".join(spans[:MAX_LISTED]) + (", ..." if len(spans) > MAX_LISTED else "")
 
 
 def never_visible(frames: MarkerFrames) -> tuple[str, ...]:

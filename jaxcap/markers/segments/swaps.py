@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...geometry.sampling import even_indices
-from .gaps import find_runs
+from .gaps import find_runs, list_runs
 from .pair_distances import median_distances, pair_distance_ranges
 
 #: number of partners that check a marker: those with the most constant distance from it
@@ -221,9 +221,7 @@ def describe_exchanges(
     for chain, some in sorted(frames.items(), key=lambda item: -len(item[1])):
         mask = np.zeros(max(some) + 1, bool)
         mask[some] = True
-        spans = [f"{a}" if b - a == 1 else f"{a} to {b - 1}" for a, b in find_runs(mask)]
-        listed = ", ".join(spans[:6]) + (", ..." if len(spans) > 6 else "")
-        where = f"in {len(some)} frame{'s' if len(some) > 1 else ''} ({listed})"
+        where = f"in {len(some)} frame{'s' if len(some) > 1 else ''} ({list_runs(mask)})"
         names = [f"'{labels[i]}'" for i in chain[:-1]]
         if chain[-1] != chain[0]:
             messages.append(

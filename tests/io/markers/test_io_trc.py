@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 import jaxcap as jc
 from jaxcap.errors import InputError
+from jaxcap.io.markers.marker_file import make_marker_file
 from jaxcap.io.registry import read_marker_file
 
 HEAD = (
@@ -84,15 +85,17 @@ def test_written_and_read(tmp_path_factory, seed, count, markers, unit):
         ("", "the file is empty"),
         ("hello\nworld\n", ":1: this is not a TRC file"),
         ("\n".join(HEAD.split("\n")[:3]), ":3: the file is cut short within the five lines"),
-        (HEAD, ":5: the file is cut short: it contains 0 of the 3 frames"),
+        (HEAD, "the file has no frames"),
         (HEAD.replace("60.00\t3\t2", "60.00\t0\t2"), "the file has no frames"),
-        (HEAD + ROWS[: ROWS.index("9\t")], ":7: the file is cut short: it contains 2 of the 3 frames"),
         (HEAD + ROWS[:-10], ":8: marker 'L.ASIS' has 1 of three coordinates"),
         (HEAD + ROWS.replace("1001", "one"), ":7: 'one' in marker R.ASIS is not a number"),
         (HEAD + ROWS.replace("1001", "1e999"), ":7: '1e999' in marker R.ASIS is not finite"),
         (HEAD + ROWS.replace("8\t0", "x\t0"), ":7: 'x' for the frame is not a whole number"),
         (HEAD + ROWS.replace("8\t0", "6\t0"), "the column of frames goes from 7 to 6 in row 2"),
-        (HEAD + ROWS.replace("\t501", "\t501\t7"), ":6: this row has 9 cells; expected 8 for 2 markers"),
+        (
+            HEAD + ROWS.replace("\t501", "\t501\t7"),
+            ":6: this row, and 0 more, have more cells than 2 markers",
+        ),
         (HEAD.replace("3\t2\tmm", "3\t1\tmm") + ROWS, ":4: there are 2 labels for 1 markers"),
         (HEAD.replace("60.00\t3\t2", "60.00\tthree\t2"), ":3: 'three' for NumFrames is not a whole number"),
         (
@@ -111,6 +114,60 @@ def test_what_is_refused(tmp_path, text, sentence):
         jc.read_markers(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
+
+
+def test_rows_with_further_points_and_wrong_numbers_of_frames_are_read(tmp_path):
+    more = HEAD + "".join(f"{row}\t7\t8\t9\n" for row in ROWS.replace("\t\t\t\n", "\t0\t0\t0\n").splitlines())
+    file, plain = (read_marker_file(trc(tmp_path, text)) for text in (more, HEAD + ROWS))
+    np.testing.assert_array_equal(file.frames.positions, plain.frames.positions)
+    assert file.warnings == (
+        "3 rows have points beyond the 2 markers of the header, the first in line 6; these points are left out.",
+    )
+    file = read_marker_file(trc(tmp_path, HEAD + ROWS[: ROWS.index("9\t")]))
+    assert len(file.frames) == 2
+    assert file.warnings == ("the file has 2 frames; its header declares 3; it may be cut short.",)
+
+
+def test_a_row_with_shifted_cells_shows_no_marker(tmp_path):
+    rows = [f"{i + 1}\t{i / 60:.3f}\t1000\t2000\t{i}\t1300\t2000\t501" for i in range(20)]
+    rows[12] = rows[12].replace("\t1300", "\t17\t1300")
+    file = read_marker_file(trc(tmp_path, HEAD.replace("60.00\t3\t2", "60.00\t20\t2") + "\n".join(rows)))
+    assert np.flatnonzero(~np.asarray(file.frames.visible).all(1)).tolist() == [12]
+    assert file.warnings[0].startswith(
+        "1 rows have more cells than the 2 markers of the header, in no whole points, in lines 18;"
+    )
+
+
+def test_a_reflection_far_away_is_left_out_of_a_take(tmp_path, rng):
+    places = rng.uniform(-0.8, 0.8, (30, 13, 3))
+    places[4:, 12] = [30.0, 5.0, 2.0]
+    places[:4, 12] = np.nan
+    labels = [f"M{i}" for i in range(12)] + ["*13"]
+    jc.write_markers(tmp_path / "take.trc", jc.make_markers(places, labels, 100.0))
+    with pytest.warns(
+        UserWarning, match=r"take.trc: points of '\*13' are more than 5 times .* in frames 4 to 29\."
+    ):
+        frames = jc.read_markers(tmp_path / "take.trc")
+    assert not np.asarray(frames.visible)[:, 12].any() and np.asarray(frames.visible)[:, :12].all()
+    # most points are far from each other: this is a wrong unit
+    jc.write_markers(tmp_path / "take.trc", jc.make_markers(places[:, :12], labels[:12], 100.0))
+    with pytest.raises(InputError, match="this looks like millimetres"):
+        jc.read_markers(tmp_path / "take.trc", unit="m")
+
+
+def test_a_few_positions_without_meaning_are_left_out(rng):
+    """As in binary files with numbers that nobody wrote."""
+    places = rng.uniform(1.0, 2.0, (20, 2, 3))
+    places[3, 1, 2] = 1e30
+    file = make_marker_file("take.c3d", places, ["A", "B"], 100.0, "m")
+    assert np.argwhere(~np.asarray(file.frames.visible)).tolist() == [[3, 1]]
+    assert file.warnings == (
+        "1 positions are at 1e15 m or more, the first of 'B', and are left out, in frames 3.",
+    )
+    with pytest.raises(
+        InputError, match="take.c3d: markers are too far away, at 1e15 m or more, in frames 0 to 19"
+    ):
+        make_marker_file("take.c3d", 1e20 * places, ["A", "B"], 100.0, "m")
 
 
 def test_what_cannot_be_written(tmp_path):
