@@ -40,3 +40,9 @@ from .subject import Subject as Subject
 from .subject import make_subject as make_subject
 from .subject import marker_body as marker_body
 from .subject import marker_positions as marker_positions
+from .subjects.join_subjects import join_subjects as join_subjects
+from .subjects.label_subjects import label_subjects as label_subjects
+from .subjects.prop import RigidProp as RigidProp
+from .subjects.prop import fit_prop as fit_prop
+from .subjects.split_subjects import SubjectSplit as SubjectSplit
+from .subjects.split_subjects import split_subjects as split_subjects

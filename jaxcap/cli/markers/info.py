@@ -9,10 +9,11 @@ import numpy as np
 import tyro
 
 from ...errors import InputError, user_message
-from ...io.markers.marker_file import check_marker_extent, group_by_subject, median_extent, select_subject
+from ...io.markers.marker_file import check_marker_extent, median_extent, select_subject
 from ...io.markers.up_axis import find_up_axis
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
+from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg

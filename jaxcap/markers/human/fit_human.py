@@ -22,7 +22,7 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps
 from ..subject import Subject
-from .check_person import check_explained, check_recognised, check_sides
+from .check_person import check_articulated, check_explained, check_recognised, check_sides
 from .describe_human import describe_human
 from .further_markers import attach_further_markers
 from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
@@ -87,6 +87,7 @@ def fit_human(
     known = recognise_markers(frames.labels)
     check_recognised(known, frames)
     frames, exchanges = correct_labels(visible_markers(frames))
+    check_articulated(frames)
     known = recognise_markers(frames.labels)
     template = make_human_template(
         known,
