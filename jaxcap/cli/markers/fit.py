@@ -1,7 +1,7 @@
 """`jaxcap markers fit`: a subject, with its skeleton and marker placements, from takes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,19 +11,21 @@ from jaxtyping import Bool, Float
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_corrections import read_corrections, write_corrections
+from ...io.markers.marker_corrections import read_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.human.check_person import check_recognised
 from ...markers.human.fit_human import HumanFit, fit_human, visible_markers
 from ...markers.human.human_template import make_human_template
-from ...markers.local_technique import LocalFit, fit_local
+from ...markers.local_technique import fit_local
 from ...markers.marker_sets.recognise import recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import Subject, marker_body
+from ...markers.subjects.prop import fit_prop
+from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, split_subjects
 from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
 from ...report.markers.person_page import write_person_page
@@ -31,10 +33,12 @@ from ..console.console import say
 from ..console.heartbeat import set_activity
 from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_skeleton
-from ..outputs import check_npz, make_folder
+from ..outputs import make_folder
 from ..terms import FloorHeight, read_terms
 from .fit_person import bone_rows, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
+from .segment_results import joint_figures, write_segments
+from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all
 from .takes import (
     Files,
     OptionalFolder,
@@ -74,9 +78,10 @@ class Fit:
     skeleton of the segments that are found. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """Takes of one subject: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
-    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
-    """Output file for the subject, .npz."""
+    """Takes: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("subject.npz")
+    """Output file for the subject, .npz, or an output folder. If the takes show several people or rigid props, each is a
+    subject: subject-Anna.npz, or Anna.npz in the folder."""
     method: CentreMethod = "score"
     """Method for rotation centres: spheres about the centres (sphere), the symmetric methods SCoRE and SARA (score),
     or the method of Gamage and Lasenby (gamage)."""
@@ -110,7 +115,7 @@ class Fit:
     unit: OptionalUnit = None
     """Unit of the files' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
-    """Subject to use if a file has several: the prefix of the labels of its markers."""
+    """Subject to use if a file has several: the prefix of the labels of its markers. Default: all of them."""
     up: OptionalUp = None
     """Up axis of the files; the subject then has y up. Default: the axes of the files are kept, and
     the printed line of each file names its up axis if it is known."""
@@ -133,12 +138,38 @@ class Fit:
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
         """Read, fit and write, while the lock excludes other runs with the same output files."""
         set_activity("reading the takes")
-        takes = [read_take(path, self.unit, self.subject, self.up, self.pieces).frames for path in self.files]
+        one = self.template not in (None, "human") or bool(self.free_options())
+        takes = [
+            read_take(path, self.unit, self.subject, self.up, self.pieces, several=not one).frames
+            for path in self.files
+        ]
         united = merge_takes(takes)
+        split = SubjectSplit((), (), ()) if one else split_subjects(united)
+        if self.subject is not None and len(split.props) == 1:
+            split = split._replace(props=(split.props[0]._replace(name=self.subject),))
+        if split.props or len(split.people) > 1 or (split.people and has_several(united)):
+            fit_each(self, split)
+            return
+        if has_several(united):
+            refuse_all(self.files[0], united, split)
         if self.is_person(united):
-            self.fit_person(united)
+            replace(self, out=place_of(self.out, "person", alone=True)).fit_person(united)
         else:
-            self.fit_segments(united, pairs)
+            replace(self, out=place_of(self.out, "subject", alone=True)).fit_segments(united, pairs)
+
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
+        """Fit one of several subjects and write it."""
+        if not is_prop:
+            self.fit_person(markers.frames)
+            return
+        set_activity(f"fitting the prop {markers.name}")
+        fit = fit_prop(markers.frames, markers.name)
+        say(f"a rigid prop of {fit.subject.num_markers} markers: {', '.join(fit.subject.labels)}")
+        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, fit.messages)
+        self.write_results(fit.subject, fit.motion, fit.lost)
+        if self.report is not None:
+            result = FittedMarkers(fit.subject, fit.motion, fit.residuals)
+            self.draw_report(self.report, result, markers.frames, notes, fit.lost, {})
 
     def is_person(self, frames: MarkerFrames) -> bool:
         """Decide if the markers are those of a person with known labels, and say if they are not."""
@@ -256,6 +287,7 @@ class Fit:
 
     def write_results(self, subject: Subject, motion: Motion, lost: Bool[np.ndarray, "F"] | None) -> None:
         """Write the subject, and the joint centres of every frame."""
+        make_folder(self.out.absolute().parent)
         save_subject(self.out, subject)
         say(
             f"{self.out}: {int((np.asarray(subject.weights) > 0).sum())} markers on {subject.skeleton.num_joints} bones"
@@ -312,7 +344,7 @@ class Fit:
                 "--template needs --segments, a file that gives segments the names of the template's joints; "
                 "start from segments.txt of --report."
             )
-        check_npz(self.out, self.overwrite, "a subject")
+        check_subject_place(self.out, self.overwrite)
         check_points(self.joints, "joint centres")
         check_new(self.joints, self.overwrite)
         check_folder(self.report)
@@ -343,34 +375,3 @@ def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
             )
         pairs.append((left, right))
     return tuple(pairs)
-
-
-def write_segments(folder: Path, local_fit: LocalFit) -> None:
-    """Write the segments as a file of corrections."""
-    owner, names = local_fit.segments.marker_segments, local_fit.segments.names
-    write_corrections(
-        folder / "segments.txt",
-        {
-            label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(local_fit.segments.weights[m]))
-            for m, label in enumerate(local_fit.markers.labels)
-        },
-    )
-
-
-def joint_figures(local_fit: LocalFit) -> list[dict[str, object]]:
-    """Collect the estimates of the separately fitted joints for `report.json`; metres and radians."""
-    names = local_fit.segments.names
-    return [
-        {
-            "joint": names[joint.child],
-            "parent": names[joint.parent],
-            "hinge": joint.axis_in_parent is not None,
-            "residual": joint.residual,
-            "precision": joint.deviations.tolist(),
-            "bound": joint.arc_bound,
-            "swept": joint.swept_angle,
-            "method": joint.method,
-        }
-        for joint in local_fit.joints
-        if joint is not None
-    ]

@@ -62,7 +62,7 @@ def split_subjects(frames: MarkerFrames) -> SubjectSplit:
     are constant. Without names, a person is all markers with known labels, and a prop is a rigid set of unknown labels that
     moves against all markers of the person. A rigid set in a hand may be a part of the person, and stays with the person.
     """
-    seen = np.asarray(frames.visible).any(0)
+    seen = np.asarray(np.any(np.asarray(frames.visible), axis=0))
     groups = find_named_groups(frames)
     named = {index for members in groups.values() for index in members}
     rest = [index for index in np.flatnonzero(seen).tolist() if index not in named]
@@ -249,8 +249,7 @@ def _describe_unknown(
     widest = float(np.nanmax(inside)) if np.isfinite(inside).any() else np.nan
     return (
         f"'{name}' is no person, as its labels are no landmarks ({_list(own.labels)}), and no rigid prop, as its distances "
-        f"change by {1e3 * widest:.0f} mm; fit it by itself with its name as the subject and the technique without a person's "
-        "skeleton."
+        f"change by {1e3 * widest:.0f} mm."
     )
 
 
