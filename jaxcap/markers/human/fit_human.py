@@ -22,6 +22,7 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps
 from ..subject import Subject
+from .check_legs import check_legs
 from .check_person import check_articulated, check_explained, check_recognised, check_sides
 from .describe_human import describe_human
 from .further_markers import attach_further_markers
@@ -96,6 +97,7 @@ def fit_human(
         ),
     )
     check_sides(template.subject, known, frames)
+    check_legs(known, frames)
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
