@@ -31,6 +31,8 @@ from .motion.solve_coordinates import CoordinateSolution as CoordinateSolution
 from .motion.solve_coordinates import solve_coordinates as solve_coordinates
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
+from .recognition.recognise_by_geometry import GeometryRecognition as GeometryRecognition
+from .recognition.recognise_by_geometry import recognise_by_geometry as recognise_by_geometry
 from .segments.find_segments import find_partition as find_partition
 from .segments.gaps import join_pieces as join_pieces
 from .segments.merge_takes import merge_takes as merge_takes

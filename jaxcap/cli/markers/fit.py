@@ -15,12 +15,13 @@ from ...io.markers.marker_corrections import read_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
-from ...markers.human.check_person import check_recognised
-from ...markers.human.fit_human import HumanFit, fit_human, visible_markers
+from ...markers.human.check_person import check_recognised, has_landmarks
+from ...markers.human.fit_human import HumanFit, fit_human, select_set, visible_markers
 from ...markers.human.human_template import make_human_template
 from ...markers.local_technique import fit_local
-from ...markers.marker_sets.recognise import recognise_markers
+from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
+from ...markers.recognition.recognise_by_geometry import recognise_by_geometry
 from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import Subject, marker_body
@@ -35,7 +36,7 @@ from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit
 from ..motions import load_skeleton
 from ..outputs import make_folder
 from ..terms import FloorHeight, read_terms
-from .fit_person import bone_rows, print_person
+from .fit_person import bone_rows, print_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
 from .segment_results import joint_figures, write_segments
 from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all
@@ -96,7 +97,7 @@ class Fit:
         arg(
             metavar="{human,none,FILE}",
             help_behavior_hint="",
-            help="human: the skeleton of a person, by the labels of the markers; none: segments and joints are found, as "
+            help="human: the skeleton of a person, by the labels of the markers, or where these are unknown by their geometry; none: segments and joints are found, as "
             f"for animals and objects. Default: human where the labels are known. FILE: a skeleton ({SKELETON_FORMATS}) that "
             "defines which segments are connected; --segments is then needed, to give the segments the names of its joints.",
         ),
@@ -147,6 +148,9 @@ class Fit:
         split = SubjectSplit((), (), ()) if one else split_subjects(united)
         if self.subject is not None and len(split.props) == 1:
             split = split._replace(props=(split.props[0]._replace(name=self.subject),))
+        if self.template == "human" and not split.people and not has_several(united):
+            # labels that tell nothing, of a person by the user's word
+            split = split._replace(props=())
         if split.props or len(split.people) > 1 or (split.people and has_several(united)):
             fit_each(self, split)
             return
@@ -197,9 +201,10 @@ class Fit:
             f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
             f"{len(frames)} frames"
         )
-        template = make_human_template(recognise_markers(visible_markers(frames).labels)).subject
-        terms = read_terms(marker_body(template), floor=self.floor)
-        fit = fit_human(frames, num_frames=self.frames, skin=not self.rigid, terms=terms)
+        known = self.find_landmarks(frames)
+        shown = select_set(known, visible_markers(frames).labels)
+        terms = read_terms(marker_body(make_human_template(shown).subject), floor=self.floor)
+        fit = fit_human(frames, marker_set=known, num_frames=self.frames, skin=not self.rigid, terms=terms)
         print_person(fit)
         notes = fit.calibration.motion_messages
         notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, notes)
@@ -211,6 +216,16 @@ class Fit:
             )
             write_person_page(self.report / "report.html", fit, self.title(), pictures, notes)
             say(f"report.html, report.json and pictures are in {self.report}")
+
+    def find_landmarks(self, frames: MarkerFrames) -> MarkerSet:
+        """Find the landmarks of markers by their labels, or by their geometry where these are unknown."""
+        known = recognise_markers(frames.labels)
+        if has_landmarks(known, frames):
+            return known
+        set_activity("finding the landmarks of markers with unknown labels")
+        found = recognise_by_geometry(frames)
+        print_landmarks(found)
+        return found.marker_set
 
     def fit_segments(self, united: MarkerFrames, pairs: tuple[tuple[str, str], ...]) -> None:
         """Find segments and joints, fit a skeleton of them, and write it."""

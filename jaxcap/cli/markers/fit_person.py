@@ -7,7 +7,9 @@ import numpy as np
 
 from ...markers.human.body_lengths import segment_lengths
 from ...markers.human.fit_human import HumanFit
-from ..console.console import print_table, say
+from ...markers.human.human_template import is_adult
+from ...markers.recognition.recognise_by_geometry import GeometryRecognition
+from ..console.console import print_table, say, warn
 
 
 def print_person(fit: HumanFit) -> None:
@@ -24,10 +26,23 @@ def print_person(fit: HumanFit) -> None:
     say(f"a person of these proportions is about {tall:.2f} m tall")
 
 
+def print_landmarks(found: GeometryRecognition) -> None:
+    """Print the landmarks that geometry gave to markers, a row for each bone."""
+    for sentence in found.messages:
+        warn(sentence)
+    by_bone: dict[str, list[str]] = {}
+    for label, name, bone in zip(
+        found.marker_set.labels, found.marker_set.names, found.marker_set.bones, strict=True
+    ):
+        if bone is not None:
+            by_bone.setdefault(bone, []).append(f"{label} {name}")
+    print_table(["bone", "markers"], [[bone, ", ".join(some)] for bone, some in sorted(by_bone.items())])
+
+
 def print_lengths(fit: HumanFit) -> None:
     """Print a row for each segment: left, right, standard deviation, and percentile among adults."""
     rows = []
-    for one in segment_lengths(fit.calibration, fit.subject.skeleton):
+    for one in segment_lengths(fit.calibration, fit.subject.skeleton, is_adult=is_adult(fit.traits)):
         right = "" if math.isnan(one.right) else f"{1e3 * one.right:.0f} mm"
         known = "from anatomy" if math.isnan(one.deviation) else f"± {1e3 * one.deviation:.0f} mm"
         known = "" if math.isnan(one.right) else known
@@ -44,5 +59,5 @@ def bone_rows(fit: HumanFit) -> Sequence[dict[str, object]]:
             name: None if isinstance(value, float) and math.isnan(value) else value
             for name, value in one._asdict().items()
         }
-        for one in segment_lengths(fit.calibration, fit.subject.skeleton)
+        for one in segment_lengths(fit.calibration, fit.subject.skeleton, is_adult=is_adult(fit.traits))
     ]

@@ -24,9 +24,9 @@ from ..segments.swaps import correct_swaps
 from ..subject import Subject
 from .check_legs import check_legs
 from .check_person import check_articulated, check_explained, check_recognised, check_sides
-from .describe_human import describe_human
+from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
-from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
+from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
 from .misplaced_markers import find_misplaced
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
@@ -40,8 +40,6 @@ MAX_DEVIATION_RATIO = 3.0
 MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
 #: least number of frames that show if labels are exchanged
 MIN_FRAMES_OF_EXCHANGES = 10
-#: age below which people differ otherwise than adults do, years
-ADULT_AGE = 20.0
 
 
 class HumanFit(NamedTuple):
@@ -69,6 +67,7 @@ class HumanFit(NamedTuple):
 def fit_human(
     frames: MarkerFrames,
     *,
+    marker_set: MarkerSet | None = None,
     num_frames: int = 100,
     skin: bool = True,
     terms: UserTerms = (),
@@ -78,18 +77,19 @@ def fit_human(
     Labels name the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
     equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not determine keeps its anatomical place.
 
-    **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
+    **Arguments:** `frames` of one person; `marker_set`, the landmarks of its markers, such as those of `recognise_by_geometry`, by
+    default those of the labels; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
 
     **Raises:** `InputError` where too few labels are known, left and right are exchanged, or no pose of a person explains
     most frames.
     """
     never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
-    known = recognise_markers(frames.labels)
+    known = recognise_markers(frames.labels) if marker_set is None else marker_set
     check_recognised(known, frames)
     frames, exchanges = correct_labels(visible_markers(frames))
     check_articulated(frames)
-    known = recognise_markers(frames.labels)
+    known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)
     template = make_human_template(
         known,
         person_of_size(
@@ -134,6 +134,7 @@ def fit_human(
         known,
         found,
         (
+            *describe_child(traits),
             *describe_human(
                 further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
             ),
@@ -148,8 +149,11 @@ def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Trai
     shared = np.asarray(shared_parameters(template.subject, found.subject, found.joints), float)
     amounts = template.prior.estimate_traits(template.subject, found.joints, shared)
     values = np.array(template.traits) + amounts * np.array(TRAIT_DEVIATIONS)
-    lowest = MIN_TRAITS._replace(age=ADULT_AGE)
-    traits = Traits(*(float(value) for value in np.clip(values, lowest, MAX_TRAITS)))
+    is_adult = template.traits.age >= ADULT_AGE
+    # adults differ otherwise than children do
+    lowest = MIN_TRAITS._replace(age=ADULT_AGE) if is_adult else MIN_TRAITS
+    highest = MAX_TRAITS if is_adult else MAX_TRAITS._replace(age=ADULT_AGE)
+    traits = Traits(*(float(value) for value in np.clip(values, lowest, highest)))
     skeleton = found.subject.skeleton
     centres = np.asarray(skeleton.centres, float).copy()
     before = np.asarray(template.subject.skeleton.centres, float)
@@ -168,6 +172,20 @@ def _is_unseen(found: Calibration, joint: int) -> bool:
     skeleton = found.subject.skeleton
     carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
     return joint not in found.joints and not carried
+
+
+def select_set(markers: MarkerSet, labels: Sequence[str]) -> MarkerSet:
+    """Select the entries of a marker set by the labels, in their order."""
+    rows = [markers.labels.index(label) for label in labels]
+    return markers._replace(
+        labels=tuple(labels),
+        names=tuple(markers.names[row] for row in rows),
+        bones=tuple(markers.bones[row] for row in rows),
+        deviations=markers.deviations[rows],
+        heights=markers.heights[rows],
+        virtual=markers.virtual[rows],
+        sets=tuple(markers.sets[row] for row in rows),
+    )
 
 
 def visible_markers(frames: MarkerFrames) -> MarkerFrames:

@@ -190,7 +190,9 @@ def _place_unknown(recording: _Recording, rest: list[int], has_people: bool) -> 
     left = [index for index in rest if all(index not in some for _, some in sets)]
     sets += [("", some) for some in find_rigid_sets(recording.ranges, left)]
     alone = [index for index in rest if all(index not in some for _, some in sets)]
-    if not (sets and (has_people or (len(sets) == 1 and not alone))):
+    # so is a person without labels who stands still
+    moves = displacement(select_members(recording.frames, dict.fromkeys(rest, ""))) > MIN_DISPLACEMENT
+    if not (sets and (has_people or (len(sets) == 1 and not alone and moves))):
         sets, alone = [], rest
     props = tuple(recording.prop(name, some) for name, some in sets)
     if not alone:
