@@ -15,13 +15,13 @@ from ...io.markers.marker_corrections import read_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
-from ...markers.human.check_person import check_recognised, has_landmarks
+from ...markers.human.check_person import check_recognised
 from ...markers.human.fit_human import HumanFit, fit_human, select_set, visible_markers
 from ...markers.human.human_template import make_human_template
+from ...markers.human.static_pose import prepend_static
 from ...markers.local_technique import fit_local
-from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
+from ...markers.marker_sets.recognise import recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
-from ...markers.recognition.recognise_by_geometry import recognise_by_geometry
 from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import Subject, marker_body
@@ -36,7 +36,7 @@ from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit
 from ..motions import load_skeleton
 from ..outputs import make_folder
 from ..terms import FloorHeight, read_terms
-from .fit_person import bone_rows, print_landmarks, print_person
+from .fit_person import bone_rows, find_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
 from .segment_results import joint_figures, write_segments
 from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all
@@ -51,6 +51,7 @@ from .takes import (
     check_new,
     check_points,
     read_take,
+    separate_static,
     write_joints,
 )
 
@@ -79,7 +80,8 @@ class Fit:
     skeleton of the segments that are found. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """Takes: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
+    """Takes: .c3d, .trc or .csv files. Markers with equal labels are the same marker. A file in which a person stands still is the
+    static trial, as with --static."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("subject.npz")
     """Output file for the subject, .npz, or an output folder. If the takes show several people or rigid props, each is a
     subject: subject-Anna.npz, or Anna.npz in the folder."""
@@ -106,6 +108,9 @@ class Fit:
     """Pairs of segments that have bones of equal length, such as lthigh:rthigh."""
     local: Flag = False
     """Stop after every joint is estimated separately; do not fit poses, bone lengths and marker positions together."""
+    static: OptionalFile = None
+    """A static trial of a person, who stands still in it: .c3d, .trc or .csv. It counts as much as the takes, and its markers need
+    not be in them, such as those at medial epicondyles and malleoli."""
     frames: Annotated[int, arg(metavar="N")] = 100
     """Number of frames in which poses, bone lengths and marker positions are fitted together. The chosen frames differ
     as much as possible."""
@@ -149,15 +154,20 @@ class Fit:
         if self.subject is not None and len(split.props) == 1:
             split = split._replace(props=(split.props[0]._replace(name=self.subject),))
         if self.template == "human" and not split.people and not has_several(united):
-            # labels that tell nothing, of a person by the user's word
             split = split._replace(props=())
         if split.props or len(split.people) > 1 or (split.people and has_several(united)):
+            if self.static is not None:
+                raise InputError("--static is a trial of one person; select the person with --subject.")
             fit_each(self, split)
             return
         if has_several(united):
             refuse_all(self.files[0], united, split)
         if self.is_person(united):
-            replace(self, out=place_of(self.out, "person", alone=True)).fit_person(united)
+            own = replace(self, out=place_of(self.out, "person", alone=True))
+            static, moving = separate_static(takes, self.files)
+            if self.static is not None:
+                static, moving = read_take(str(self.static), self.unit, self.subject, self.up, self.pieces).frames, takes  # fmt: skip
+            own.fit_person(merge_takes(moving), static)
         else:
             replace(self, out=place_of(self.out, "subject", alone=True)).fit_segments(united, pairs)
 
@@ -194,17 +204,25 @@ class Fit:
         """List the given options that only the technique without a person's skeleton has."""
         return [f"--{name}" for name, default in FREE_OPTIONS.items() if getattr(self, name) != default]
 
-    def fit_person(self, frames: MarkerFrames) -> None:
+    def fit_person(self, frames: MarkerFrames, static: MarkerFrames | None = None) -> None:
         """Fit the embedded human's skeleton and write it."""
         set_activity("fitting a person's skeleton")
         say(
             f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
             f"{len(frames)} frames"
         )
-        known = self.find_landmarks(frames)
-        shown = select_set(known, visible_markers(frames).labels)
+        whole = frames if static is None else prepend_static(static, frames)
+        known = find_landmarks(whole)
+        shown = select_set(known, visible_markers(whole).labels)
         terms = read_terms(marker_body(make_human_template(shown).subject), floor=self.floor)
-        fit = fit_human(frames, marker_set=known, num_frames=self.frames, skin=not self.rigid, terms=terms)
+        fit = fit_human(
+            frames,
+            static=static,
+            marker_set=known,
+            num_frames=self.frames,
+            skin=not self.rigid,
+            terms=terms,
+        )
         print_person(fit)
         notes = fit.calibration.motion_messages
         notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, notes)
@@ -216,16 +234,6 @@ class Fit:
             )
             write_person_page(self.report / "report.html", fit, self.title(), pictures, notes)
             say(f"report.html, report.json and pictures are in {self.report}")
-
-    def find_landmarks(self, frames: MarkerFrames) -> MarkerSet:
-        """Find the landmarks of markers by their labels, or by their geometry where these are unknown."""
-        known = recognise_markers(frames.labels)
-        if has_landmarks(known, frames):
-            return known
-        set_activity("finding the landmarks of markers with unknown labels")
-        found = recognise_by_geometry(frames)
-        print_landmarks(found)
-        return found.marker_set
 
     def fit_segments(self, united: MarkerFrames, pairs: tuple[tuple[str, str], ...]) -> None:
         """Find segments and joints, fit a skeleton of them, and write it."""

@@ -6,10 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...markers.human.body_lengths import segment_lengths
+from ...markers.human.check_person import has_landmarks
 from ...markers.human.fit_human import HumanFit
 from ...markers.human.human_template import is_adult
-from ...markers.recognition.recognise_by_geometry import GeometryRecognition
+from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
+from ...markers.recognition.recognise_by_geometry import GeometryRecognition, recognise_by_geometry
+from ...observe.markers import MarkerFrames
 from ..console.console import print_table, say, warn
+from ..console.heartbeat import set_activity
 
 
 def print_person(fit: HumanFit) -> None:
@@ -24,6 +28,17 @@ def print_person(fit: HumanFit) -> None:
     print_lengths(fit)
     tall = float(np.ptp(np.asarray(fit.body.vertices, float)[:, 1]))
     say(f"a person of these proportions is about {tall:.2f} m tall")
+
+
+def find_landmarks(frames: MarkerFrames) -> MarkerSet:
+    """Find the landmarks of markers by their labels, or by their geometry where these are unknown, and print the latter."""
+    known = recognise_markers(frames.labels)
+    if has_landmarks(known, frames):
+        return known
+    set_activity("finding the landmarks of markers with unknown labels")
+    found = recognise_by_geometry(frames)
+    print_landmarks(found)
+    return found.marker_set
 
 
 def print_landmarks(found: GeometryRecognition) -> None:

@@ -5,20 +5,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import Any, ClassVar, NoReturn, Protocol
 
 from ...errors import InputError, user_message
 from ...io.registry import read_marker_file
 from ...markers.subject import Subject
-from ...markers.subjects.split_subjects import SubjectSplit, find_named_groups, split_subjects
+from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, find_named_groups, split_subjects
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
 from ..outputs import check_absent, check_npz
 from .takes import check_folder
 
-if TYPE_CHECKING:
-    from .fit import Fit
+
+class SubjectFitter(Protocol):
+    """A dataclass of options that fits one subject and writes it to the places that they name."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+    out: Path
+    joints: tuple[Path, ...]
+    report: Path | None
+    overwrite: bool
+
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
+        """Fit a subject and write it."""
+        ...
 
 
 def has_several(frames: MarkerFrames) -> bool:
@@ -67,7 +78,7 @@ def refuse_all(path: str, frames: MarkerFrames, split: SubjectSplit) -> NoReturn
     )
 
 
-def fit_each(options: "Fit", split: SubjectSplit) -> None:
+def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
     """Fit each person and prop of a recording with results of its own; those that fail do not stop the others.
 
     **Raises:** `InputError` with the reasons of those that failed, after all others are written.

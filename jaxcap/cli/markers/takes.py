@@ -14,8 +14,10 @@ from ...errors import InputError
 from ...io.markers.marker_file import check_marker_extent, select_subject
 from ...io.markers.up_axis import UpAxis, find_up_axis
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
+from ...markers.human.static_pose import MAX_SWAY
 from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
+from ...markers.segments.rigid_motion import displacement
 from ...markers.subjects.split_subjects import find_named_groups, select_members
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
@@ -81,6 +83,17 @@ def read_take(
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen; {describe_up(found, up)}"
     )
     return Take(frames, file.start, "y" if up is not None else None if found is None else found.axis)
+
+
+def separate_static(
+    takes: Sequence[MarkerFrames], paths: Sequence[str]
+) -> tuple[MarkerFrames | None, list[MarkerFrames]]:
+    """Find the first take in which nothing moves, if others do; return it and the others."""
+    still = [number for number, take in enumerate(takes) if displacement(take) < MAX_SWAY]
+    if not still or len(still) == len(takes):
+        return None, list(takes)
+    say(f"{paths[still[0]]}: the person stands still, so this is the static trial")
+    return takes[still[0]], [take for number, take in enumerate(takes) if number != still[0]]
 
 
 def choose_subject(frames: MarkerFrames, path: str, subject: str | None, several: bool) -> MarkerFrames:

@@ -28,6 +28,7 @@ from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
 from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
 from .misplaced_markers import find_misplaced
+from .static_pose import prepend_static, without_static
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
 #: a hundred frames determine the place of a joint hardly better than one
@@ -67,6 +68,7 @@ class HumanFit(NamedTuple):
 def fit_human(
     frames: MarkerFrames,
     *,
+    static: MarkerFrames | None = None,
     marker_set: MarkerSet | None = None,
     num_frames: int = 100,
     skin: bool = True,
@@ -77,13 +79,17 @@ def fit_human(
     Labels name the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
     equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not determine keeps its anatomical place.
 
-    **Arguments:** `frames` of one person; `marker_set`, the landmarks of its markers, such as those of `recognise_by_geometry`, by
+    **Arguments:** `frames` of one person; `static`, a trial in which the person stands still, which counts as much as all
+    frames together: markers that only this trial has, such as those at medial epicondyles and malleoli, are placed on their
+    bones by it; `marker_set`, the landmarks of all markers, such as those of `recognise_by_geometry`, by
     default those of the labels; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
 
     **Raises:** `InputError` where too few labels are known, left and right are exchanged, or no pose of a person explains
     most frames.
     """
+    if static is not None:
+        frames = prepend_static(static, frames)
     never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
     known = recognise_markers(frames.labels) if marker_set is None else marker_set
     check_recognised(known, frames)
@@ -101,6 +107,7 @@ def fit_human(
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
+    weights = None if static is None else np.where(np.arange(len(frames)) == 0, share, 1.0)
     prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
@@ -110,6 +117,7 @@ def fit_human(
             num_frames=num_frames,
             template_prior=prior,
             frames_per_observation=share,
+            frame_weights=weights,
             max_deviation_ratio=MAX_DEVIATION_RATIO,
             terms=terms,
         )
@@ -119,6 +127,8 @@ def fit_human(
             break
         placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
         prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
+    if static is not None:
+        found, frames = without_static(found), frames[slice(1, None)]
     check_explained(found.lost, frames.labels)
     traits, subject = complete_skeleton(template._replace(prior=prior), found)
     further = attach_further_markers(subject, found.motion, found.lost, frames, known)

@@ -279,8 +279,8 @@ def judge(
     used = np.isin(np.arange(cost.shape[1]), first)
     # laboratories place most markers on both sides
     one_sided = ONE_SIDED_COST * ~used[mirrored_landmarks()]
-    cost = cost + _range_costs(first, bones, ranges) + one_sided
-    landmark = assign(cost)
+    cost = cost + _range_costs(first, bones, ranges)
+    landmark = assign(cost + one_sided)
     known = landmark >= 0
     own = np.where(known, cost[np.arange(len(cost)), np.maximum(landmark, 0)], NO_LANDMARK_COST)
     other = bones[None] != bones[np.maximum(landmark, 0)][:, None]
