@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Protocol
+from typing import Any, ClassVar, NoReturn, Protocol, runtime_checkable
 
 from ...errors import InputError, user_message
 from ...io.registry import read_marker_file
@@ -18,6 +18,7 @@ from ..outputs import check_absent, check_npz
 from .takes import check_folder
 
 
+@runtime_checkable
 class SubjectFitter(Protocol):
     """A dataclass of options that fits one subject and writes it to the places that they name."""
 

@@ -47,7 +47,7 @@ def mirrored_landmarks() -> Int[np.ndarray, "L"]:
 def landmark_costs() -> Float[np.ndarray, "L"]:
     """Compute twice the negative logarithm of how often marker sets have each landmark, zero for the most frequent."""
     counts = landmark_counts()
-    frequency = np.array([counts.get(name, 0) + 0.5 for name in all_landmarks().names])
+    frequency = np.array([counts.get(name, 0) + 0.5 for name in all_landmarks().labels])
     return -2.0 * np.log(frequency / frequency.max())
 
 

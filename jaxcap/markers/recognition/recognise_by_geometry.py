@@ -218,7 +218,7 @@ def refine(option: LandmarkOption, points: TakePoints, upwards: bool) -> Landmar
     chosen = full[even_indices(len(full), NUM_SOLVED - 1, nearest=True)]
     chosen = np.concatenate([[option.frame] * (NUM_SOLVED - len(chosen)), chosen]).astype(int)
     here, seen = points.positions[chosen], points.seen[chosen]
-    used = seen.any(0)
+    used = np.asarray(np.any(seen, axis=0))
     landmark, own, margins = option.landmarks, option.costs, option.margins
     for _ in range(NUM_REFINEMENTS):
         each = np.where(seen, landmark, -1)
