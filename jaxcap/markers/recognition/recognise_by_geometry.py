@@ -350,6 +350,13 @@ def _collect(frames: MarkerFrames, best: LandmarkOption, margin: float) -> Geome
         messages.append(
             f"{len(unknown)} markers are at no landmark, or between two bones: {', '.join(unknown[:10])}."
         )
+    used = set(best.landmarks[best.landmarks >= 0].tolist())
+    mirror = mirrored_landmarks()
+    lonely = sorted(every.labels[one] for one in used if mirror[one] not in used)
+    if lonely:
+        messages.append(
+            f"{len(lonely)} landmarks have a marker on one side only ({', '.join(lonely[:8])}); markers of these limbs may be at wrong landmarks."
+        )
     found = MarkerSet(
         frames.labels,
         tuple(names),
