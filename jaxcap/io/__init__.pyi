@@ -39,6 +39,7 @@ from .opensim.storage import write_storage as write_storage
 from .opensim.tasks import coordinate_targets as coordinate_targets
 from .opensim.tasks import read_ik_tasks as read_ik_tasks
 from .opensim.tasks import weigh_markers as weigh_markers
+from .registry import read_marker_file as read_marker_file
 from .registry import read_motion as read_motion
 from .registry import read_skeleton as read_skeleton
 from .registry import read_skinned as read_skinned

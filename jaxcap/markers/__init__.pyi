@@ -31,6 +31,8 @@ from .motion.solve_coordinates import CoordinateSolution as CoordinateSolution
 from .motion.solve_coordinates import solve_coordinates as solve_coordinates
 from .motion.stream import make_streamer as make_streamer
 from .motion.stream import stream_frame as stream_frame
+from .recognition.recognise_by_geometry import GeometryRecognition as GeometryRecognition
+from .recognition.recognise_by_geometry import recognise_by_geometry as recognise_by_geometry
 from .segments.find_segments import find_partition as find_partition
 from .segments.gaps import join_pieces as join_pieces
 from .segments.merge_takes import merge_takes as merge_takes
@@ -40,3 +42,9 @@ from .subject import Subject as Subject
 from .subject import make_subject as make_subject
 from .subject import marker_body as marker_body
 from .subject import marker_positions as marker_positions
+from .subjects.join_subjects import join_subjects as join_subjects
+from .subjects.label_subjects import label_subjects as label_subjects
+from .subjects.prop import RigidProp as RigidProp
+from .subjects.prop import fit_prop as fit_prop
+from .subjects.split_subjects import SubjectSplit as SubjectSplit
+from .subjects.split_subjects import split_subjects as split_subjects

@@ -16,9 +16,9 @@ from jaxcap.markers.calibration.calibration_problem import (
     apply_sliding,
     make_calibration_problem,
 )
-from jaxcap.markers.calibration.robust import UNBOUNDED
 from jaxcap.markers.calibration.rotation_prior import estimate_rotation_prior
 from jaxcap.markers.calibration.solve_calibration import solve_calibration
+from jaxcap.markers.robust import UNBOUNDED
 from jaxcap.markers.subject import marker_positions
 from tests.markers_limb import moving, seen_by, truth, wrong
 

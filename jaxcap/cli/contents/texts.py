@@ -15,6 +15,7 @@ from ...io.skeletons.joint_names import read_joint_names
 from ...io.system.reader_errors import reader_of
 from ...io.text import Words, numbered_lines, parse_json, read_json, read_text
 from ..console.console import pluralise, say
+from ..markers.subject_files import print_subjects
 from .bodies import describe_skeleton
 
 
@@ -27,6 +28,7 @@ def describe_markers(path: Path, unit: str | None) -> str:
         f"markers: {len(frames.labels)}, {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, unit "
         f"{file.unit}, {shown:.3g} % seen"
     )
+    print_subjects(frames)
     return "markers"
 
 

@@ -9,11 +9,12 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_file import MarkerFile, check_marker_extent, group_by_subject, select_subject
+from ...io.markers.marker_file import MarkerFile, check_marker_extent, select_subject
 from ...io.meshes.vertex_list import read_vertex_list
 from ...io.registry import write_markers
 from ...markers.body_shape.vertex_markers import vertex_frames
 from ...markers.motion.gap_filling import joint_frames
+from ...observe.marker_labels import group_by_subject
 from ...observe.markers import make_markers
 from ..console.console import pluralise, say
 from ..markers.takes import UNIT_ASKED

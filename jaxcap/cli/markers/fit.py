@@ -1,7 +1,7 @@
 """`jaxcap markers fit`: a subject, with its skeleton and marker placements, from takes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,19 +11,22 @@ from jaxtyping import Bool, Float
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.markers.marker_corrections import read_corrections, write_corrections
+from ...io.markers.marker_corrections import read_corrections
 from ...io.markers.subject import save_subject
 from ...io.system.run_lock import run_lock
 from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.human.check_person import check_recognised
-from ...markers.human.fit_human import HumanFit, fit_human, visible_markers
+from ...markers.human.fit_human import HumanFit, fit_human, select_set, visible_markers
 from ...markers.human.human_template import make_human_template
-from ...markers.local_technique import LocalFit, fit_local
+from ...markers.human.static_pose import prepend_static
+from ...markers.local_technique import fit_local
 from ...markers.marker_sets.recognise import recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
 from ...markers.rotation_centres.estimate_joint import CentreMethod
 from ...markers.segments.merge_takes import merge_takes
 from ...markers.subject import Subject, marker_body
+from ...markers.subjects.prop import fit_prop
+from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, split_subjects
 from ...observe.markers import MarkerFrames
 from ...report.markers.markers import assigned_residuals, report_markers, summarise_residuals
 from ...report.markers.person_page import write_person_page
@@ -31,10 +34,12 @@ from ..console.console import say
 from ..console.heartbeat import set_activity
 from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_skeleton
-from ..outputs import check_npz, make_folder
+from ..outputs import make_folder
 from ..terms import FloorHeight, read_terms
-from .fit_person import bone_rows, print_person
+from .fit_person import bone_rows, find_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
+from .segment_results import joint_figures, write_segments
+from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all
 from .takes import (
     Files,
     OptionalFolder,
@@ -46,6 +51,7 @@ from .takes import (
     check_new,
     check_points,
     read_take,
+    separate_static,
     write_joints,
 )
 
@@ -74,9 +80,11 @@ class Fit:
     skeleton of the segments that are found. Quantities that the takes do not determine are reported."""
 
     files: TakesSpec
-    """Takes of one subject: .c3d, .trc or .csv files. Markers with equal labels are the same marker."""
-    out: Annotated[Path, arg(aliases=("-o",), metavar="FILE")] = Path("subject.npz")
-    """Output file for the subject, .npz."""
+    """Takes: .c3d, .trc or .csv files. Markers with equal labels are the same marker. A file in which a person stands still is the
+    static trial, as with --static."""
+    out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("subject.npz")
+    """Output file for the subject, .npz, or an output folder. If the takes show several people or rigid props, each is a
+    subject: subject-Anna.npz, or Anna.npz in the folder."""
     method: CentreMethod = "score"
     """Method for rotation centres: spheres about the centres (sphere), the symmetric methods SCoRE and SARA (score),
     or the method of Gamage and Lasenby (gamage)."""
@@ -91,7 +99,7 @@ class Fit:
         arg(
             metavar="{human,none,FILE}",
             help_behavior_hint="",
-            help="human: the skeleton of a person, by the labels of the markers; none: segments and joints are found, as "
+            help="human: the skeleton of a person, by the labels of the markers, or where these are unknown by their geometry; none: segments and joints are found, as "
             f"for animals and objects. Default: human where the labels are known. FILE: a skeleton ({SKELETON_FORMATS}) that "
             "defines which segments are connected; --segments is then needed, to give the segments the names of its joints.",
         ),
@@ -100,6 +108,9 @@ class Fit:
     """Pairs of segments that have bones of equal length, such as lthigh:rthigh."""
     local: Flag = False
     """Stop after every joint is estimated separately; do not fit poses, bone lengths and marker positions together."""
+    static: OptionalFile = None
+    """A static trial of a person, who stands still in it: .c3d, .trc or .csv. It counts as much as the takes, and its markers need
+    not be in them, such as those at medial epicondyles and malleoli."""
     frames: Annotated[int, arg(metavar="N")] = 100
     """Number of frames in which poses, bone lengths and marker positions are fitted together. The chosen frames differ
     as much as possible."""
@@ -110,7 +121,7 @@ class Fit:
     unit: OptionalUnit = None
     """Unit of the files' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
     subject: OptionalSubject = None
-    """Subject to use if a file has several: the prefix of the labels of its markers."""
+    """Subject to use if a file has several: the prefix of the labels of its markers. Default: all of them."""
     up: OptionalUp = None
     """Up axis of the files; the subject then has y up. Default: the axes of the files are kept, and
     the printed line of each file names its up axis if it is known."""
@@ -133,12 +144,46 @@ class Fit:
     def fit(self, pairs: tuple[tuple[str, str], ...]) -> None:
         """Read, fit and write, while the lock excludes other runs with the same output files."""
         set_activity("reading the takes")
-        takes = [read_take(path, self.unit, self.subject, self.up, self.pieces).frames for path in self.files]
+        one = self.template not in (None, "human") or bool(self.free_options())
+        takes = [
+            read_take(path, self.unit, self.subject, self.up, self.pieces, several=not one).frames
+            for path in self.files
+        ]
         united = merge_takes(takes)
+        split = SubjectSplit((), (), ()) if one else split_subjects(united)
+        if self.subject is not None and len(split.props) == 1:
+            split = split._replace(props=(split.props[0]._replace(name=self.subject),))
+        if self.template == "human" and not split.people and not has_several(united):
+            split = split._replace(props=())
+        if split.props or len(split.people) > 1 or (split.people and has_several(united)):
+            if self.static is not None:
+                raise InputError("--static is a trial of one person; select the person with --subject.")
+            fit_each(self, split)
+            return
+        if has_several(united):
+            refuse_all(self.files[0], united, split)
         if self.is_person(united):
-            self.fit_person(united)
+            own = replace(self, out=place_of(self.out, "person", alone=True))
+            static, moving = separate_static(takes, self.files)
+            if self.static is not None:
+                static, moving = read_take(str(self.static), self.unit, self.subject, self.up, self.pieces).frames, takes  # fmt: skip
+            own.fit_person(merge_takes(moving), static)
         else:
-            self.fit_segments(united, pairs)
+            replace(self, out=place_of(self.out, "subject", alone=True)).fit_segments(united, pairs)
+
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
+        """Fit one of several subjects and write it."""
+        if not is_prop:
+            self.fit_person(markers.frames)
+            return
+        set_activity(f"fitting the prop {markers.name}")
+        fit = fit_prop(markers.frames, markers.name)
+        say(f"a rigid prop of {fit.subject.num_markers} markers: {', '.join(fit.subject.labels)}")
+        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, fit.messages)
+        self.write_results(fit.subject, fit.motion, fit.lost)
+        if self.report is not None:
+            result = FittedMarkers(fit.subject, fit.motion, fit.residuals)
+            self.draw_report(self.report, result, markers.frames, notes, fit.lost, {})
 
     def is_person(self, frames: MarkerFrames) -> bool:
         """Decide if the markers are those of a person with known labels, and say if they are not."""
@@ -159,21 +204,27 @@ class Fit:
         """List the given options that only the technique without a person's skeleton has."""
         return [f"--{name}" for name, default in FREE_OPTIONS.items() if getattr(self, name) != default]
 
-    def fit_person(self, frames: MarkerFrames) -> None:
+    def fit_person(self, frames: MarkerFrames, static: MarkerFrames | None = None) -> None:
         """Fit the embedded human's skeleton and write it."""
         set_activity("fitting a person's skeleton")
         say(
-            f"fitting poses, bone lengths and marker positions of a person together in {min(self.frames, len(frames))} of "
-            f"{len(frames)} frames"
+            f"fitting poses, bone lengths and marker positions together in {min(self.frames, len(frames))} of {len(frames)} frames"
         )
-        terms = ()
+        whole = frames if static is None else prepend_static(static, frames)
+        known, terms = find_landmarks(whole), ()
         if self.floor is not None:
-            template = make_human_template(recognise_markers(visible_markers(frames).labels)).subject
-            terms = read_terms(marker_body(template), floor=self.floor)
-        fit = fit_human(frames, num_frames=self.frames, skin=not self.rigid, terms=terms)
+            shown = select_set(known, visible_markers(whole).labels)
+            terms = read_terms(marker_body(make_human_template(shown).subject), floor=self.floor)
+        fit = fit_human(
+            frames,
+            static=static,
+            marker_set=known,
+            num_frames=self.frames,
+            skin=not self.rigid,
+            terms=terms,
+        )
         print_person(fit)
-        notes = fit.calibration.motion_messages
-        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, notes)
+        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, fit.calibration.motion_messages)
         self.write_results(fit.subject, fit.motion, fit.lost)
         if self.report is not None:
             extra = {"segments": bone_rows(fit), "traits": fit.traits._asdict()}
@@ -258,6 +309,7 @@ class Fit:
 
     def write_results(self, subject: Subject, motion: Motion, lost: Bool[np.ndarray, "F"] | None) -> None:
         """Write the subject, and the joint centres of every frame."""
+        make_folder(self.out.absolute().parent)
         save_subject(self.out, subject)
         say(
             f"{self.out}: {int((np.asarray(subject.weights) > 0).sum())} markers on {subject.skeleton.num_joints} bones"
@@ -314,7 +366,7 @@ class Fit:
                 "--template needs --segments, a file that gives segments the names of the template's joints; "
                 "start from segments.txt of --report."
             )
-        check_npz(self.out, self.overwrite, "a subject")
+        check_subject_place(self.out, self.overwrite)
         check_points(self.joints, "joint centres")
         check_new(self.joints, self.overwrite)
         check_folder(self.report)
@@ -345,34 +397,3 @@ def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
             )
         pairs.append((left, right))
     return tuple(pairs)
-
-
-def write_segments(folder: Path, local_fit: LocalFit) -> None:
-    """Write the segments as a file of corrections."""
-    owner, names = local_fit.segments.marker_segments, local_fit.segments.names
-    write_corrections(
-        folder / "segments.txt",
-        {
-            label: ("-", 0.0) if owner[m] < 0 else (names[owner[m]], float(local_fit.segments.weights[m]))
-            for m, label in enumerate(local_fit.markers.labels)
-        },
-    )
-
-
-def joint_figures(local_fit: LocalFit) -> list[dict[str, object]]:
-    """Collect the estimates of the separately fitted joints for `report.json`; metres and radians."""
-    names = local_fit.segments.names
-    return [
-        {
-            "joint": names[joint.child],
-            "parent": names[joint.parent],
-            "hinge": joint.axis_in_parent is not None,
-            "residual": joint.residual,
-            "precision": joint.deviations.tolist(),
-            "bound": joint.arc_bound,
-            "swept": joint.swept_angle,
-            "method": joint.method,
-        }
-        for joint in local_fit.joints
-        if joint is not None
-    ]

@@ -6,8 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...markers.human.body_lengths import segment_lengths
+from ...markers.human.check_person import has_landmarks
 from ...markers.human.fit_human import HumanFit
-from ..console.console import print_table, say
+from ...markers.human.human_template import is_adult
+from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
+from ...markers.recognition.recognise_by_geometry import GeometryRecognition, recognise_by_geometry
+from ...observe.markers import MarkerFrames
+from ..console.console import print_table, say, warn
+from ..console.heartbeat import set_activity
 
 
 def print_person(fit: HumanFit) -> None:
@@ -24,10 +30,34 @@ def print_person(fit: HumanFit) -> None:
     say(f"a person of these proportions is about {tall:.2f} m tall")
 
 
+def find_landmarks(frames: MarkerFrames) -> MarkerSet:
+    """Find the landmarks of markers by their labels, or by their geometry where these are unknown, and print the latter."""
+    known = recognise_markers(frames.labels)
+    if has_landmarks(known, frames):
+        return known
+    set_activity("finding the landmarks of markers with unknown labels")
+    found = recognise_by_geometry(frames)
+    print_landmarks(found)
+    return found.marker_set
+
+
+def print_landmarks(found: GeometryRecognition) -> None:
+    """Print the landmarks that geometry gave to markers, a row for each bone."""
+    for sentence in found.messages:
+        warn(sentence)
+    by_bone: dict[str, list[str]] = {}
+    for label, name, bone in zip(
+        found.marker_set.labels, found.marker_set.names, found.marker_set.bones, strict=True
+    ):
+        if bone is not None:
+            by_bone.setdefault(bone, []).append(f"{label} {name}")
+    print_table(["bone", "markers"], [[bone, ", ".join(some)] for bone, some in sorted(by_bone.items())])
+
+
 def print_lengths(fit: HumanFit) -> None:
     """Print a row for each segment: left, right, standard deviation, and percentile among adults."""
     rows = []
-    for one in segment_lengths(fit.calibration, fit.subject.skeleton):
+    for one in segment_lengths(fit.calibration, fit.subject.skeleton, is_adult=is_adult(fit.traits)):
         right = "" if math.isnan(one.right) else f"{1e3 * one.right:.0f} mm"
         known = "from anatomy" if math.isnan(one.deviation) else f"± {1e3 * one.deviation:.0f} mm"
         known = "" if math.isnan(one.right) else known
@@ -44,5 +74,5 @@ def bone_rows(fit: HumanFit) -> Sequence[dict[str, object]]:
             name: None if isinstance(value, float) and math.isnan(value) else value
             for name, value in one._asdict().items()
         }
-        for one in segment_lengths(fit.calibration, fit.subject.skeleton)
+        for one in segment_lengths(fit.calibration, fit.subject.skeleton, is_adult=is_adult(fit.traits))
     ]

@@ -9,14 +9,16 @@ import numpy as np
 import tyro
 
 from ...errors import InputError, user_message
-from ...io.markers.marker_file import check_marker_extent, group_by_subject, median_extent, select_subject
+from ...io.markers.marker_file import check_marker_extent, median_extent, select_subject
 from ...io.markers.up_axis import find_up_axis
 from ...io.registry import read_marker_file
 from ...markers.segments.gaps import describe_problems, gap_statistics
+from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, print_table, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_new
+from .subject_files import print_subjects
 from .takes import UNIT_ASKED, describe_source
 
 #: width of a marker's time bar, characters
@@ -59,6 +61,7 @@ class Info:
             say(f"up axis: {describe_source(found)}")
         for name, members in subjects.items():
             say(f"subject: {name}, {len(members)} markers")
+        print_subjects(frames)
         for kind, labels in file.other_points.items():
             say(f"{kind}: {len(labels)} ({_some(labels)})")
         _print_gaps(frames, self.rows)
@@ -66,7 +69,7 @@ class Info:
             warn(sentence)
         if several:
             warn(
-                f"there are {len(subjects)} subjects; other verbs read one of them, selected with --subject."
+                f"there are {len(subjects)} subjects; `markers fit` fits all of them, and other verbs read one, selected with --subject."
             )
         try:
             for sentence in check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)[1]:

@@ -14,11 +14,13 @@ from ...io.registry import write_markers
 from ...io.system.run_lock import run_lock
 from ...io.table import write_csv
 from ...markers.labels.label_markers import Labelling, label_markers
+from ...markers.subjects.label_subjects import label_subjects
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_parent
+from .subject_files import subject_names
 from .takes import OptionalSubject, OptionalUp, check_new, check_points, read_take
 
 
@@ -31,8 +33,11 @@ class Label:
 
     file: tyro.conf.Positional[Annotated[str, arg(metavar="RAW")]]
     """A .c3d, .trc or .csv file. Labels that the subject does not have, such as *7 or C_12, are ignored."""
-    subject: Annotated[Path, arg(metavar="FILE")]
-    """The subject: a result of `jaxcap markers fit`."""
+    subject: tyro.conf.UseAppendAction[
+        Annotated[tuple[Path, ...], arg(metavar="FILE", help_behavior_hint="")]
+    ]
+    """The subject: a result of `jaxcap markers fit`. Several people and props in one file: one --subject for each; the labels
+    then have the names of their files as prefixes, such as Anna:LASI of subject-Anna.npz and subject-Ben.npz."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the labelled markers, .c3d, .trc or .csv."""
     ignore_labels: Flag = False
@@ -58,13 +63,21 @@ class Label:
                 )
             check_parent(self.tracks)
         check_new(files, self.overwrite)
-        subject = load_subject(self.subject)
+        if not self.subject:
+            raise InputError("There is no subject; give a result of `jaxcap markers fit` as --subject.")
+        names = subject_names(self.subject)
+        subjects = dict(zip(names, map(load_subject, self.subject), strict=True))
         set_activity("reading the file")
-        frames = read_take(self.file, self.unit, self.person, self.up, "keep").frames
+        frames = read_take(
+            self.file, self.unit, self.person, self.up, "keep", several=len(subjects) > 1
+        ).frames
         with run_lock(*files):
             set_activity("labelling the markers")
             try:
-                found = label_markers(subject, frames, ignore_labels=self.ignore_labels)
+                if len(subjects) > 1:
+                    found = label_subjects(subjects, frames, ignore_labels=self.ignore_labels)
+                else:
+                    found = label_markers(subjects[names[0]], frames, ignore_labels=self.ignore_labels)
             except ValueError as error:
                 raise InputError(f"{self.file}: {error}") from None
             write_markers(self.out, found.frames)

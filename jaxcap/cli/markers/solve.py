@@ -1,6 +1,8 @@
 """`jaxcap markers solve`: the motion of a known subject through trials."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +12,7 @@ import tyro
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...io.archives.journal import hash_file, hash_files
+from ...io.markers.subject import load_subject
 from ...io.opensim.storage import SUFFIXES as STORAGE_SUFFIXES
 from ...io.opensim.storage import write_coordinates
 from ...io.registry import MOTION_WRITERS, write_motion
@@ -28,10 +31,11 @@ from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .filled_markers import deviations_path, write_filled
 from .opensim import SUFFIX as OSIM_SUFFIX
 from .opensim import SolvedModel, load_subject_or_model
-from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays
-from .solved_residuals import print_residuals
+from .prop_tables import is_prop, prop_table, write_prop_table
+from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays, print_residuals
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
+from .subject_files import file_name, named_trials, subject_names
 from .takes import (
     Files,
     OptionalFolder,
@@ -60,7 +64,8 @@ class Solve:
     subject_file: tyro.conf.Positional[Annotated[Path, arg(metavar="SUBJECT")]]
     """A subject: a result of `jaxcap markers fit`, or an OpenSim model (.osim) with its markers."""
     trials: TrialsSpec
-    """Trials: .c3d, .trc or .csv files. Markers are identified by their labels."""
+    """Trials: .c3d, .trc or .csv files. Markers are identified by their labels. Further subjects (.npz) may come before them:
+    the results of each are in a folder with its name, or have it in their names, and the name is the prefix of its labels."""
     out: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Output file for the motion, .bvh or .npz, and for the coordinates of an OpenSim model .mot or .sto; or an output folder,
     which gets .bvh, .npz, and for an OpenSim model .mot, for each trial."""
@@ -97,6 +102,53 @@ class Solve:
     """Replace the results if they exist."""
 
     def run(self) -> None:
+        further = [path for path in self.trials if Path(path).suffix.lower() == ".npz"]
+        if not further:
+            self.solve_trials(self.read)
+            return
+        if self.subject is not None:
+            raise InputError(
+                "--subject is the prefix of one subject's labels, and the names of several subjects' files are theirs; leave it out."
+            )
+        paths = [self.subject_file, *map(Path, further)]
+        trials = tuple(path for path in self.trials if path not in further)
+        names = subject_names(paths)
+        named = named_trials(trials, self.unit, dict(zip(names, map(load_subject, paths), strict=True)))
+        runs = [self.for_subject(path, name, trials) for path, name in zip(paths, names, strict=True)]
+        for run in runs:
+            run.check()
+        for run, name in zip(runs, names, strict=True):
+            say(f"\n{name}:")
+            chosen = {path: name if name in there else None for path, there in named.items()}
+            run.solve_trials(partial(run.read_of_several, chosen))
+
+    def for_subject(self, path: Path, name: str, trials: tuple[str, ...]) -> "Solve":
+        """Make the run of one of several subjects, with results of its own."""
+
+        def place(file: Path) -> Path:
+            return file.with_name(f"{file.stem}-{file_name(name)}{file.suffix}")
+
+        into = replace(self, trials=trials).into_folder
+        return replace(
+            self,
+            subject_file=path,
+            trials=trials,
+            out=self.out / file_name(name) if into else place(self.out),
+            joints=self.joints if into else tuple(map(place, self.joints)),
+            filled=self.filled if into else tuple(map(place, self.filled)),
+            report=None if self.report is None else self.report / file_name(name),
+        )
+
+    def read(self, path: str) -> Take:
+        """Read a trial of one subject."""
+        return read_take(path, self.unit, self.subject, self.up, self.pieces)
+
+    def read_of_several(self, chosen: Mapping[str, str | None], path: str) -> Take:
+        """Read a trial of several subjects: the markers with the prefix of this one, or all if its labels have none."""
+        return read_take(path, self.unit, chosen[path], self.up, self.pieces, several=True)
+
+    def solve_trials(self, read: Callable[[str], Take]) -> None:
+        """Solve all trials for one subject."""
         self.check()
         if self.resume and is_run_complete(self.results, self.checkpoint_path):
             return
@@ -114,7 +166,7 @@ class Solve:
         set_activity("reading the trials")
         # an invalid trial is reported before any has results; later changes of a file are not read
         digests = {path: hash_file(path) for path in self.trials}
-        trials = [read_take(path, self.unit, self.subject, self.up, self.pieces) for path in self.trials]  # fmt: skip
+        trials = [read(path) for path in self.trials]
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):
@@ -221,6 +273,7 @@ class Solve:
         """List the output files of one trial."""
         return [
             *self.motions(trial),
+            *([prop_table(self.motions(trial)[0])] if is_prop(self.subject_file) else []),
             *self.point_paths(self.joints, trial),
             *self.point_paths(self.filled, trial),
             *map(deviations_path, self.point_paths(self.filled, trial)),
@@ -280,6 +333,8 @@ class Solve:
             else:
                 write_motion(file, subject.skeleton, solution.motion)
                 say(f"motion: {file}")
+        if is_prop(self.subject_file):
+            write_prop_table(prop_table(self.motions(path)[0]), subject, solution, frames)
         write_joints(self.point_paths(self.joints, path), subject.skeleton, solution.motion, solution.lost)
         if self.filled:
             set_activity(f"filling the gaps of {path}")

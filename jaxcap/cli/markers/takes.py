@@ -14,8 +14,12 @@ from ...errors import InputError
 from ...io.markers.marker_file import check_marker_extent, select_subject
 from ...io.markers.up_axis import UpAxis, find_up_axis
 from ...io.registry import MARKER_WRITERS, read_marker_file, write_markers
+from ...markers.human.static_pose import MAX_SWAY
 from ...markers.motion.gap_filling import joint_frames
 from ...markers.segments.gaps import find_pieces, join_pieces, split_unlabelled
+from ...markers.segments.rigid_motion import displacement
+from ...markers.subjects.split_subjects import find_named_groups, select_members
+from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import pluralise, say, warn
 from ..console.options import arg
@@ -29,6 +33,8 @@ OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint=""
 Files = Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")]
 #: treatment of trajectories that look like one under several names
 Pieces = Literal["refuse", "join", "keep"]
+#: least number of markers of a subject whose extent is that of a body
+MIN_BODY_MARKERS = 6
 #: the advice to the user if a unit looks wrong
 UNIT_ASKED = "give --unit {} if it is"
 
@@ -42,14 +48,27 @@ class Take(NamedTuple):
     up: str | None
 
 
-def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, pieces: Pieces) -> Take:
+def read_take(
+    path: str,
+    unit: str | None,
+    subject: str | None,
+    up: Up | None,
+    pieces: Pieces,
+    *,
+    several: bool = False,
+) -> Take:
     """Read the markers of a file, rotated to y up if `up` gives the up axis.
+
+    With `several` the markers of all subjects are read if none is given, and keep their prefixes.
 
     **Raises:** `InputError` if the file is invalid, or has fragmented trajectories that are to be refused.
     """
     file = read_marker_file(path, unit)
-    frames = select_subject(file.frames, path, subject, "--subject {}")
-    frames, left_out = check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+    frames, left_out = choose_subject(file.frames, path, subject, several), ()
+    if not find_named_groups(file.frames):
+        frames, left_out = check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)
+    for one in largest_subject(file.frames):
+        check_marker_extent(one, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
     found = find_up_axis(file._replace(frames=frames))
@@ -66,6 +85,37 @@ def read_take(path: str, unit: str | None, subject: str | None, up: Up | None, p
         f"{shown:.{1 if shown < 99.9 else 3}f} % seen; {describe_up(found, up)}"
     )
     return Take(frames, file.start, "y" if up is not None else None if found is None else found.axis)
+
+
+def separate_static(
+    takes: Sequence[MarkerFrames], paths: Sequence[str]
+) -> tuple[MarkerFrames | None, list[MarkerFrames]]:
+    """Find the first take in which nothing moves, if others do; return it and the others."""
+    still = [number for number, take in enumerate(takes) if displacement(take) < MAX_SWAY]
+    if not still or len(still) == len(takes):
+        return None, list(takes)
+    say(f"{paths[still[0]]}: the person stands still, so this is the static trial")
+    return takes[still[0]], [take for number, take in enumerate(takes) if number != still[0]]
+
+
+def choose_subject(frames: MarkerFrames, path: str, subject: str | None, several: bool) -> MarkerFrames:
+    """Select the markers of a subject by a prefix or a suffix of the labels; with `several` all, where none is given."""
+    if subject is None and several and len(group_by_subject(frames.labels)) > 1:
+        return frames
+    if subject is not None and subject not in group_by_subject(frames.labels):
+        named = find_named_groups(frames)
+        if subject in named:
+            return select_members(frames, named[subject])
+    return select_subject(frames, path, subject, "--subject {}")
+
+
+def largest_subject(frames: MarkerFrames) -> list[MarkerFrames]:
+    """Select the subject with most markers, of several, which shows the unit; a small prop may have any size."""
+    named = find_named_groups(frames)
+    if not named:
+        return []
+    most = max(named.values(), key=len)
+    return [select_members(frames, most)] if len(most) >= MIN_BODY_MARKERS else []
 
 
 def describe_up(found: UpAxis | None, given: Up | None) -> str:

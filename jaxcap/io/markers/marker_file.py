@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from ...errors import InputError
 from ...markers.segments.gaps import list_runs
+from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ...units import UNIT_NAMES, likely_units, unit_scale
 from ..text import MAX_NUMBER, check_frame_rate
@@ -91,16 +92,6 @@ def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], li
             taken.add(names[i])
             messages.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
     return names, messages
-
-
-def group_by_subject(labels: Sequence[str]) -> dict[str, list[int]]:
-    """Group markers by subject, the prefix of labels such as `Anna:LKNE`, in the file's order."""
-    found: dict[str, list[int]] = {}
-    for i, label in enumerate(labels):
-        subject, colon, rest = label.partition(":")
-        if colon and subject.strip() and rest.strip():
-            found.setdefault(subject.strip(), []).append(i)
-    return found
 
 
 def select_subject(

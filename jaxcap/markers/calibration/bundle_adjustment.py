@@ -19,12 +19,12 @@ from ...fit.alternate import minimise_reweighted
 from ...fit.linear_solvers.block_banded import BlockBanded
 from ...fit.linear_solvers.float64 import in_float64
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ..robust import MEDIAN_SQUARED_LENGTH, UNBOUNDED
 from ..subject import Subject
 from .calibration_parameters import shared_parameters
 from .calibration_problem import CalibrationEstimate, CalibrationProblem, apply_sliding
 from .prior_scales import slide_variances, update_scales
 from .residuals import marker_residuals
-from .robust import MEDIAN_SQUARED_LENGTH, UNBOUNDED
 from .rotation_prior import estimate_rotation_prior, free_rotation_prior
 from .soft_tissue import (
     MAX_SLIDING,
@@ -186,7 +186,7 @@ def _next_priors(problem: CalibrationProblem, y: CalibrationEstimate, modes: Rel
 def _renew_features(
     problem: CalibrationProblem, y: CalibrationEstimate
 ) -> tuple[CalibrationProblem, CalibrationEstimate]:
-    """Recompute the features from the poses, and the slides that shift the markers as before."""
+    """Compute the features anew from the poses, and the slides that shift the markers as before."""
     features = skin_features(problem.template, y.poses)
     slides = refit_slides(np.asarray(problem.skin_features), np.asarray(y.slides), features)
     problem = eqx.tree_at(lambda p: p.skin_features, problem, jnp.asarray(features))

@@ -98,6 +98,7 @@ def calibrate(
     num_frames: int = 100,
     template_prior: AbstractTemplatePrior = TemplatePrior(),
     frames_per_observation: float = 1.0,
+    frame_weights: Float[np.ndarray, "F"] | None = None,
     max_deviation_ratio: float = MAX_DEVIATION_RATIO,
     max_steps: int = 240,
     terms: UserTerms = (),
@@ -111,7 +112,9 @@ def calibrate(
     equal length; `num_frames` frames are chosen, as different as possible, and at the end all frames are solved;
     `template_prior` in the template, the prior of what the frames do not determine; `frames_per_observation`,
     how many of the chosen frames have the information of one with independent errors (for the covariance, at
-    least as many as follows from the autocorrelation of the residuals); `max_deviation_ratio`, the largest deviation of
+    least as many as follows from the autocorrelation of the residuals); `frame_weights`, how many times the observations of
+    each frame count, by default once: frames that count more, such as one of a static pose, are always chosen;
+    `max_deviation_ratio`, the largest deviation of
     a marker as a multiple of that of all; `max_steps` at most; `terms`,
     energies of your own, in units of a log-likelihood, which see the subject's skeleton with its markers as
     vertices.
@@ -135,6 +138,8 @@ def calibrate(
             motion, usable, explained = _solve_motion(template, frames, used, terms)
         while True:
             chosen = choose_frames(subject, motion.poses, explained, usable, num_frames)
+            if frame_weights is not None:
+                chosen = np.union1d(chosen, np.flatnonzero((frame_weights > 1.0) & usable))
             joints = solved_joints(template, np.atleast_1d(explained[chosen].any(0)))
             positions, seen = matched.positions[chosen], jnp.asarray(explained[chosen])
             again = subject is template and not explained[used].all()
@@ -144,6 +149,9 @@ def calibrate(
                 template, positions, seen, joints, pairs, template_prior, robust=robust, terms=terms
             )
             problem = with_frames_per_observation(problem, frames_per_observation)
+            if frame_weights is not None:
+                weights = jnp.asarray(frame_weights[chosen], problem.frame_weights.dtype)
+                problem = eqx.tree_at(lambda p: p.frame_weights, problem, weights)
             ratio = jnp.asarray(max_deviation_ratio, problem.max_deviation_ratio.dtype)
             problem = eqx.tree_at(lambda p: p.max_deviation_ratio, problem, ratio)
             fit = bundle_adjust(

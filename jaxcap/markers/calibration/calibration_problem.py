@@ -21,6 +21,7 @@ from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.least_squares_problem import AbstractNestedProblem
 from ..posture import posture_prior
+from ..robust import OUTLIER_BOUND, UNBOUNDED, robust_kernel
 from ..subject import Subject, marker_body, shift_markers
 from .calibration_parameters import (
     AbstractTemplatePrior,
@@ -30,7 +31,6 @@ from .calibration_parameters import (
 )
 from .prior_scales import ScaledGroups, scaled_groups
 from .residuals import linearise_residuals, marker_residuals
-from .robust import OUTLIER_BOUND, UNBOUNDED, robust_kernel
 from .rotation_prior import (
     RotationPrior,
     free_rotation_prior,
@@ -70,6 +70,8 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
       `slide_deviations (K, M)` are those of the slides, metres a radian.
     - `frames_per_observation`: that many frames have the information on shared unknowns that one has with independent
       errors. Both priors of shared unknowns count that many times, which is the same as a likelihood with that share.
+    - `frame_weights (F,)`: the observations of a frame count that many times, as those of a static pose do that is seen once
+      but stands for many frames.
     - `max_deviation_ratio`: no marker has a larger deviation than this multiple of that of all.
     - `skin_features (F, M, K)`, radians, that the skin slides with.
     - `terms` are energies of a user's own, in every frame; they see the subject's skeleton, with the markers
@@ -89,6 +91,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
     frames_per_observation: Float[Array, ""]
     max_deviation_ratio: Float[Array, ""]
     outlier_bound: Float[Array, ""]
+    frame_weights: Float[Array, "F"]
     terms: AbstractEnergy | None
     joints: tuple[int, ...] = eqx.field(static=True)
     left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
@@ -161,9 +164,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         subject = self.subject(y)
 
         def of_frame(frame):
-            pose, place, visible, phi = frame
+            pose, place, visible, phi, weight = frame
             rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
-            root, _ = self.root_weights_and_cost(rows.residual, visible)
+            root, _ = self.root_weights_and_cost(rows.residual, visible, weight)
             flat = (rows.by_pose * root[:, None, None]).reshape(-1, rows.by_pose.shape[2])
             matrix, side = rotation_prior_equations(subject.skeleton, self.rotation_prior, pose)
             matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
@@ -183,9 +186,9 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         tangent = self._term_tangent(y)
 
         def of_frame(frame):
-            pose, place, visible, phi = frame
+            pose, place, visible, phi, weight = frame
             rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place, self.joints)
-            root, cost = self.root_weights_and_cost(rows.residual, visible)
+            root, cost = self.root_weights_and_cost(rows.residual, visible, weight)
             r, ends = rows.residual * root[:, None], rows.by_offset * root[:, None, None]
             wide = jnp.concatenate([rows.by_pose, rows.by_centres], 2) * root[:, None, None]
             shares = jnp.concatenate([jnp.ones((markers, 1), phi.dtype), phi], 1)
@@ -250,24 +253,30 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return self.frames_per_observation * jnp.repeat(self.slide_deviations.reshape(-1), 3) ** -2.0
 
     def _frame_inputs(self, y: CalibrationEstimate):
-        return y.poses, self.positions, self.seen, self.skin_features
+        return y.poses, self.positions, self.seen, self.skin_features, self.frame_weights
 
-    def root_weights_and_cost(self, residual: Float[Array, "M 3"], seen: Bool[Array, "M"]):
-        """Compute the square root of each marker's weight, and half of the robust cost of all."""
+    def root_weights_and_cost(
+        self,
+        residual: Float[Array, "M 3"],
+        seen: Bool[Array, "M"],
+        frame_weight: Float[Array, ""] | float = 1.0,
+    ):
+        """Compute the square root of each marker's weight in a frame, and half of the robust cost of all."""
         information = jnp.where(seen, self.template.weights / self.deviations**2, 0.0)
         costs, slopes = robust_kernel(jnp.sum(residual**2, 1) * information, self.outlier_bound)
         positive = information > 0
-        root = jnp.where(positive, jnp.sqrt(jnp.where(positive, slopes * information, 1.0)), 0.0)
-        return root, 0.5 * jnp.sum(jnp.where(seen, costs, 0.0))
+        counted = frame_weight * slopes * information
+        root = jnp.where(positive, jnp.sqrt(jnp.where(positive, counted, 1.0)), 0.0)
+        return root, 0.5 * frame_weight * jnp.sum(jnp.where(seen, costs, 0.0))
 
     def _frame_cost(self, y: CalibrationEstimate):
         subject = self.subject(y)
         body = marker_body(subject)
 
         def cost(frame):
-            pose, place, visible, phi = frame
+            pose, place, visible, phi, weight = frame
             value = self.root_weights_and_cost(
-                marker_residuals(apply_sliding(subject, y.slides, phi), pose, place), visible
+                marker_residuals(apply_sliding(subject, y.slides, phi), pose, place), visible, weight
             )[1]
             value = value + 0.5 * rotation_prior_square(self.rotation_prior, pose)
             if self.terms is None:
@@ -336,6 +345,7 @@ def make_calibration_problem(
         jnp.ones((), dtype),
         jnp.asarray(MAX_DEVIATION_RATIO, dtype),
         jnp.asarray(OUTLIER_BOUND if robust else UNBOUNDED, dtype),
+        jnp.ones(len(positions), dtype),
         posture_prior(template, sum_user_terms("make_calibration_problem", terms, marker_body(template))),
         joints,
         left_right_pairs,

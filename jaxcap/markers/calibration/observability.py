@@ -10,11 +10,11 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose
 from ...fit.linear_solvers.float64 import in_float64
+from ..robust import OUTLIER_BOUND
 from ..subject import Subject
 from .calibration_parameters import centre_jacobian, equal_length_constraints
 from .calibration_problem import CalibrationEstimate, CalibrationProblem
 from .gauge_freedom import remove_gauge
-from .robust import OUTLIER_BOUND
 
 #: a direction is imprecise with a larger standard deviation, metres
 IMPRECISE_DEVIATION = 0.01

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...fit.linear_solvers.cholesky import factorise
+from ..robust import robust_kernel
 from .calibration_problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
 from .residuals import linearise_residuals
-from .robust import robust_kernel
 from .rotation_prior import rotation_prior_equations
 
 #: lower limit of deviations, metres

@@ -20,6 +20,9 @@ from ..subject import Subject
 #: standard deviation of each coordinate of a bone that people of equal traits have, as a share of its length and in
 #: metres. Of ANSUR II's lengths of segments (Gordon and others 2014), stature explains all but 3 to 5 %
 BONE_SHARE, BONE_DEVIATION = 0.035, 0.004
+#: the share of children, whose proportions change as they grow, at other ages in each; the body of a child is an artist's, of
+#: ten years, and no published survey has lengths between joint centres of both sexes and all ages
+CHILD_BONE_SHARE = 0.07
 #: standard deviation of the difference between a left and a right bone, as a share of the above. Bones of the two
 #: sides differ by 1 % (Auerbach and Ruff 2006)
 ASYMMETRY = 0.25
@@ -35,6 +38,8 @@ class AnatomicalPrior(AbstractTemplatePrior):
     placements: Float[np.ndarray, "M"]
     #: these joints, such as the knee for a marker on an epicondyle of the thigh
     anchors: Int[np.ndarray, "M"]
+    #: standard deviation of each coordinate of a bone as a share of its length
+    bone_share: float = BONE_SHARE
 
     def precision(self, template, joints):
         free = self.precision_without_traits(template, joints)
@@ -57,7 +62,7 @@ class AnatomicalPrior(AbstractTemplatePrior):
     ) -> Float[np.ndarray, "S S"]:
         """Compute the inverse covariance of `s` of people with equal traits."""
         bones = bone_vectors(template.skeleton, joints)
-        deviations = BONE_SHARE * np.linalg.norm(bones, axis=1) + BONE_DEVIATION
+        deviations = self.bone_share * np.linalg.norm(bones, axis=1) + BONE_DEVIATION
         jacobian = bone_and_placement_jacobian(template, joints, self.anchors)
         count = len(joints)
         by_bone, by_marker = jacobian[:count], jacobian[count:] / self.placements[:, None]

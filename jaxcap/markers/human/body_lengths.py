@@ -40,8 +40,10 @@ class SegmentLength(NamedTuple):
     percentile: float
 
 
-def segment_lengths(found: Calibration, skeleton: Skeleton) -> tuple[SegmentLength, ...]:
-    """Measure the segments of a person's skeleton with the precision of its calibration."""
+def segment_lengths(
+    found: Calibration, skeleton: Skeleton, *, is_adult: bool = True
+) -> tuple[SegmentLength, ...]:
+    """Measure the segments of a person's skeleton with the precision of its calibration; no percentiles of a child."""
     centres = np.asarray(skeleton.centres, float)
     deviations = bone_length_deviations(found.subject, found.joints, found.covariance)
 
@@ -54,7 +56,11 @@ def segment_lengths(found: Calibration, skeleton: Skeleton) -> tuple[SegmentLeng
         spread = [deviations[skeleton.index(end.replace("Left", side))] for side in ("Left", "Right")]
         rows.append(
             SegmentLength(
-                name, sides[0], sides[1], float(np.max(spread)), adult_percentile(name, np.mean(sides))
+                name,
+                sides[0],
+                sides[1],
+                float(np.max(spread)),
+                adult_percentile(name, np.mean(sides)) if is_adult else math.nan,
             )
         )
     for name, (start, end) in WIDTHS.items():

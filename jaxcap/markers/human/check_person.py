@@ -8,6 +8,7 @@ from ...errors import InputError
 from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
 from ..marker_sets.recognise import MarkerSet
+from ..segments.rigid_motion import MIN_DISPLACEMENT, displacement, distance_ranges, is_rigid
 from ..subject import Subject
 from .human_template import placed_markers
 
@@ -27,16 +28,42 @@ MAX_LOST_SHARE = 0.5
 STILL_ANGLE = np.radians(10.0)
 
 
-def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
-    """Check that enough visible markers have labels of a person's landmarks. Raises `InputError`."""
+def count_landmarks(known: MarkerSet, frames: MarkerFrames) -> tuple[int, int]:
+    """Count the visible markers at landmarks of a person, not those on plates, and the bones that carry them."""
     placed = [index for index in placed_markers(known) if known.deviations[index] <= MAX_DEVIATION]
     visible = [index for index in placed if np.asarray(frames.visible)[:, index].any()]
-    bones = {known.bones[index] for index in visible}
-    if len(visible) < MIN_MARKERS or len(bones) < MIN_BONES:
+    return len(visible), len({known.bones[index] for index in visible})
+
+
+def has_landmarks(known: MarkerSet, frames: MarkerFrames) -> bool:
+    """Test if enough visible markers have labels of a person's landmarks."""
+    markers, bones = count_landmarks(known, frames)
+    return markers >= MIN_MARKERS and bones >= MIN_BONES
+
+
+def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:
+    """Check that enough visible markers have labels of a person's landmarks. Raises `InputError`."""
+    if has_landmarks(known, frames):
+        return
+    markers, bones = count_landmarks(known, frames)
+    raise InputError(
+        f"{markers} of {len(known.labels)} markers have labels of landmarks of a person ({', '.join(known.labels[:8])}"
+        f"{', ...' if len(known.labels) > 8 else ''}), on {bones} bones; at least {MIN_MARKERS} on {MIN_BONES} bones are "
+        "needed. Rename the labels, or use fit_local, which needs no labels."
+    )
+
+
+def check_articulated(frames: MarkerFrames) -> None:
+    """Check that the markers are not those of a rigid object that moves. Raises `InputError`."""
+    ranges = distance_ranges(frames)
+    if not is_rigid(ranges, list(range(len(frames.labels)))):
+        return
+    moved = displacement(frames)
+    if moved > MIN_DISPLACEMENT:
         raise InputError(
-            f"{len(visible)} of {len(known.labels)} markers have labels of landmarks of a person ({', '.join(known.labels[:8])}"
-            f"{', ...' if len(known.labels) > 8 else ''}), on {len(bones)} bones; at least {MIN_MARKERS} on {MIN_BONES} bones are "
-            "needed. Rename the labels, or use fit_local, which needs no labels."
+            f"The markers keep their distances within {1e3 * float(np.nanmax(ranges)):.0f} mm while they move by {moved:.1f} m, so "
+            f"they are on a rigid object and on no person ({', '.join(frames.labels[:6])}, ...); fit it with fit_prop, or rename "
+            "the labels."
         )
 
 

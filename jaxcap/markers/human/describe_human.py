@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ...body.people.morph_targets import Traits
 from ..calibration.calibrate import Calibration
 from ..marker_sets.recognise import MarkerSet
 from .check_person import stands_still
 from .further_markers import FurtherMarkers
+from .human_template import body_height, is_adult
 
 #: parts of the body, and the joints of the bones that one of its markers is on
 PARTS = {
@@ -35,6 +37,17 @@ def describe_human(
         *_joints_by_anatomy(found),
         *_unknown_markers(further, known),
     )
+
+
+def describe_child(traits: Traits) -> list[str]:
+    """Describe what the prior does not know of children, for a person who may be one."""
+    if is_adult(traits):
+        return []
+    return [
+        f"The person is about {body_height(traits):.2f} m tall, as a child is. The prior is one of adults, about the body of the embedded human of "
+        "this size, with twice the usual spread of lengths: joints that no marker determines are less sure, and percentiles among "
+        "adults are left out."
+    ]
 
 
 def _parts_without_markers(found: Calibration) -> list[str]:

@@ -22,11 +22,13 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps
 from ..subject import Subject
-from .check_person import check_explained, check_recognised, check_sides
-from .describe_human import describe_human
+from .check_legs import check_legs
+from .check_person import check_articulated, check_explained, check_recognised, check_sides
+from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
-from .human_template import RESOLUTION, HumanTemplate, make_human_template, person_of_size
+from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
 from .misplaced_markers import find_misplaced
+from .static_pose import prepend_static, without_static
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
 #: a hundred frames determine the place of a joint hardly better than one
@@ -39,8 +41,6 @@ MAX_DEVIATION_RATIO = 3.0
 MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
 #: least number of frames that show if labels are exchanged
 MIN_FRAMES_OF_EXCHANGES = 10
-#: age below which people differ otherwise than adults do, years
-ADULT_AGE = 20.0
 
 
 class HumanFit(NamedTuple):
@@ -68,6 +68,8 @@ class HumanFit(NamedTuple):
 def fit_human(
     frames: MarkerFrames,
     *,
+    static: MarkerFrames | None = None,
+    marker_set: MarkerSet | None = None,
     num_frames: int = 100,
     skin: bool = True,
     terms: UserTerms = (),
@@ -77,17 +79,23 @@ def fit_human(
     Labels name the landmarks (`recognise_markers`). People differ by their traits, by the lengths of single bones, nearly
     equal on both sides, and by how exactly their markers are placed (`AnatomicalPrior`). Postures have a prior too: the spine bends evenly, knees and elbows are nearly hinges. What the markers do not determine keeps its anatomical place.
 
-    **Arguments:** `frames` of one person; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
+    **Arguments:** `frames` of one person; `static`, a trial in which the person stands still, which counts as much as all
+    frames together: markers that only this trial has, such as those at medial epicondyles and malleoli, are placed on their
+    bones by it; `marker_set`, the landmarks of all markers, such as those of `recognise_by_geometry`, by
+    default those of the labels; `num_frames` to calibrate with, as different as possible; `skin`: markers may slide
     on their bones as joints rotate; `terms`, energies of your own, as of `calibrate`.
 
     **Raises:** `InputError` where too few labels are known, left and right are exchanged, or no pose of a person explains
     most frames.
     """
+    if static is not None:
+        frames = prepend_static(static, frames)
     never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
-    known = recognise_markers(frames.labels)
+    known = recognise_markers(frames.labels) if marker_set is None else marker_set
     check_recognised(known, frames)
     frames, exchanges = correct_labels(visible_markers(frames))
-    known = recognise_markers(frames.labels)
+    check_articulated(frames)
+    known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)
     template = make_human_template(
         known,
         person_of_size(
@@ -95,9 +103,11 @@ def fit_human(
         ),
     )
     check_sides(template.subject, known, frames)
+    check_legs(known, frames)
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
+    weights = None if static is None else np.where(np.arange(len(frames)) == 0, share, 1.0)
     prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
@@ -107,6 +117,7 @@ def fit_human(
             num_frames=num_frames,
             template_prior=prior,
             frames_per_observation=share,
+            frame_weights=weights,
             max_deviation_ratio=MAX_DEVIATION_RATIO,
             terms=terms,
         )
@@ -116,6 +127,8 @@ def fit_human(
             break
         placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
         prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
+    if static is not None:
+        found, frames = without_static(found), frames[slice(1, None)]
     check_explained(found.lost, frames.labels)
     traits, subject = complete_skeleton(template._replace(prior=prior), found)
     further = attach_further_markers(subject, found.motion, found.lost, frames, known)
@@ -131,6 +144,7 @@ def fit_human(
         known,
         found,
         (
+            *describe_child(traits),
             *describe_human(
                 further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
             ),
@@ -145,8 +159,11 @@ def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Trai
     shared = np.asarray(shared_parameters(template.subject, found.subject, found.joints), float)
     amounts = template.prior.estimate_traits(template.subject, found.joints, shared)
     values = np.array(template.traits) + amounts * np.array(TRAIT_DEVIATIONS)
-    lowest = MIN_TRAITS._replace(age=ADULT_AGE)
-    traits = Traits(*(float(value) for value in np.clip(values, lowest, MAX_TRAITS)))
+    is_adult = template.traits.age >= ADULT_AGE
+    # adults differ otherwise than children do
+    lowest = MIN_TRAITS._replace(age=ADULT_AGE) if is_adult else MIN_TRAITS
+    highest = MAX_TRAITS if is_adult else MAX_TRAITS._replace(age=ADULT_AGE)
+    traits = Traits(*(float(value) for value in np.clip(values, lowest, highest)))
     skeleton = found.subject.skeleton
     centres = np.asarray(skeleton.centres, float).copy()
     before = np.asarray(template.subject.skeleton.centres, float)
@@ -165,6 +182,20 @@ def _is_unseen(found: Calibration, joint: int) -> bool:
     skeleton = found.subject.skeleton
     carried = skeleton.descendants[joint, np.asarray(found.subject.bones)].any()
     return joint not in found.joints and not carried
+
+
+def select_set(markers: MarkerSet, labels: Sequence[str]) -> MarkerSet:
+    """Select the entries of a marker set by the labels, in their order."""
+    rows = [markers.labels.index(label) for label in labels]
+    return markers._replace(
+        labels=tuple(labels),
+        names=tuple(markers.names[row] for row in rows),
+        bones=tuple(markers.bones[row] for row in rows),
+        deviations=markers.deviations[rows],
+        heights=markers.heights[rows],
+        virtual=markers.virtual[rows],
+        sets=tuple(markers.sets[row] for row in rows),
+    )
 
 
 def visible_markers(frames: MarkerFrames) -> MarkerFrames:

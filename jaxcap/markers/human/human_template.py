@@ -18,12 +18,14 @@ from ..marker_sets.joints_by_landmarks import joints_by_landmarks
 from ..marker_sets.landmarks import landmark_attachment
 from ..marker_sets.recognise import MarkerSet
 from ..subject import Subject, make_subject
-from .anatomical_prior import AnatomicalPrior
+from .anatomical_prior import BONE_SHARE, CHILD_BONE_SHARE, AnatomicalPrior
 
 #: resolution of the surface that markers are placed on
 RESOLUTION = "low"
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
+#: height below which a person may be a child, metres; ages of children that are tried, and age from which people are adults, years
+CHILD_HEIGHT, CHILD_AGES, ADULT_AGE = 1.5, (10.0, 12.0, 14.0, 17.0), 20.0
 #: standard deviation of a free rotation, radians
 FREE_DEVIATION = 100.0
 
@@ -63,7 +65,8 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
     modes = [_trait_mode(names, heights, traits, number) for number in range(len(traits))]
     by_marker, by_centre = zip(*modes, strict=True)
     anchors = nearest_joints(subject)
-    prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations, anchors)
+    share = BONE_SHARE if traits.age >= ADULT_AGE else CHILD_BONE_SHARE
+    prior = AnatomicalPrior(np.array(by_centre), np.array(by_marker), deviations, anchors, share)
     return HumanTemplate(subject, prior, traits)
 
 
@@ -89,18 +92,39 @@ def _moving_children(skeleton: Skeleton, bone: int) -> list[int]:
 
 
 def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> Traits:
-    """Find the stature at which the markers of each bone are as far apart as observed, all other traits at their means.
+    """Find the person at whose stature the markers of each bone are as far apart as observed, all other traits at their means.
 
+    A small person is a child: of the ages at which the human has its proportions, that with the most usual stature.
     `distances` between markers, metres, NaN where they are never visible together.
     """
+    adult = _person_of_age(markers, distances, MEAN_TRAITS.age)
+    if body_height(adult) >= CHILD_HEIGHT:
+        return adult
+    children = [_person_of_age(markers, distances, age) for age in CHILD_AGES]
+    return min(children, key=lambda one: abs(one.stature - MEAN_TRAITS.stature))
+
+
+def body_height(traits: Traits) -> float:
+    """Compute the height of the human with these traits, metres."""
+    return float(np.ptp(np.asarray(shape_from_traits(traits, RESOLUTION)[0], float)[:, 1]))
+
+
+def is_adult(traits: Traits) -> bool:
+    """Test if a person is as old and as tall as adults are."""
+    return traits.age >= ADULT_AGE and body_height(traits) >= CHILD_HEIGHT
+
+
+def _person_of_age(markers: MarkerSet, distances: Float[np.ndarray, "M M"], age: float) -> Traits:
+    """Find the stature of a person of an age, from the distances between the markers of single bones."""
+    mean_person = MEAN_TRAITS._replace(age=age)
     chosen = placed_markers(markers)
     names = [str(markers.names[index]) for index in chosen]
     heights, placed = markers.heights[chosen], markers.deviations[chosen]
     bones, seen = [markers.bones[index] for index in chosen], distances[np.ix_(chosen, chosen)]
     pairs = [(a, b) for a in range(len(chosen)) for b in range(a) if bones[a] == bones[b]]
     mean, slope, precision = [], [], []
-    offsets = _rest_positions(names, heights, MEAN_TRAITS)[0]
-    modes = _trait_mode(names, heights, MEAN_TRAITS, Traits._fields.index("stature"))[0]
+    offsets = _rest_positions(names, heights, mean_person)[0]
+    modes = _trait_mode(names, heights, mean_person, Traits._fields.index("stature"))[0]
     for a, b in pairs:
         away = offsets[a] - offsets[b]
         length = np.linalg.norm(away)
@@ -114,7 +138,7 @@ def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> T
         float(np.sum(precision * slope * mean) / (1.0 + np.sum(precision * slope**2))) if len(mean) else 0.0
     )
     stature = np.clip(MEAN_TRAITS.stature + deviation * tall, MIN_TRAITS.stature, MAX_TRAITS.stature)
-    return MEAN_TRAITS._replace(stature=float(stature))
+    return mean_person._replace(stature=float(stature))
 
 
 def _trait_mode(

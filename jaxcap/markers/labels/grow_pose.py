@@ -1,5 +1,6 @@
 """Hypotheses of the labels in one frame: a bone that its distances identify, and then bone by bone along the skeleton."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,17 +63,14 @@ def grow_hypotheses(
     """
     search = _Search(subject, points, steady, tolerance)
     rigid = [search.match_rigidly(bone) for bone in range(subject.skeleton.num_joints)]
-    seeds = sorted(
-        (bone for bone, found in enumerate(rigid) if len(found.scores)),
-        key=lambda bone: -rigid[bone].scores.max(),
-    )[:NUM_SEEDS]
+    entries = _entries(rigid)
     grown: list[_Growth] = []
-    for seed in seeds:
+    for seed in entries[:NUM_SEEDS]:
         beam = [
             _begin(subject, seed, search.members[seed], rigid[seed], k)
             for k in range(len(rigid[seed].scores))
         ]
-        for bone, before in _outwards(subject.skeleton.parents, [seed]):
+        for bone, before in _outwards(subject.skeleton.parents, [seed], entries):
             options = [option for one in beam for option in _continue(one, search, bone, before, rigid[bone])]
             beam = sorted(options, key=lambda one: -one.score)[:NUM_HYPOTHESES]
         grown += beam
@@ -99,9 +97,13 @@ def regrow_bones(
     kept = np.where(known[np.asarray(subject.bones)], matched, -1)
     slacks = np.where(known, JOINT_SLACK, np.inf)
     beam = [_Growth(rotations, translations, slacks, kept, 0.0)]
-    for bone, before in _outwards(subject.skeleton.parents, np.flatnonzero(known).tolist()):
-        rigid = search.match_rigidly(bone)
-        options = [option for one in beam for option in _continue(one, search, bone, before, rigid)]
+    rigid = [
+        search.match_rigidly(bone) if not known[bone] else best_matches([], len(search.members[bone]))
+        for bone in range(subject.skeleton.num_joints)
+    ]
+    order = _outwards(subject.skeleton.parents, np.flatnonzero(known).tolist(), _entries(rigid))
+    for bone, before in order:
+        options = [option for one in beam for option in _continue(one, search, bone, before, rigid[bone])]
         beam = sorted(options, key=lambda one: -one.score)[:NUM_OPTIONS]
     return beam[0].points
 
@@ -117,20 +119,37 @@ def _begin(subject: Subject, bone: int, members, matches: BoneMatches, k: int) -
     return _Growth(rotations, translations, slacks, points, float(matches.scores[k]))
 
 
-def _outwards(parents: tuple[int, ...], reached: list[int]) -> list[tuple[int, int]]:
-    """List the other bones outwards from those that are reached, each with the adjacent bone before it."""
-    reached, order = list(reached), []
-    for bone in reached:
-        around = [parents[bone], *(child for child, parent in enumerate(parents) if parent == bone)]
-        new = [other for other in around if other >= 0 and other not in reached]
-        reached += new
-        order += [(other, bone) for other in new]
+def _outwards(parents: tuple[int, ...], reached: list[int], entries: Sequence[int]) -> list[tuple[int, int]]:
+    """List the other bones outwards from those that are reached, each with the adjacent bone before it.
+
+    Trees without a reached bone follow, each from the first of its `entries`, which has -1 before it.
+    """
+    reached, order, place = list(reached), [], 0
+    for entry in [-1, *entries]:
+        if entry >= 0 and entry not in reached:
+            reached.append(entry)
+            order.append((entry, -1))
+        while place < len(reached):
+            bone = reached[place]
+            place += 1
+            around = [parents[bone], *(child for child, parent in enumerate(parents) if parent == bone)]
+            new = [other for other in around if other >= 0 and other not in reached]
+            reached += new
+            order += [(other, bone) for other in new]
     return order
+
+
+def _entries(rigid: Sequence[BoneMatches]) -> list[int]:
+    """List the bones with candidate positions, the best first."""
+    some = [bone for bone, found in enumerate(rigid) if len(found.scores)]
+    return sorted(some, key=lambda bone: -rigid[bone].scores.max())
 
 
 def _continue(grown: _Growth, search: _Search, bone: int, before: int, rigid: BoneMatches) -> list[_Growth]:
     """Continue a hypothesis with a bone: at its best candidates, or without matched markers."""
     parents, members = search.subject.skeleton.parents, search.members[bone]
+    if before < 0:
+        return _enter(grown, members, bone, rigid)
     pivot, own = search.centres[bone if parents[bone] == before else before], search.centres[before]
     pivot_at = grown.rotations[before] @ pivot + grown.translations[before]
     # without other evidence a bone keeps its rotation from the one before it
@@ -151,8 +170,31 @@ def _continue(grown: _Growth, search: _Search, bone: int, before: int, rigid: Bo
     cosine = (np.einsum("kab,ab->k", found.rotations, turn) - 1) / 2
     angles = np.arccos(np.clip(cosine, -1, 1)) / np.pi
     taken = np.isin(found.points, grown.points[grown.points >= 0]) & (found.points >= 0)
-    scores = found.scores - off**2 - TURN_PENALTY * angles**2
+    # a bone that is nowhere says nothing of the next one
+    scores = found.scores - off**2 - (TURN_PENALTY * angles**2 if np.isfinite(slack) else 0.0)
     scores = np.where(taken.any(1) | (off > 2), -np.inf, scores)
+    return results + _place_best(grown, members, bone, found, scores)
+
+
+def _enter(grown: _Growth, members: Int[np.ndarray, "N"], bone: int, rigid: BoneMatches) -> list[_Growth]:
+    """Begin another tree of the skeleton, at the best candidates of one of its bones, or nowhere."""
+    nowhere = _place(grown, bone, np.eye(3), np.zeros(3), np.inf)
+    taken = np.isin(rigid.points, grown.points[grown.points >= 0]) & (rigid.points >= 0)
+    return [
+        nowhere,
+        *_place_best(grown, members, bone, rigid, np.where(taken.any(1), -np.inf, rigid.scores)),
+    ]
+
+
+def _place_best(
+    grown: _Growth,
+    members: Int[np.ndarray, "N"],
+    bone: int,
+    found: BoneMatches,
+    scores: Float[np.ndarray, "K"],
+) -> list[_Growth]:
+    """Continue a hypothesis with the candidates of a bone that have the highest positive scores."""
+    results = []
     for k in np.argsort(-scores, kind="stable")[:NUM_OPTIONS]:
         if scores[k] > 0:
             placed = _place(grown, bone, found.rotations[k], found.translations[k], JOINT_SLACK)

@@ -91,6 +91,15 @@ def recognise_markers(labels: Sequence[str]) -> MarkerSet:
     )
 
 
+def landmark_counts() -> Counter[str]:
+    """Count the marker sets that have a marker at each landmark, or somewhere near it."""
+    return Counter(
+        name
+        for table in _tables().values()
+        for name in {one.landmark for one in table.values() if one is not None}
+    )
+
+
 Places = Mapping[str, Placement | None]
 
 

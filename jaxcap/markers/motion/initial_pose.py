@@ -42,7 +42,9 @@ def estimate_initial_poses(
         steps = np.where(descent[joint][bones], depths[bones] - depths[joint], len(DESCENDANT_WEIGHTS))
         share = weights * np.array([*DESCENDANT_WEIGHTS, 0.0])[np.minimum(steps, len(DESCENDANT_WEIGHTS))]
         if parent < 0:
-            share, source, target, origin = _root_alignment(share, weights, offsets, targets, centres[joint])
+            # a skeleton may have several roots
+            own = weights * descent[joint][bones]
+            share, source, target, origin = _root_alignment(share, own, offsets, targets, centres[joint])
             above = np.broadcast_to(np.eye(3), (count, 3, 3))
         else:
             above = rotations[:, parent]

@@ -17,8 +17,8 @@ from ...fit.solvers.descent import ConstrainedInfo
 from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ..calibration.residuals import linearise_residuals, marker_residuals
-from ..calibration.robust import robust_kernel, variance_ratio
 from ..posture import posture_prior
+from ..robust import robust_kernel, variance_ratio
 from ..subject import Subject, marker_body
 
 #: information below which a pose coordinate is undetermined: that of a marker with a deviation of a metre, a

@@ -11,6 +11,7 @@ from ...biomechanics.angles import JointAngles, joint_angles
 from ...io.system.atomic import write_text
 from ...markers.human.body_lengths import segment_lengths
 from ...markers.human.fit_human import HumanFit
+from ...markers.human.human_template import is_adult
 from ..chart import Line, legend, line_chart
 from ..page import Markup, element, page, section, table
 from .markers import score_markers
@@ -56,7 +57,7 @@ def person_page(fit: HumanFit, title: str, pictures: Sequence[Path], notes: Sequ
 
 def _lengths(fit: HumanFit) -> Markup:
     rows = []
-    for one in segment_lengths(fit.calibration, fit.subject.skeleton):
+    for one in segment_lengths(fit.calibration, fit.subject.skeleton, is_adult=is_adult(fit.traits)):
         is_width = math.isnan(one.right)
         known = "from anatomy" if math.isnan(one.deviation) else f"± {1e3 * one.deviation:.0f}"
         usual = "" if math.isnan(one.percentile) else f"{one.percentile:.0f} %"

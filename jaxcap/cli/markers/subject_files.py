@@ -1,0 +1,155 @@
+"""Files of several subjects: their names, and a run for each of them."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Protocol, runtime_checkable
+
+from ...errors import InputError, user_message
+from ...io.registry import read_marker_file
+from ...markers.subject import Subject
+from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, find_named_groups, split_subjects
+from ...observe.marker_labels import group_by_subject
+from ...observe.markers import MarkerFrames
+from ..console.console import say, warn
+from ..outputs import check_absent, check_npz
+from .takes import check_folder
+
+
+@runtime_checkable
+class SubjectFitter(Protocol):
+    """A dataclass of options that fits one subject and writes it to the places that they name."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+    out: Path
+    joints: tuple[Path, ...]
+    report: Path | None
+    overwrite: bool
+
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
+        """Fit a subject and write it."""
+        ...
+
+
+def has_several(frames: MarkerFrames) -> bool:
+    """Test if the labels have the prefixes of several subjects."""
+    return len(group_by_subject(frames.labels)) > 1
+
+
+def print_subjects(frames: MarkerFrames) -> None:
+    """Print the people and the rigid props of a recording, and why other markers are neither."""
+    split = split_subjects(frames)
+    for kind, some in (("people", split.people), ("props", split.props)):
+        if some:
+            say(f"{kind}: {', '.join(f'{one.name} ({len(one.labels)} markers)' for one in some)}")
+    if split.people or split.props:
+        for other in split.unassigned:
+            say(f"no subject: {other.reason}")
+
+
+def file_name(name: str) -> str:
+    """Make a name of a file from that of a subject."""
+    return re.sub(r"[^\w.-]+", "_", name) or "_"
+
+
+def place_of(path: Path, name: str, *, alone: bool = False) -> Path:
+    """Place a subject's result: `Anna.npz` in a folder, `subject-Anna.npz` next to `subject.npz`, which is its own if alone."""
+    if not path.suffix:
+        return path / f"{file_name(name)}.npz"
+    return path if alone else path.with_name(f"{path.stem}-{file_name(name)}{path.suffix}")
+
+
+def check_subject_place(path: Path, overwrite: bool) -> None:
+    """Check that subjects can be written to a file, or into a folder. Raises `InputError`."""
+    if path.suffix:
+        check_npz(path, overwrite, "a subject")
+    else:
+        check_folder(path)
+
+
+def refuse_all(path: str, frames: MarkerFrames, split: SubjectSplit) -> NoReturn:
+    """Raise `InputError` for a recording of several subjects that are neither people nor props."""
+    groups = group_by_subject(frames.labels)
+    most = max(groups, key=lambda name: len(groups[name]))
+    raise InputError(
+        f"{path}: none of the {len(groups)} subjects is a person or a rigid prop. {' '.join(other.reason for other in split.unassigned)} To "
+        f"fit one by the segments that are found, select one with --subject {most}."
+    )
+
+
+def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
+    """Fit each person and prop of a recording with results of its own; those that fail do not stop the others.
+
+    **Raises:** `InputError` with the reasons of those that failed, after all others are written.
+    """
+    for other in split.unassigned:
+        warn(other.reason)
+    subjects = [*((one, False) for one in split.people), *((one, True) for one in split.props)]
+    say(
+        f"people: {', '.join(one.name for one in split.people) or 'none'}; props: {', '.join(one.name for one in split.props) or 'none'}"
+    )
+    alone = len(subjects) == 1
+    runs = [
+        replace(
+            options,
+            out=place_of(options.out, one.name, alone=alone),
+            joints=tuple(
+                path if alone else path.with_name(f"{path.stem}-{file_name(one.name)}{path.suffix}")
+                for path in options.joints
+            ),
+            report=options.report
+            if options.report is None or alone
+            else options.report / file_name(one.name),
+        )
+        for one, _ in subjects
+    ]
+    check_absent([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
+    failed = []
+    for run, (one, is_prop) in zip(runs, subjects, strict=True):
+        if not alone:
+            say(f"\n{one.name}:")
+        try:
+            run.fit_subject(one, is_prop)
+        except (InputError, ValueError) as error:
+            failed.append(f"{one.name}: {user_message(error)}")
+    if failed:
+        raise InputError(
+            f"{len(failed)} of {len(subjects)} subjects {'is' if len(failed) == 1 else 'are'} not fitted. {' '.join(failed)}"
+        )
+
+
+def subject_names(paths: Sequence[Path]) -> list[str]:
+    """Name subjects by their files: `Anna` and `Ben` of `subject-Anna.npz` and `subject-Ben.npz`. Raises `InputError`."""
+    words = [path.stem.split("-") for path in paths]
+    while len(words) > 1 and min(map(len, words)) > 1 and len({word[0] for word in words}) == 1:
+        words = [word[1:] for word in words]
+    names = ["-".join(word) for word in words]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise InputError(f"Two subjects have the name '{twice[0]}'; give their files different names.")
+    return names
+
+
+def named_trials(
+    trials: Sequence[str], unit: str | None, subjects: Mapping[str, Subject]
+) -> dict[str, list[str]]:
+    """List the subjects of each trial whose names are prefixes or suffixes of its labels.
+
+    **Raises:** `InputError` where labels without a prefix are those of two subjects.
+    """
+    found = {}
+    for path in trials:
+        frames = read_marker_file(Path(path), unit).frames
+        groups = find_named_groups(frames)
+        bare = {name: set(one.labels) for name, one in subjects.items() if name not in groups}
+        for one, other in combinations(bare, 2):
+            shared = sorted(bare[one] & bare[other] & set(frames.labels))
+            if shared:
+                raise InputError(
+                    f"{path}: '{shared[0]}' is a marker of {one} and of {other}, and has no prefix; label the trial first, with "
+                    "`jaxcap markers label` and all subjects."
+                )
+        found[path] = [name for name in subjects if name in groups]
+    return found

@@ -1,0 +1,1 @@
+"""Landmarks of markers without labels, by their geometry."""

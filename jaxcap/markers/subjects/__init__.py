@@ -1,0 +1,1 @@
+"""Several people and rigid props in one recording."""

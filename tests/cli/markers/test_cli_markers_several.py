@@ -1,0 +1,91 @@
+"""`jaxcap markers` with two people and a prop in one recording."""
+
+import csv
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from command_line import fails, runs
+
+import jaxcap as jc
+from jaxcap.body.pose import Motion
+from jaxcap.cli.markers.subject_files import subject_names
+from jaxcap.markers.human.human_template import make_human_template
+from jaxcap.markers.marker_sets.recognise import recognise_markers
+
+LEGS = [
+    "LASI",
+    "RASI",
+    "LPSI",
+    "RPSI",
+    "LKNE",
+    "RKNE",
+    "LKNM",
+    "RKNM",
+    "LANK",
+    "RANK",
+    "LHEE",
+    "RHEE",
+    "LTOE",
+    "RTOE",
+]
+FRAMES = 20
+SHAPE = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.2, 0.1, 0], [0.1, 0, 0.12]])
+
+
+def stepping(number):
+    """Markers of the legs of a person who bends hips and knees, and turns."""
+    subject = make_human_template(recognise_markers(LEGS)).subject
+    poses = []
+    for frame in range(FRAMES):
+        pose = jc.rest_pose(subject.skeleton)
+        rotations, shifts = np.array(pose.rotations), np.array(pose.translations)
+        for name, size in (("LeftUpLeg", 0.5), ("RightUpLeg", -0.5), ("LeftLeg", 0.6), ("RightLeg", 0.9)):
+            bend = -size * np.sin(0.3 * frame + number) if "Up" in name else size * (1 - np.cos(0.3 * frame))
+            rotations[subject.skeleton.index(name)] = np.asarray(jc.geometry.rotation.exp(np.array([bend, 0, 0])))  # fmt: skip
+        rotations[0] = np.asarray(jc.geometry.rotation.exp(np.array([0, 0.05 * frame, 0])))
+        shifts[0] = [1.2 * number, 0, 0.05 * frame]
+        poses.append(jc.Pose(jnp.asarray(shifts), jnp.asarray(rotations), pose.scale))
+    motion = jc.stack_poses(poses, 30.0)
+    places = np.stack([np.asarray(jc.markers.marker_positions(subject, motion[f])) for f in range(FRAMES)])
+    return places + 5e-4 * np.random.default_rng(number).normal(size=places.shape)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("several")
+    sword = np.stack([SHAPE + [0.6, 1.0 + 0.02 * f, 0.0] for f in range(FRAMES)])
+    places = np.concatenate([stepping(0), stepping(1), sword], 1)
+    labels = [f"Anna:{one}" for one in LEGS] + [f"Ben:{one}" for one in LEGS] + [f"Sword:{k}" for k in range(4)]  # fmt: skip
+    jc.write_markers(folder / "take.c3d", jc.make_markers(places, labels, 30.0))
+    return folder
+
+
+def test_people_and_a_prop_from_a_take_to_motions(capsys, folder, tmp_path):
+    """Each has a file of its own, by its name; so have their motions, and the prop a table of its frames."""
+    said = runs(capsys, "markers", "info", folder / "take.c3d")
+    assert "people: Anna (14 markers), Ben (14 markers)" in said and "props: Sword (4 markers)" in said
+    out = tmp_path / "subjects"
+    said = runs(capsys, "markers", "fit", folder / "take.c3d", "-o", out, "--frames", "10")
+    assert "people: Anna, Ben; props: Sword" in said and "a rigid prop of 4 markers" in said
+    assert sorted(path.name for path in out.iterdir()) == ["Anna.npz", "Ben.npz", "Sword.npz"]
+    assert jc.io.load_subject(out / "Ben.npz").labels == tuple(LEGS)
+    assert "already exists" in fails(capsys, "markers", "fit", folder / "take.c3d", "-o", out)
+    files = [out / f"{name}.npz" for name in ("Anna", "Sword")]
+    runs(capsys, "markers", "solve", *files, folder / "take.c3d", "-o", tmp_path / "motion.npz")
+    rows = list(csv.DictReader((tmp_path / "motion-Sword-frames.csv").read_text().splitlines()))
+    rise = [float(row["y"]) for row in rows]
+    np.testing.assert_allclose(np.diff(rise), 0.02, atol=1e-5)
+    assert float(rows[0]["dx"]) < 1e-3
+    motion = jc.load_motion(tmp_path / "motion-Anna.npz", jc.io.load_subject(files[0]).skeleton)
+    assert isinstance(motion, Motion) and len(motion) == FRAMES
+
+
+def test_one_subject_of_several_and_names_of_files(capsys, folder, tmp_path):
+    runs(capsys, "markers", "fit", folder / "take.c3d", "--subject", "Sword", "-o", tmp_path / "sword.npz")
+    assert jc.io.load_subject(tmp_path / "sword.npz").skeleton.names == ("Sword",)
+    paths = [tmp_path / name for name in ("subject-Anna-Lena.npz", "subject-Ben.npz")]
+    assert subject_names(paths) == ["Anna-Lena", "Ben"]
+    assert subject_names(paths[:1]) == ["subject-Anna-Lena"]
+    said = fails(capsys, "markers", "solve", tmp_path / "sword.npz", tmp_path / "sword.npz", folder / "take.c3d", "-o", tmp_path / "x")  # fmt: skip
+    assert "Two subjects have the name" in said
