@@ -6,6 +6,7 @@ import numpy as np
 import jaxcap as jc
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.calibration.soft_tissue import (
+    align_features,
     initial_slide_deviation,
     refit_slides,
     skin_features,
@@ -61,6 +62,13 @@ def test_renewed_features_shift_markers_as_before(rng):
     np.testing.assert_allclose(
         skin_shifts(features @ mixing, renewed), skin_shifts(features, slides), atol=1e-9
     )
+
+
+def test_renewed_features_are_aligned_with_the_old_ones(rng):
+    features = skin_features(SUBJECT, moving(rng, 60).poses)
+    # directions with nearly equal sizes come in any order and with any sign
+    mixed = features[..., [1, 0, 3, 2]] * [-1.0, 1.0, 1.0, -1.0]
+    np.testing.assert_allclose(align_features(features, mixed), features, atol=1e-9)
 
 
 def test_slides_are_not_taken_for_longer_bones():

@@ -30,6 +30,7 @@ from .soft_tissue import (
     MAX_SLIDING,
     MIN_SLIDING,
     RelativeModes,
+    align_features,
     initial_slide_deviation,
     refit_slides,
     relative_modes,
@@ -187,8 +188,9 @@ def _renew_features(
     problem: CalibrationProblem, y: CalibrationEstimate
 ) -> tuple[CalibrationProblem, CalibrationEstimate]:
     """Compute the features anew from the poses, and the slides that shift the markers as before."""
-    features = skin_features(problem.template, y.poses)
-    slides = refit_slides(np.asarray(problem.skin_features), np.asarray(y.slides), features)
+    before = np.asarray(problem.skin_features)
+    features = align_features(before, skin_features(problem.template, y.poses))
+    slides = refit_slides(before, np.asarray(y.slides), features)
     problem = eqx.tree_at(lambda p: p.skin_features, problem, jnp.asarray(features))
     return problem, CalibrationEstimate(y.poses, y.shared, jnp.asarray(slides))
 

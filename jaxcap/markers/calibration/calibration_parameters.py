@@ -36,7 +36,10 @@ class AbstractTemplatePrior(eqx.Module):
 
     @abc.abstractmethod
     def groups(self, template: Subject, joints: tuple[int, ...]) -> PriorGroups | None:
-        """Divide the prior into groups with deviations that the data choose; None if all are given."""
+        """Divide the prior into groups with deviations that the data choose; None if all are given.
+
+        The sum of squares of all rows is the prior of `precision`.
+        """
 
 
 class TemplatePrior(AbstractTemplatePrior):
@@ -45,9 +48,10 @@ class TemplatePrior(AbstractTemplatePrior):
     The prior means are the template's bones and its marker positions *on their bones*, so that a longer bone
     shifts all below it. The prior determines what no motion does, and is negligible where a motion does.
 
-    If `adaptive`, the deviations are initial values for three groups: lengths of bones, their directions, and placements.
-    The scale of each group maximises the marginal likelihood (`jaxcap.markers.calibration.evidence`). So a template with the
-    right directions and other lengths determines the centres of hinges along their axes.
+    If `adaptive`, the deviations are upper limits for three groups: lengths of bones, their directions, and placements. The
+    scale of each group, from 0.05 to 1, maximises the marginal likelihood, where the given deviations count as two numbers
+    (`jaxcap.markers.calibration.prior_scales`). So a template with the right directions and other lengths determines the centres
+    of hinges along their axes.
     """
 
     #: of each coordinate of a bone, as a share of its length

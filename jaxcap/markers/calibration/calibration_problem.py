@@ -152,7 +152,10 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
         return CalibrationEstimate(poses, y.shared, y.slides)
 
     def shared_covariance(self, y: CalibrationEstimate) -> Float[Array, "S S"]:
-        """Compute the posterior covariance of all shared unknowns, from the normal equations at `y`."""
+        """Compute the posterior covariance of all shared unknowns, from the normal equations at `y`.
+
+        Bones of equal length (`left_right_pairs`) are not taken into account.
+        """
         factor = self.normal_equations(y)[2].factorise().shared
         size = len(self.prior) + y.slides.size
         found = self.frames_per_observation * factor.solve(jnp.eye(size, dtype=self.prior.dtype))

@@ -71,13 +71,9 @@ def _compute_covariances(
 ) -> tuple[Float[Array, "S S"], Float[Array, "S S"]]:
     """Compute the covariance with the whole prior, and with a quarter of it."""
     size = len(problem.prior)
-    arrow = problem.normal_equations(estimate)[2]
-    share = problem.frames_per_observation
-    taken = jnp.zeros_like(arrow.shared).at[:size, :size].set(0.75 * share * problem.prior)
-    weak = eqx.tree_at(lambda a: a.shared, arrow, arrow.shared - taken)
-    one = jnp.eye(len(arrow.shared), dtype=arrow.shared.dtype)
-    both, loose = (share * each.factorise().shared.solve(one)[:size, :size] for each in (arrow, weak))
-    return (both + both.T) / 2, (loose + loose.T) / 2
+    weak = eqx.tree_at(lambda p: p.prior, problem, 0.25 * problem.prior)
+    both, loose = (each.shared_covariance(estimate)[:size, :size] for each in (problem, weak))
+    return both, loose
 
 
 def _condition_on(

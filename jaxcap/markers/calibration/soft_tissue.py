@@ -93,6 +93,14 @@ def initial_slide_deviation(
     return float(np.clip(np.sqrt(explained / squares), MIN_SLIDING, MAX_SLIDING))
 
 
+def align_features(
+    old: Float[np.ndarray, "F M K"], new: Float[np.ndarray, "F M K"]
+) -> Float[np.ndarray, "F M K"]:
+    """Rotate new features towards the old ones, so that each keeps the deviation of its slides (orthogonal Procrustes)."""
+    left, _, right = np.linalg.svd(np.einsum("fma,fmb->mab", new, old))
+    return np.einsum("fma,mab->fmb", new, left @ right)
+
+
 def refit_slides(
     old: Float[np.ndarray, "F M K"], slides: Float[np.ndarray, "K M 3"], new: Float[np.ndarray, "F M K"]
 ) -> Float[np.ndarray, "K M 3"]:
