@@ -39,7 +39,7 @@ from ..terms import FloorHeight, read_terms
 from .fit_person import bone_rows, find_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_joints, print_segments
 from .segment_results import joint_figures, write_segments
-from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all
+from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all, static_and_moving
 from .takes import (
     Files,
     OptionalFolder,
@@ -51,7 +51,6 @@ from .takes import (
     check_new,
     check_points,
     read_take,
-    separate_static,
     write_joints,
 )
 
@@ -156,25 +155,24 @@ class Fit:
         if self.template == "human" and not split.people and not has_several(united):
             split = split._replace(props=())
         if split.props or len(split.people) > 1 or (split.people and has_several(united)):
-            if self.static is not None:
-                raise InputError("--static is a trial of one person; select the person with --subject.")
-            fit_each(self, split)
+            static, moving = static_and_moving(self, takes)
+            fit_each(
+                self, split if len(moving) == len(takes) else split_subjects(merge_takes(moving)), static
+            )
             return
         if has_several(united):
             refuse_all(self.files[0], united, split)
         if self.is_person(united):
             own = replace(self, out=place_of(self.out, "person", alone=True))
-            static, moving = separate_static(takes, self.files)
-            if self.static is not None:
-                static, moving = read_take(str(self.static), self.unit, self.subject, self.up, self.pieces).frames, takes  # fmt: skip
+            static, moving = static_and_moving(self, takes)
             own.fit_person(merge_takes(moving), static)
         else:
             replace(self, out=place_of(self.out, "subject", alone=True)).fit_segments(united, pairs)
 
-    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool, static: MarkerFrames | None) -> None:
         """Fit one of several subjects and write it."""
         if not is_prop:
-            self.fit_person(markers.frames)
+            self.fit_person(markers.frames, static)
             return
         set_activity(f"fitting the prop {markers.name}")
         fit = fit_prop(markers.frames, markers.name)

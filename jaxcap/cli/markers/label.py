@@ -20,7 +20,7 @@ from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_parent
-from .subject_files import subject_names
+from .subject_files import names_in, subject_names
 from .takes import OptionalSubject, OptionalUp, check_new, check_points, read_take
 
 
@@ -65,7 +65,7 @@ class Label:
         check_new(files, self.overwrite)
         if not self.subject:
             raise InputError("There is no subject; give a result of `jaxcap markers fit` as --subject.")
-        names = subject_names(self.subject)
+        names = subject_names(self.subject, names_in([self.file], self.unit))
         subjects = dict(zip(names, map(load_subject, self.subject), strict=True))
         set_activity("reading the file")
         frames = read_take(

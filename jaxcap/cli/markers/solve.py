@@ -35,7 +35,7 @@ from .prop_tables import is_prop, prop_table, write_prop_table
 from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays, print_residuals
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
-from .subject_files import file_name, named_trials, subject_names
+from .subject_files import file_name, named_trials, names_in, subject_names
 from .takes import (
     Files,
     OptionalFolder,
@@ -112,7 +112,7 @@ class Solve:
             )
         paths = [self.subject_file, *map(Path, further)]
         trials = tuple(path for path in self.trials if path not in further)
-        names = subject_names(paths)
+        names = subject_names(paths, names_in(trials, self.unit))
         named = named_trials(trials, self.unit, dict(zip(names, map(load_subject, paths), strict=True)))
         runs = [self.for_subject(path, name, trials) for path, name in zip(paths, names, strict=True)]
         for run in runs:

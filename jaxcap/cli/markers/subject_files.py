@@ -1,7 +1,7 @@
 """Files of several subjects: their names, and a run for each of them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -10,12 +10,18 @@ from typing import Any, ClassVar, NoReturn, Protocol, runtime_checkable
 from ...errors import InputError, user_message
 from ...io.registry import read_marker_file
 from ...markers.subject import Subject
-from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, find_named_groups, split_subjects
+from ...markers.subjects.split_subjects import (
+    SubjectMarkers,
+    SubjectSplit,
+    find_named_groups,
+    select_members,
+    split_subjects,
+)
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
 from ..outputs import check_absent, check_npz
-from .takes import check_folder
+from .takes import Pieces, Up, check_folder, read_take, separate_static
 
 
 @runtime_checkable
@@ -23,13 +29,19 @@ class SubjectFitter(Protocol):
     """A dataclass of options that fits one subject and writes it to the places that they name."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
+    files: tuple[str, ...]
+    static: Path | None
+    unit: str | None
+    subject: str | None
+    up: Up | None
+    pieces: Pieces
     out: Path
     joints: tuple[Path, ...]
     report: Path | None
     overwrite: bool
 
-    def fit_subject(self, markers: SubjectMarkers, is_prop: bool) -> None:
-        """Fit a subject and write it."""
+    def fit_subject(self, markers: SubjectMarkers, is_prop: bool, static: MarkerFrames | None) -> None:
+        """Fit a subject, a person with its static trial, and write it."""
         ...
 
 
@@ -79,11 +91,41 @@ def refuse_all(path: str, frames: MarkerFrames, split: SubjectSplit) -> NoReturn
     )
 
 
-def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
+def static_and_moving(
+    options: SubjectFitter, takes: list[MarkerFrames]
+) -> tuple[MarkerFrames | None, list[MarkerFrames]]:
+    """Read the static trial, or find it among the takes; return it and the other takes."""
+    if options.static is None:
+        return separate_static(takes, options.files)
+    static = read_take(
+        str(options.static), options.unit, None, options.up, options.pieces, several=True
+    ).frames
+    return static if options.subject is None else static_of(static, options.subject), takes
+
+
+def static_of(static: MarkerFrames, name: str | None) -> MarkerFrames | None:
+    """Select the markers of a person in a static trial: those with the name, or all if none has a name."""
+    groups = find_named_groups(static)
+    if not groups:
+        return static
+    if name is None and len(groups) == 1:
+        name = next(iter(groups))
+    if name not in groups:
+        warn(f"the static trial has no markers of {name}; it has those of {', '.join(groups)}")
+        return None
+    return select_members(static, groups[name])
+
+
+def fit_each(options: SubjectFitter, split: SubjectSplit, static: MarkerFrames | None = None) -> None:
     """Fit each person and prop of a recording with results of its own; those that fail do not stop the others.
 
     **Raises:** `InputError` with the reasons of those that failed, after all others are written.
     """
+    if static is not None and len(split.people) > 1 and not find_named_groups(static):
+        raise InputError(
+            f"The static trial has no names, and the takes have those of {len(split.people)} people; give its labels a prefix such as "
+            f"{split.people[0].name}:LASI, or select a person with --subject."
+        )
     for other in split.unassigned:
         warn(other.reason)
     subjects = [*((one, False) for one in split.people), *((one, True) for one in split.props)]
@@ -111,7 +153,7 @@ def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
         if not alone:
             say(f"\n{one.name}:")
         try:
-            run.fit_subject(one, is_prop)
+            run.fit_subject(one, is_prop, None if is_prop or static is None else static_of(static, one.name))
         except (InputError, ValueError) as error:
             failed.append(f"{one.name}: {user_message(error)}")
     if failed:
@@ -120,16 +162,29 @@ def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
         )
 
 
-def subject_names(paths: Sequence[Path]) -> list[str]:
-    """Name subjects by their files: `Anna` and `Ben` of `subject-Anna.npz` and `subject-Ben.npz`. Raises `InputError`."""
+def subject_names(paths: Sequence[Path], present: Collection[str] = ()) -> list[str]:
+    """Name subjects by their files: `Anna` and `Ben` of `subject-Anna.npz` and `subject-Ben.npz`.
+
+    A name that is `present` in a recording and whose file this is comes first, such as `S-01` or `Anna Lee`. Raises `InputError`.
+    """
     words = [path.stem.split("-") for path in paths]
     while len(words) > 1 and min(map(len, words)) > 1 and len({word[0] for word in words}) == 1:
         words = [word[1:] for word in words]
-    names = ["-".join(word) for word in words]
+    by_file = {file_name(name): name for name in present}
+    names = []
+    for path, rest in zip(paths, words, strict=True):
+        parts = path.stem.split("-")
+        ends = ["-".join(parts[start:]) for start in range(len(parts))]
+        names.append(next((by_file[end] for end in ends if end in by_file), "-".join(rest)))
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise InputError(f"Two subjects have the name '{twice[0]}'; give their files different names.")
     return names
+
+
+def names_in(trials: Sequence[str], unit: str | None) -> set[str]:
+    """List the names of subjects in recordings."""
+    return {name for path in trials for name in find_named_groups(read_marker_file(Path(path), unit).frames)}
 
 
 def named_trials(

@@ -137,8 +137,8 @@ def relative_modes(subject: Subject) -> RelativeModes:
         _, sizes, basis = np.linalg.svd(rigid)
         kept = basis[np.count_nonzero(sizes > 1e-3) :]
         wide = np.zeros((len(kept), len(bones), 3))
-        wide[:, members] = kept.reshape(len(kept), -1, 3)
-        rows.append(wide.reshape(len(kept), -1))
+        wide[:, members] = kept.reshape(len(kept), len(members), 3)
+        rows.append(wide.reshape(len(kept), 3 * len(bones)))
         owners += [bone] * len(kept)
         markers += [members[0]] * len(kept)
     return RelativeModes(jnp.asarray(np.concatenate(rows)), jnp.array(owners, int), jnp.array(markers, int))

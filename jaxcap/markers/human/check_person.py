@@ -7,7 +7,7 @@ from ...body.pose import Motion
 from ...errors import InputError
 from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
-from ..marker_sets.recognise import MarkerSet
+from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.rigid_motion import MIN_DISPLACEMENT, displacement, distance_ranges, is_rigid
 from ..subject import Subject
 from .human_template import placed_markers
@@ -39,6 +39,33 @@ def has_landmarks(known: MarkerSet, frames: MarkerFrames) -> bool:
     """Test if enough visible markers have labels of a person's landmarks."""
     markers, bones = count_landmarks(known, frames)
     return markers >= MIN_MARKERS and bones >= MIN_BONES
+
+
+def find_doubled_labels(frames: MarkerFrames) -> list[str]:
+    """Find the labels of a person that occur twice, where those that do are a person's by themselves.
+
+    Readers of files rename the second `LASI` to `LASI_2`.
+    """
+    second = {
+        index: label.removesuffix("_2")
+        for index, label in enumerate(frames.labels)
+        if label.endswith("_2") and label.removesuffix("_2") in frames.labels
+    }
+    labels, columns = tuple(second.values()), np.array(list(second), int)
+    own = MarkerFrames(
+        np.asarray(frames.positions)[:, columns], np.asarray(frames.visible)[:, columns], labels, frames.rate
+    )
+    return list(labels) if labels and has_landmarks(recognise_markers(labels), own) else []
+
+
+def check_one_person(frames: MarkerFrames) -> None:
+    """Check that a person's labels do not occur twice. Raises `InputError`."""
+    doubled = find_doubled_labels(frames)
+    if doubled:
+        raise InputError(
+            f"{len(doubled)} labels of a person occur twice ({', '.join(doubled[:6])}, ...), so these are markers of two people "
+            "under one name; give the markers of each a prefix such as Anna:LASI."
+        )
 
 
 def check_recognised(known: MarkerSet, frames: MarkerFrames) -> None:

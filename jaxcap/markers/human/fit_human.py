@@ -23,7 +23,13 @@ from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps
 from ..subject import Subject
 from .check_legs import check_legs
-from .check_person import check_articulated, check_explained, check_recognised, check_sides
+from .check_person import (
+    check_articulated,
+    check_explained,
+    check_one_person,
+    check_recognised,
+    check_sides,
+)
 from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
 from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
@@ -93,6 +99,7 @@ def fit_human(
     never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
     known = recognise_markers(frames.labels) if marker_set is None else marker_set
     check_recognised(known, frames)
+    check_one_person(frames)
     frames, exchanges = correct_labels(visible_markers(frames))
     check_articulated(frames)
     known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ...arguments import checked
 from ...observe.marker_labels import affix_groupings, group_by_colon, label_stem
 from ...observe.markers import MarkerFrames
-from ..human.check_person import has_landmarks
+from ..human.check_person import find_doubled_labels, has_landmarks
 from ..marker_sets.recognise import recognise_markers
 from ..segments.rigid_motion import (
     MIN_DISPLACEMENT,
@@ -227,19 +227,6 @@ def _sets_by_stem(recording: _Recording, candidates: list[int]) -> list[tuple[st
     for index in candidates:
         stems.setdefault(label_stem(recording.frames.labels[index]), []).append(index)
     return [(stem, some) for stem, some in stems.items() if stem and is_rigid(recording.ranges, some)]
-
-
-def find_doubled_labels(frames: MarkerFrames) -> list[str]:
-    """Find the labels of a person that occur twice, where those that do are a person's by themselves.
-
-    Readers of files rename the second `LASI` to `LASI_2`.
-    """
-    second = {
-        index: label.removesuffix("_2")
-        for index, label in enumerate(frames.labels)
-        if label.endswith("_2") and label.removesuffix("_2") in frames.labels
-    }
-    return list(second.values()) if second and _is_person(select_members(frames, second)) else []
 
 
 def _describe_unknown(

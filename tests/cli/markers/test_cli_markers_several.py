@@ -87,5 +87,8 @@ def test_one_subject_of_several_and_names_of_files(capsys, folder, tmp_path):
     paths = [tmp_path / name for name in ("subject-Anna-Lena.npz", "subject-Ben.npz")]
     assert subject_names(paths) == ["Anna-Lena", "Ben"]
     assert subject_names(paths[:1]) == ["subject-Anna-Lena"]
+    # names in a recording decide, also where all begin with the same word, or have blanks
+    files = [Path("ids/S-01.npz"), Path("ids/S-02.npz"), Path("subject-Anna_Lee.npz")]
+    assert subject_names(files, ["S-01", "S-02", "Anna Lee"]) == ["S-01", "S-02", "Anna Lee"]
     said = fails(capsys, "markers", "solve", tmp_path / "sword.npz", tmp_path / "sword.npz", folder / "take.c3d", "-o", tmp_path / "x")  # fmt: skip
     assert "Two subjects have the name" in said
