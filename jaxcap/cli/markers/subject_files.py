@@ -14,8 +14,8 @@ from ...markers.subjects.split_subjects import SubjectMarkers, SubjectSplit, fin
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
-from ..outputs import check_absent, check_npz
-from .takes import check_folder
+from ..outputs import check_npz
+from .takes import check_folder, check_new
 
 
 @runtime_checkable
@@ -105,7 +105,7 @@ def fit_each(options: SubjectFitter, split: SubjectSplit) -> None:
         )
         for one, _ in subjects
     ]
-    check_absent([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
+    check_new([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
     failed = []
     for run, (one, is_prop) in zip(runs, subjects, strict=True):
         if not alone:
