@@ -284,6 +284,7 @@ def _select_frames(
     return frames
 
 
+@checked
 def read_marker_file(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """Read all subjects of a marker file, whatever their size, and its metadata.
 

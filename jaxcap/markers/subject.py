@@ -19,6 +19,8 @@ from ..body.skin import LinearSkin
 MARKER_MODELS = ("rigid", "circle", "sphere")
 #: default standard deviation of a marker about its position on the bone, metres
 DEFAULT_DEVIATION = 0.01
+#: standard deviation of a rotation without a prior, radians
+FREE_DEVIATION = 100.0
 
 
 class Subject(eqx.Module):

@@ -18,7 +18,7 @@ from ...markers.calibration.calibrate import Calibration, calibrate
 from ...markers.human.check_person import check_recognised
 from ...markers.human.fit_human import HumanFit, fit_human, select_set, visible_markers
 from ...markers.human.human_template import make_human_template
-from ...markers.human.static_pose import prepend_static
+from ...markers.human.static_pose import append_static
 from ...markers.local_technique import fit_local
 from ...markers.marker_sets.recognise import recognise_markers
 from ...markers.motion.inverse_kinematics import MarkerSolution, solve_markers
@@ -144,10 +144,8 @@ class Fit:
         """Read, fit and write, while the lock excludes other runs with the same output files."""
         set_activity("reading the takes")
         one = self.template not in (None, "human") or bool(self.free_options())
-        takes = [
-            read_take(path, self.unit, self.subject, self.up, self.pieces, several=not one).frames
-            for path in self.files
-        ]
+        read = [read_take(path, self.unit, self.subject, self.up, self.pieces, several=not one) for path in self.files]  # fmt: skip
+        takes, ups = [take.frames for take in read], {take.up for take in read}
         united = merge_takes(takes)
         split = SubjectSplit((), (), ()) if one else split_subjects(united)
         if self.subject is not None and len(split.props) == 1:
@@ -165,7 +163,7 @@ class Fit:
         if self.is_person(united):
             own = replace(self, out=place_of(self.out, "person", alone=True))
             static, moving = static_and_moving(self, takes)
-            own.fit_person(merge_takes(moving), static)
+            own.fit_person(merge_takes(moving), static, ups.pop() if len(ups) == 1 else None)
         else:
             replace(self, out=place_of(self.out, "subject", alone=True)).fit_segments(united, pairs)
 
@@ -202,14 +200,16 @@ class Fit:
         """List the given options that only the technique without a person's skeleton has."""
         return [f"--{name}" for name, default in FREE_OPTIONS.items() if getattr(self, name) != default]
 
-    def fit_person(self, frames: MarkerFrames, static: MarkerFrames | None = None) -> None:
-        """Fit the embedded human's skeleton and write it."""
+    def fit_person(
+        self, frames: MarkerFrames, static: MarkerFrames | None = None, up: str | None = None
+    ) -> None:
+        """Fit the embedded human's skeleton and write it; `up` is the up axis if it is known."""
         set_activity("fitting a person's skeleton")
         say(
             f"fitting poses, bone lengths and marker positions together in {min(self.frames, len(frames))} of {len(frames)} frames"
         )
-        whole = frames if static is None else prepend_static(static, frames)
-        known, terms = find_landmarks(whole), ()
+        whole = frames if static is None else append_static(frames, static)
+        known, terms = find_landmarks(whole, up), ()
         if self.floor is not None:
             shown = select_set(known, visible_markers(whole).labels)
             terms = read_terms(marker_body(make_human_template(shown).subject), floor=self.floor)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -30,13 +31,17 @@ def print_person(fit: HumanFit) -> None:
     say(f"a person of these proportions is about {tall:.2f} m tall")
 
 
-def find_landmarks(frames: MarkerFrames) -> MarkerSet:
-    """Find the landmarks of markers by their labels, or by their geometry where these are unknown, and print the latter."""
+def find_landmarks(frames: MarkerFrames, up: str | None = None) -> MarkerSet:
+    """Find the landmarks of markers by their labels, or by their geometry where these are unknown, and print the latter.
+
+    `up` is the up axis if it is known, such as "z" or "-y".
+    """
     known = recognise_markers(frames.labels)
     if has_landmarks(known, frames):
         return known
     set_activity("finding the landmarks of markers with unknown labels")
-    found = recognise_by_geometry(frames)
+    letter: dict[str, Literal["x", "y", "z"]] = {"x": "x", "y": "y", "z": "z"}
+    found = recognise_by_geometry(frames, up=None if up is None else letter[up[-1]])
     print_landmarks(found)
     return found.marker_set
 

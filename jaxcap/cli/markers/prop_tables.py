@@ -8,7 +8,7 @@ from ...io.markers.subject import load_subject
 from ...io.table import write_csv
 from ...markers.motion.inverse_kinematics import MarkerSolution
 from ...markers.subject import Subject
-from ...markers.subjects.prop import pose_covariances
+from ...markers.subjects.prop import find_inliers, pose_covariances
 from ...observe.markers import MarkerFrames
 from ..console.console import say
 
@@ -29,8 +29,9 @@ def write_prop_table(path: Path, prop: Subject, solution: MarkerSolution, frames
     Deviations are along and about the prop's axes. The cells of lost frames are empty.
     """
     poses = solution.motion.poses
-    seen = np.isfinite(solution.residuals)
-    spread = np.sqrt(np.diagonal(pose_covariances(prop, seen, np.asarray(solution.lost)), axis1=1, axis2=2))
+    lost = np.asarray(solution.lost)
+    inliers = find_inliers(prop, np.asarray(solution.residuals, float))
+    spread = np.sqrt(np.diagonal(pose_covariances(prop, inliers, lost), axis1=1, axis2=2))
     numbers = np.concatenate(
         [np.asarray(poses.translations[:, 0]), np.asarray(poses.rotations[:, 0]), spread], axis=1
     )
@@ -38,9 +39,12 @@ def write_prop_table(path: Path, prop: Subject, solution: MarkerSolution, frames
     rows = [
         {
             "time": f"{frame / frames.rate:.6g}",
-            **{name: "" if lost else f"{value:.7g}" for name, value in zip(names, row.tolist(), strict=True)},
+            **{
+                name: "" if is_lost else f"{value:.7g}"
+                for name, value in zip(names, row.tolist(), strict=True)
+            },
         }
-        for frame, (row, lost) in enumerate(zip(numbers, solution.lost.tolist(), strict=True))
+        for frame, (row, is_lost) in enumerate(zip(numbers, lost.tolist(), strict=True))
     ]
     write_csv(path, rows)
     say(f"frames of the prop: {path}")

@@ -20,8 +20,8 @@ from ...markers.subjects.split_subjects import (
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
-from ..outputs import check_absent, check_npz
-from .takes import Pieces, Up, check_folder, read_take, separate_static
+from ..outputs import check_npz
+from .takes import Pieces, Up, check_folder, check_new, read_take, separate_static
 
 
 @runtime_checkable
@@ -147,7 +147,7 @@ def fit_each(options: SubjectFitter, split: SubjectSplit, static: MarkerFrames |
         )
         for one, _ in subjects
     ]
-    check_absent([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
+    check_new([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
     failed = []
     for run, (one, is_prop) in zip(runs, subjects, strict=True):
         if not alone:

@@ -176,8 +176,10 @@ def check_new(paths: Sequence[Path], overwrite: bool) -> None:
     """Check that no file is replaced without --overwrite, and no two results are one file. Raises
     `InputError`."""
     check_absent(paths, overwrite)
-    if len({path.absolute() for path in paths}) < len(paths):
-        raise InputError("Two results would be the same file; give each a different name.")
+    places = [path.absolute() for path in paths]
+    twice = [path for path, place in zip(paths, places, strict=True) if places.count(place) > 1]
+    if twice:
+        raise InputError(f"{twice[0]}: two results would be this same file; give each a different name.")
 
 
 def write_joints(

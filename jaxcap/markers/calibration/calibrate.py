@@ -120,11 +120,12 @@ def calibrate(
     vertices.
 
     **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
-    visible, or a name in `symmetry` is not a joint's.
+    visible, a name in `symmetry` is not a joint's, or `frame_weights` are not one number above zero for each frame.
     """
     # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
         sum_user_terms("calibrate", terms, marker_body(subject))
+        _check_frame_weights(frame_weights, len(frames))
         matched = match_markers(subject, frames)
         used = np.asarray(matched.seen) & (np.asarray(subject.weights) > 0)
         if used.any(0).sum() < 3:
@@ -204,6 +205,13 @@ def calibrate(
             share,
             fit.problem,
             fit.estimate,
+        )
+
+
+def _check_frame_weights(weights: Float[np.ndarray, "F"] | None, count: int) -> None:
+    if weights is not None and (len(weights) != count or not (np.isfinite(weights) & (weights > 0)).all()):
+        raise ValueError(
+            f"`frame_weights` has {len(weights)} numbers for {count} frames; give one finite number above zero for each frame."
         )
 
 

@@ -20,7 +20,7 @@ from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
-from ..segments.swaps import correct_swaps
+from ..segments.swaps import correct_swaps, describe_exchanges
 from ..subject import Subject
 from .check_legs import check_legs
 from .check_person import (
@@ -34,7 +34,7 @@ from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
 from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
 from .misplaced_markers import find_misplaced
-from .static_pose import prepend_static, without_static
+from .static_pose import append_static, static_weights, without_static
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
 #: a hundred frames determine the place of a joint hardly better than one
@@ -95,12 +95,12 @@ def fit_human(
     most frames.
     """
     if static is not None:
-        frames = prepend_static(static, frames)
+        frames = append_static(frames, static)
     never = [label for label, seen in zip(frames.labels, _ever_seen(frames), strict=True) if not seen]
     known = recognise_markers(frames.labels) if marker_set is None else marker_set
     check_recognised(known, frames)
     check_one_person(frames)
-    frames, exchanges = correct_labels(visible_markers(frames))
+    frames, exchanges = correct_labels(visible_markers(frames), has_static=static is not None)
     check_articulated(frames)
     known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)
     template = make_human_template(
@@ -114,7 +114,7 @@ def fit_human(
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
-    weights = None if static is None else np.where(np.arange(len(frames)) == 0, share, 1.0)
+    weights = None if static is None else static_weights(len(frames), num_frames)
     prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
@@ -135,7 +135,7 @@ def fit_human(
         placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
         prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
     if static is not None:
-        found, frames = without_static(found), frames[slice(1, None)]
+        found, frames = without_static(found), frames[slice(0, -1)]
     check_explained(found.lost, frames.labels)
     traits, subject = complete_skeleton(template._replace(prior=prior), found)
     further = attach_further_markers(subject, found.motion, found.lost, frames, known)
@@ -211,16 +211,23 @@ def visible_markers(frames: MarkerFrames) -> MarkerFrames:
     return select_markers(frames, [label for label, some in zip(frames.labels, seen, strict=True) if some])
 
 
-def correct_labels(frames: MarkerFrames) -> tuple[MarkerFrames, tuple[str, ...]]:
-    """Correct exchanged labels, with messages on these."""
+def correct_labels(frames: MarkerFrames, *, has_static: bool = False) -> tuple[MarkerFrames, tuple[str, ...]]:
+    """Correct exchanged labels, with messages on these; with `has_static` the last frame is that of a static pose."""
     if len(frames) < MIN_FRAMES_OF_EXCHANGES:
         return frames, ()
     places, seen = np.asarray(frames.positions, float), np.asarray(frames.visible)
     mended = correct_swaps(places, seen, frames.labels)
     if not mended.messages:
         return frames, ()
+    messages = list(mended.messages)
+    if has_static:
+        messages = list(describe_exchanges(mended.source[:-1], mended.seen[:-1], frames.labels))
+        wrong = mended.seen[-1] & (mended.source[-1] != np.arange(len(frames.labels)))
+        if wrong.any():
+            names = ", ".join(frames.labels[index] for index in np.flatnonzero(wrong))
+            messages.append(f"In the static trial labels are on other markers ({names}), which is corrected.")
     positions = mended.positions.astype(np.asarray(frames.positions).dtype)
-    return MarkerFrames(positions, mended.seen, frames.labels, frames.rate), tuple(mended.messages)
+    return MarkerFrames(positions, mended.seen, frames.labels, frames.rate), tuple(messages)
 
 
 def _ever_seen(frames: MarkerFrames) -> Bool[np.ndarray, "M"]:

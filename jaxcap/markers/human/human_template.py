@@ -17,7 +17,7 @@ from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT
 from ..marker_sets.joints_by_landmarks import joints_by_landmarks
 from ..marker_sets.landmarks import landmark_attachment
 from ..marker_sets.recognise import MarkerSet
-from ..subject import Subject, make_subject
+from ..subject import FREE_DEVIATION, Subject, make_subject
 from .anatomical_prior import BONE_SHARE, CHILD_BONE_SHARE, AnatomicalPrior
 
 #: resolution of the surface that markers are placed on
@@ -26,8 +26,6 @@ RESOLUTION = "low"
 DIFFERENCE_SHARE = 0.5
 #: height below which a person may be a child, metres; ages of children that are tried, and age from which people are adults, years
 CHILD_HEIGHT, CHILD_AGES, ADULT_AGE = 1.5, (10.0, 12.0, 14.0, 17.0), 20.0
-#: standard deviation of a free rotation, radians
-FREE_DEVIATION = 100.0
 
 
 class HumanTemplate(NamedTuple):

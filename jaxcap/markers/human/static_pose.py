@@ -1,11 +1,13 @@
 """A static pose that is given with the takes, and counts as much as all of their frames together."""
 
 import numpy as np
+from jaxtyping import Float
 
 from ...body.pose import Motion, take_poses
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
 from ..calibration.calibrate import Calibration
+from ..motion.inverse_kinematics import describe_lost
 from ..segments.merge_takes import merge_takes
 from ..segments.rigid_motion import displacement
 
@@ -32,17 +34,37 @@ def standing_frame(static: MarkerFrames) -> MarkerFrames:
     return MarkerFrames(places[None].astype(dtype), shown[None], static.labels, static.rate)
 
 
-def prepend_static(static: MarkerFrames, frames: MarkerFrames) -> MarkerFrames:
-    """Put the frame of a static trial before the frames of the takes. Raises `InputError` if the trial is not static."""
-    merged = merge_takes([standing_frame(static), frames])
-    return MarkerFrames(merged.positions, merged.visible, merged.labels, frames.rate)
+def append_static(frames: MarkerFrames, static: MarkerFrames) -> MarkerFrames:
+    """Put the frame of a static trial after the frames of the takes, which so keep their numbers.
+
+    **Raises:** `InputError` if the trial is not static.
+    """
+    return merge_takes([frames, standing_frame(static)])
+
+
+def static_weights(count: int, num_frames: int) -> Float[np.ndarray, "F"]:
+    """Make weights of `count` frames, of which the last is that of a static pose, and `num_frames` of the others are chosen.
+
+    The static pose counts as much as all of the chosen ones together.
+    """
+    weights = np.ones(count)
+    weights[-1] = max(1, min(num_frames, count - 1))
+    return weights
 
 
 def without_static(found: Calibration) -> Calibration:
-    """Remove the first frame, which is that of the static pose, from the motion of a calibration."""
-    rest = np.arange(1, len(found.motion))
+    """Remove the last frame, which is that of the static pose, from the motion of a calibration and its messages."""
+    rest = np.arange(len(found.motion) - 1)
+    before, after = describe_lost(found.lost), list(describe_lost(found.lost[:-1]))
+    if found.lost[-1]:
+        after.append(
+            "No pose of the person explains the static trial, so it determines nothing; check its labels."
+        )
+    kept = tuple(message for message in found.motion_messages if message not in before)
     return found._replace(
         motion=Motion(take_poses(found.motion.poses, rest), found.motion.rate),
-        residuals=found.residuals[1:],
-        lost=found.lost[1:],
+        residuals=found.residuals[:-1],
+        lost=found.lost[:-1],
+        motion_messages=(*kept, *after),
+        frame_indices=found.frame_indices[found.frame_indices < len(rest)],
     )

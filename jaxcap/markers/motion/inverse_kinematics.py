@@ -195,6 +195,17 @@ def _poorly_fitted_frames(subject: Subject, used, solved: SolvedFrame) -> np.nda
     return middle > 0.1
 
 
+def describe_lost(lost: Bool[np.ndarray, "F"]) -> tuple[str, ...]:
+    """Describe lost frames in a sentence; none if there are none."""
+    if not lost.any():
+        return ()
+    numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
+    return (
+        f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {MIN_MARKERS} markers, or no pose fits) "
+        f"and keep the previous pose: {numbers}.",
+    )
+
+
 def describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tuple[str, ...]:
     """Describe markers that are never visible or unknown, and lost frames."""
     messages = []
@@ -206,10 +217,4 @@ def describe_solution(subject: Subject, frames: MarkerFrames, seen, lost) -> tup
         messages.append(
             f"{len(others)} markers do not belong to the subject and are left out: {', '.join(others[:10])}."
         )
-    if lost.any():
-        numbers = ", ".join(map(str, np.flatnonzero(lost)[:20]))
-        messages.append(
-            f"{int(lost.sum())} of {len(lost)} frames are lost (fewer than {MIN_MARKERS} markers, or no pose fits) "
-            f"and keep the previous pose: {numbers}."
-        )
-    return tuple(messages)
+    return (*messages, *describe_lost(np.asarray(lost)))

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
+from ..robust import MEDIAN_SQUARED_LENGTH
 from ..rotation_centres.estimator_parts import geman_mcclure_weights
 from .segment_sets import Segments
 
@@ -50,15 +51,22 @@ class SegmentFrames(NamedTuple):
         for k, members in enumerate(segments.members):
             if not self.known[:, k].any():
                 continue
-            # robust: the median of a normal coordinate's square is 0.455 variances, of a 3D length's square
-            # 2.37; six of 3N numbers are fitted by the frame
-            square = float(np.nanmedian(off[:, list(members)] ** 2)) / 2.37
-            marker_noise[k] = square * len(members) / max(len(members) - 2, 1)
+            marker_noise[k] = coordinate_variance(off[:, list(members)], len(members))
             p = self.local_positions[list(members)]
             p = p - p.mean(0)
             inertia = np.sum(p * p) * np.eye(3) - p.T @ p
             rotation_noise[k] = marker_noise[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
         return marker_noise, rotation_noise
+
+
+def coordinate_variance(residuals: Float[np.ndarray, "*shape"], num_markers: int) -> float:
+    """Estimate the variance of a coordinate from distances after rigid fits, metres squared; zero if all are NaN.
+
+    Robust, by the median of the squared distances. Each fit adapts six of the 3N coordinates of its `num_markers` markers.
+    """
+    if not np.isfinite(residuals).any():
+        return 0.0
+    return float(np.nanmedian(residuals**2)) / MEDIAN_SQUARED_LENGTH * num_markers / max(num_markers - 2, 1)
 
 
 def fit_segment_frames(

@@ -34,6 +34,8 @@ class CorrectedMarkers(NamedTuple):
     seen: Bool[np.ndarray, "F M"]
     #: (frame, label, other label) of each marker that had the other label, and for an exchange of two once
     swaps: tuple[tuple[int, int, int], ...]
+    #: the label that each marker had
+    source: Int[np.ndarray, "F M"]
     messages: tuple[str, ...]
 
 
@@ -70,7 +72,7 @@ def correct_swaps(
     shown &= ~(own & (count > 1))
     moved = np.where(shown[..., None], moved, 0.0)
     return CorrectedMarkers(
-        moved, shown, list_exchanges(source, shown), describe_exchanges(source, shown, labels)
+        moved, shown, list_exchanges(source, shown), source, describe_exchanges(source, shown, labels)
     )
 
 

@@ -7,10 +7,7 @@ import numpy as np
 
 from ...arguments import checked
 from ...body.skeleton import Skeleton
-from ..subject import Subject
-
-#: standard deviation of a rotation without a prior, radians
-FREE_DEVIATION = 100.0
+from ..subject import FREE_DEVIATION, Subject
 
 
 @checked

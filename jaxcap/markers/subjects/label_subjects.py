@@ -1,10 +1,11 @@
 """Labels of several subjects in one recording: one assignment in each frame over all of them."""
 
+import re
 from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from ...arguments import checked
@@ -39,22 +40,35 @@ def label_subjects(
     found = label_markers(joined, frames, ignore_labels=ignore_labels)
     if len(subjects) == 1:
         return found
-    misfits = identity_misfits(subjects, found.frames)
-    order = linear_sum_assignment(np.where(np.isfinite(misfits), misfits, 1e6))[1]
-    names = list(subjects)
-    changed = {
-        names[column]: names[row]
-        for row, column in enumerate(order)
-        if row != column and np.isfinite(misfits[row, column])
-    }
-    before, after = np.trace(misfits), misfits[np.arange(len(names)), order].sum()
-    if changed and after < MAX_SHARE * before:
+    misfits, names = identity_misfits(subjects, found.frames), list(subjects)
+    order = find_exchanges(misfits)
+    messages = describe_identities(names, misfits[:, order])
+    changed = {names[column]: names[row] for row, column in enumerate(order) if row != column}
+    if changed:
+        found = exchange_subjects(joined, found, changed)
         listed = ", ".join(f"{old} is {new}" for old, new in changed.items())
-        message = (
-            f"By the distances on their bones the subjects were exchanged, which is corrected: {listed}."
-        )
-        return exchange_subjects(joined, found, changed)._replace(messages=(message, *found.messages))
-    return found._replace(messages=(*describe_identities(names, misfits), *found.messages))
+        messages = [
+            f"By the distances on their bones the subjects were exchanged, which is corrected: {listed}.",
+            *messages,
+        ]
+    return found._replace(messages=(*messages, *found.messages))
+
+
+def find_exchanges(misfits: Float[np.ndarray, "S S"]) -> Int[np.ndarray, "S"]:
+    """Find the subject (column of `identity_misfits`) whose markers belong to each one (row).
+
+    The best assignment consists of cycles of subjects. Each is decided by itself: subjects are exchanged if the sum of their
+    misfits then falls below `MAX_SHARE` of that before.
+    """
+    best = linear_sum_assignment(np.where(np.isfinite(misfits), misfits, 1e6))[1]
+    order = np.arange(len(best))
+    for first in range(len(best)):
+        cycle = [first]
+        while best[cycle[-1]] != first:
+            cycle.append(int(best[cycle[-1]]))
+        if misfits[cycle, best[cycle]].sum() < MAX_SHARE * misfits[cycle, cycle].sum():
+            order[cycle] = best[cycle]
+    return order
 
 
 def identity_misfits(subjects: Mapping[str, Subject], frames: MarkerFrames) -> Float[np.ndarray, "S S"]:
@@ -89,20 +103,26 @@ def _misfit(subject: Subject, labels: list[str], observed: Float[np.ndarray, "N 
 
 
 def describe_identities(names: list[str], misfits: Float[np.ndarray, "S S"]) -> list[str]:
-    """Describe the pairs of subjects that fit each other's markers nearly as well as their own."""
+    """Describe the pairs of subjects that fit each other's markers nearly as well as their own, or better."""
     said = []
     for a, b in combinations(range(len(names)), 2):
         own, other = misfits[a, a] + misfits[b, b], misfits[a, b] + misfits[b, a]
         if np.isfinite(other) and own > MAX_SHARE * other:
+            relation = "better than" if other < own else "nearly as well as"
             said.append(
-                f"{names[a]} and {names[b]} fit each other's markers nearly as well as their own ({500 * other:.0f} and "
-                f"{500 * own:.0f} mm of difference between distances on their bones); check who is who."
+                f"{names[a]} and {names[b]} fit each other's markers {relation} their own (the distances on their bones differ by "
+                f"{500 * other:.1f} mm from each other's, and by {500 * own:.1f} mm from their own); check who is who."
             )
     return said
 
 
 def exchange_subjects(joined: Subject, found: Labelling, names: Mapping[str, str]) -> Labelling:
-    """Exchange subjects with equal labels, and solve their motion again: `names` has the new name of each of them."""
+    """Exchange subjects with equal labels, and solve their motion again: `names` has the new name of each of them.
+
+    Tracks and messages have the new names too; a label in quotes is one of the input, which stays.
+    """
+    longest_first = sorted(joined.labels, key=len, reverse=True)
+    pattern = re.compile(rf"(?<![\w'])({'|'.join(map(re.escape, longest_first))})(?!\w)")
 
     def rename(label: str) -> str:
         name, _, rest = label.partition(":")
@@ -119,4 +139,6 @@ def exchange_subjects(joined: Subject, found: Labelling, names: Mapping[str, str
     tracks = tuple(
         one if one.label is None else one._replace(label=rename(one.label)) for one in found.tracks
     )
-    return found._replace(frames=frames, tracks=tracks, motion=solve_markers(joined, frames).motion)
+    messages = tuple(pattern.sub(lambda match: rename(match[0]), message) for message in found.messages)
+    motion = solve_markers(joined, frames).motion
+    return found._replace(frames=frames, tracks=tracks, motion=motion, messages=messages)

@@ -14,8 +14,9 @@ from ...geometry import rotation
 from ...geometry.linear import inverse_symmetric
 from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import describe_solution
+from ..robust import OUTLIER_BOUND
 from ..segments.rigid_motion import MIN_MARKERS
-from ..segments.segment_frames import SegmentFrames, fit_segment_frames
+from ..segments.segment_frames import SegmentFrames, coordinate_variance, fit_segment_frames
 from ..segments.segment_sets import make_segments
 from ..subject import Subject, make_subject
 
@@ -23,8 +24,8 @@ from ..subject import Subject, make_subject
 MIN_DEVIATION = 2e-4
 #: median residual above which the markers are on no rigid body, metres
 MAX_MEDIAN = 0.015
-#: the median of the squared length of a normal error of unit variance along each axis
-MEDIAN_SQUARE = 2.37
+#: residual up to which a marker is no outlier, however small its deviation is, metres
+MIN_OUTLIER = MAX_MEDIAN / 3
 
 
 class RigidProp(NamedTuple):
@@ -36,11 +37,11 @@ class RigidProp(NamedTuple):
 
     subject: Subject
     motion: Motion
-    #: distances between observed and predicted markers, metres, NaN where not visible
+    #: distances between observed and predicted markers, metres, NaN where not visible and in lost frames
     residuals: Float[np.ndarray, "F M"]
-    #: covariances of translation, metres, and rotation, radians, in the prop's axes; infinite in lost frames
+    #: covariances of translation, metres, and rotation, radians, in the prop's axes, without outliers; infinite in lost frames
     covariances: Float[np.ndarray, "F 6 6"]
-    #: frames with fewer than three markers, or without a pose that fits; they keep the last pose
+    #: frames with fewer than three markers, or without a pose that fits three; they keep the last pose
     lost: Bool[np.ndarray, "F"]
     #: messages to the user, in sentences
     messages: tuple[str, ...]
@@ -51,7 +52,8 @@ def fit_prop(frames: MarkerFrames, name: str = "prop") -> RigidProp:
     """Fit a rigid body to markers, and its motion through the frames.
 
     The mean shape is that of generalised Procrustes analysis with gaps (Gower 1975). Outliers, such as swapped labels, have low
-    weights. The deviation of each marker follows from its residuals.
+    weights. The deviation of each marker follows from its residuals. A frame in which fewer than three markers are near a rigid
+    pose is lost.
 
     **Arguments:** `frames` of the prop's markers alone; `name` of its one joint.
 
@@ -74,7 +76,6 @@ def fit_prop(frames: MarkerFrames, name: str = "prop") -> RigidProp:
             "three others; add a marker, or leave this one out."
         )
     residuals = shape.residuals(positions, seen, segments)
-    lost = ~shape.known[:, 0]
     middle = float(np.nanmedian(residuals))
     if not middle < MAX_MEDIAN:
         raise InputError(
@@ -89,18 +90,38 @@ def fit_prop(frames: MarkerFrames, name: str = "prop") -> RigidProp:
         labels,
         deviations=_marker_deviations(residuals),
     )
-    motion = _rigid_motion(subject, shape, frames.rate)
+    inliers = find_inliers(subject, residuals)
+    lost = inliers.sum(1) < MIN_MARKERS
+    if lost.all():
+        raise InputError(
+            f"The markers of '{name}' ({', '.join(labels[:8])}) are on no rigid body: in no frame are {MIN_MARKERS} of them where "
+            "it has them. Leave out those that move, or use fit_local, which finds segments."
+        )
+    motion = _rigid_motion(subject, shape, lost, frames.rate)
     messages = describe_solution(
         subject, MarkerFrames(positions, seen, tuple(labels), frames.rate), seen, lost
     )
-    return RigidProp(subject, motion, residuals, pose_covariances(subject, seen, lost), lost, messages)
+    return RigidProp(
+        subject,
+        motion,
+        np.where(lost[:, None], np.nan, residuals),
+        pose_covariances(subject, inliers, lost),
+        lost,
+        messages,
+    )
 
 
-def _rigid_motion(subject: Subject, shape: SegmentFrames, rate: float) -> Motion:
-    """Make the motion of one joint; a frame without a pose keeps the last one, and the first ones take the first known."""
-    known = shape.known[:, 0]
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
-    last = np.where(last < 0, np.argmax(known), last)
+def find_inliers(prop: Subject, residuals: Float[np.ndarray, "F M"]) -> Bool[np.ndarray, "F M"]:
+    """Find the markers that are near their positions on a prop: by their deviations, and in any case within `MIN_OUTLIER`."""
+    bound = np.sqrt(OUTLIER_BOUND) * np.asarray(prop.deviations, float)
+    # false where NaN
+    return residuals <= np.maximum(bound, MIN_OUTLIER)
+
+
+def _rigid_motion(subject: Subject, shape: SegmentFrames, lost: Bool[np.ndarray, "F"], rate: float) -> Motion:
+    """Make the motion of one joint; a lost frame keeps the last pose, and the first ones take the first that is not lost."""
+    last = np.maximum.accumulate(np.where(lost, -1, np.arange(len(lost))))
+    last = np.where(last < 0, np.argmin(lost), last)
     dtype = subject.offsets.dtype
     rotations = rotation.from_matrix(jnp.asarray(shape.rotations[last], dtype))
     poses = Pose(jnp.asarray(shape.origins[last], dtype), rotations, jnp.ones(len(last), dtype))
@@ -108,9 +129,9 @@ def _rigid_motion(subject: Subject, shape: SegmentFrames, rate: float) -> Motion
 
 
 def pose_covariances(
-    subject: Subject, seen: Bool[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"]
+    subject: Subject, inliers: Bool[np.ndarray, "F M"], lost: Bool[np.ndarray, "F"]
 ) -> Float[np.ndarray, "F 6 6"]:
-    """Compute the covariances of the poses of a prop, from its visible markers and their deviations.
+    """Compute the covariances of the poses of a prop, from its markers that are no outliers and their deviations.
 
     A marker at `p` moves by `t + w x p` in the prop's axes, for a translation `t` and a small rotation `w` of the prop.
     """
@@ -122,8 +143,8 @@ def pose_covariances(
     rows[:, 1, 3], rows[:, 1, 5] = -z, x
     rows[:, 2, 3], rows[:, 2, 4] = y, -x
     each = np.einsum("mai,maj->mij", rows, rows) / np.asarray(subject.deviations, float)[:, None, None] ** 2
-    used = seen & ~lost[:, None]
-    covariances = np.full((len(seen), 6, 6), np.inf)
+    used = inliers & ~lost[:, None]
+    covariances = np.full((len(used), 6, 6), np.inf)
     # frames with the same markers have the same covariance
     patterns, place = np.unique(used, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
@@ -134,11 +155,7 @@ def pose_covariances(
 
 
 def _marker_deviations(residuals: Float[np.ndarray, "F M"]) -> Float[np.ndarray, "M"]:
-    """Estimate the standard deviation of each marker along an axis; six coordinates of each frame are fitted."""
-    count = residuals.shape[1]
-    squares = np.array(
-        [np.nanmedian(column**2) if np.isfinite(column).any() else 0.0 for column in residuals.T]
-    )
+    """Estimate the standard deviation of each marker along an axis."""
+    variances = np.array([coordinate_variance(column, residuals.shape[1]) for column in residuals.T])
     # with three or four markers each one pulls the fit to itself
-    squares = np.maximum(squares, np.median(squares)) / MEDIAN_SQUARE * count / max(count - 2, 1)
-    return np.maximum(np.sqrt(squares), MIN_DEVIATION)
+    return np.maximum(np.sqrt(np.maximum(variances, np.median(variances))), MIN_DEVIATION)

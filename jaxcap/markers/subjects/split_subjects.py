@@ -1,6 +1,7 @@
 """The people and the rigid props of a recording, and the markers of neither."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,7 @@ def split_subjects(frames: MarkerFrames) -> SubjectSplit:
     of people: `Anna_LASI`, `LASI1`. A named group is a person if its labels are landmarks, and a prop if all its distances
     are constant. Without names, a person is all markers with known labels, and a prop is a rigid set of unknown labels that
     moves against all markers of the person. A rigid set in a hand may be a part of the person, and stays with the person.
+    No two subjects have the same name.
     """
     seen = np.asarray(np.any(np.asarray(frames.visible), axis=0))
     groups = find_named_groups(frames)
@@ -73,21 +75,33 @@ def split_subjects(frames: MarkerFrames) -> SubjectSplit:
         if shown:
             parts.append(_place_named(recording, name, shown))
     if rest:
-        parts.append(_place_unnamed(recording, rest, any(part.people for part in parts)))
+        unnamed = _place_unnamed(recording, rest, any(part.people for part in parts))
+        parts.append(_with_unique_names(unnamed, groups))
     never = tuple(label for label, some in zip(frames.labels, seen, strict=True) if not some)
     if never:
         parts.append(_unassigned(never, f"{_list(never)} are never visible."))
-    found = SubjectSplit(
+    return SubjectSplit(
         tuple(one for part in parts for one in part.people),
         tuple(one for part in parts for one in part.props),
         tuple(one for part in parts for one in part.unassigned),
     )
-    unnamed = [number for number, prop in enumerate(found.props) if not prop.name]
-    named_props = tuple(
-        prop._replace(name=f"prop{unnamed.index(number) + 1}") if number in unnamed else prop
-        for number, prop in enumerate(found.props)
-    )
-    return found._replace(props=named_props)
+
+
+def _with_unique_names(split: SubjectSplit, taken: Collection[str]) -> SubjectSplit:
+    """Give subjects names that are not taken: `prop1`, `prop2` without a name, and `Sword_2` where `Sword` is taken."""
+    used = set(taken)
+
+    def name_of(one: SubjectMarkers) -> SubjectMarkers:
+        names = (
+            (f"{one.name}_{number}" if number > 1 else one.name for number in count(1))
+            if one.name
+            else (f"prop{number}" for number in count(1))
+        )
+        name = next(name for name in names if name not in used)
+        used.add(name)
+        return one._replace(name=name)
+
+    return split._replace(people=tuple(map(name_of, split.people)), props=tuple(map(name_of, split.props)))
 
 
 def find_named_groups(frames: MarkerFrames) -> dict[str, dict[int, str]]:

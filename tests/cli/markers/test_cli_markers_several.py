@@ -9,9 +9,14 @@ from command_line import fails, runs
 
 import jaxcap as jc
 from jaxcap.body.pose import Motion
+from jaxcap.cli.markers import fit_person
+from jaxcap.cli.markers.prop_tables import write_prop_table
 from jaxcap.cli.markers.subject_files import subject_names
+from jaxcap.errors import InputError
 from jaxcap.markers.human.human_template import make_human_template
 from jaxcap.markers.marker_sets.recognise import recognise_markers
+from jaxcap.markers.motion.inverse_kinematics import MarkerSolution
+from jaxcap.markers.subjects.prop import fit_prop
 
 LEGS = [
     "LASI",
@@ -79,6 +84,40 @@ def test_people_and_a_prop_from_a_take_to_motions(capsys, folder, tmp_path):
     assert float(rows[0]["dx"]) < 1e-3
     motion = jc.load_motion(tmp_path / "motion-Anna.npz", jc.io.load_subject(files[0]).skeleton)
     assert isinstance(motion, Motion) and len(motion) == FRAMES
+
+
+def test_results_that_would_be_one_file_are_refused(capsys, tmp_path):
+    """Both names become `Box_1`."""
+    places = np.stack([np.concatenate([SHAPE + [0.02 * f, 0, 0], SHAPE + [1, 0.02 * f, 0]]) for f in range(FRAMES)])  # fmt: skip
+    labels = [f"{name}:{k}" for name in ("Box 1", "Box_1") for k in range(4)]
+    jc.write_markers(tmp_path / "boxes.trc", jc.make_markers(places, labels, 30.0))
+    said = fails(capsys, "markers", "fit", tmp_path / "boxes.trc", "-o", tmp_path / "out")
+    assert "Box_1.npz: two results would be this same file" in said and not (tmp_path / "out").exists()
+
+
+def test_the_table_of_a_prop_counts_no_outliers(tmp_path):
+    prop = fit_prop(jc.make_markers(SHAPE + 0.02 * np.arange(3)[:, None, None], list("abcd"), 30.0))
+    frames = jc.make_markers(np.zeros((3, 4, 3)), list("abcd"), 30.0)
+    residuals = np.full((3, 4), 1e-4)
+    residuals[1, 0], residuals[2] = 0.2, np.nan
+    solution = MarkerSolution(prop.motion, residuals, np.ones((3, 4)), np.array([False, False, True]), ())
+    write_prop_table(tmp_path / "frames.csv", prop.subject, solution, frames)
+    rows = list(csv.DictReader((tmp_path / "frames.csv").read_text().splitlines()))
+    assert float(rows[1]["dx"]) > 1.05 * float(rows[0]["dx"]) and rows[2]["dx"] == ""
+
+
+def test_recognition_by_geometry_has_the_up_axis_of_the_take(capsys, tmp_path, monkeypatch):
+    """Given by --up, or that of the header."""
+
+    def recognise(frames, *, up=None):
+        raise InputError(f"up is {up}.")
+
+    monkeypatch.setattr(fit_person, "recognise_by_geometry", recognise)
+    places = np.random.default_rng(0).uniform([0, 0, 0], [1.5, 0.5, 0.5], (5, 15, 3))
+    jc.write_markers(tmp_path / "lying.c3d", jc.make_markers(places, [f"*{k}" for k in range(15)], 30.0))
+    command = ("markers", "fit", tmp_path / "lying.c3d", "--template", "human", "-o", tmp_path / "a.npz")
+    assert "up is y." in fails(capsys, *command, "--up", "z")
+    assert "up is z." in fails(capsys, *command)
 
 
 def test_one_subject_of_several_and_names_of_files(capsys, folder, tmp_path):

@@ -1,13 +1,21 @@
 """Two people with equal labels and a prop in one recording without labels."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxcap as jc
 from jaxcap.body.pose import Motion, Pose
-from jaxcap.markers.subjects.label_subjects import describe_identities, identity_misfits
+from jaxcap.markers.labels.describe_labels import TrackLabel
+from jaxcap.markers.labels.label_markers import Labelling
+from jaxcap.markers.subjects.label_subjects import (
+    describe_identities,
+    exchange_subjects,
+    find_exchanges,
+    identity_misfits,
+)
 from jaxcap.markers.subjects.prop import fit_prop
 from tests.markers_limb import CENTRES, moving, seen_by, truth
 
@@ -80,6 +88,46 @@ def test_people_of_equal_bones_are_not_told_apart_silently(scene):
     both = {"Anna": parts["Anna"], "Ben": parts["Anna"]}
     said = describe_identities(["Anna", "Ben"], identity_misfits(twins, recording(both)))
     assert len(said) == 1 and "check who is who" in said[0]
+
+
+def test_exchanged_people_get_their_own_labels_next_to_a_prop(scene):
+    """Labels, tracks and sentences of Anna and Ben are exchanged back; a quoted label is one of the input."""
+    subjects, parts = scene
+    joined = jc.markers.join_subjects(subjects)
+    swapped = recording({"Anna": parts["Ben"], "Ben": parts["Anna"], "Box": parts["Box"]})
+    order = find_exchanges(identity_misfits(subjects, swapped))
+    np.testing.assert_array_equal(order, [1, 0, 2])
+    track = TrackLabel("*1", 0, FRAMES, "Anna:trunk_0")
+    said = "The label 'Ben:trunk_0' is contradicted; it is Anna:trunk_0 there.", "No points for Box:1, Ben:trunk_1."  # fmt: skip
+    found = Labelling(swapped, moving(np.random.default_rng(0), 1), (track,), np.zeros(FRAMES, bool), said)
+    fixed = exchange_subjects(joined, found, {"Anna": "Ben", "Ben": "Anna"})
+    right = recording(parts)
+    for column, label in enumerate(fixed.frames.labels):
+        truth_at = np.asarray(right.positions)[:, right.labels.index(label)]
+        np.testing.assert_array_equal(np.asarray(fixed.frames.positions)[:, column], truth_at)
+    assert fixed.tracks[0].label == "Ben:trunk_0" and fixed.tracks[0].name == "*1"
+    assert fixed.messages == (
+        "The label 'Ben:trunk_0' is contradicted; it is Ben:trunk_0 there.",
+        "No points for Box:1, Anna:trunk_1.",
+    )
+    first = jax.tree.map(lambda leaf: leaf[0], fixed.motion.poses)
+    predicted = np.asarray(jc.markers.marker_positions(joined, first))
+    assert np.abs(predicted - np.asarray(fixed.frames.positions)[0]).max() < 0.01
+
+
+def test_each_exchange_is_decided_by_itself():
+    """A bad prop or a doubtful pair neither prevents nor causes the exchange of others."""
+    misfits = np.full((5, 5), np.inf)
+    misfits[:2, :2] = [[8e-3, 1e-3], [1e-3, 8e-3]]
+    misfits[2:4, 2:4] = [[5e-3, 4e-3], [4.5e-3, 5e-3]]
+    misfits[4, 4] = 0.05
+    np.testing.assert_array_equal(find_exchanges(misfits), [1, 0, 2, 3, 4])
+    said = describe_identities(list("abcde"), misfits[:, find_exchanges(misfits)])
+    assert len(said) == 1 and "better than their own" in said[0]
+    assert "4.2 mm from each other's" in said[0] and "5.0 mm from their own" in said[0]
+    cycle = np.full((3, 3), 9e-3)
+    cycle[[0, 1, 2], [1, 2, 0]] = 1e-3
+    np.testing.assert_array_equal(find_exchanges(cycle), [1, 2, 0])
 
 
 def test_joined_subjects_move_as_each_by_itself(scene):

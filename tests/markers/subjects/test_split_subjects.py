@@ -103,6 +103,14 @@ def test_rigid_sets_without_a_name_are_props_where_they_move_by_themselves():
     assert names(split) == (["person"], []) and "Q2" in split.people[0].frames.labels
 
 
+def test_names_of_subjects_are_unique():
+    """Sets without a name avoid the names of groups, such as `prop1`, `person` and `Sword`."""
+    groups = [(rigid(20 + k)[0], [f"{name}:{i}" for i in range(4)]) for k, name in enumerate(["prop1", "person", "Sword"])]  # fmt: skip
+    unnamed = [(rigid(5)[0], ["*1", "*2", "*3", "*4"]), (rigid(6)[0], [f"Sword{i}" for i in range(4)])]
+    found = names(jc.markers.split_subjects(recording(*groups, (loose(1, len(PERSON)), PERSON), *unnamed)))
+    assert found == (["person_2"], ["prop1", "person", "Sword", "Sword_2", "prop2"])
+
+
 def test_two_people_under_one_name_are_in_no_subject():
     doubled = [f"Anna:{label}" for label in [*PERSON, *(f"{label}_2" for label in PERSON)]]
     split = jc.markers.split_subjects(recording((loose(2, len(doubled)), doubled)))
@@ -142,6 +150,23 @@ def test_the_motion_of_a_prop_is_that_it_moved_with():
     assert np.median(away) < np.radians(0.4)
     assert np.nanmedian(prop.residuals) < 1e-3
     assert np.isinf(prop.covariances[prop.lost]).all()
+
+
+def test_frames_that_no_pose_of_a_prop_fits_are_lost():
+    """Random points are lost; with one marker far off, the others still have the pose, less precisely."""
+    places, _, shifts = rigid(7)
+    rng = np.random.default_rng(2)
+    wrong, off = np.arange(3, 103, 10), 50
+    places[wrong] = shifts[wrong, None] + rng.uniform(-0.5, 0.5, (10, 4, 3))
+    places[off, 0] += [0.0, 0.3, 0.0]
+    prop = jc.markers.fit_prop(jc.make_markers(places, list("abcd"), 100.0))
+    np.testing.assert_array_equal(np.flatnonzero(prop.lost), wrong)
+    assert np.isinf(prop.covariances[wrong]).all() and np.isnan(prop.residuals[wrong]).all()
+    kept = [np.asarray(leaf) for leaf in (prop.motion.poses.translations, prop.motion.poses.rotations)]
+    for leaf in kept:
+        np.testing.assert_array_equal(leaf[wrong], leaf[wrong - 1])
+    spread = np.sqrt(np.diagonal(prop.covariances, axis1=1, axis2=2))
+    assert (spread[off] > 1.05 * spread[off + 1]).all() and prop.residuals[off, 0] > 0.2
 
 
 def test_covariances_of_a_prop_are_those_of_its_errors():
