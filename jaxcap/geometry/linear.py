@@ -67,6 +67,23 @@ def factor_symmetric(matrix: Float[np.ndarray, "*B N N"]) -> Float[np.ndarray, "
     return np.linalg.cholesky(matrix)
 
 
+def raise_spread(
+    information: Float[np.ndarray, "N N"], spread: Float[np.ndarray, "N N"], least: float
+) -> Float[np.ndarray, "N N"]:
+    """Raise a spread to at least `least` times the information, in every direction: the smallest `S' >= S` with `S' >= least A`.
+
+    With `A = L L^T`, the eigenvalues of `L^-1 S L^-T` are raised to `least`.
+
+    **Arguments:** `information`, `A`, is positive definite.
+    """
+    scale = _scale(information)
+    factor = factor_symmetric(_even(information, scale))
+    whitened = np.linalg.solve(factor, np.linalg.solve(factor, _even(spread, scale)).T)
+    values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    root = factor @ (vectors * np.sqrt(np.maximum(values, least)))
+    return _even(root @ root.T, 1.0 / scale)
+
+
 def least_squares(matrix: Float[np.ndarray, "R N"], rhs: Float[np.ndarray, "R"]) -> Float[np.ndarray, "N"]:
     """Compute the minimum-norm `x` with the least `|A x - b|`.
 

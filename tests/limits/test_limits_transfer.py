@@ -381,6 +381,18 @@ def test_margins_grow_where_the_parent_was_not_seen():
     np.testing.assert_allclose(distances[[0, 2, 3]], [0, 0, 20], atol=5.0)
 
 
+def test_a_given_margin_grows_alike_with_given_and_with_chosen_keyframes():
+    takes = [(HUMAN, leg_motion(seed)) for seed in range(2)]
+    knee = jc.biomechanics.gather_person_samples(takes, "LeftLeg", "LeftUpLeg")
+    growths = [
+        [float(each.growth) for each in jc.limits.learn_limits(both, margin=np.radians(10), **more).surfaces]
+        for both in [{"LeftUpLeg": knee.parent, "LeftLeg": knee}]
+        for more in ({}, {"keyframe": np.radians(40)})
+    ]
+    # two degrees for each degree of the parent; a joint without a parent has no growth
+    assert growths == [[0.0, 2.0]] * 2
+
+
 def test_the_margin_between_people_is_that_of_children_too():
     takes = [(HUMAN, leg_motion(seed)) for seed in range(2)]
     knee = jc.biomechanics.gather_person_samples(takes, "LeftLeg", "LeftUpLeg")

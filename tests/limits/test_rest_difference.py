@@ -95,6 +95,25 @@ def test_files_of_limits_are_refused_for_another_rest_pose(limits, tmp_path):
         jc.io.read_limits(tmp_path / "elbow.npz", other)
 
 
+@pytest.mark.parametrize("angle", [0.0, 45.0])
+def test_files_of_an_earlier_version_are_refused_where_nothing_shows_their_rest_pose(limits, tmp_path, angle):
+    """It wrote the direction of the bone below each joint, and neither a skeleton nor the growth of the margin."""
+    jc.io.save_limits(tmp_path / "limits.npz", limits[1])
+    with np.load(tmp_path / "limits.npz") as file:
+        arrays = {
+            name: values
+            for name, values in file.items()
+            if ".rest." not in name and not name.endswith(("growth", "key_radius"))
+        }
+    arrays |= {"0.bone": np.array([1.0, 0, 0]), "1.bone": np.array([1.0, 0, 0])}
+    np.savez(tmp_path / "earlier.npz", **arrays)
+    with pytest.raises(
+        jc.InputError,
+        match=r"earlier.npz: the limits of 'shoulder' are without the rest pose .*; learn the limits again",
+    ):
+        jc.io.read_limits(tmp_path / "earlier.npz", arm(angle))
+
+
 def test_files_with_left_handed_axes_or_another_skeleton_are_refused(limits, tmp_path):
     surface = limits[1].surfaces[0]
     known = jc.limits.AnatomicalJoint(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcap.geometry import rotation
-from jaxcap.markers.labels.rival_tracks import decide_rivals
+from jaxcap.markers.labels.rival_tracks import _frame_costs, decide_rivals
 from jaxcap.markers.labels.tracks import Track
 from jaxcap.markers.labels.vote import LabelledTrack
 from jaxcap.markers.subject import make_subject
@@ -66,3 +66,15 @@ def test_a_reflection_where_the_only_marker_of_a_bone_could_be_leaves_both_witho
 def test_a_marker_that_others_determine_keeps_or_gets_its_label(scene, is_labelled):
     path = scene[2][:, TRUNK] + [0.02, 0.03, 0.0]
     assert decide(scene, path, TRUNK, is_labelled) == [TRUNK, -1]
+
+
+def test_a_frame_with_two_markers_does_not_start_from_the_frame_of_another_pair(scene):
+    """The frame before shows the subject three metres away, turned by half a turn."""
+    subject, _, places = scene
+    positions = places[[0, 20]].copy()
+    positions[0] = positions[0] @ np.diag([-1.0, 1.0, -1.0]) + [3.0, 0.0, 0.0]
+    columns = np.tile(np.arange(subject.num_markers), (2, 1))
+    columns[1] = np.where(np.isin(columns[1], [TRUNK, HAND]), columns[1], -1)
+    # a line through two markers fits exactly
+    costs = _frame_costs(subject, positions, columns, np.full(subject.num_markers, 0.025))
+    assert costs[1] < 1e-6

@@ -11,22 +11,22 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
-from ...body.body import Body, pose_body
 from ...body.body_model import BodyModel, body_coefficients
 from ...body.pose import Pose
-from ...body.retraction import retract
 from ...body.shape_modes import apply_modes
 from ...energy.data.pairs import PairDistances
 from ...energy.energy import Sum
 from ...energy.priors.reference_pose import RestPrior
 from ...errors import InputError
 from ...fit.body_models.region_covariance import (
-    NUM_REGIONS,
     RegionEquations,
     coefficient_covariance,
     eliminate_pose,
+    frame_sums,
+    joint_derivatives,
     joint_distances,
     surface_regions,
+    unstack_equations,
 )
 from ...fit.frame_equations import frame_equations
 from ...fit.linearise import body_tangent, frame_jacobian
@@ -125,9 +125,8 @@ def _frames(tracker: Tracker, space: BodyModel, clouds: Sequence[Cloud], poses: 
         poses = _best_poses(tracker, distances, stacked, poses)
     distances, _ = pair_frames(tracker.body, poses, scans, sigmas, angle)
     regions = jnp.asarray(surface_regions(space.template.vertices))
-    found = _equations(tracker, space, distances, stacked, poses, regions)
-    arrays = (np.asarray(each, float) for each in found)
-    return [_Frame(RegionEquations(*each[:2]), each[2]) for each in zip(*arrays, strict=True)]
+    sums, joints = _equations(tracker, space, distances, stacked, poses, regions)
+    return [_Frame(*each) for each in zip(unstack_equations(sums), np.asarray(joints, float), strict=True)]
 
 
 @eqx.filter_jit
@@ -153,7 +152,7 @@ def _equations(
     poses: Pose,
     regions: Int[Array, "V"],
 ):
-    """Linearise all frames: matrices `(F, N, N)`, gradients of the regions `(F, B, N)`, and derivatives of the joints `(F, J, 3, N)`."""
+    """Linearise all frames: the sums of each (`frame_sums`), and derivatives of the joints `(F, J, 3, N)`."""
     body, count = tracker.body, len(space.template_coefficients)
     body_at = partial(apply_modes, body, space.modes)
     tangent = body_tangent(body_at, body, count)
@@ -162,15 +161,13 @@ def _equations(
     def of_frame(frame):
         own, cloud, pose = frame
         residual, rows = frame_jacobian(own, body, pose, body_at, tangent)
-        by_point = jnp.sum((residual[:, None] * rows).reshape(-1, 3, rows.shape[1]), 1)
-        sides = jax.ops.segment_sum(by_point, regions[own.pairs.vertices[:, 0]], NUM_REGIONS)
+        places = regions[own.pairs.vertices[:, 0]]
+        matrix, *others = frame_sums(
+            rows.reshape(len(places), 3, -1), residual.reshape(len(places), 3), places
+        )
         further = frame_equations(Sum(_other_terms(tracker, cloud)), body, pose, body_at, tangent)[2]
 
-        def joints(d: Float[Array, "N"]) -> Float[Array, "J 3"]:
-            moved: Body = body_at(d[dofs:])
-            return pose_body(moved, retract(body.skeleton, pose, d[:dofs])).joints
-
-        return rows.T @ rows + further, sides, jax.jacfwd(joints)(jnp.zeros(dofs + count, rows.dtype))
+        return (matrix + further, *others), joint_derivatives(body_at, pose, dofs, count)
 
     with jax.default_matmul_precision("highest"):
         return jax.lax.map(of_frame, (distances, clouds, poses))

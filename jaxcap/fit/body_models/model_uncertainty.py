@@ -12,19 +12,20 @@ from ...arguments import check_fields, checked
 from ...body.body import pose_body
 from ...body.body_model import BodyModel, shape_from_template
 from ...body.pose import Pose
-from ...body.retraction import retract
 from ...body.shape_modes import apply_modes
 from ...observe.meshes import MeshSequence
 from ..fit_meshes import check_mesh_sequence
 from ..fit_model import ModelFit
 from ..linearise import body_tangent, vertex_jacobian
 from .region_covariance import (
-    NUM_REGIONS,
     RegionEquations,
     coefficient_covariance,
     eliminate_pose,
+    frame_sums,
+    joint_derivatives,
     joint_distances,
     surface_regions,
+    unstack_equations,
 )
 
 
@@ -55,9 +56,8 @@ def model_uncertainty(
     **Raises:** `InputError` where the meshes have other vertices than the model.
     """
     check_mesh_sequence(model.template, sequence)
-    matrices, sides, joints = _linearise(model, sequence, fit)
+    frames, joints = _linearise(model, sequence, fit)
     count = len(model.template_coefficients)
-    frames = [RegionEquations(*each) for each in zip(matrices, sides, strict=True)]
     fitted = np.asarray(fit.converged)
     deviations = np.full((len(frames), count), np.nan)
     distances = np.full(joints.shape[:2], np.nan)
@@ -77,16 +77,18 @@ def model_uncertainty(
 
 def mesh_equations(model: BodyModel, sequence: MeshSequence, fit: ModelFit) -> dict[int, RegionEquations]:
     """Linearise the meshes that were fitted, by pose and coefficients, each by its number."""
-    matrices, sides, _ = _linearise(model, sequence, fit)
-    return {int(k): RegionEquations(matrices[k], sides[k]) for k in np.flatnonzero(np.asarray(fit.converged))}
+    frames, _ = _linearise(model, sequence, fit)
+    return {int(k): frames[k] for k in np.flatnonzero(np.asarray(fit.converged))}
 
 
-def _linearise(model: BodyModel, sequence: MeshSequence, fit: ModelFit) -> tuple[np.ndarray, ...]:
+def _linearise(
+    model: BodyModel, sequence: MeshSequence, fit: ModelFit
+) -> tuple[list[RegionEquations], np.ndarray]:
     changes = fit.coefficients - model.template_coefficients
     regions = jnp.asarray(surface_regions(model.template.vertices))
     positions = sequence.vertices.astype(model.template.vertices.dtype)
-    found = _equations(model, fit.motion.poses, changes, positions, regions)
-    return tuple(np.asarray(each, float) for each in found)
+    sums, joints = _equations(model, fit.motion.poses, changes, positions, regions)
+    return unstack_equations(sums), np.asarray(joints, float)
 
 
 @eqx.filter_jit
@@ -97,7 +99,7 @@ def _equations(
     positions: Float[Array, "F V 3"],
     regions: Int[Array, "V"],
 ):
-    """Linearise all meshes: matrices `(F, N, N)`, gradients of the regions `(F, B, N)`, and derivatives of the joints `(F, J, 3, N)`."""
+    """Linearise all meshes: the sums of each (`frame_sums`), and derivatives of the joints `(F, J, 3, N)`."""
     dofs, count = model.template.skeleton.num_dofs, changes.shape[1]
 
     def of_mesh(frame):
@@ -110,14 +112,7 @@ def _equations(
         rows = jnp.where(
             known[:, None, None], vertex_jacobian(posed, body_tangent(body_at, body, count)), 0.0
         )
-        sides = jax.ops.segment_sum(jnp.einsum("va,van->vn", gaps, rows), regions, NUM_REGIONS)
-        flat = rows.reshape(-1, rows.shape[2])
-
-        def joints(d: Float[Array, "N"]) -> Float[Array, "J 3"]:
-            moved = body_at(d[dofs:])
-            return pose_body(moved, retract(body.skeleton, pose, d[:dofs])).joints
-
-        return flat.T @ flat, sides, jax.jacfwd(joints)(jnp.zeros(dofs + count, flat.dtype))
+        return frame_sums(rows, gaps, regions), joint_derivatives(body_at, pose, dofs, count)
 
     with jax.default_matmul_precision("highest"):
         return jax.lax.map(of_mesh, (poses, changes, positions))

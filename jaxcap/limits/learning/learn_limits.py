@@ -20,7 +20,7 @@ from .choice import Choice, Sizes, find_choice
 from .fit_chart import chart_coordinates, find_chart
 from .full_turns import without_full_turns
 from .held_out import HeldOut, make_folds
-from .margins import RESOLUTION, choose_coupled_margin, choose_margin
+from .margins import GROWTH, RESOLUTION, choose_coupled_margin, choose_margin
 from .primitive_matching import match_primitives
 from .samples import JointSamples
 from .voxel_size import choose_keyframes, choose_voxel_width
@@ -131,7 +131,7 @@ def _choose_widths(
         return Widths(voxel, keyframe, margin or 0.0)
     width = np.radians(RESOLUTION[chart.dimension]) / 2
     if not choice.chosen:
-        return Widths(width, keyframe or 0.0, margin or 0.0)
+        return Widths(width, keyframe or 0.0, margin or 0.0, 0.0 if samples.parent is None else GROWTH)
     folds = make_folds(samples, choice.left_out)
     if parent_chart is None:
         return Widths(width, 0.0, choose_margin(own, chart.dimension, folds, width, min_samples, share))

@@ -30,7 +30,8 @@ def transfer_limits(
 
     **Arguments:** `anatomy` are the joints of the skeleton, as `jaxcap.biomechanics.find_anatomical_joints` finds them.
 
-    **Raises:** `InputError` where a joint is not recognised in one of the skeletons, and its name or its rest pose differ.
+    **Raises:** `InputError` where a joint is not recognised in one of the skeletons, and its name or its rest pose differ, or the
+    limits are without a rest pose.
     """
     return SurfaceLimits(tuple(_transfer(each, skeleton, anatomy) for each in limits.surfaces))
 
@@ -77,8 +78,13 @@ def _counterpart(
                 f"limits from motions of this skeleton. The joint '{joint}' is no recognised hip, knee, ankle, shoulder, elbow or "
                 "wrist, so its limits are valid for its own skeleton only."
             )
-        if rest is not None:
-            _check_segments(joint, rest, skeleton)
+        if rest is None:
+            raise InputError(
+                f"the limits of '{joint}' are without the rest pose that its rotations are from, so they cannot be compared with this "
+                "skeleton: they were learned by an earlier version, or from markers alone; learn the limits again, from motions of a "
+                "skeleton."
+            )
+        _check_segments(joint, rest, skeleton)
         return None
     # a joint of a table of angles has no skeleton
     if is_named and rest is not None and has_equal_rest(rest, skeleton, joint):

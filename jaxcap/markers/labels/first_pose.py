@@ -9,8 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ...body.pose import Pose
 from ...geometry import rotation
-from ...stacking import concatenate
-from ..motion.initial_pose import estimate_initial_poses
+from ..motion.initial_pose import estimate_separate_poses
 from ..motion.inverse_kinematics import INITIAL_SEARCH, MIN_MARKERS, solve_each_frame
 from ..motion.solve_frame import SearchCriteria
 from ..subject import Subject, marker_positions
@@ -95,11 +94,7 @@ def _solve_hypotheses(
         return None
     matched = np.stack([*hypotheses, *[hypotheses[-1]] * (NUM_SOLVED - len(hypotheses))])
     targets, shown = matched_targets(subject, points, matched)
-    # one frame at a time: the root keeps its pose from frame to frame if it is unknown
-    single = [
-        estimate_initial_poses(subject, targets[k : k + 1], shown[k : k + 1]) for k in range(NUM_SOLVED)
-    ]
-    poses = jax.tree.map(lambda *leaves: concatenate(leaves), *single)
+    poses = estimate_separate_poses(subject, targets, shown)
     poses, predicted = _solve_poses(subject, poses, targets, shown, INITIAL_SEARCH)
     used = np.asarray(subject.weights) > 0
     for gate in GATES:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..motion.initial_pose import estimate_initial_poses
+from ..motion.initial_pose import estimate_separate_poses
 from ..motion.inverse_kinematics import INITIAL_SEARCH, solve_from_poses
 from ..subject import Subject
 from .tracks import Track
@@ -103,7 +103,7 @@ def _frame_costs(subject: Subject, positions, columns, gates) -> Float[np.ndarra
     at = np.take_along_axis(positions, np.maximum(columns, 0)[..., None], 1)
     targets = jnp.asarray(np.where(seen[..., None], at, 0.0), subject.offsets.dtype)
     shown = jnp.asarray(seen)
-    starts = estimate_initial_poses(subject, targets, shown)
+    starts = estimate_separate_poses(subject, targets, shown)
     solved = solve_from_poses(subject, starts, targets, shown, INITIAL_SEARCH)
     lengths = np.asarray(solved.residuals, float)
     return np.where(seen, np.minimum((lengths / gates) ** 2, 1.0), 0.0).sum(1)

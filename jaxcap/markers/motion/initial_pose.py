@@ -11,6 +11,7 @@ from ...body.retraction import project
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
 from ...geometry.procrustes import nearest_rotation
+from ...stacking import concatenate_trees
 from ..subject import Subject
 
 #: weights of a descendant bone's markers, by the number of joints between
@@ -66,6 +67,21 @@ def estimate_initial_poses(
             _fill_unknown_frames(known, rotations[:, joint], origins[:, joint])
     dtype = skeleton.centres.dtype
     return _poses_from_frames(skeleton, jnp.asarray(rotations, dtype), jnp.asarray(origins, dtype))
+
+
+def estimate_separate_poses(
+    subject: Subject, positions: Float[Array, "F M 3"], seen: Bool[Array, "F M"]
+) -> Pose:
+    """Estimate an initial pose of every frame, where the frames do not follow each other in time.
+
+    In a frame with fewer than three markers about the root, the root has its pose at rest.
+    """
+    return concatenate_trees(
+        [
+            estimate_initial_poses(subject, positions[k : k + 1], seen[k : k + 1])
+            for k in range(len(positions))
+        ]
+    )
 
 
 def _root_alignment(share, weights, offsets, targets, centre):
