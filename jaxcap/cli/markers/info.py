@@ -19,7 +19,7 @@ from ..console.console import pluralise, print_table, say, warn
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_new
 from .subject_files import print_subjects
-from .takes import UNIT_ASKED, describe_source
+from .takes import UNIT_ASKED, describe_source, largest_subject
 
 #: width of a marker's time bar, characters
 WIDTH = 40
@@ -56,7 +56,9 @@ class Info:
         count = len(frames)
         say(f"{path.name}: {pluralise(count, 'frame')} at {frames.rate:g} frames per second, {count / frames.rate:.2f} s, the first frame is {file.first_frame}")  # fmt: skip
         say(f"markers: {len(frames.labels)}{_starred(frames)}, unit {file.unit}, {_extent(frames)}")
-        found = find_up_axis(file._replace(frames=frames))
+        # the largest of several subjects shows the vertical and the unit
+        body = next(iter(largest_subject(frames)), frames)
+        found = find_up_axis(file._replace(frames=body))
         if found is not None:
             say(f"up axis: {describe_source(found)}")
         for name, members in subjects.items():
@@ -69,10 +71,11 @@ class Info:
             warn(sentence)
         if several:
             warn(
-                f"there are {len(subjects)} subjects; `markers fit` fits all of them, and other verbs read one, selected with --subject."
+                f"there are {len(subjects)} subjects: {', '.join(subjects)}; `markers fit` fits all of them, `markers solve` and `markers label` "
+                "take their files, and other verbs read one, selected with --subject."
             )
         try:
-            for sentence in check_marker_extent(frames, path, file.scale, option_hint=UNIT_ASKED)[1]:
+            for sentence in check_marker_extent(body, path, file.scale, option_hint=UNIT_ASKED)[1]:
                 warn(sentence)
         except InputError as error:
             warn(user_message(error))

@@ -71,7 +71,8 @@ def read_take(
         check_marker_extent(one, path, file.scale, option_hint=UNIT_ASKED)
     if pieces != "keep":
         frames = _whole(frames, path, pieces == "join")
-    found = find_up_axis(file._replace(frames=frames))
+    # several people side by side are wider than they are tall
+    found = find_up_axis(file._replace(frames=next(iter(largest_subject(frames)), frames)))
     if up is not None:
         turn = up_rotation(up).astype(np.asarray(frames.positions).dtype)
         frames = MarkerFrames(
