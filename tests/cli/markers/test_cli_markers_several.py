@@ -1,6 +1,7 @@
 """`jaxcap markers` with two people and a prop in one recording."""
 
 import csv
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
