@@ -176,9 +176,11 @@ def subject_names(paths: Sequence[Path], present: Collection[str] = ()) -> list[
         parts = path.stem.split("-")
         ends = ["-".join(parts[start:]) for start in range(len(parts))]
         names.append(next((by_file[end] for end in ends if end in by_file), "-".join(rest)))
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise InputError(f"Two subjects have the name '{twice[0]}'; give their files different names.")
+    for path, name in zip(paths, names, strict=True):
+        if names.count(name) > 1:
+            raise InputError(
+                f"{path}: two subjects have the name '{name}'; give their files different names."
+            )
     return names
 
 

@@ -131,4 +131,4 @@ def test_one_subject_of_several_and_names_of_files(capsys, folder, tmp_path):
     files = [Path("ids/S-01.npz"), Path("ids/S-02.npz"), Path("subject-Anna_Lee.npz")]
     assert subject_names(files, ["S-01", "S-02", "Anna Lee"]) == ["S-01", "S-02", "Anna Lee"]
     said = fails(capsys, "markers", "solve", tmp_path / "sword.npz", tmp_path / "sword.npz", folder / "take.c3d", "-o", tmp_path / "x")  # fmt: skip
-    assert "Two subjects have the name" in said
+    assert "two subjects have the name" in said
