@@ -3,7 +3,7 @@
 People made by a model in SMPL's format (`_made_model`) are scanned in 8 poses each of CMU's motions, by 8 depth cameras with 2 mm of
 noise. Their coefficients are fitted (`fit_tracked_shape`) from poses with errors of 0.03 radians and 3 cm, and from the shape of the
 template. The figures are the error of the coefficients, and the share of them that lies in their interval of 90 % (`shape_uncertainty`).
-A fit counts as failed if its error is above 1, and its coefficients are counted apart.
+A fit counts as failed if its error is above 1, and its coefficients are counted separately.
 """
 
 import argparse

@@ -55,8 +55,8 @@ def distant_vertices(
     """Choose vertices of a bone far from each other, at random: distances count for `least` to 1 times."""
     chosen: list[int] = []
     for _ in range(count):
-        apart = [np.linalg.norm(vertices[own] - vertices[c], axis=1) for c in chosen]
-        far = np.min(apart, axis=0) if apart else rng.uniform(size=len(own))
+        distances = [np.linalg.norm(vertices[own] - vertices[c], axis=1) for c in chosen]
+        far = np.min(distances, axis=0) if distances else rng.uniform(size=len(own))
         chosen.append(int(own[np.argmax(far * rng.uniform(least, 1.0, len(own)))]))
     return chosen
 

@@ -1,4 +1,4 @@
-"""Vectors and numbers of MATLAB files (`.mat`), of which the expanded size is checked before it is read."""
+"""Vectors and numbers of MATLAB files (`.mat`). The expanded size of a file is checked before it is read."""
 
 import math
 import os

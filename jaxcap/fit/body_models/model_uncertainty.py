@@ -1,4 +1,4 @@
-"""How well registered meshes determine the coefficients of a body model, and the joints in each mesh."""
+"""Deviations of the coefficients and joints of a body model that was fitted to registered meshes."""
 
 from functools import partial
 

@@ -27,7 +27,7 @@ def fit_varying_model(
     max_steps: int = 40,
     terms: UserTerms = (),
 ) -> ModelFit:
-    """Fit the coefficients of one person to registered meshes, of which some groups change from mesh to mesh.
+    """Fit the coefficients of one person to registered meshes, where some groups of coefficients change from mesh to mesh.
 
     Each mesh is fitted alone first (`fit_model`). The coefficients of the person are the mean of those of the meshes, weighted by the
     normal equations without pose and varying coefficients: one Gauss-Newton step of all meshes together. The others and the poses are

@@ -334,15 +334,17 @@ def make_calibration_problem(
 ) -> CalibrationProblem:
     """Build a problem about a template, with its deviations, free rotations and skin that does not slide."""
     dtype = positions.dtype
-    groups = template_prior.groups(template, joints)
+    found = template_prior.groups(template, joints)
+    groups = None if found is None else scaled_groups(found, dtype)
+    prior = template_prior.precision(template, joints) if groups is None else groups.precision()
     return CalibrationProblem(
         template,
         positions,
         seen,
         template.deviations,
         free_rotation_prior(template.skeleton),
-        jnp.asarray(template_prior.precision(template, joints), dtype),
-        None if groups is None else scaled_groups(groups, dtype),
+        jnp.asarray(prior, dtype),
+        groups,
         jnp.zeros((*seen.shape, 0), dtype),
         jnp.zeros((0, template.num_markers), dtype),
         jnp.ones((), dtype),

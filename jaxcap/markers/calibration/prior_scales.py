@@ -50,8 +50,9 @@ def next_variances(
     means: Float[Array, "N"],
     variances: Float[Array, "N"],
     groups: Int[Array, "N"],
-    old: Float[Array, "G"],
-    initial: Float[Array, ""] | float,
+    old: Float[Array, "N"],
+    num_groups: int,
+    initial: Float[Array, "G"] | Float[Array, ""] | float,
     weight: float,
 ) -> Float[Array, "G"]:
     """Compute the next prior variance of each group by MacKay's formula.
@@ -59,9 +60,9 @@ def next_variances(
     **Arguments:** posterior `means` and `variances` of the numbers; `groups`, of each; `old`, the prior variances that
     they were computed with; `initial`, a variance that counts as `weight` determined numbers.
     """
-    determined = jnp.maximum(1.0 - variances / old[groups], 0.0)
-    squares = jax.ops.segment_sum(means**2, groups, len(old))
-    count = jax.ops.segment_sum(determined, groups, len(old))
+    determined = jnp.maximum(1.0 - variances / old, 0.0)
+    squares = jax.ops.segment_sum(means**2, groups, num_groups)
+    count = jax.ops.segment_sum(determined, groups, num_groups)
     return (squares + weight * initial) / (count + weight)
 
 
@@ -71,7 +72,8 @@ def update_scales(
     """Update the scales of a template's groups from a posterior mean and covariance of `s`."""
     means = groups.rows @ shared
     variances = jnp.sum((groups.rows @ covariance) * groups.rows, 1)
-    found = next_variances(means, variances, groups.groups, groups.scales**2, 1.0, TEMPLATE_WEIGHT)
+    old = groups.scales[groups.groups] ** 2
+    found = next_variances(means, variances, groups.groups, old, len(groups.scales), 1.0, TEMPLATE_WEIGHT)
     return ScaledGroups(groups.rows, groups.groups, jnp.clip(jnp.sqrt(found), MIN_SCALE, MAX_SCALE))
 
 
@@ -91,14 +93,14 @@ def slide_variances(
     `SLIDE_WEIGHT` numbers of each of its features.
     """
     kinds = len(slides)
-    means = slides.reshape(kinds, -1) @ modes.T
-    known = jnp.einsum("rn,knm,rm->kr", modes, covariance, modes)
-    determined = jnp.maximum(1.0 - known / old, 0.0)
+    means = (slides.reshape(kinds, -1) @ modes.T).reshape(-1)
+    variances = jnp.einsum("rn,knm,rm->kr", modes, covariance, modes).reshape(-1)
+    old, own = old.reshape(-1), jnp.tile(bones, kinds)
+    determined = jnp.maximum(1.0 - variances / old, 0.0)
     common = jnp.sum(means**2) / jnp.maximum(jnp.sum(determined), 1.0)
-
-    def by_bone(values):
-        return jax.ops.segment_sum(values.T, bones, num_bones).T
-
-    squares, counts = by_bone(means**2), by_bone(determined)
-    of_bone = (jnp.sum(squares, 0) + BONE_WEIGHT * common) / (jnp.sum(counts, 0) + BONE_WEIGHT)
-    return (squares + SLIDE_WEIGHT * of_bone) / (counts + SLIDE_WEIGHT)
+    of_bone = next_variances(means, variances, own, old, num_bones, common, BONE_WEIGHT)
+    groups = jnp.repeat(jnp.arange(kinds), len(bones)) * num_bones + own
+    found = next_variances(
+        means, variances, groups, old, kinds * num_bones, jnp.tile(of_bone, kinds), SLIDE_WEIGHT
+    )
+    return found.reshape(kinds, num_bones)

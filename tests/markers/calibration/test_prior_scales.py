@@ -32,7 +32,7 @@ def test_the_update_converges_to_a_maximum_of_the_marginal_likelihood(rng):
     for _ in range(300):
         means, covariance = _posterior(design, data, np.asarray(variances)[groups])
         variances = next_variances(
-            jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), variances, 1.0, 0.0
+            jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), variances[groups], 2, 1.0, 0.0
         )
     np.testing.assert_allclose(variances, best, rtol=1e-3)
 
@@ -46,7 +46,7 @@ def test_numbers_without_data_have_no_influence(rng):
         groups = np.zeros(count, int)
         results.append(
             next_variances(
-                jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), jnp.ones(1), 1.0, 2.0
+                jnp.asarray(means), jnp.diag(covariance), jnp.asarray(groups), jnp.ones(count), 1, 1.0, 2.0
             )
         )
     np.testing.assert_allclose(*results, rtol=1e-9)
