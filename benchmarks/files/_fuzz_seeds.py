@@ -164,7 +164,14 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
     numbers: dict[str, Any] = {name: jnp.asarray(rng.uniform(0.1, 1, size)) for name, size in shape.items()}
     scalars: dict[str, Any] = {name: jnp.asarray(0.1) for name in ("reach", "unit", "level", "stiffness")}
     coupled = LimitSurface(
-        joint="hand", parent="spine", chart=chart, parent_chart=chart, **numbers, **scalars
+        joint="hand",
+        parent="spine",
+        chart=chart,
+        parent_chart=chart,
+        rest=skeleton,
+        parent_rest=skeleton,
+        **numbers,
+        **scalars,
     )
     save_limits(folder / "limits-own.npz", SurfaceLimits((coupled,)))
     pairs = successive_pairs(skeleton)
