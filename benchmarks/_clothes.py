@@ -4,6 +4,7 @@ They are no shells of the skin. A skirt spans the gap between the legs, keeps fo
 legs; the skin under it has no points.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,6 +15,7 @@ import jaxcap as jc
 from benchmarks._scenes import Noise, ScannedFrame, add_noise, smooth_over_surface, vertices_of_joints
 from jaxcap.geometry.mesh import area_normals, sample_surface
 
+OUTFITS = ("bare", "skirt", "jacket")
 #: levels of a skirt and directions about its axis
 NUM_LEVELS, NUM_DIRECTIONS = 28, 72
 ANGLES = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
@@ -123,19 +125,20 @@ def under_skirt(skirt: Skirt, points: Float[np.ndarray, "N 3"]) -> Bool[np.ndarr
     return within & (np.linalg.norm(away, axis=1) < radii - 0.002)
 
 
-def scan_clothed(
-    body: jc.Body, motion: jc.Motion, outfit: str, noise: Noise, seed: int = 0
-) -> list[ScannedFrame]:
-    """Simulate the clouds of a person in an outfit: "bare", "skirt" with hair, or "jacket" with hair. There are no
-    outliers.
+class Dressed(NamedTuple):
+    """The surfaces of a dressed person in one frame, metres."""
 
-    The joints are those of the person.
-    """
+    joints: Float[np.ndarray, "J 3"]
+    #: the body with what follows its skin: hair or a jacket
+    vertices: Float[np.ndarray, "V 3"]
+    skirt: Skirt | None
+
+
+def dress(body: jc.Body, motion: jc.Motion, outfit: str) -> Iterator[Dressed]:
+    """Dress a person in an outfit in each frame: "bare", "skirt" with hair, or "jacket" with hair."""
     jacket, hair = jacket_offsets(body), hair_offsets(body)
-    skirt, before, frames = None, None, []
-    faces = np.asarray(body.faces)
+    skirt, before = None, None
     for number in range(motion.num_frames):
-        rng = np.random.default_rng([seed, number])
         posed = _posed(body, motion[number])
         vertices, normals = np.asarray(posed.vertices, float), np.asarray(posed.normals, float)
         joints = np.asarray(posed.joints, float)
@@ -147,21 +150,42 @@ def scan_clothed(
             late = np.clip((vertices if before is None else before) - vertices, -0.03, 0.03)
             swing = 1.0 + 0.3 * np.sin(40.0 * np.asarray(body.vertices, float)[:, 1] + 0.2 * number)
             worn = worn + lag * late + (jacket * swing)[:, None] * normals
-        points, directions = sample_surface(worn, faces, 2 * noise.points, rng)
         if outfit == "skirt":
             skirt = hang_skirt(body, vertices, joints, skirt, 0.15 * number)
-            cloth, cloth_faces = skirt_mesh(skirt)
-            density = len(points) / _area(worn, faces)
+        yield Dressed(joints, worn, skirt)
+        before = vertices
+
+
+def dressed_mesh(body: jc.Body, dressed: Dressed) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
+    """Join the surfaces of a dressed person; a skirt has an inner side too."""
+    faces = np.asarray(body.faces)
+    if dressed.skirt is None:
+        return dressed.vertices, faces
+    cloth, theirs = skirt_mesh(dressed.skirt)
+    theirs = theirs + len(dressed.vertices)
+    return np.concatenate([dressed.vertices, cloth]), np.concatenate([faces, theirs, theirs[:, ::-1]])
+
+
+def scan_clothed(
+    body: jc.Body, motion: jc.Motion, outfit: str, noise: Noise, seed: int = 0
+) -> list[ScannedFrame]:
+    """Simulate the clouds of a person in an outfit. There are no outliers. The joints are those of the person."""
+    frames, faces = [], np.asarray(body.faces)
+    for number, dressed in enumerate(dress(body, motion, outfit)):
+        rng = np.random.default_rng([seed, number])
+        points, directions = sample_surface(dressed.vertices, faces, 2 * noise.points, rng)
+        if dressed.skirt is not None:
+            cloth, cloth_faces = skirt_mesh(dressed.skirt)
+            density = len(points) / _area(dressed.vertices, faces)
             more, theirs = sample_surface(cloth, cloth_faces, round(density * _area(cloth, cloth_faces)), rng)
-            seen = ~under_skirt(skirt, points)
+            seen = ~under_skirt(dressed.skirt, points)
             points, directions = (
                 np.concatenate([points[seen], more]),
                 np.concatenate([directions[seen], theirs]),
             )
         kept = rng.choice(len(points), noise.points, replace=False)
         cloud = jc.make_cloud(*add_noise(points[kept], directions[kept], noise, rng))
-        frames.append(ScannedFrame(cloud, joints))
-        before = vertices
+        frames.append(ScannedFrame(cloud, dressed.joints))
     return frames
 
 

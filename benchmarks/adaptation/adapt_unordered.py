@@ -4,26 +4,34 @@
 
 `woman` and `man` are other people than the template, the embedded human, in frames picked at random from several takes of
 the CMU database, each turned to a random side and moved, with 2 mm of noise; `crane` is the capture of Vlasic et al. 2008,
-its frames shuffled and its correspondences dropped. Nothing says that there is no order: it has to be found. A frame's
-distance is the median from its points to the body; a frame of more than 10 mm has to be flagged. With `--ordered-too` the
+its frames shuffled and its correspondences dropped. `model` is a person of a body model in SMPL's format (`_made_model`) with random
+coefficients, in poses picked likewise, to whom the model is adapted. Nothing says that there is no order: it has to be found. A frame's
+distance is the median from its points to the body; a frame of more than 10 mm has to be flagged, and where the true surface is known,
+one in which it lies more than 5 mm (mean) from the body. With `--ordered-too` the
 same scans are adapted to as if they followed each other, for comparison.
 """
 
 import argparse
+import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
 from benchmarks._crane import frame_cloud, load_crane
-from benchmarks._scenes import human_motion, rotation_about_y, shared_folder
+from benchmarks._scenes import cmu_motion, human_motion, rotation_about_y, shared_folder
+from benchmarks.bodies._made_model import made_arrays
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
+from jaxcap.body.body_model import BodyModel
+from jaxcap.edit.retargeting.retarget import retarget
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
 from jaxcap.report.distance_pictures import FrameView, draw_views
@@ -38,25 +46,50 @@ POINTS, NOISE, RATE = 4000, 0.002, 30.0
 LENGTH, MAX_SHIFT = 300, 0.4
 #: a frame whose median distance is larger is wrong, metres
 MAX_MEDIAN_DISTANCE = 0.010
+#: a frame in which the true surface is further from the body on average is wrong, metres
+MAX_SURFACE_DISTANCE = 0.005
 #: frames that are drawn
 NUM_DRAWN = 4
+SCENES = [*PEOPLE, "crane", "model"]
 
 _posed = eqx.filter_jit(jc.pose_body)
 
 
 class Scene(NamedTuple):
-    """Unordered scans, and the joints in the world if they are known."""
+    """Unordered scans, and the joints and vertices in the world if they are known."""
 
     clouds: list[jc.Cloud]
     joints: list[np.ndarray]
+    vertices: list[np.ndarray]
+    #: what is adapted, if it is not the embedded human
+    model: BodyModel | None = None
 
 
 def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
     """Pose an actor in several takes alternately, in random order."""
     traits, takes = PEOPLE[name]
-    body, rng = jc.human(joints="tracking", resolution="medium", **traits), np.random.default_rng([seed, 1])
+    body = jc.human(joints="tracking", resolution="medium", **traits)
     motions = [human_motion(shared, take, body, LENGTH) for take in takes]
-    clouds, joints = [], []
+    return pose_scene(body, motions, frames, seed)
+
+
+def model_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
+    """Pose a person of a body model with random coefficients in several takes alternately, in random order."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "smpl_made.npz"
+        np.savez(path, **made_arrays())
+        model = jc.read_body_model(path, joints="tracking")
+    z = np.clip(np.random.default_rng([seed, 2]).normal(size=len(model.template_coefficients)), -2.5, 2.5)
+    body = jc.shape_body(model, jnp.asarray(z, jnp.float32))
+    takes = (cmu_motion(shared, take) for take in PEOPLE["woman"][1])
+    motions = [retarget(motion[:LENGTH], source, body.skeleton) for motion, source in takes]
+    return pose_scene(body, motions, frames, seed)._replace(model=model)
+
+
+def pose_scene(body: jc.Body, motions: Sequence[jc.Motion], frames: int, seed: int) -> Scene:
+    """Sample scans of a body in random frames of the motions in turn, in random order."""
+    rng = np.random.default_rng([seed, 1])
+    clouds, joints, shown = [], [], []
     for number in rng.permutation(frames):
         motion = motions[number % len(motions)]
         posed = _posed(body, motion[int(rng.integers(len(motion)))])
@@ -67,7 +100,8 @@ def people_scene(shared: Path, name: str, frames: int, seed: int = 0) -> Scene:
         points, normals = sample_surface(vertices, np.asarray(body.faces), POINTS, rng)
         clouds.append(jc.make_cloud(points + NOISE * rng.normal(size=points.shape), normals))
         joints.append(centres)
-    return Scene(clouds, joints)
+        shown.append(vertices)
+    return Scene(clouds, joints, shown)
 
 
 def crane_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
@@ -75,7 +109,9 @@ def crane_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
     crane = load_crane(shared)
     chosen = np.linspace(0, len(crane.frames) - 1, frames).astype(int)
     return Scene(
-        [frame_cloud(crane, frame, POINTS) for frame in np.random.default_rng(seed).permutation(chosen)], []
+        [frame_cloud(crane, frame, POINTS) for frame in np.random.default_rng(seed).permutation(chosen)],
+        [],
+        [],
     )
 
 
@@ -91,8 +127,11 @@ def distances(state: AdaptState, clouds: list[jc.Cloud]) -> list[np.ndarray]:
 
 def adapt(scene: Scene, settings: AdaptSettings, resolution: str, label: str) -> tuple[AdaptState, bool]:
     """Adapt the template; return the last state, and True if the scans were detected as unordered."""
-    template = jc.human(joints="tracking", resolution=resolution)
-    task = make_adapt_task(template, scene.clouds, RATE, settings=settings)
+    if scene.model is None:
+        template = jc.human(joints="tracking", resolution=resolution)
+    else:
+        template = scene.model.template
+    task = make_adapt_task(template, scene.clouds, RATE, settings=settings, model=scene.model)
     begin, stages, state = time.perf_counter(), plan_stages(task.settings), None
     for state in adapt_body(task):
         medians = ""
@@ -117,6 +156,19 @@ def score_scene(state: AdaptState, scene: Scene) -> dict[str, float]:
         "unflagged": float(len(wrong - set(state.lost))),
         "flagged": float(len(state.lost)),
     }
+    if scene.vertices:
+        faces = np.asarray(state.body.faces)
+        pairs = zip(scene.vertices, state.motion, strict=True)
+        surface = [
+            scan_to_surface(true, np.asarray(_posed(state.body, pose).vertices, float), faces).mean()
+            for true, pose in pairs
+        ]
+        off_surface = set(np.flatnonzero(np.array(surface) > MAX_SURFACE_DISTANCE).tolist())
+        row |= {
+            "surface_mm": 1000 * float(np.median(surface)),
+            "worst_surface_mm": 1000 * float(np.max(surface)),
+            "unflagged_surface": float(len(off_surface - set(state.lost))),
+        }
     if scene.joints:
         here = [np.asarray(_posed(state.body, state.motion[n]).joints) for n in range(len(scene.clouds))]
         by_frame = np.linalg.norm(np.array(here) - np.array(scene.joints), axis=2).mean(1)
@@ -142,7 +194,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.adapt_unordered", description=__doc__.splitlines()[0]
     )
-    parser.add_argument("--scenes", nargs="*", choices=(*PEOPLE, "crane"), default=[*PEOPLE, "crane"])
+    parser.add_argument("--scenes", nargs="*", choices=SCENES, default=SCENES)
     parser.add_argument("--frames", type=int, default=24)
     parser.add_argument("--resolution", default="medium", help="resolution of the template: medium or low")
     parser.add_argument("--short", action="store_true", help="few rounds with 8 scans")
@@ -161,6 +213,8 @@ def main() -> None:
     for name in options.scenes:
         if name == "crane":
             scene = crane_scene(shared, options.frames)
+        elif name == "model":
+            scene = model_scene(shared, options.frames)
         else:
             scene = people_scene(shared, name, options.frames)
         state, found = adapt(scene, settings, options.resolution, name)
@@ -172,6 +226,8 @@ def main() -> None:
             f"{name}_wrong_frames": ("<=", 0.0),
             f"{name}_unflagged": ("<=", 0.0),
         }
+        if scene.vertices:
+            limits[f"{name}_unflagged_surface"] = ("<=", 0.0)
         if options.pictures:
             options.pictures.mkdir(parents=True, exist_ok=True)
             picture(options.pictures / f"{name}.png", state, scene)

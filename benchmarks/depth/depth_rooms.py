@@ -4,7 +4,8 @@ Five people, none of whom is the tracked template, perform takes of CMU from whi
 Azure Kinect sees each of them whole, from the hips up, and whole while they also turn by 360 degrees about the vertical.
 The room has a floor, three walls, a table and a chair. The person is found in each image and no start is given. The
 embedded human is fitted to the person's shape in the same frames, then tracked (`--as-it-is` tracks it without).
-`--without` tracks the same points without the images too.
+`--without` tracks the same points without the images too. `--outfit skirt --clothes` dresses all of them, and tracks with the
+model of clothes. Hidden thighs are among the joints only where the cloth lies near them.
 
 A joint is visible if its pixel shows the person, at most 20 cm in front of the joint. Sides are right in a frame if
 shoulders, hips and visible limbs are nearer to their own than to the opposite ones.
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
+from benchmarks._clothes import OUTFITS, dress, dressed_mesh
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.depth._overlays import Overlay, draw_overlays, make_overlay
 from benchmarks.report import finish, progress
@@ -113,13 +115,13 @@ def heading(joints: np.ndarray, skeleton: jc.Skeleton) -> float:
     return float(np.degrees(np.arctan2(-across[2], across[0])))
 
 
-def make_scene(shared: Path, number: int, scenario: Scenario, frames: int) -> Scene:
-    """Simulate the frames of one person."""
+def make_scene(shared: Path, number: int, scenario: Scenario, frames: int, outfit: str) -> Scene:
+    """Simulate the frames of one person in an outfit (`_clothes`)."""
     person = jc.human(joints="tracking", resolution="medium", **BUILDS[number])
     motion = make_motion(shared, person, number, scenario, frames)
-    posed = [_pose_body(person, motion[frame]) for frame in range(len(motion))]
-    vertices = [np.asarray(one.vertices, float) for one in posed]
-    joints = np.array([np.asarray(one.joints, float) for one in posed])
+    dressed = list(dress(person, motion, outfit))
+    meshes = [dressed_mesh(person, one) for one in dressed]
+    vertices, joints = [mesh[0] for mesh in meshes], np.array([one.joints for one in dressed])
     low, high = np.min([v.min(0) for v in vertices], 0), np.max([v.max(0) for v in vertices], 0)
     room, sensor = jc.scanner.make_room(low, high), jc.scanner.SENSORS["azure-kinect"]
     middle, away = joints[:, 0].mean(0), DISTANCES[scenario][number]
@@ -136,14 +138,8 @@ def make_scene(shared: Path, number: int, scenario: Scenario, frames: int) -> Sc
         target[1] = eye[1] + away * np.tan(np.radians(half) - np.arctan(0.4 / away))
     camera = look_at(eye, target, *sensor.resolution, sensor.field_of_view)
     clouds, visible, masks, found = [], [], [], []
-    for frame, points in enumerate(vertices):
-        (image,) = scan_scene(
-            sensor.errors,
-            [camera],
-            [(points, np.asarray(person.faces)), (room.vertices, room.faces)],
-            number,
-            frame,
-        )
+    for frame, mesh in enumerate(meshes):
+        (image,) = scan_scene(sensor.errors, [camera], [mesh, (room.vertices, room.faces)], number, frame)
         mask = jc.depth.find_person(camera, image.depth, f"frame {frame}")
         truth = image.labels == 0
         found.append(float(np.sum(mask & truth) / np.sum(mask | truth)))
@@ -177,15 +173,15 @@ def sides_are_right(found: np.ndarray, truth: np.ndarray, visible: np.ndarray, s
     return True
 
 
-def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool) -> Result:
+def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool, clothes: bool) -> Result:
     """Track the frames of a scene, and compare joints with the truth."""
-    tracker = jc.make_tracker(body, partial=True)
+    tracker = jc.make_tracker(body, partial=True, clothes=clothes)
     clouds = scene.clouds
     if not with_images:
         clouds = [eqx.tree_at(lambda c: c.views, cloud, ()) for cloud in clouds]
     if fit_shape:
         body = jc.adapt.estimate_shape(tracker, clouds)
-        tracker = jc.make_tracker(body, partial=True)
+        tracker = jc.make_tracker(body, partial=True, clothes=clothes)
     skeleton, faces = body.skeleton, np.asarray(body.faces)
     errors, verdicts, sides, headings, overlaps, seconds = [], [], [], [], [], []
     pictures, drawn = [], (0, len(clouds) // 2, len(clouds) - 1)
@@ -248,6 +244,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--without", action="store_true", help="also track the points without the images")
     parser.add_argument("--as-it-is", action="store_true", help="do not fit the human to the person's shape")
+    parser.add_argument("--outfit", choices=OUTFITS, default="bare", help="what the people wear")
+    parser.add_argument("--clothes", action="store_true", help="track with the model of clothes")
     parser.add_argument("--picture", type=Path, help="write a PNG with three frames of each scene")
     options = parser.parse_args()
     shared, body = shared_folder(), jc.human(resolution="low", joints="tracking")
@@ -255,11 +253,13 @@ def main() -> None:
     for scenario in options.scenarios:
         results: dict[bool, list[Result]] = {True: [], False: []}
         for number in options.builds:
-            scene = make_scene(shared, number, scenario, options.frames)
+            scene = make_scene(shared, number, scenario, options.frames, options.outfit)
             found += scene.found
             for with_images in (True, False) if options.without else (True,):
                 progress(f"{scenario}, person {number}, {'with' if with_images else 'without'} images")
-                results[with_images].append(track_scene(body, scene, with_images, not options.as_it_is))
+                results[with_images].append(
+                    track_scene(body, scene, with_images, not options.as_it_is, options.clothes)
+                )
                 seconds.append(results[with_images][-1].seconds)
             pictures += results[True][-1].pictures
         figures |= summary(scenario, results[True])

@@ -18,7 +18,7 @@ import equinox as eqx
 import numpy as np
 
 import jaxcap as jc
-from benchmarks._clothes import scan_clothed
+from benchmarks._clothes import OUTFITS, scan_clothed
 from benchmarks._scenes import Noise, human_motion, shared_folder, vertices_of_joints
 from benchmarks.report import finish, progress
 from jaxcap.metrics import joint_errors, scan_to_surface
@@ -26,7 +26,6 @@ from jaxcap.report.distance_pictures import FrameView, draw_views
 
 TAKES = ("02_01", "02_05", "01_01")
 BUILDS = {"average": {}, "small_woman": {"sex": "female", "height": 1.55}}
-OUTFITS = ("bare", "skirt", "jacket")
 NOISE = Noise(outliers=0.0)
 #: trackers: with clothes and the prior of people's poses, with the prior, with neither
 KINDS = ("", "_prior", "_plain")
