@@ -149,34 +149,27 @@ def reweighted_least_squares(
     start: Any,
     solver: LevenbergMarquardt,
     *,
-    rounds: int,
-    steps: int,
-    step_tolerance: float,
+    max_steps: int,
 ) -> tuple[Any, Int[Array, ""]]:
     """Iterate on a rebuilt problem under `jit`: iteratively reweighted least squares for one small problem of
     many.
 
-    Build a problem by `make_problem(y)`, take a few steps on it, and repeat. Returns the end point and the
-    number of steps: `rounds` of `steps` at most, fewer if no component of a step is above `step_tolerance`,
-    or if steps are rejected again and again, which is the limit of the precision.
+    Build a problem by `make_problem(y)`, take one step on it, and repeat until a step meets the tolerances of
+    the solver, or until steps are rejected again and again, which is the limit of the precision. Returns the
+    end point and the number of steps.
     """
 
     def going_on(carry):
-        _, damping, length, count = carry
-        return (count < rounds * steps) & (length > step_tolerance) & (damping < MAX_DAMPING)
+        _, damping, converged, count = carry
+        return (count < max_steps) & ~converged & (damping < MAX_DAMPING)
 
     def improve(carry):
-        y, damping, length, count = carry
-        found = minimise(make_problem(y), y, solver, steps, damping)
-        return (
-            found.y,
-            found.damping,
-            jnp.where(jnp.isfinite(found.length), found.length, length),
-            count + found.num_steps,
-        )
+        y, damping, _, count = carry
+        found = minimise(make_problem(y), y, solver, 1, damping)
+        return found.y, found.damping, found.result == optx.RESULTS.successful, count + 1
 
     dtype = jnp.result_type(*(leaf for leaf in jax.tree.leaves(start) if eqx.is_inexact_array(leaf)))
-    first = start, jnp.asarray(solver.damping, dtype), jnp.asarray(jnp.inf, dtype), jnp.array(0)
+    first = start, jnp.asarray(solver.damping, dtype), jnp.array(False), jnp.array(0)
     y, _, _, count = jax.lax.while_loop(going_on, improve, first)
     return y, count
 

@@ -12,6 +12,7 @@ import trimesh
 
 from benchmarks import report
 from benchmarks._scenes import Noise, human_motion, rotation_about_y, scan_frame
+from benchmarks.performance._trace import union_seconds
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
 from jaxcap.metrics import scan_to_surface
@@ -256,6 +257,24 @@ def test_retarget_rigs(checkout, shared):
 @pytest.mark.slow
 def test_gradients(checkout):
     assert run(checkout, "gradients")["passed"]
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_profile(checkout, shared, tmp_path):
+    table = tmp_path / "profile.md"
+    line = run(checkout, "profile", "--small", "--stages", "markers", "--no-import", "--output", str(table))
+    assert meets(line, "markers_compiled_again")
+    assert line["figures"]["markers_programs"] > 0
+    assert 0 <= line["figures"]["markers_host_share"] < 1
+    assert "jit__solve" in table.read_text()
+
+
+def test_time_spans_count_once():
+    # nested, overlapping, apart, and equal
+    spans = np.array([[0.0, 4.0], [1.0, 2.0], [3.0, 5.0], [7.0, 8.0], [7.0, 8.0]])
+    assert union_seconds(spans) == 6.0
+    assert union_seconds(np.zeros((0, 2))) == 0.0
 
 
 def test_the_last_line_and_the_exit_code(capsys):

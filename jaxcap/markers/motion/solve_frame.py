@@ -24,16 +24,14 @@ from ..subject import Subject, marker_body
 #: information below which a pose coordinate is undetermined: that of a marker with a deviation of a metre, a
 #: metre from the joint
 MIN_INFORMATION = 1.0
-#: number of steps between two updates of the deviations' scale
-STEPS_PER_ROUND = 3
 
 
 class SearchCriteria(eqx.Module):
     """Stopping criteria of the search for a pose."""
 
     max_iterations: int = eqx.field(static=True, default=12)
-    #: largest coordinate of the last step, radians and metres
-    tolerance: float = eqx.field(static=True, default=1e-3)
+    #: squared length of the last step in standard deviations of the pose, those that the markers leave: its Newton decrement
+    tolerance: float = eqx.field(static=True, default=0.01)
 
 
 class SolvedFrame(NamedTuple):
@@ -100,7 +98,7 @@ def solve_frame(
 ) -> SolvedFrame:
     """Find the pose that minimises robust distances to the visible markers, in standard deviations.
 
-    The deviations are scaled by the median residual. So a distant start, or a subject that fits badly, does
+    The deviations are scaled by the median residual before each step. So a distant start, or a subject that fits badly, does
     not make a marker look swapped. Pose coordinates that no visible marker determines keep their start
     values. Never fails: without visible markers the start is returned.
     """
@@ -115,11 +113,8 @@ def solve_frame(
     def remake(pose):
         return FrameProblem(subject, positions, precision / left(pose)[1], terms)
 
-    solver = LevenbergMarquardt(0.0, search.tolerance, damping=1e-6, relative=True)
-    rounds = -(-search.max_iterations // STEPS_PER_ROUND)
-    pose, count = reweighted_least_squares(
-        remake, start, solver, rounds=rounds, steps=STEPS_PER_ROUND, step_tolerance=search.tolerance
-    )
+    solver = LevenbergMarquardt(0.0, 0.0, damping=1e-6, relative=True, energy_atol=search.tolerance)
+    pose, count = reweighted_least_squares(remake, start, solver, max_steps=search.max_iterations)
     squared, wide = left(pose)
     return SolvedFrame(
         pose,

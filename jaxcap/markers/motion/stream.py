@@ -19,7 +19,7 @@ from .inverse_kinematics import INITIAL_SEARCH, MAX_RESIDUAL_SCALE, MIN_MARKERS
 from .solve_frame import SearchCriteria, solve_frame
 
 #: search of a frame in real time
-LIVE_SEARCH = SearchCriteria(max_iterations=6)
+LIVE_SEARCH = SearchCriteria(max_iterations=6, tolerance=0.1)
 
 
 class Streamer(eqx.Module):
@@ -50,10 +50,10 @@ def make_streamer(
     streamer = Streamer(subject, search, energy)
     pose = rest_pose(subject.skeleton)
     count, dtype = subject.num_markers, subject.offsets.dtype
-    nothing = jnp.zeros((count, 3), dtype), jnp.zeros(count, bool)
+    nothing = np.zeros((count, 3), dtype), np.zeros(count, bool)
     jax.block_until_ready(_solve_from_last_pose(streamer, pose, *nothing))
     jax.block_until_ready(_solve_from_guess(streamer, pose, *nothing))
-    jax.block_until_ready(estimate_initial_poses(subject, nothing[0][None], nothing[1][None]))
+    jax.block_until_ready(estimate_initial_poses(subject, *(jnp.asarray(part)[None] for part in nothing)))
     return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
 
 
@@ -85,24 +85,31 @@ def stream_frame(
     visible = visible if seen is None else visible & np.asarray(seen)
     if visible.sum() < MIN_MARKERS:
         return state._replace(num_lost=state.num_lost + 1), state.pose
-    dtype = subject.offsets.dtype
-    clean, shown = jnp.asarray(np.where(visible[:, None], positions, 0.0), dtype), jnp.asarray(visible)
-    solved, new = None, bool(np.isinf(state.residual_scale))
-    if not new:
-        solved = _solve_from_last_pose(streamer, state.pose, clean, shown)
-    if solved is None or not float(solved.residual_scale) < MAX_RESIDUAL_SCALE:
-        guess = jax.tree.map(lambda leaf: leaf[0], estimate_initial_poses(subject, clean[None], shown[None]))
-        other = _solve_from_guess(streamer, guess, clean, shown)
-        if solved is None or not float(solved.residual_scale) <= float(other.residual_scale):
-            solved = other
-    return StreamState(solved.pose, solved.residual_scale, jnp.asarray(0)), solved.pose
+    clean = np.where(visible[:, None], positions, 0.0).astype(subject.offsets.dtype)
+    found = None
+    if np.isfinite(state.residual_scale):
+        found = _solve_from_last_pose(streamer, state.pose, clean, visible)
+    if found is None or not float(found.residual_scale) < MAX_RESIDUAL_SCALE:
+        guess = jax.tree.map(
+            lambda leaf: leaf[0],
+            estimate_initial_poses(subject, jnp.asarray(clean)[None], jnp.asarray(visible)[None]),
+        )
+        other = _solve_from_guess(streamer, guess, clean, visible)
+        if found is None or not float(found.residual_scale) <= float(other.residual_scale):
+            found = other
+    return found, found.pose
 
 
 @eqx.filter_jit
-def _solve_from_last_pose(streamer: Streamer, pose: Pose, positions, seen):
-    return solve_frame(streamer.subject, pose, positions, seen, streamer.search, streamer.terms)
+def _solve_from_last_pose(streamer: Streamer, pose: Pose, positions, seen) -> StreamState:
+    return _solve(streamer, pose, positions, seen, streamer.search)
 
 
 @eqx.filter_jit
-def _solve_from_guess(streamer: Streamer, pose: Pose, positions, seen):
-    return solve_frame(streamer.subject, pose, positions, seen, INITIAL_SEARCH, streamer.terms)
+def _solve_from_guess(streamer: Streamer, pose: Pose, positions, seen) -> StreamState:
+    return _solve(streamer, pose, positions, seen, INITIAL_SEARCH)
+
+
+def _solve(streamer: Streamer, pose: Pose, positions, seen, search: SearchCriteria) -> StreamState:
+    solved = solve_frame(streamer.subject, pose, positions, seen, search, streamer.terms)
+    return StreamState(solved.pose, solved.residual_scale, jnp.asarray(0))
