@@ -13,6 +13,7 @@ import math
 import operator
 import os
 import platform
+import resource
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -106,10 +107,18 @@ def finish(
         "limits": {key: [sign, bound] for key, (sign, bound) in limits.items()},
         "sizes": _plain(sizes or {}),
         "seconds": _plain(seconds or {}),
+        "peak_memory_mb": peak_memory(),
         "machine": machine(),
     }
     print(json.dumps(line), flush=True)
     sys.exit(1 if missed else 0)
+
+
+def peak_memory() -> dict[str, float]:
+    """Measure the largest resident memory of this process, and of the largest of its child processes, megabytes."""
+    units = 2**20 if sys.platform == "darwin" else 2**10
+    kinds = {"process": resource.RUSAGE_SELF, "largest_child": resource.RUSAGE_CHILDREN}
+    return {name: round(resource.getrusage(kind).ru_maxrss / units, 1) for name, kind in kinds.items()}
 
 
 def machine() -> dict[str, Any]:

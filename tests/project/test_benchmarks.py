@@ -34,7 +34,7 @@ def run(checkout, name: str, *options: str) -> dict:
     assert line["benchmark"] == name
     assert done.returncode == (0 if line["passed"] else 1)
     assert line["passed"] == (not line["missed"])
-    assert {"figures", "limits", "sizes", "seconds", "machine"} <= set(line)
+    assert {"figures", "limits", "sizes", "seconds", "peak_memory_mb", "machine"} <= set(line)
     assert set(line["limits"]) <= set(line["figures"])
     return line
 
