@@ -70,8 +70,8 @@ def main() -> None:
         "calibrate_seconds": calibrating[-1],
     }
     limits = {
-        "solve_frames_per_second": (">=", 1500.0),
-        "stream_median_ms": ("<=", 3.0),
+        "solve_frames_per_second": (">=", 5000.0),
+        "stream_median_ms": ("<=", 0.25),
         "calibrate_seconds": ("<=", 3.0),
     }
     sizes = {"frames": count, "markers": subject.num_markers, "numbers": subject.skeleton.num_dofs}
