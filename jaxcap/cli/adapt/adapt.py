@@ -45,6 +45,7 @@ from .actor import load_finished_run, save_actor
 from .assignment import ASSIGNMENTS, AssignmentName
 from .input import (
     UNORDERED,
+    AdaptedScans,
     RunFiles,
     check_first_scan,
     check_input,
@@ -184,8 +185,10 @@ class Adapt:
             path for path in (self.out, self.motion_path, self.parameters, self.report) if path is not None
         ]
 
-    def adapt_all(self) -> None:
-        """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
+    def adapt_all(self) -> AdaptedScans:
+        """Read, adapt, write and report, while the lock excludes other runs with the same output files.
+
+        A finished run that is resumed is only read, and what it lacks is written."""
         known = prior_file(self.body, self.prior)
         header = self.settings() | hash_files({"prior": known, "limits": self.limits})
         body, limits = load_body(
@@ -220,6 +223,7 @@ class Adapt:
         if self.report is not None:
             self.write_report(self.report, task, state, known)
         self.checkpoint_path.unlink(missing_ok=True)
+        return AdaptedScans(task, state, scans)
 
     def write(
         self, state: AdaptState, header: dict[str, object], scans: Scans, extra_arrays: dict[str, np.ndarray]

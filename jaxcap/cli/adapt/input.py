@@ -52,6 +52,14 @@ class RunFiles(NamedTuple):
     terms: tuple[AbstractEnergy, ...] = ()
 
 
+class AdaptedScans(NamedTuple):
+    """Scans with a body of the person in them and its poses."""
+
+    task: AdaptTask
+    state: AdaptState
+    scans: Scans
+
+
 class InputSummary(NamedTuple):
     """What reading the scans has shown, before the fit."""
 
