@@ -11,6 +11,9 @@ is the distance along the surface of each vertex from the same vertex of the tru
 counterparts in the template: there each registered vertex is attached to a point of the true mesh in every frame, and the
 error is the distance of these points from their median, in the first frame's pose. A body is then learned from the
 registered meshes, another one from the true meshes with the same options, and both are fitted to held-out frames.
+
+`--guide-degrees` measures the registration by itself, in minutes: the guide is the made person without bumps, in the true
+poses with every joint rotated by so many degrees (standard deviation, about each axis) and the root shifted by 3 mm.
 """
 
 import argparse
@@ -33,6 +36,7 @@ from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.registration.collect import RegisteredMeshes, collect_registered
 from jaxcap.adapt.registration.register_scans import register_scans
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
+from jaxcap.body.retraction import retract
 from jaxcap.geometry.closest import nearest_on_surface, positions_on_surface
 from jaxcap.geometry.mesh import sample_surface, vertex_normals
 from jaxcap.metrics import scan_to_surface
@@ -42,6 +46,8 @@ from jaxcap.report.distance_pictures import FrameView, draw_views
 NOISE = Noise(points=20_000, deviation=0.002, tilt=10.0, outliers=0.0)
 #: frames of a take between two scans
 STRIDE = 8
+#: standard deviation of the root of a perturbed guide, metres
+ROOT_SHIFT = 0.003
 #: every so many scans one is held out
 HOLD_OUT = 4
 
@@ -99,6 +105,22 @@ def register(template: jc.Body, subject: Subject, rounds: tuple[int, ...]) -> Re
     for frame, reason in registered.failures.items():
         progress(f"{subject.name}: frame {frame} failed: {reason}")
     return Result(clouds, state, registered)
+
+
+def register_by_person(number: int, subject: Subject, degrees: float) -> Result:
+    """Register scans of a made person by the same person without bumps, in perturbed poses."""
+    count, rng = len(subject.vertices), np.random.default_rng(0)
+    body = jc.human(joints="tracking", resolution="medium", **ACTORS[number])
+    motion = human_motion(shared_folder(), TAKES[number], body, STRIDE * count)
+    poses = []
+    for frame in range(count):
+        step = np.radians(degrees) * rng.normal(size=body.skeleton.num_dofs)
+        step[:3] = ROOT_SHIFT * rng.normal(size=3)
+        poses.append(retract(body.skeleton, motion[STRIDE * frame], jnp.asarray(step, jnp.float32)))
+    clouds = [scan(subject, frame) for frame in range(count)]
+    task = make_adapt_task(body, clouds, settings=AdaptSettings(unordered=False), planes=())
+    state = AdaptState(len(plan_stages(task.settings)), body, 1.0, jc.stack_poses(poses, task.rate))
+    return Result(clouds, state, collect_registered(body, register_scans(task, state), task.rate))
 
 
 def surface_errors(subject: Subject, result: Result, vertices: Float[np.ndarray, "F W 3"]):
@@ -195,17 +217,24 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=2, help=f"number of made people, at most {len(ACTORS)}")
     parser.add_argument("--scans", type=int, default=12, help="number of scans of each")
     parser.add_argument("--no-crane", action="store_true", help="made people only")
+    parser.add_argument(
+        "--guide-degrees", type=float, help="do not adapt: use made people in perturbed poses as guides"
+    )
     parser.add_argument("--no-learning", action="store_true", help="do not learn bodies from the meshes")
     parser.add_argument("--rounds", type=int, nargs="*", default=[3], help="rounds of vertices in each pass")
     parser.add_argument("--learning-rounds", type=int, default=4, help="largest number of learning rounds")
     parser.add_argument("--picture", type=Path, help="write PNGs of a few frames")
     options = parser.parse_args()
     template = jc.human(joints="tracking", resolution="medium")
+    perturbed = options.guide_degrees is not None
     subjects = [make_person(number, options.scans) for number in range(options.people)]
-    subjects += [] if options.no_crane else [crane_subject(options.scans)]
+    subjects += [] if options.no_crane or perturbed else [crane_subject(options.scans)]
     figures, limits = {}, {}
-    for subject in subjects:
-        result = register(template, subject, tuple(options.rounds))
+    for number, subject in enumerate(subjects):
+        if perturbed:
+            result = register_by_person(number, subject, options.guide_degrees)
+        else:
+            result = register(template, subject, tuple(options.rounds))
         if options.picture:
             draw(options.picture, subject, result)
         # people have the joints of the template, moved by learning; those of crane are found

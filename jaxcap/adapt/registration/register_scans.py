@@ -129,7 +129,7 @@ def _register(
 
 
 def _scan_of(task: AdaptTask, frame: int, num_points: int) -> IndexedScan:
-    """Index a scan: with its triangles if it is a coarse mesh, otherwise its points, thinned."""
+    """Make the search tree of a scan: with its triangles if it is a coarse mesh, otherwise of its points, thinned."""
     if task.mesh is not None:
         scan = task.mesh(frame)
         if len(scan.faces) and len(scan.points) <= num_points:

@@ -180,7 +180,7 @@ class Register:
         return self.with_meshes(AdaptedScans(task, flag_frames(task, state, final=True), scans))
 
     def with_meshes(self, found: AdaptedScans) -> AdaptedScans:
-        """Let the task read scans with their triangles."""
+        """Add the reader of scans with their triangles to the task."""
         clouds = Clouds(found.scans, found.state.body, self.up)
         planes = () if self.keep_planes else find_room(clouds[found.task.scanned[0]])
         mesh = partial(clouds.mesh, planes=planes)

@@ -28,6 +28,9 @@ MIN_SIGMA = 5e-4
 ROBUST_SCALE = 3.0
 #: weight of a vertex's pair relative to that of a point: its point has a pair already
 VERTEX_WEIGHT = 0.25
+#: angle between the surface and the plane of a vertex's nearest point, from curvature and noisy normals, radians: the
+#: distance from the plane is uncertain by this times the distance along it
+PLANE_ANGLE = 0.2
 #: weight of squared distances along the surface relative to those across it: points slide in their tangent planes
 TANGENTIAL_WEIGHT = 0.001
 #: a vertex is seen if its nearest point is within the distance of a point from its neighbour of this rank
@@ -130,8 +133,10 @@ def _find_pairs(
     sigma = MIN_SIGMA
     if from_scan.any():
         sigma = max(_OF_MEDIAN * float(np.median(np.abs(across[:-count][from_scan]))), sigma)
+    variances = np.full(len(weights), sigma**2)
+    variances[-count:] += (PLANE_ANGLE * along[-count:]) ** 2
     # zero or one: robust weights are of distances across the surface
-    weights = (weights > 0) / sigma**2 / (1.0 + (across / (ROBUST_SCALE * sigma)) ** 2)
+    weights = (weights > 0) / (variances + (across / ROBUST_SCALE) ** 2)
     weights[-count:] *= VERTEX_WEIGHT
     pairs = eqx.tree_at(lambda p: p.weights, pairs, jnp.asarray(weights, pairs.weights.dtype))
     distances = np.where(seen, np.abs(across[-count:]), np.nan)

@@ -47,7 +47,7 @@ class PrecisionRoot(eqx.Module):
 
 
 def make_precision_root(matrix: scipy.sparse.csr_array) -> PrecisionRoot:
-    """Store a sparse matrix with a symmetric pattern, and its transpose, by rows of equal length."""
+    """Make the root of a sparse matrix with a symmetric pattern, stored with its transpose by rows of equal length."""
     matrix, turned = (part.tocsr() for part in (matrix, matrix.T))
     for part in (matrix, turned):
         part.sort_indices()
