@@ -76,7 +76,7 @@ def test_a_folder_of_meshes(folder, capsys):
 def test_what_cannot_be_registered(folder, capsys):
     one = ("register", folder / "body.npz", folder / "scan_0000.ply", "-o", folder / "one.npz")
     line = fails(capsys, *one)
-    assert "1 scan is too few to adapt" in line and "with --motion" in line
+    assert "1 scan is too few to adapt to" in line and "--motion" in line
     lonely = folder / "lonely"
     lonely.mkdir()
     (folder / "scan_0000.ply").rename(lonely / "scan_0000.ply")

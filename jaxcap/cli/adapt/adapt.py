@@ -44,6 +44,7 @@ from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
 from .assignment import ASSIGNMENTS, AssignmentName
 from .input import (
+    MIN_SCANS,
     UNORDERED,
     AdaptedScans,
     RunFiles,
@@ -54,6 +55,7 @@ from .input import (
     format_explained,
     is_none_or_nonnegative,
     load_cameras,
+    too_few_error,
     warn_of_lost,
     warn_of_unusable,
 )
@@ -197,9 +199,8 @@ class Adapt:
         # before the scans, as reading all of them takes long
         files = self.read_files(body, limits, known)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        if len(scans) < 3:
-            source = clouds_words(self.clouds)
-            raise InputError(f"{source}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        if len(scans) < MIN_SCANS:
+            raise too_few_error(clouds_words(self.clouds), len(scans))
         print_rate(find_rate(self.rate, self.clouds))
         seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)

@@ -14,8 +14,8 @@ from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
 from ...observe.floors_and_walls import find_room
 from ..adapt.adapt import Adapt
-from ..adapt.input import MIN_SCANS, AdaptedScans, check_input, warn_of_unusable
-from ..console.console import pluralise, progress
+from ..adapt.input import AdaptedScans, check_input, warn_of_unusable
+from ..console.console import progress
 from ..console.heartbeat import set_activity
 from ..console.options import (
     BODY_FORMATS,
@@ -149,13 +149,6 @@ class Register:
         """Adapt the body, and write it and its motion. Raises `InputError`."""
         adapting = self.adapting
         adapting.check()
-        # files are read on access only
-        count = len(read_clouds(self.clouds, self.first, self.last, self.unit))
-        if count < MIN_SCANS:
-            raise InputError(
-                f"{clouds_words(self.clouds)}: {pluralise(count, 'scan')} {'is' if count == 1 else 'are'} too few to adapt {self.body} to; "
-                f"give at least {MIN_SCANS}, or a body of the person and its poses in the scans with --motion."
-            )
         with run_lock(adapting.out, adapting.motion_path):
             found = adapting.adapt_all()
         return self.with_meshes(found)
