@@ -11,7 +11,7 @@ from jaxcap.energy.data.pairs import PointPairs
 from jaxcap.fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from jaxcap.fit.free_surface.displacement_prior import make_displacement_prior
 from jaxcap.fit.free_surface.free_surface_problem import FreeSurfaceProblem
-from jaxcap.fit.free_surface.register_surface import register_surface
+from jaxcap.fit.free_surface.register_surface import estimate_deviation, register_surface
 from jaxcap.fit.free_surface.vertex_couplings import find_couplings
 from jaxcap.geometry.mesh import sample_surface
 
@@ -104,6 +104,15 @@ def test_what_the_scan_does_not_show_stays_at_the_guide():
     assert np.isnan(found.distances[~found.seen]).all() and np.isfinite(found.distances[found.seen]).all()
     moved = np.linalg.norm(found.vertices - VERTICES, axis=1)
     assert moved[x < -2 * LENGTH].max() < 0.001 < 0.003 < np.median(moved[x > 0.05])
+
+
+def test_the_deviation_of_the_guide_is_found_below_the_noise():
+    """Of a scan 5 mm outside of the guide, and of one at the guide, with 2 mm of noise in both."""
+    outside = scan_of(VERTICES * (1 + 0.005 / RADIUS), FACES)
+    assert estimate_deviation(VERTICES, FACES, outside) == pytest.approx(0.005, rel=0.05)
+    assert estimate_deviation(VERTICES, FACES, scan_of(VERTICES, FACES)) < 0.0007
+    far = scan_of(VERTICES + [2.0, 0.0, 0.0], FACES, count=500)
+    assert estimate_deviation(VERTICES, FACES, far) == 0.0005
 
 
 def test_points_of_another_surface_do_not_pull():

@@ -13,7 +13,7 @@ from ...body.pose import Pose
 from ...errors import user_message
 from ...fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ...fit.free_surface.displacement_prior import make_displacement_prior
-from ...fit.free_surface.register_surface import register_surface
+from ...fit.free_surface.register_surface import estimate_deviation, register_surface
 from ...fit.linear_solvers.regularised_blocks import PrecisionRoot
 from ...geometry.closest import nearest_on_surface
 from ...observe.clouds import thin_cloud
@@ -35,8 +35,9 @@ MIN_SEEN, MAX_SHIFT = 10, 0.02
 class RegisterSettings(NamedTuple):
     """The settings of a registration."""
 
-    #: standard deviation of each coordinate of the person's surface from the posed, adapted body, metres
-    deviation: float = 0.01
+    #: standard deviation of each coordinate of the person's surface from the posed, adapted body, metres; None
+    #: estimates it in each scan (`estimate_deviation`)
+    deviation: float | None = None
     #: distance over the surface at which the correlation of these differences falls to 0.14, metres
     length: float = 0.1
     #: number of points that a scan is thinned to
@@ -80,11 +81,13 @@ def register_scans(
 
     **Raises:** `InputError` if a setting is out of its range.
     """
-    check_positive("RegisterSettings", "metres", deviation=settings.deviation, length=settings.length)
+    check_positive("RegisterSettings", "metres", length=settings.length)
+    if settings.deviation is not None:
+        check_positive("RegisterSettings", "metres", deviation=settings.deviation)
     check_at_least("RegisterSettings", 1, num_points=settings.num_points)
     body = state.body
     rest, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
-    prior = make_displacement_prior(rest, faces, settings.deviation, settings.length)
+    prior = make_displacement_prior(rest, faces, 1.0, settings.length)
     reasons = dict(zip(state.lost, state.reasons, strict=False))
     lost = {frame: reasons.get(frame, "not explained by the body") for frame in state.lost}
     lost |= dict.fromkeys(task.missing, NO_SCAN)
@@ -112,7 +115,8 @@ def _register(
         else None
     )
     guide = np.asarray(posed, float)
-    found = register_surface(guide, faces, scan, prior, visible)
+    deviation = settings.deviation or estimate_deviation(guide, faces, scan, visible)
+    found = register_surface(guide, faces, scan, prior.scaled(1.0 / deviation), visible)
     distances = nearest_on_surface(scan.points, found.vertices, faces, NEAR).distances
     near = np.isfinite(distances)
     share = found.explained * len(scan.points) / max(int(near.sum()), 1)

@@ -57,9 +57,9 @@ class Register:
     motion: OptionalFile = None
     """Poses of BODY in the scans, one for each, from `jaxcap adapt` or `jaxcap track`. BODY is then a body of the
     person and is not adapted. Default: adapt BODY and find the poses."""
-    deviation: Annotated[float, arg(metavar="METRES")] = RegisterSettings().deviation
+    deviation: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="")] = None
     """Standard deviation of the person's surface from the posed, adapted body, metres. With larger values, the meshes follow
-    the scans more closely, including their noise."""
+    the scans more closely, including their noise. Default: estimated from each scan."""
     length: Annotated[float, arg(metavar="METRES")] = RegisterSettings().length
     """Distance over the surface at which the correlation of these differences falls to 0.14, metres."""
     points: Annotated[int, arg(metavar="N")] = RegisterSettings().num_points
@@ -110,7 +110,11 @@ class Register:
         """Check that options are in range and the output can be written. Raises `InputError`."""
         check_ranges(
             {
-                "--deviation": (self.deviation, 0 < self.deviation < 1, "above 0 and below 1 metre"),
+                "--deviation": (
+                    self.deviation,
+                    self.deviation is None or 0 < self.deviation < 1,
+                    "above 0 and below 1 metre",
+                ),
                 "--length": (self.length, 0 < self.length < 10, "above 0 and below 10 metres"),
                 "--points": (self.points, self.points >= 100, "at least 100"),
             }

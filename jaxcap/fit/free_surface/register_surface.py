@@ -22,6 +22,9 @@ from .vertex_couplings import find_couplings
 REACHES = (0.05, 0.05, 0.04, 0.03, 0.03, 0.03)
 #: largest angle between the two normals of a pair, degrees
 MAX_NORMAL_ANGLE = 60.0
+#: least and largest estimated standard deviation of the surface from its guide, metres: with a larger one, vertices of a
+#: poor guide wander along the surface
+MIN_DEVIATION, MAX_DEVIATION = 5e-4, 0.01
 #: least standard deviation of points across the surface, metres
 MIN_SIGMA = 5e-4
 #: number of standard deviations at which the weight of a pair is a half (Cauchy)
@@ -95,12 +98,40 @@ def register_surface(
     return SurfaceRegistration(vertices, last.seen, last.distances, last.explained, last.sigma)
 
 
+def estimate_deviation(
+    guide: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    scan: IndexedScan,
+    visible: Bool[np.ndarray, "V"] | None = None,
+) -> float:
+    """Estimate the standard deviation of the scanned surface from its guide, across the surface, metres.
+
+    The noise of neighbouring points is independent, but their distances from the guide are alike. The mean product of
+    these is therefore the variance without the noise: the covariance function near zero, as opposed to at zero
+    (Matheron 1963). It is from `MIN_DEVIATION` to `MAX_DEVIATION`.
+    """
+    found = _find_pairs(guide, faces, scan, _point_spacing(scan), visible, REACHES[0])
+    # padding comes last
+    count = len(scan.points)
+    across, paired = found.across[:count], np.asarray(found.pairs.weights)[:count] > 0
+    if count < 2 or not paired.any():
+        return MIN_DEVIATION
+    _, neighbours = scan.tree.query(scan.points, [2], workers=-1)
+    both = paired & paired[neighbours[:, 0]]
+    products = across[both] * across[neighbours[both, 0]]
+    return float(
+        np.sqrt(max(products.mean(), 0.0) if len(products) else 0.0).clip(MIN_DEVIATION, MAX_DEVIATION)
+    )
+
+
 class _Pairs(NamedTuple):
     pairs: PointPairs
     seen: Bool[np.ndarray, "V"]
     distances: Float[np.ndarray, "V"]
     explained: float
     sigma: float
+    #: signed distance of each pair across the surface, metres
+    across: Float[np.ndarray, "C"]
 
 
 def _find_pairs(
@@ -140,7 +171,7 @@ def _find_pairs(
     weights[-count:] *= VERTEX_WEIGHT
     pairs = eqx.tree_at(lambda p: p.weights, pairs, jnp.asarray(weights, pairs.weights.dtype))
     distances = np.where(seen, np.abs(across[-count:]), np.nan)
-    return _Pairs(pairs, seen, distances, float(from_scan.sum()) / len(scan.points), sigma)
+    return _Pairs(pairs, seen, distances, float(from_scan.sum()) / len(scan.points), sigma, across)
 
 
 def _point_spacing(scan: IndexedScan) -> Float[np.ndarray, "N"]:

@@ -35,6 +35,11 @@ class PrecisionRoot(eqx.Module):
         """Compute `R^T R d`."""
         return self._product(self.transposed, self.residual(field))
 
+    def scaled(self, factor: float) -> "PrecisionRoot":
+        """Multiply `R` by a factor."""
+        values, turned, diagonal = self.values, self.transposed, self.diagonal
+        return PrecisionRoot(self.columns, factor * values, factor * turned, factor**2 * diagonal)
+
     def absolute(self) -> "PrecisionRoot":
         """Replace all entries by their absolute values."""
         return PrecisionRoot(self.columns, jnp.abs(self.values), jnp.abs(self.transposed), self.diagonal)
