@@ -180,6 +180,7 @@ GIVEN: dict[str, Callable[[Path], dict[str, object]]] = {
     "docs/files.md": files_page,
     "docs/live.md": live_page,
     "docs/adaptation.md": adaptation_page,
+    "docs/registration.md": adaptation_page,
     "docs/body_models.md": body_models_page,
     "docs/opensim.md": opensim_page,
 }

@@ -29,6 +29,8 @@ PLACES = [
     Place("fit.Fit", {"body": "giant.npz", "meshes": (FILE,), "out": OUT}, SURFACES),
     Place("adapt.adapt.Adapt", {"body": FILE, "clouds": (GONE,), "out": OUT}, ALL_BODIES),
     Place("adapt.adapt.Adapt", {"body": BODY, "clouds": (FILE,), "out": OUT}, CLOUDS),
+    Place("register.register.Register", {"body": FILE, "clouds": (GONE,), "out": OUT}, ALL_BODIES),
+    Place("register.register.Register", {"body": BODY, "clouds": (FILE,), "out": OUT}, CLOUDS),
     Place("track.track.Track", {"body": FILE, "clouds": (GONE,), "out": "new"}, ALL_BODIES),
     Place("track.track.Track", {"body": "giant.npz", "clouds": (FILE,), "out": "new"}, CLOUDS),
     Place("track.track.Track", {"body": BODY, "clouds": (GONE,), "out": "new", "limits": FILE}, LIMITS),

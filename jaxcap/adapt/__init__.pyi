@@ -2,6 +2,11 @@
 
 from .objective import PoseTerms as PoseTerms
 from .poses.sliding_window import smooth_poses as smooth_poses
+from .registration.collect import RegisteredMeshes as RegisteredMeshes
+from .registration.collect import collect_registered as collect_registered
+from .registration.register_scans import RegisteredScan as RegisteredScan
+from .registration.register_scans import RegisterSettings as RegisterSettings
+from .registration.register_scans import register_scans as register_scans
 from .shape.people_shapes import estimate_people_shapes as estimate_people_shapes
 from .shape.shape_prior import ShapePrior as ShapePrior
 from .shape.shape_prior import make_shape_prior as make_shape_prior

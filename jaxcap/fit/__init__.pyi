@@ -31,6 +31,9 @@ from .correspondence.soft_assignment import SoftAssignment as SoftAssignment
 from .fit_meshes import MeshFit as MeshFit
 from .fit_model import ModelFit as ModelFit
 from .flat_problems import flat_problem as flat_problem
+from .free_surface.displacement_prior import make_displacement_prior as make_displacement_prior
+from .free_surface.register_surface import SurfaceRegistration as SurfaceRegistration
+from .free_surface.register_surface import register_surface as register_surface
 from .jacobian_check import check_jacobian as check_jacobian
 from .pose_problem import PoseProblem as PoseProblem
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Array, Float, Int
 
-from .mesh import mesh_edges
+from .mesh import area_normals, mesh_edges
 
 
 class Conformance(eqx.Module):
@@ -120,6 +120,27 @@ def laplacian_matrix(adjacency: scipy.sparse.csr_array) -> scipy.sparse.csr_arra
     inverse = np.where(counts > 0, 1.0 / np.maximum(counts, 1), 0.0)
     inside = scipy.sparse.diags_array((counts > 0).astype(float))
     return (inside - scipy.sparse.diags_array(inverse) @ adjacency).tocsr()
+
+
+def cotangent_laplacian(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> scipy.sparse.csr_array:
+    """Assemble the cotangent Laplacian `(V, V)`, the stiffness matrix of linear elements; positive semidefinite.
+
+    Obtuse and degenerate triangles would make weights negative or infinite. Cotangents are therefore clipped
+    to 0.001 to 10.
+    """
+    count = len(vertices)
+    corners = vertices[faces]
+    doubled = np.linalg.norm(area_normals(corners), axis=1)
+    weights = scipy.sparse.csr_array((count, count))
+    for i in range(3):
+        a, b = (corners[:, (i + k) % 3] - corners[:, i] for k in (1, 2))
+        cotangent = np.clip(np.sum(a * b, axis=1) / np.maximum(doubled, 1e-20), 1e-3, 10.0)
+        first, second = faces[:, (i + 1) % 3], faces[:, (i + 2) % 3]
+        weights += scipy.sparse.csr_array((0.5 * cotangent, (first, second)), shape=(count, count))
+    weights = weights + weights.T
+    return (scipy.sparse.diags_array(np.asarray(weights.sum(1)).ravel()) - weights).tocsr()
 
 
 class PatchLaplacian(eqx.Module):

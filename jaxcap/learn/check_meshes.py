@@ -130,7 +130,7 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
         raise InputError(
             f"{_listed(others, names)} {'has' if len(others) == 1 else 'have'} a different vertex order than "
             f"{many}: edge lengths differ by more than a factor of {STRETCH:g} across the mesh; expected "
-            "registered meshes with one vertex order."
+            "registered meshes with one vertex order; register them by `jaxcap register`."
         )
     factors = np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
     wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(MAX_POSE_RATIO))

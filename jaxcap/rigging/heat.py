@@ -6,8 +6,9 @@ from jaxtyping import Float, Int
 
 from ..body.influences import strongest_weights
 from ..body.skeleton import Skeleton
+from ..geometry.laplacian import cotangent_laplacian
 from ..geometry.linear import factor_sparse
-from ..geometry.mesh import area_normals, vertex_areas, vertex_normals
+from ..geometry.mesh import vertex_areas, vertex_normals
 from .envelopes import bone_distances, default_tails
 
 #: largest number of bones per vertex
@@ -80,23 +81,11 @@ def surface_operators(
 ) -> tuple[sparse.csc_matrix, Float[np.ndarray, "V"], Float[np.ndarray, "V 3"]]:
     """Compute the cotangent Laplacian (positive semidefinite), areas (m^2) and normals of vertices.
 
-    Obtuse and degenerate triangles would make weights negative or infinite. Cotangents are therefore clipped
-    to 0.001 to 10: the maximum principle holds, and heat stays between zero and one.
+    The cotangents are clipped: the maximum principle holds, and heat stays between zero and one.
     """
-    count = len(vertices)
-    corners = vertices[faces]
-    doubled = np.linalg.norm(area_normals(corners), axis=1)
-    laplacian = sparse.csc_matrix((count, count))
-    for i in range(3):
-        a, b = (corners[:, (i + k) % 3] - corners[:, i] for k in (1, 2))
-        cotangent = np.clip(np.sum(a * b, axis=1) / np.maximum(doubled, 1e-20), 1e-3, 10.0)
-        first, second = faces[:, (i + 1) % 3], faces[:, (i + 2) % 3]
-        laplacian += sparse.csc_matrix((0.5 * cotangent, (first, second)), shape=(count, count))
-    laplacian = laplacian + laplacian.T
-    laplacian = sparse.diags(np.asarray(laplacian.sum(axis=1)).ravel()) - laplacian
     areas = vertex_areas(vertices, faces)
     areas = np.maximum(areas, 1e-6 * areas.mean())
-    return sparse.csc_matrix(laplacian), areas, vertex_normals(vertices, faces)
+    return sparse.csc_matrix(cotangent_laplacian(vertices, faces)), areas, vertex_normals(vertices, faces)
 
 
 def _equilibrium(

@@ -247,6 +247,15 @@ def test_adapt_speed(checkout, shared):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_register(checkout, shared, tmp_path):
+    options = ("--people", "1", "--scans", "3", "--no-learning", "--guide-degrees", "0.6")
+    line = run(checkout, "register", *options, "--picture", str(tmp_path / "register.png"))
+    assert meets(line, "person_0_surface_mm", "person_0_correspondence_mm", "person_0_failed")
+    assert (tmp_path / "register-person_0.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_retarget_rigs(checkout, shared):
     rigs = ("unreal", "rigify", "makehuman", "nameless", "one_arm", "no_arms")
     line = run(checkout, "retarget_rigs", "--takes", "02_05", "--frames", "40", "--rigs", *rigs)

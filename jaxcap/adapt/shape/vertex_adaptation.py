@@ -6,7 +6,6 @@ are coupled only through shared unknowns. Vertices are coupled if they share a p
 apart.
 """
 
-import itertools
 from typing import Any
 
 import equinox as eqx
@@ -20,13 +19,13 @@ from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
 from ...energy.data.pairs import PairDistances, PointPairs, corner_directions
+from ...fit.free_surface.vertex_couplings import Couplings, add_pairs, find_couplings, no_equations
 from ...fit.linear_solvers.sparse_blocks import BorderedMatrix, SparseBlocks
 from ...fit.linearise import frame_jacobian, vertex_maps
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.solvers.descent import ConstrainedInfo, NormalDescent
 from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.minimise import take_step
-from ...geometry.mesh import mesh_edges
 from .shape_prior import ShapePrior
 
 #: damping of a step on all unknowns, as a share of each curvature
@@ -58,14 +57,6 @@ class ShapeTerm(eqx.Module):
         return _sparse_product(self.values, self.columns, self.rows, x)
 
 
-class Coupling(eqx.Module):
-    """The couplings of vertices by the pairs of all frames."""
-
-    edges: Int[Array, "E 2"]
-    #: the block of each two of a pair's vertices: that of a vertex, or, after all of these, of an edge
-    block_indices: Int[Array, "F C P"]
-
-
 @checked
 def adapt_shape(
     body: Body,
@@ -88,7 +79,7 @@ def adapt_shape(
     """
     shape = shape_term(body, prior, weight, shift_weight)
     limit = jnp.asarray(tolerance, body.vertices.dtype)
-    step = _vertex_step(body, poses, pairs, find_couplings(body, pairs), shape, limit)
+    step = _vertex_step(body, poses, pairs, _couplings(body, pairs), shape, limit)
     return eqx.tree_at(lambda b: b.vertices, body, body.vertices + step)
 
 
@@ -122,7 +113,7 @@ def adapt_together(
         lambda leaf: leaf.astype(dtype) if eqx.is_inexact_array(leaf) else leaf, (problem, poses, pairs)
     )
     shape = shape_term(body, prior, weight, shift_weight)
-    whole = SurfaceProblem(problem, pairs, find_couplings(body, pairs), shape, jnp.asarray(tolerance, dtype))
+    whole = SurfaceProblem(problem, pairs, _couplings(body, pairs), shape, jnp.asarray(tolerance, dtype))
     return _surface_step(whole, poses)
 
 
@@ -148,30 +139,6 @@ def shape_term(
     )
 
 
-def find_couplings(body: Body, pairs: PointPairs) -> Coupling:
-    """Find the couplings of vertices by pairs.
-
-    **Raises:** `ValueError` if two vertices of a pair share no edge.
-    """
-    count, rows = len(body.vertices), np.asarray(pairs.vertices, np.int64)
-    # pairs within a triangle couple its vertices; pairs at vertices couple none
-    edges = mesh_edges(np.asarray(body.faces)) if rows.shape[2] > 1 else np.zeros((0, 2), int)
-    keys = edges[:, 0] * np.int64(count) + edges[:, 1]
-    slots = np.zeros((*rows.shape[:2], len(_corner_pairs(rows.shape[2]))), np.int64)
-    for number, (k, other) in enumerate(_corner_pairs(rows.shape[2])):
-        low, high = np.minimum(rows[..., k], rows[..., other]), np.maximum(rows[..., k], rows[..., other])
-        found = np.searchsorted(keys, low * count + high)
-        known = (low == high) | (keys[np.minimum(found, len(keys) - 1)] == low * count + high)
-        if not known.all():
-            frame, pair = np.argwhere(~known)[0]
-            raise ValueError(
-                f"Pair {pair} of frame {frame} couples vertices {low[frame, pair]} and {high[frame, pair]}, which "
-                "share no edge; give pairs of points in triangles of the body."
-            )
-        slots[..., number] = np.where(low == high, low, count + found)
-    return Coupling(jnp.asarray(edges, jnp.int32), jnp.asarray(slots, jnp.int32))
-
-
 class SurfaceEstimate(eqx.Module):
     """Poses and coefficients of modes, and a further shift of each rest vertex, metres."""
 
@@ -187,7 +154,7 @@ class SurfaceProblem(AbstractProblem[SurfaceEstimate]):
 
     sequence: SequenceProblem
     pairs: PointPairs
-    coupling: Coupling
+    coupling: Couplings
     shape: ShapeTerm
     tolerance: Float[Array, ""]
 
@@ -274,7 +241,7 @@ def _vertex_step(
     body: Body,
     poses: Pose,
     pairs: PointPairs,
-    coupling: Coupling,
+    coupling: Couplings,
     shape: ShapeTerm,
     tolerance: Float[Array, ""],
 ) -> Float[Array, "V 3"]:
@@ -286,7 +253,7 @@ def vertex_normal_equations(
     body: Body,
     poses: Pose,
     pairs: PointPairs,
-    coupling: Coupling,
+    coupling: Couplings,
     shape: ShapeTerm,
     tolerance: Float[Array, ""],
 ) -> tuple[SparseBlocks, Float[Array, "V 3"]]:
@@ -294,23 +261,13 @@ def vertex_normal_equations(
 
     Return the sparse matrix and the right side.
     """
-    couples, count = _corner_pairs(pairs.vertices.shape[-1]), len(body.vertices)
+    count = len(body.vertices)
 
     def of_frame(total, frame):
         pose, pairs, slots = frame
-        matrices, sides = total
         rows = _pair_jacobian(body, pose, pairs)
         differences = PairDistances(pairs).residual(pose_body(body, pose)).reshape(-1, 3)
-        matrices = matrices.at[pairs.vertices].add(jnp.einsum("ckra,ckrb->ckab", rows, rows))
-        sides = sides.at[pairs.vertices].add(-jnp.einsum("ckra,cr->cka", rows, differences))
-        for number, (k, other) in enumerate(couples):
-            block = jnp.einsum("cra,crb->cab", rows[:, k], rows[:, other])
-            turned = jnp.swapaxes(block, 1, 2)
-            first, second = (pairs.vertices[:, i, None, None] for i in (k, other))
-            # a repeated vertex has both halves of the coupling on its diagonal
-            block = jnp.where(first < second, block, turned) + jnp.where(first == second, block, 0.0)
-            matrices = matrices.at[slots[:, number]].add(block)
-        return (matrices, sides), None
+        return add_pairs(total, rows, differences, pairs.vertices, slots), None
 
     def of_mesh(total, mesh):
         pose, vectors = mesh
@@ -322,14 +279,17 @@ def vertex_normal_equations(
         across = across + jnp.einsum("e,eba,ebc->eac", shape.off_diagonal, maps[first], maps[second])
         return (own, across, side + jnp.einsum("vba,vb->va", maps, shape.transposed(missing))), None
 
-    zero = jnp.zeros((count + len(coupling.edges), 3, 3), body.vertices.dtype)
-    (blocks, side), _ = jax.lax.scan(
-        of_frame, (zero, zero[:count, 0]), (poses, pairs, coupling.block_indices)
+    zero = no_equations(coupling, count, body.vertices.dtype)
+    found, _ = jax.lax.scan(of_frame, zero, (poses, pairs, coupling.block_indices))
+    blocks, side = found.blocks, found.side
+    none = (
+        zero.blocks[:count],
+        jnp.zeros((len(shape.coupled_vertices), 3, 3), side.dtype),
+        zero.side,
     )
-    none = zero[:count], jnp.zeros((len(shape.coupled_vertices), 3, 3), zero.dtype), zero[:count, 0]
     sums, _ = jax.lax.scan(of_mesh, none, (shape.poses, shape.vectors))
     own, across, pull = jax.tree.map(lambda leaf: shape.weight / len(shape.vectors) * leaf, sums)
-    own = blocks[:count] + own + shape.shift_weight * jnp.eye(3, dtype=zero.dtype)
+    own = blocks[:count] + own + shape.shift_weight * jnp.eye(3, dtype=side.dtype)
     matrix = SparseBlocks(
         own,
         jnp.concatenate([coupling.edges, shape.coupled_vertices]),
@@ -337,6 +297,10 @@ def vertex_normal_equations(
         tolerance,
     )
     return matrix, side + pull
+
+
+def _couplings(body: Body, pairs: PointPairs) -> Couplings:
+    return find_couplings(np.asarray(body.faces), len(body.vertices), pairs)
 
 
 def _pair_jacobian(body: Body, pose: Pose, pairs: PointPairs) -> Float[Array, "C K R 3"]:
@@ -347,7 +311,3 @@ def _pair_jacobian(body: Body, pose: Pose, pairs: PointPairs) -> Float[Array, "C
 
 def _sparse_product(values, rows, columns, x):
     return jax.ops.segment_sum(values.reshape(-1, *[1] * (x.ndim - 1)) * x[columns], rows, len(x))
-
-
-def _corner_pairs(corners: int) -> list[tuple[int, int]]:
-    return list(itertools.combinations(range(corners), 2))

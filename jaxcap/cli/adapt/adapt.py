@@ -44,7 +44,9 @@ from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
 from .assignment import ASSIGNMENTS, AssignmentName
 from .input import (
+    MIN_SCANS,
     UNORDERED,
+    AdaptedScans,
     RunFiles,
     check_first_scan,
     check_input,
@@ -53,6 +55,7 @@ from .input import (
     format_explained,
     is_none_or_nonnegative,
     load_cameras,
+    too_few_error,
     warn_of_lost,
     warn_of_unusable,
 )
@@ -184,8 +187,10 @@ class Adapt:
             path for path in (self.out, self.motion_path, self.parameters, self.report) if path is not None
         ]
 
-    def adapt_all(self) -> None:
-        """Read, adapt, write and report, while the lock excludes other runs with the same output files."""
+    def adapt_all(self) -> AdaptedScans:
+        """Read, adapt, write and report, while the lock excludes other runs with the same output files.
+
+        A finished run that is resumed is only read, and what it lacks is written."""
         known = prior_file(self.body, self.prior)
         header = self.settings() | hash_files({"prior": known, "limits": self.limits})
         body, limits = load_body(
@@ -194,9 +199,8 @@ class Adapt:
         # before the scans, as reading all of them takes long
         files = self.read_files(body, limits, known)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        if len(scans) < 3:
-            source = clouds_words(self.clouds)
-            raise InputError(f"{source}: {len(scans)} scans are too few to adapt to; give at least 3.")
+        if len(scans) < MIN_SCANS:
+            raise too_few_error(clouds_words(self.clouds), len(scans))
         print_rate(find_rate(self.rate, self.clouds))
         seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)
@@ -220,6 +224,7 @@ class Adapt:
         if self.report is not None:
             self.write_report(self.report, task, state, known)
         self.checkpoint_path.unlink(missing_ok=True)
+        return AdaptedScans(task, state, scans)
 
     def write(
         self, state: AdaptState, header: dict[str, object], scans: Scans, extra_arrays: dict[str, np.ndarray]

@@ -23,7 +23,7 @@ from ...io.cameras import read_cameras
 from ...io.meshes.clouds import Scans
 from ...observe import Scan
 from ...tracking.check_cloud import check_cloud_extent
-from ..console.console import progress, warn
+from ..console.console import pluralise, progress, warn
 from ..motions import load_motion
 from ..sources import Up, up_rotation, upright_camera
 
@@ -52,6 +52,14 @@ class RunFiles(NamedTuple):
     terms: tuple[AbstractEnergy, ...] = ()
 
 
+class AdaptedScans(NamedTuple):
+    """Scans with a body of the person in them and its poses."""
+
+    task: AdaptTask
+    state: AdaptState
+    scans: Scans
+
+
 class InputSummary(NamedTuple):
     """What reading the scans has shown, before the fit."""
 
@@ -59,6 +67,14 @@ class InputSummary(NamedTuple):
     unusable: dict[int, str]
     #: a hash of the content of every scan
     digests: tuple[str, ...]
+
+
+def too_few_error(source: str, count: int) -> InputError:
+    """Make the error for a sequence of too few scans."""
+    return InputError(
+        f"{source}: {pluralise(count, 'scan')} {'is' if count == 1 else 'are'} too few to adapt to; give at least {MIN_SCANS}; a body of "
+        "the person needs no adaptation: give it to `jaxcap track`, or with its poses to `jaxcap register --motion`."
+    )
 
 
 def check_input(scans: Scans, body: Body) -> InputSummary:

@@ -71,6 +71,7 @@ the user for later runs. The environment variable JAXCAP_CACHE names another fol
         "learn": Verb("learn.Learn", "Learn an animatable body from registered meshes of one actor"),
         "fit": Verb("fit.Fit", "Fit the poses of a body to registered meshes"),
         "adapt": Verb("adapt.adapt.Adapt", "Adapt a template body to the actor in a sequence of scans"),
+        "register": Verb("register.register.Register", "Register scans of a person to one topology"),
         "track": Verb("track.track.Track", "Fit a body to a sequence of point clouds"),
         "live": Verb("live.live.Live", "Fit a body to depth images or clouds as they arrive"),
         "evaluate": Verb("evaluate.Evaluate", "Measure distances from scans to a body, and joint errors"),

@@ -1,6 +1,6 @@
 """Registered meshes: several meshes with one topology, from many files or one `.npz`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +21,10 @@ from .mesh import check_points, read_mesh
 
 FORMAT = "jaxcap meshes"
 _ARRAYS = ("vertices", "faces", "face_counts", "face_indices", "names", "rate")
+
+
+#: remedy for meshes of several topologies
+_REGISTER = "register them by `jaxcap register human SCANS -o registered.npz`"
 
 
 class NamedMeshes(NamedTuple):
@@ -78,10 +82,33 @@ def read_named_meshes(
 
 
 @checked
-def save_meshes(path: str | Path, sequence: MeshSequence) -> None:
-    """Write a sequence as an `.npz` for `read_meshes`. Raises `InputError` if it cannot be written."""
+def save_meshes(
+    path: str | Path,
+    sequence: MeshSequence,
+    names: Sequence[str] = (),
+    extra_arrays: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Write a sequence as an `.npz` for `read_meshes`.
+
+    **Arguments:** `names` of the meshes, for messages; `extra_arrays` by name, which `read_meshes` ignores, such as
+    `seen (F, V)` and `distances (F, V)` of registered scans.
+
+    **Raises:** `InputError` if there is not one name for each mesh, an extra array has the name of one of the format,
+    or the file cannot be written.
+    """
+    extra = dict(extra_arrays or {})
+    taken = sorted(set(extra) & set(_ARRAYS))
+    if taken:
+        raise InputError(
+            f"save_meshes: `extra_arrays` has '{taken[0]}', an array of the format; give it another name."
+        )
+    if names and len(names) != len(sequence):
+        raise InputError(
+            f"save_meshes: there are {len(names)} `names` for {len(sequence)} meshes; give one for each mesh."
+        )
     arrays = {"vertices": sequence.vertices, "faces": sequence.faces, "rate": np.array(sequence.rate, float)}
-    save_arrays(path, FORMAT, arrays)
+    named = {"names": np.array(names, dtype=str)} if names else {}
+    save_arrays(path, FORMAT, {**arrays, **named, **extra})
 
 
 def triangulate(
@@ -182,7 +209,7 @@ def _check_same_topology(path: Path, file: _File, first: Path, reference: _File)
     if counts[0] != counts[1]:
         raise InputError(
             f"{path}: this mesh has {counts[0][0]} vertices and {counts[0][1]} triangles, and {first} has "
-            f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology."
+            f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology; {_REGISTER}."
         )
     if (file.faces == reference.faces).all():
         return
@@ -191,7 +218,7 @@ def _check_same_topology(path: Path, file: _File, first: Path, reference: _File)
     if rows[0] != rows[1]:
         raise InputError(
             f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
-            "registered meshes have one topology and one vertex order."
+            f"registered meshes have one topology and one vertex order; {_REGISTER}."
         )
 
 

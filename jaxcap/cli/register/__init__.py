@@ -1,0 +1,1 @@
+"""`jaxcap register`: scans registered to one topology."""

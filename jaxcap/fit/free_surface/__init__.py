@@ -1,0 +1,1 @@
+"""A surface whose vertices move freely: to a scan, near the surface that guides them."""
