@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import logging
+import threading
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,21 @@ WORKER_MEMORY = 2 * GIB
 ATTEMPTS, ANSWER_SECONDS = 3, 10.0
 #: share of a GPU's memory that all workers together take, as JAX does in one process
 GPU_SHARE = 0.75
+#: settings of the scheduler: a job whose worker died is begun again so often that it was begun `ATTEMPTS` times; a worker has
+#: one job, so that its death counts for no other one; a worker that starts slowly is not given up
+SCHEDULER = {
+    "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.deploy.lost-worker-timeout": "600s",
+}
+#: settings of a worker: there are no results to spill, and a paused worker whose memory is in use by JAX would never go on
+WORKER = {
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+}
+#: seconds between two looks for workers that are gone
+WATCH_SECONDS = 2.0
 #: address of the dashboard, which is there if bokeh is installed
 DASHBOARD = "127.0.0.1:8787"
 
@@ -31,7 +47,7 @@ def open_cluster(
     *,
     scheduler: str | None = None,
     slurm: Mapping[str, str] | None = None,
-    memory: float = WORKER_MEMORY,
+    memory: int | float = WORKER_MEMORY,
     jobs: int | None = None,
     processes: bool = True,
 ) -> "Iterator[Client]":
@@ -67,19 +83,13 @@ def _local_cluster(workers: int, computer: Computer, processes: bool) -> "Iterat
 
     cores = max(1, computer.cores // workers)
     settings = {
-        # a job whose worker died is begun again so often that it was begun `ATTEMPTS` times
-        "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
-        # a worker has one job: the death of a worker counts for no other one
-        "distributed.scheduler.worker-saturation": 1.0,
-        # there are no results to spill, and a paused worker whose memory is in use by JAX would never go on
-        "distributed.worker.memory.target": False,
-        "distributed.worker.memory.spill": False,
-        "distributed.worker.memory.pause": False,
+        **SCHEDULER,
+        **WORKER,
         # the threads of XLA: all workers together have as many as there are cores; and its share of a GPU's memory
         "distributed.nanny.pre-spawn-environ.NPROC": str(cores),
         "distributed.nanny.pre-spawn-environ.XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE / workers:.3f}",
     }
-    dashboard = DASHBOARD if importlib.util.find_spec("bokeh") else None
+    has_dashboard = importlib.util.find_spec("bokeh") is not None
     with config.set(settings), _quiet_logs(), contextlib.ExitStack() as stack:
         cluster = stack.enter_context(
             distributed.LocalCluster(
@@ -88,14 +98,42 @@ def _local_cluster(workers: int, computer: Computer, processes: bool) -> "Iterat
                 processes=processes,
                 host="127.0.0.1" if processes else None,
                 memory_limit=computer.memory / workers if processes else None,
-                dashboard_address=dashboard,
+                dashboard_address=DASHBOARD if has_dashboard else "127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
         )
+        stack.enter_context(_workers_kept(cluster))
         client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-        if dashboard is not None:
+        if has_dashboard:
             _LOG.info("the dashboard is at %s", client.dashboard_link)
         yield client
+
+
+@contextlib.contextmanager
+def _workers_kept(cluster: Any) -> Iterator[None]:
+    """Replace the workers that Dask gives up because their process died while it was started again."""
+    stop, count = threading.Event(), len(cluster.workers)
+
+    def replace() -> None:
+        gone = [
+            name for name, worker in cluster.workers.items() if worker.status.name in ("closed", "failed")
+        ]
+        for name in gone:
+            del cluster.workers[name]
+        if gone:
+            cluster.scale(count)
+
+    def watch() -> None:
+        while not stop.wait(WATCH_SECONDS):
+            cluster.loop.add_callback(replace)
+
+    thread = threading.Thread(target=watch, daemon=True, name="workers")
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
 
 
 @contextlib.contextmanager
@@ -118,23 +156,29 @@ def _connect(address: str) -> "Iterator[Client]":
 
 
 @contextlib.contextmanager
-def _slurm_cluster(options: Mapping[str, str], workers: int | None, memory: float) -> "Iterator[Client]":
+def _slurm_cluster(
+    options: Mapping[str, str], workers: int | None, memory: int | float
+) -> "Iterator[Client]":
     distributed = import_distributed()
     jobqueue = import_optional("dask_jobqueue", "Jobs of SLURM are started by dask-jobqueue")
+    from dask import config
+
     names = {"partition": "queue", "time": "walltime"}
     given = {names.get(name, name): value for name, value in options.items()}
     settings = {"cores": 1, "processes": 1, "memory": f"{memory / GIB:g}GiB", **given}
-    try:
-        cluster = jobqueue.SLURMCluster(**{**settings, "cores": int(settings["cores"])})
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"SLURM jobs cannot be made with {', '.join(options)} ({error}); give options of dask_jobqueue.SLURMCluster."
-        ) from None
-    with cluster, distributed.Client(cluster, set_as_default=False) as client:
-        cluster.scale(jobs=workers or 1)
-        _LOG.info("waiting for the first job of SLURM")
-        client.wait_for_workers(1)
-        yield client
+    with config.set(SCHEDULER), _quiet_logs():
+        try:
+            cluster = jobqueue.SLURMCluster(**{**settings, "cores": int(settings["cores"])})
+        except (TypeError, ValueError) as error:
+            reason = str(error).partition(".")[0]
+            raise InputError(
+                f"SLURM jobs cannot be made with {', '.join(options)} ({reason}); give options of dask_jobqueue.SLURMCluster."
+            ) from None
+        with cluster, distributed.Client(cluster, set_as_default=False) as client:
+            cluster.scale(jobs=workers or 1)
+            _LOG.info("waiting for the first job of SLURM")
+            client.wait_for_workers(1)
+            yield client
 
 
 def check_versions(client: "Client") -> None:
@@ -163,10 +207,13 @@ def check_version(own: Version, found: Version, where: str) -> None:
 @contextlib.contextmanager
 def _quiet_logs() -> Iterator[None]:
     """Hide the log of Dask about workers that come and go; jobs report their errors themselves."""
-    log = logging.getLogger("distributed")
-    before = log.level
-    log.setLevel(logging.CRITICAL)
+    # Dask sets levels of its own for some of them
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] == "distributed"]
+    levels = {logging.getLogger(name): logging.getLogger(name).level for name in ("distributed", *names)}
+    for log in levels:
+        log.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        log.setLevel(before)
+        for log, level in levels.items():
+            log.setLevel(level)

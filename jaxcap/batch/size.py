@@ -28,7 +28,7 @@ def this_computer() -> Computer:
     return Computer(CPU_COUNT, int(distributed.system.MEMORY_LIMIT))
 
 
-def count_workers(computer: Computer, job_memory: float, jobs: int, wanted: int | None = None) -> int:
+def count_workers(computer: Computer, job_memory: int | float, jobs: int, wanted: int | None = None) -> int:
     """Choose the number of workers: one for each core, as far as the memory suffices, and not more than there are jobs.
 
     `job_memory` is the memory of one worker in bytes; `wanted` overrides cores and memory.

@@ -30,7 +30,7 @@ def workers(batch: subprocess.Popen) -> list:
 def test_killed_workers_lose_nothing(tmp_path, monkeypatch, capsys):
     """Each worker dies once; every job is done, with the outputs of one process."""
     monkeypatch.chdir(write_takes(tmp_path))
-    words = ["edit", "mirror", "{input}", "-o", "out/{person}-{stem}.bvh"]
+    words = ["edit", "resample", "{input}", "-o", "out/{person}-{stem}.bvh", "--rate", "60"]
     batch = subprocess.Popen(
         [sys.executable, "-m", "jaxcap", "batch", "takes/{person}/*.bvh", "--workers", "2", "--", *words],
         env=os.environ | {"PYTHONPATH": str(CHECKOUT)},
@@ -55,7 +55,8 @@ def test_killed_workers_lose_nothing(tmp_path, monkeypatch, capsys):
     assert any(row["attempts"] > 1 for row in rows)
     for person in ("anna", "ben"):
         for stem in ("t1", "t10"):
-            runs(capsys, "edit", "mirror", f"takes/{person}/{stem}.bvh", "-o", "alone.bvh", "--overwrite")
+            words = ("edit", "resample", f"takes/{person}/{stem}.bvh", "-o", "alone.bvh", "--rate", "60")
+            runs(capsys, *words, "--overwrite")
             assert Path("alone.bvh").read_bytes() == Path(f"out/{person}-{stem}.bvh").read_bytes()
     # nothing else is left
     left = {path.name for path in Path("out").iterdir()} - {"batch.parquet"}

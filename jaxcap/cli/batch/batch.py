@@ -12,7 +12,7 @@ import tyro
 
 from ...batch.cluster import open_cluster
 from ...batch.dask_libraries import import_distributed
-from ...batch.map_jobs import JobResult, map_jobs
+from ...batch.mapping import JobResult, map_jobs
 from ...batch.size import GIB
 from ...batch.versions import installed_version
 from ...errors import InputError
@@ -45,7 +45,7 @@ class Batch:
     """A quoted pattern of files or folders with named parts, such as "takes/{subject}/{take}.c3d"; or a list of jobs, .toml or
     .csv. The names `input`, `stem` and `folder` are given by every pattern."""
     command: tyro.conf.Positional[
-        Annotated[tuple[str, ...], arg(metavar="-- VERB...", help_behavior_hint="")]
+        Annotated[tuple[str, ...], arg(metavar="VERB...", help_behavior_hint="")]
     ] = ()
     """The verb and its options after `--`. It may be in the list of jobs instead."""
     out: Annotated[OptionalFile, arg(aliases=("-o",), metavar="TABLE")] = None

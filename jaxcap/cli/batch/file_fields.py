@@ -1,6 +1,7 @@
 """The files among the options of a verb: those that it reads, and those that it writes."""
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,11 +23,12 @@ OUTPUTS = (
 OUTPUTS_BY_VERB = {"learn": ("motion",), "adapt": ("motion",)}
 
 
-def output_fields(verb: str, command: type) -> list[str]:
+@functools.cache
+def output_fields(verb: str, command: type) -> tuple[str, ...]:
     """List the fields with the paths of outputs of a verb, such as `markers solve`, and its class."""
     names = (*OUTPUTS, *OUTPUTS_BY_VERB.get(verb, ()))
     types = typing.get_type_hints(command)
-    return [name for name in types if name in names and "Path" in str(types[name])]
+    return tuple(name for name in types if name in names and "Path" in str(types[name]))
 
 
 def output_paths(verb: str, command: Any) -> Iterator[Path]:

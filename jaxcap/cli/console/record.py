@@ -40,7 +40,7 @@ def current_record() -> Record | None:
     return _RECORD.get()
 
 
-def give_figures(figures: Mapping[str, float]) -> None:
+def give_figures(figures: Mapping[str, int | float]) -> None:
     """Give numbers of the result by name to the record of this run, if there is one; nothing is printed."""
     record = current_record()
     if record is not None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import pickle
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -80,7 +81,7 @@ class _Outcome(NamedTuple):
 def _call(function: Callable[[Any], Any], version: Version, item: Any) -> _Outcome:
     """Apply a function to an item on a worker."""
     try:
-        check_version(version, installed_version(), "One of the workers")
+        check_version(version, installed_version(), socket.gethostname())
         return _Outcome(function(item), None)
     except Exception as error:
         return _Outcome(None, _picklable(error))
