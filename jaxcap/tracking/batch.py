@@ -75,8 +75,10 @@ def fit_batch(
     # each device has as many clouds: the last ones are repeated
     rows = np.minimum(np.arange(-(-count // len(devices)) * len(devices)), count - 1)
     split = NamedSharding(mesh, PartitionSpec(_BATCH))
-    starts, clouds = jax.tree.map(lambda leaf: jax.device_put(leaf[rows], split), (starts, clouds))
-    found = _fit_on_devices(tracker, starts, clouds, jnp.asarray(sigma), batch_size, mesh)
+    divided_starts, divided_clouds = jax.tree.map(
+        lambda leaf: jax.device_put(leaf[rows], split), (starts, clouds)
+    )
+    found = _fit_on_devices(tracker, divided_starts, divided_clouds, jnp.asarray(sigma), batch_size, mesh)
     return jax.tree.map(lambda leaf: leaf[:count], found)
 
 

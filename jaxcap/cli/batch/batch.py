@@ -27,7 +27,7 @@ from .job_lists import ListedJob, list_jobs
 from .jobs import Job, make_jobs
 from .memory import job_memory
 from .results import ResultTable, Row, receipts_folder, write_parquet
-from .run_job import DONE, FAILED, Assignment, run_job
+from .run_job import DONE, FAILED, Assignment, prepare_worker, run_job
 from .urls import is_url
 
 
@@ -120,6 +120,7 @@ class Batch:
         done = begun
         try:
             with opened as client:
+                client.register_worker_callbacks(prepare_worker)
                 results = map_jobs(run_job, assignments, client)
                 rows = rows_of(results, jobs)
                 for row in progress(rows, total, begun, "batch", "jobs", first="the first one is done"):
