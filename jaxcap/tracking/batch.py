@@ -45,7 +45,7 @@ def fit_batch(
     *,
     sigma: float | Float[Array, ""] = 0.1,
     batch_size: int | None = None,
-    devices: Sequence[jax.Device] | None = None,
+    devices: Sequence[jax.Device] | None = None,  # pyright: ignore[reportInvalidTypeForm]
 ) -> tuple[Pose, FrameStatistics]:
     """Fit many independent clouds `(B, N, ...)`, also a list of them, or sequences `(B, F, N, ...)` at once.
 
