@@ -1,6 +1,7 @@
 """Fit articulated bodies to sensor data: poses, motions and their energies in JAX."""
 
 from . import adapt as adapt
+from . import batch as batch
 from . import biomechanics as biomechanics
 from . import body as body
 from . import depth as depth

@@ -30,6 +30,7 @@ from .console.options import (
     Vj,
     arg,
 )
+from .console.record import give_figures
 from .motions import load_motion, load_moving_body
 from .outputs import check_new
 from .sources import up_rotation
@@ -93,12 +94,14 @@ class Evaluate:
             "per_frame": [distance_summary(d)._asdict() for d in distances],
         }
         rows = [_line("scan to surface", surface)]
+        give_figures({f"scan_to_surface_{name}": value for name, value in surface._asdict().items()})
         if truth is not None:
             names, there = truth
             places = [body.skeleton.names.index(name) for name in names]
             errors = joint_errors(np.asarray(joint_paths(body.skeleton, motion.poses))[:, places], there)
             joints = distance_summary(errors.reshape(-1))
             rows.append(_line("joint centres", joints))
+            give_figures({f"joint_centres_{name}": value for name, value in joints._asdict().items()})
             report["joint_centres"] = {
                 **joints._asdict(),
                 "percentile_99": float(np.quantile(errors, 0.99)),

@@ -10,6 +10,7 @@ from ..body.pose import Motion
 from ..observe.meshes import MeshSequence
 from ..report.scores import MeshScore, Scores, score_meshes
 from .console.console import print_table, progress, warn
+from .console.record import give_figures
 
 #: maximum number of meshes with a row each
 MAX_ROWS = 12
@@ -51,6 +52,8 @@ def print_scores(groups: dict[str, Scores], per_mesh: bool = False) -> None:
             if len(rated) < len(scores.meshes):
                 rows.append([f"... {len(scores.meshes) - MAX_ROWS} meshes with smaller errors", "", "", ""])
         rows.append(_row(f"{label}, {len(scores.meshes)} meshes", scores))
+        name = label.replace(" ", "_")
+        give_figures({f"{name}_{each}": getattr(scores, each) for each in ("mean", "sd", "rmse")})
     print_table(["vertex to surface, mm", "mean", "sd", "vertex RMSE"], rows)
 
 

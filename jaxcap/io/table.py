@@ -30,11 +30,12 @@ def write_json(path: str | Path, content: Mapping[str, object]) -> None:
 def _written(content) -> str:
     if content and isinstance(content, list) and all(isinstance(row, dict) for row in content):
         # without indentation Python's encoder is five times faster
-        return "[\n  " + ",\n  ".join(_dumped(row) for row in content) + "\n ]"
-    return _dumped(content, indent=1).replace("\n", "\n ")
+        return "[\n  " + ",\n  ".join(json_text(row) for row in content) + "\n ]"
+    return json_text(content, indent=1).replace("\n", "\n ")
 
 
-def _dumped(content, indent: int | None = None) -> str:
+def json_text(content, indent: int | None = None) -> str:
+    """Format data as JSON; numbers that are not finite become null."""
     try:
         return json.dumps(content, indent=indent, allow_nan=False)
     except ValueError:

@@ -14,7 +14,7 @@ from jaxcap.cli.demo import Demo
 from jaxcap.errors import InputError
 
 VERBS = (
-    "demo", "rig", "learn", "fit", "adapt", "track", "live", "scan", "evaluate", "view", "ik", "info", "convert", "markers info",
+    "demo", "rig", "learn", "fit", "adapt", "track", "live", "scan", "evaluate", "batch", "view", "ik", "info", "convert", "markers info",
     "markers fit", "markers solve", "limits learn", "limits check", "limits project", "limits compare", "prior learn",
     "prior info", "edit retarget", "edit gaze", "edit glue", "edit cut", "edit join", "edit loop", "edit resample", "edit mirror",
     "edit keys",

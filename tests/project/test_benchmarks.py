@@ -60,6 +60,15 @@ def test_track_cmu(checkout, shared, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_batch(checkout, shared):
+    line = run(checkout, "batch", "--jobs", "6", "--frames", "20", "--kill-every", "20")
+    assert meets(line, "differing", "killed_differing", "killed_not_once")
+    assert meets(line, "continued_differing", "continued_redone")
+    assert line["figures"]["continued_missing"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_rooms_clutter(checkout, shared, tmp_path):
     options = (
         "--takes",

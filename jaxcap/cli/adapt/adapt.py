@@ -36,6 +36,7 @@ from ..console.options import (
     check_ranges,
     clouds_words,
 )
+from ..console.record import give_figures
 from ..console.rounds import RoundProgress
 from ..outputs import is_run_complete
 from ..scan.rate import ScanRate, find_rate, print_rate
@@ -241,6 +242,9 @@ class Adapt:
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
             f"{format_explained(state)}"
+        )
+        give_figures(
+            {"size": state.size, "scan_to_body": 1e-3 * state.history[-1][1], "frames": len(state.motion)}
         )
         warn_of_lost(state, scans)
 

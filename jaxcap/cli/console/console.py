@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 
 from .heartbeat import redirect_status, set_activity, write_line
+from .record import current_record, record_table
 
 #: seconds between two progress lines without a terminal
 PROGRESS_SECONDS = 5.0
@@ -13,12 +14,26 @@ PROGRESS_SECONDS = 5.0
 
 def say(text: str) -> None:
     """Print a line of the result."""
-    write_line(sys.stdout, text)
+    record = current_record()
+    if record is not None:
+        record.lines.append(text)
+    else:
+        write_line(sys.stdout, text)
 
 
 def warn(text: str) -> None:
     """Print a message line on stderr."""
-    write_line(sys.stderr, f"jaxcap: {text}")
+    record = current_record()
+    if record is not None:
+        record.warnings.append(text)
+    else:
+        write_line(sys.stderr, f"jaxcap: {text}")
+
+
+def report_progress(text: str) -> None:
+    """Print a progress line on stderr, which is not part of the output if that is recorded."""
+    if current_record() is None:
+        write_line(sys.stderr, f"jaxcap: {text}")
 
 
 def pluralise(count: int, singular: str, plural: str = "") -> str:
@@ -29,6 +44,10 @@ def pluralise(count: int, singular: str, plural: str = "") -> str:
 
 def print_table(head: list[str], rows: list[list[str]]) -> None:
     """Print a table with aligned columns, the first to the left."""
+    record = current_record()
+    if record is not None:
+        record_table(record, head, rows)
+        return
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     for row in [head, *rows]:
         cells = [
@@ -39,13 +58,24 @@ def print_table(head: list[str], rows: list[list[str]]) -> None:
 
 
 def progress(
-    frames: Iterable, total: int, done: int = 0, label: str = "tracking", noun: str = "frames"
+    frames: Iterable,
+    total: int,
+    done: int = 0,
+    label: str = "tracking",
+    noun: str = "frames",
+    first: str = "compiled",
 ) -> Iterator:
     """Iterate over frames (or `noun`) and report progress on stderr: on a terminal a bar with frames per second
-    and the time left, otherwise a line every few seconds."""
-    yield from (_iterate_with_bar if sys.stderr.isatty() else _iterate_with_lines)(
-        frames, total, done, label, noun
+    and the time left, otherwise a line every few seconds. `first` describes the state after the first frame."""
+    clock = _RateMeter(noun, first)
+    yield from (_iterate_with_bar if has_terminal() else _iterate_with_lines)(
+        frames, total, done, label, noun, clock
     )
+
+
+def has_terminal() -> bool:
+    """Test if the user watches progress on a terminal."""
+    return sys.stderr.isatty() and current_record() is None
 
 
 @contextlib.contextmanager
@@ -74,9 +104,10 @@ def progress_bar(label: str, total: int, done: int) -> Iterator[Callable[..., No
             yield move
 
 
-def _iterate_with_bar(frames: Iterable, total: int, done: int, label: str, noun: str) -> Iterator:
+def _iterate_with_bar(
+    frames: Iterable, total: int, done: int, label: str, noun: str, clock: "_RateMeter"
+) -> Iterator:
     with progress_bar(label, total, done) as move:
-        clock = _RateMeter(noun)
         set_activity(label)
         for number, frame in enumerate(frames, done + 1):
             move(number, clock.tick())
@@ -84,13 +115,15 @@ def _iterate_with_bar(frames: Iterable, total: int, done: int, label: str, noun:
             yield frame
 
 
-def _iterate_with_lines(frames: Iterable, total: int, done: int, label: str, noun: str) -> Iterator:
-    clock, printed = _RateMeter(noun), time.monotonic()
+def _iterate_with_lines(
+    frames: Iterable, total: int, done: int, label: str, noun: str, clock: "_RateMeter"
+) -> Iterator:
+    printed = time.monotonic()
     set_activity(label)
     for number, frame in enumerate(frames, done + 1):
         rate, now = clock.tick(), time.monotonic()
         if now - printed > PROGRESS_SECONDS:
-            warn(f"{label}: {number} of {total} {noun}, {rate}, {clock.left(total - number)} left")
+            report_progress(f"{label}: {number} of {total} {noun}, {rate}, {clock.left(total - number)} left")
             printed = now
         set_activity(f"{label}, {number} of {total} {noun} done")
         yield frame
@@ -99,14 +132,14 @@ def _iterate_with_lines(frames: Iterable, total: int, done: int, label: str, nou
 class _RateMeter:
     """Frames a second, without the first frame, which compiles."""
 
-    def __init__(self, what: str):
-        self.start, self.count, self.what = time.monotonic(), -1, what
+    def __init__(self, what: str, first: str):
+        self.start, self.count, self.what, self.first = time.monotonic(), -1, what, first
 
     def tick(self) -> str:
         self.count += 1
         if self.count == 0:
             self.start = time.monotonic()
-            return "compiled"
+            return self.first
         return f"{self._rate():.1f} {self.what}/s"
 
     def left(self, frames: int) -> str:

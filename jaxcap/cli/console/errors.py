@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 
 from ...errors import is_user_error, user_message
+from .console import warn
 
 #: exit codes of an input error, and of Ctrl-C as in shells
 EXIT_INPUT_ERROR, EXIT_INTERRUPTED = 2, 130
@@ -15,25 +16,41 @@ EXIT_INPUT_ERROR, EXIT_INTERRUPTED = 2, 130
 def report_errors() -> Iterator[None]:
     """Convert input errors to one line on stderr and exit code 2, and Ctrl-C to 130; warnings become lines,
     too."""
-    show = warnings.showwarning
-    warnings.showwarning = _print_warning
     try:
-        yield
+        with warnings_as_lines():
+            yield
     except BrokenPipeError:
         # the reader closed the pipe; without this Python would report it again at exit
         sys.stdout = None
         raise SystemExit(0) from None
     except (ValueError, OSError) as error:
-        if not isinstance(error, OSError) and not is_user_error(error):
+        sentence = error_sentence(error)
+        if sentence is None:
             raise
-        sys.stderr.write(f"jaxcap: {' '.join(user_message(error).split())}\n")
+        sys.stderr.write(f"jaxcap: {sentence}\n")
         raise SystemExit(EXIT_INPUT_ERROR) from None
     except KeyboardInterrupt as stop:
         sys.stderr.write(f"\njaxcap: {' '.join(str(stop).split()) or 'stopped'}\n")
         raise SystemExit(EXIT_INTERRUPTED) from None
+
+
+def error_sentence(error: BaseException) -> str | None:
+    """Return the sentence of an error that a user can correct, as one line; None for other errors."""
+    if isinstance(error, OSError) or is_user_error(error):
+        return " ".join(user_message(error).split())
+    return None
+
+
+@contextlib.contextmanager
+def warnings_as_lines() -> Iterator[None]:
+    """Show warnings as message lines."""
+    show = warnings.showwarning
+    warnings.showwarning = _print_warning
+    try:
+        yield
     finally:
         warnings.showwarning = show
 
 
 def _print_warning(message: Warning | str, *_) -> None:
-    sys.stderr.write(f"jaxcap: {' '.join(str(message).split())}\n")
+    warn(" ".join(str(message).split()))

@@ -80,6 +80,7 @@ the user for later runs. The environment variable JAXCAP_CACHE names another fol
         "limits": LIMITS,
         "prior": PRIOR,
         "edit": EDIT,
+        "batch": Verb("batch.batch.Batch", "Run a verb over many inputs, on all cores or on a cluster"),
         "view": Verb("view.View", "Show files in the browser"),
         "ik": Verb("ik.Ik", "Pose a body by dragging its points, in the browser"),
         "info": Verb("info.Info", "Describe a file and suggest the next command"),

@@ -71,6 +71,7 @@ TITLES = {
     "markers solve": "Solving",
     "limits learn": "Learning",
     "prior learn": "Learning",
+    "batch": "Cluster",
     "ik": "Inverse kinematics",
     "view": "Window",
 }

@@ -1,12 +1,11 @@
 """The progress bar of an iterative run."""
 
 import contextlib
-import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
 
-from .console import progress_bar, warn
+from .console import has_terminal, progress_bar, report_progress
 from .heartbeat import set_activity
 
 
@@ -21,7 +20,7 @@ class RoundProgress:
         self._open = contextlib.ExitStack()
 
     def __enter__(self) -> "RoundProgress":
-        if sys.stderr.isatty():
+        if has_terminal():
             self._move = self._open.enter_context(progress_bar(self.label, self.total, self.done))
         set_activity(self.label)
         return self
@@ -33,7 +32,7 @@ class RoundProgress:
             self._move(done, note)
         else:
             seconds = time.monotonic() - self.start
-            warn(f"{self.label}: round {done} of at most {self.total}, {note}, {seconds:.0f} s")
+            report_progress(f"{self.label}: round {done} of at most {self.total}, {note}, {seconds:.0f} s")
         set_activity(f"{self.label}, round {done + 1}")
 
     def __exit__(

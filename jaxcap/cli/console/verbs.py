@@ -44,6 +44,17 @@ def run_verb(group: VerbGroup, prog: str, arguments: Sequence[str], use_cache: b
     **Raises:** `InputError` if the verb or an option does not exist, or an option is missing or has an
     invalid value.
     """
+    verb, prog, words = find_verb(group, prog, arguments)
+    command = parse_command(verb, prog, words, use_cache)
+    set_activity(prog.rpartition(" ")[2])
+    command.run()
+
+
+def find_verb(group: VerbGroup, prog: str, arguments: Sequence[str]) -> tuple[Verb, str, list[str]]:
+    """Find the verb that the first arguments name; return it with its program name and the other arguments.
+
+    The help of a group is printed, if it is asked for or no verb is named. Raises `InputError` if the verb does not exist.
+    """
     word, *rest = arguments or ["--help"]
     if word in ("-h", "--help"):
         sys.stdout.write(help_of(group, prog))
@@ -53,11 +64,8 @@ def run_verb(group: VerbGroup, prog: str, arguments: Sequence[str], use_cache: b
         what = f"no option '{word}' of '{prog}'" if word.startswith("-") else f"no '{prog} {word}'"
         raise InputError(f"there is {what}{_meant(word, group.verbs)}; verbs are {', '.join(group.verbs)}.")
     if isinstance(found, VerbGroup):
-        run_verb(found, f"{prog} {word}", rest, use_cache)
-    else:
-        command = _command(found, f"{prog} {word}", rest, use_cache)
-        set_activity(word)
-        command.run()
+        return find_verb(found, f"{prog} {word}", rest)
+    return found, f"{prog} {word}", rest
 
 
 def help_of(group: VerbGroup, prog: str) -> str:
@@ -78,8 +86,8 @@ def help_of(group: VerbGroup, prog: str) -> str:
     )
 
 
-def _command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool) -> Any:
-    """Parse arguments to an instance of a verb. Raises `InputError` if they are wrong."""
+def parse_command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool = True) -> Any:
+    """Parse arguments to an instance of a verb; print its help if it is asked for. Raises `InputError` if they are wrong."""
     with exit_on_interrupt():
         from .compiled import prepare_jax
 

@@ -12,6 +12,7 @@ from ...markers.motion.inverse_kinematics import MarkerSolution
 from ...markers.subject import Subject
 from ...report.markers.markers import assigned_residuals, describe_bones, score_markers, summarise_residuals
 from ..console.console import print_table, say
+from ..console.record import give_figures
 
 #: residual of a stray marker, metres, and the share of frames above which it is reported
 STRAY_DISTANCE, STRAY_SHARE = 0.05, 0.02
@@ -134,6 +135,13 @@ def print_residuals(subject: Subject, solution: MarkerSolution) -> None:
     say(
         f"residuals: {1e3 * totals['rms']:.2f} mm rms, median {1e3 * totals['median']:.2f} mm, 95 % within "
         f"{1e3 * totals['p95']:.2f} mm{wrong}"
+    )
+    give_figures(
+        {
+            **{f"residual_{name}": totals[name] for name in ("rms", "median", "p95")},
+            "frames": len(solution.lost),
+            "lost_frames": int(solution.lost.sum()),
+        }
     )
     scores = [
         score for score in score_markers(subject, solution.residuals, solution.lost) if np.isfinite(score.rms)

@@ -19,6 +19,7 @@ from ...observe.clouds import Cloud
 from ...tracking.track import others_sentences, unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
 from ..console.console import warn
+from ..console.record import give_figures
 from .frame_records import CLOUD_AT, Frame, Results, hash_cloud_name, unpack
 
 #: the shape of the person, if it was estimated
@@ -158,6 +159,14 @@ def write_results(
             zip(names, *(column.tolist() for column in columns.values()), strict=False)
         )
     ]
+    verdicts = [verdict for verdict, _ in results.verdicts]
+    give_figures(
+        {
+            "frames": len(rows),
+            **{f"{verdict}_frames": verdicts.count(verdict) for verdict in ("good", "doubtful", "lost")},
+            "mean_distance": float(np.mean(columns["mean_distance"][: len(rows)])) if rows else np.nan,
+        }
+    )
     write_csv(folder / "statistics.csv", rows)
     write_json(folder / "statistics.json", {"rate": rate, **(summary or {}), "frames": rows})
 

@@ -1,0 +1,1 @@
+"""One verb over many inputs, on the workers of a cluster."""
