@@ -26,7 +26,7 @@ from ...report.markers.markers import assigned_residuals, report_markers
 from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
-from ..outputs import check_parent, is_run_complete, make_folder
+from ..outputs import check_parent, is_run_complete, make_folder, names_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .filled_markers import deviations_path, write_filled
 from .opensim import SUFFIX as OSIM_SUFFIX
@@ -237,11 +237,11 @@ class Solve:
         """Check that options are compatible and results can be written. Raises `InputError`."""
         if not self.trials:
             raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
-        if len(self.trials) > 1 and self.out.suffix:
+        if len(self.trials) > 1 and not names_folder(self.out):
             raise InputError(
                 f"{self.out}: {len(self.trials)} trials cannot be written to one file; give a folder."
             )
-        if self.into_folder and self.out.suffix and not self.out.is_dir():
+        if self.into_folder and not names_folder(self.out):
             raise InputError(
                 f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, .mot for an OpenSim model, or "
                 "give a folder."

@@ -22,7 +22,7 @@ from ...markers.subjects.split_subjects import (
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
-from ..outputs import check_npz
+from ..outputs import check_npz, names_folder
 from .takes import Pieces, Up, check_folder, check_new, read_take, separate_static
 
 
@@ -70,17 +70,17 @@ def file_name(name: str) -> str:
 
 def place_of(path: Path, name: str, *, alone: bool = False) -> Path:
     """Place a subject's result: `Anna.npz` in a folder, `subject-Anna.npz` next to `subject.npz`, which is its own if alone."""
-    if not path.suffix:
+    if names_folder(path):
         return path / f"{file_name(name)}.npz"
     return path if alone else path.with_name(f"{path.stem}-{file_name(name)}{path.suffix}")
 
 
 def check_subject_place(path: Path, overwrite: bool) -> None:
     """Check that subjects can be written to a file, or into a folder. Raises `InputError`."""
-    if path.suffix:
-        check_npz(path, overwrite, "a subject")
-    else:
+    if names_folder(path):
         check_folder(path)
+    else:
+        check_npz(path, overwrite, "a subject")
 
 
 def refuse_all(path: str, frames: MarkerFrames, split: SubjectSplit) -> NoReturn:

@@ -13,7 +13,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.cli.markers import fit_person
 from jaxcap.cli.markers.fit import Fit
 from jaxcap.cli.markers.prop_tables import write_prop_table
-from jaxcap.cli.markers.subject_files import subject_names
+from jaxcap.cli.markers.subject_files import check_subject_place, place_of, subject_names
 from jaxcap.errors import InputError
 from jaxcap.markers.human.human_template import make_human_template
 from jaxcap.markers.marker_sets.recognise import recognise_markers
@@ -177,3 +177,11 @@ def test_a_static_trial_of_a_person_without_a_name_and_a_prop(capsys, tmp_path, 
     jc.write_markers(tmp_path / "two.c3d", jc.make_markers(both, two, 30.0))
     said = fails(capsys, "markers", "fit", tmp_path / "take.c3d", "--static", tmp_path / "two.c3d", "-o", tmp_path / "out")  # fmt: skip
     assert "The person in the takes has no name, and the static trial has 2 people (Anna, Ben)" in said
+
+
+def test_a_number_is_no_suffix_of_a_folder(tmp_path):
+    assert place_of(tmp_path / "P1.5", "Anna") == tmp_path / "P1.5" / "Anna.npz"
+    assert place_of(tmp_path / "P1.npz", "Anna") == tmp_path / "P1-Anna.npz"
+    check_subject_place(tmp_path / "P1.5", overwrite=False)
+    with pytest.raises(InputError, match="P1.c3d"):
+        check_subject_place(tmp_path / "P1.c3d", overwrite=False)
