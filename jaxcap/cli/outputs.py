@@ -60,6 +60,11 @@ def is_run_complete(results: Iterable[Path], checkpoint: Path) -> bool:
     return True
 
 
+def names_folder(path: Path) -> bool:
+    """Test if a path names a folder: an existing one, or one without a suffix, where a number such as that of `P1.5` is none."""
+    return path.is_dir() or not path.suffix or path.suffix[1:].isdigit()
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder and its parents. Raises `InputError` if that fails."""
     try:

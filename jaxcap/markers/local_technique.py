@@ -5,19 +5,23 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..arguments import checked
 from ..body.pose import Motion
 from ..body.skeleton import Skeleton
+from ..observe.marker_labels import label_stem
 from ..observe.markers import MarkerFrames
 from .rotation_centres.estimate_joint import CentreMethod
 from .rotation_centres.joint import Joint
-from .segments.find_segments import apply_corrections, find_partition
+from .segments.borrowed_markers import borrow_markers
+from .segments.computed_points import find_computed_points
+from .segments.find_segments import apply_corrections
 from .segments.gaps import is_static
 from .segments.segment_sets import Segments
 from .segments.swaps import correct_swaps
 from .skeleton.assemble import AssembledSkeleton, assemble_skeleton, segment_poses
+from .skeleton.find_bones import find_bones
 from .skeleton.lengths import LengthMethod, estimate_bone_lengths, joint_trajectories, list_bones
 from .skeleton.segment_tree import SegmentTree, find_segment_tree, template_pairs
 from .subject import Subject, make_subject
@@ -28,6 +32,8 @@ MIN_SWEPT_ANGLE = np.radians(15.0)
 MAX_CENTRE_DEVIATION = 0.03
 #: above this, metres, the data do not show that the two segments are joined
 UNCONNECTED_DEVIATION = 0.5
+#: a point without a label has to be visible in this share of the frames
+MIN_VISIBLE_SHARE = 0.2
 
 
 class LocalFit(NamedTuple):
@@ -89,24 +95,20 @@ def fit_local(
     mended = correct_swaps(positions, seen, labels)
     messages += mended.messages
     positions, seen = mended.positions, mended.seen
+    left_out, reasons = _leave_out_points(positions, seen, labels)
+    shown = seen & ~left_out
     if segments is None:
-        segments = find_partition(positions, seen, threshold).segments
+        segments = find_bones(positions, shown, threshold)
     if corrections:
         segments = apply_corrections(segments, labels, corrections)
-    loose = [labels[m] for m in np.flatnonzero(segments.is_loose) if labels[m] not in lost]
-    if loose:
-        messages.append(
-            f"{_format_names(loose)} in no segment: no segment has a constant distance from {_pronoun(loose)}."
-        )
     pairs = None if template is None else template_pairs(template[0], segments, template[1])
-    tree = find_segment_tree(positions, seen, segments, method, pairs)
+    tree = find_segment_tree(*borrow_markers(positions, shown, segments), method, pairs)
     if not tree.augmented.frames.known.any():
         raise ValueError(
             "No segment has three markers that are visible together and not on a line, so none has a frame; "
             "give a larger threshold or a take with fewer gaps."
         )
     root = max(tree.roots, key=lambda k: _count_markers(tree, k, segments))
-    messages += _describe_components(tree, root, segments, labels)
     if segments.num_segments == 1:
         messages.append(
             "All distances between markers are constant, so the markers form one segment without a joint. "
@@ -115,8 +117,14 @@ def fit_local(
     assembled = assemble_skeleton(
         tree, root, len(labels), _bone_length_map(tree, lengths, symmetry, segments)
     )
-    messages += _describe_joints(tree, assembled, segments)
-    messages += _describe_omitted_segments(tree, assembled, segments, labels)
+    loose = [labels[m] for m in np.flatnonzero(segments.is_loose & seen.any(0) & ~left_out)]
+    messages = [
+        *_describe_omitted(tree, assembled, segments, labels),
+        *_describe_loose(loose),
+        *reasons,
+        *messages,
+        *_describe_joints(tree, assembled, segments),
+    ]
     subject = _attach_markers(assembled, segments, labels, frames.positions.dtype)
     poses = segment_poses(assembled, tree)
     return LocalFit(
@@ -180,18 +188,57 @@ def _count_markers(tree: SegmentTree, root: int, segments: Segments) -> int:
     )
 
 
-def _describe_components(tree: SegmentTree, root: int, segments: Segments, labels) -> list[str]:
-    others = [k for k in tree.roots if k != root]
-    messages = []
-    for other in others:
-        inside = [other]
-        for k in inside:
-            inside += [c for c, parent in enumerate(tree.parents) if parent == k]
-        markers = [labels[m] for k in inside for m in segments.members[k]]
+def _leave_out_points(
+    positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], labels: tuple[str, ...]
+) -> tuple[Bool[np.ndarray, "M"], list[str]]:
+    """Find points that are no markers, or too short pieces of some; return a mask and messages."""
+    left_out, messages = np.zeros(len(labels), bool), []
+    short = [
+        m
+        for m, label in enumerate(labels)
+        if not label_stem(label) and 0 < seen[:, m].mean() < MIN_VISIBLE_SHARE
+    ]
+    if short:
+        left_out[short] = True
+        names = [labels[m] for m in short]
         messages.append(
-            f"{_format_names(markers)} not connected to the other markers: they do not move together with them, "
-            "as if they were on another subject. They are left out; fit them separately."
+            f"{_format_names(names)} without a label and visible in less than {100 * MIN_VISIBLE_SHARE:.0f} % of the frames, and left "
+            "out. If they are pieces of markers, join them."
         )
+    for point in find_computed_points(positions, seen & ~left_out):
+        left_out[point.marker] = True
+        sources = ", ".join(f"'{labels[m]}'" for m in point.sources)
+        messages.append(f"'{labels[point.marker]}' is computed from {sources}, and left out.")
+    return left_out, messages
+
+
+def _describe_loose(loose: Sequence[str]) -> list[str]:
+    if not loose:
+        return []
+    return [f"{_format_names(loose)} on no bone: no segment has a constant distance from {_pronoun(loose)}."]
+
+
+def _describe_omitted(
+    tree: SegmentTree, assembled: AssembledSkeleton, segments: Segments, labels
+) -> list[str]:
+    """Describe the segments that have no bone, those that are joined to each other together."""
+    known = np.asarray(tree.augmented.frames.known.any(0))
+    messages = []
+    for root in tree.roots:
+        inside = [k for k in range(segments.num_segments) if _root_of(tree, k) == root]
+        inside = [k for k in inside if k not in assembled.bone_segments]
+        markers = [labels[m] for k in inside for m in segments.members[k]]
+        if not markers:
+            continue
+        if known[root] and root not in assembled.bone_segments:
+            messages.append(
+                f"{_format_names(markers)} not connected to the other markers: they do not move together with them, "
+                "as if they were on another subject. They are left out; fit them separately."
+            )
+        else:
+            messages.append(
+                f"{_format_names(markers)} on no bone: in no frame do they determine the rotation of a bone."
+            )
     return messages
 
 
@@ -215,25 +262,6 @@ def _describe_joints(tree: SegmentTree, assembled: AssembledSkeleton, segments: 
                     else "in undetermined directions it is midway between the nearest markers."
                 )
             )
-    return messages
-
-
-def _describe_omitted_segments(
-    tree: SegmentTree, assembled: AssembledSkeleton, segments: Segments, labels
-) -> list[str]:
-    joined = {k for k, parent in enumerate(tree.parents) if parent >= 0} | set(tree.roots)
-    roots = [k for k in tree.roots if k not in assembled.bone_segments]
-    messages = []
-    for k, name in enumerate(segments.names):
-        if (
-            k in assembled.bone_segments
-            or k not in joined
-            or k in roots
-            or _root_of(tree, k) != assembled.bone_segments[0]
-        ):
-            continue
-        markers = [labels[m] for m in segments.members[k]]
-        messages.append(f"The segment '{name}' ({_format_names(markers)} in it) has no frame and no bone.")
     return messages
 
 

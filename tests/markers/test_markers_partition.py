@@ -43,7 +43,7 @@ def test_order_of_markers_and_place_of_the_world_change_nothing(rng):
     moved = scene.places[:, order] @ turn.T + np.array([3.0, -2.0, 1.0])
     one = find_partition(scene.places, everything(scene.places))
     other = find_partition(moved, everything(moved))
-    assert other.threshold == pytest.approx(one.threshold, rel=1e-9)
+    assert other.unit == pytest.approx(one.unit, rel=1e-9)
     assert {frozenset(order[list(m)].tolist()) for m in other.segments.members} == sets(one.segments)
     np.testing.assert_allclose(other.segments.weights, one.segments.weights[order], atol=1e-9)
 

@@ -61,7 +61,7 @@ def check_parameters(path: Path | None, spec: str, deviations: bool) -> None:
         return
     if not is_model_spec(spec):
         raise InputError(
-            f"--parameters is for body models; give one as BODY, such as smplx.npz, in place of {spec}."
+            f"--parameters is for body models; give one as BODY, such as smplx.npz or human:betas=20, in place of {spec}."
         )
     if path.suffix.lower() != ".npz":
         raise InputError(f"{path}: parameters are written as .npz; give a name that ends in .npz.")

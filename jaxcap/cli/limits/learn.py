@@ -66,7 +66,7 @@ class Learn:
     margin: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None
     """Distance around the rotations of the motions that is allowed, degrees. Default: chosen, see --hold-out; none if
     --voxel is given."""
-    hold_out: Annotated[HeldOut | None, arg(help_behavior_hint="")] = None
+    hold_out: Annotated[HeldOut | None, arg(metavar="{people,takes,blocks}", help_behavior_hint="")] = None
     """What is left out in turn to choose widths and margins: whole people, whole takes, or blocks of ten seconds. Default:
     the first of these of which there are several."""
     people: Annotated[str | None, arg(metavar="NAMES", help_behavior_hint="")] = None
@@ -77,7 +77,9 @@ class Learn:
     5 to 12 degrees (standard deviation)."""
     both_sides: Flag = False
     """Learn each joint also from the mirrored motion of the other side."""
-    convention: Annotated[AngleUnits | None, arg(help_behavior_hint="")] = None
+    convention: Annotated[
+        AngleUnits | None, arg(metavar="{isb,isb-degrees,isb-radians}", help_behavior_hint="")
+    ] = None
     """Convention of tables of joint angles that do not state it: that of docs/joint_angles.md in degrees (isb), in degrees
     also if all angles are tiny (isb-degrees), or in radians (isb-radians)."""
     keyframe_width: Annotated[float | None, arg(metavar="DEGREES", help_behavior_hint="")] = None

@@ -37,7 +37,7 @@ from ..motions import load_skeleton
 from ..outputs import make_folder
 from ..terms import FloorHeight, read_terms
 from .fit_person import bone_rows, find_landmarks, print_person
-from .result_tables import describe_strays, print_bones, print_joints, print_segments
+from .result_tables import describe_strays, print_bones, print_doubts, print_joints, print_segments
 from .segment_results import joint_figures, write_segments
 from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all, static_and_moving
 from .takes import (
@@ -88,8 +88,8 @@ class Fit:
     """Method for rotation centres: spheres about the centres (sphere), the symmetric methods SCoRE and SARA (score),
     or the method of Gamage and Lasenby (gamage)."""
     threshold: OptionalThreshold = None
-    """Largest range of the distance between two markers of one segment over the frames, metres. Default: chosen
-    from the data."""
+    """Largest range of the distance between two markers of one segment over the frames, metres. Markers beyond it stay loose. Default:
+    none; the usual range is estimated from the data."""
     segments: OptionalFile = None
     """Text file with corrections of segments: marker, segment and weight in each line. The segment - leaves a marker
     without a segment. The segments.txt of --report is such a file, to start from."""
@@ -246,6 +246,7 @@ class Fit:
             symmetry=pairs,
             corrections=corrections,
         )
+        print_doubts(found.messages)
         print_segments(found)
         print_joints(found)
         fitted: Calibration | MarkerSolution
@@ -273,7 +274,8 @@ class Fit:
                 f"{', '.join(self.files)}: no pose of the estimated skeleton explains any frame; check that the markers are of one body, and the unit."
             )
         print_bones(found, fitted if isinstance(fitted, Calibration) else None)
-        notes = self.print_residuals(subject, fitted.residuals, lost, (*found.messages, *fitted.messages))
+        later = self.print_residuals(subject, fitted.residuals, lost, fitted.messages)
+        notes = tuple(dict.fromkeys((*found.messages, *later)))
         self.write_results(subject, fitted.motion, lost)
         if self.report is not None:
             make_folder(self.report)

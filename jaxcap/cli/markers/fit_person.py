@@ -15,14 +15,12 @@ from ...markers.recognition.recognise_by_geometry import GeometryRecognition, re
 from ...observe.markers import MarkerFrames
 from ..console.console import print_table, say, warn
 from ..console.heartbeat import set_activity
+from .result_tables import print_doubts
 
 
 def print_person(fit: HumanFit) -> None:
     """Print the doubts first, then the set of markers, the lengths of the segments, and the person's traits."""
-    if fit.messages:
-        say("please check:")
-    for sentence in fit.messages:
-        say(f"- {sentence}")
+    print_doubts(fit.messages)
     known = fit.marker_set
     named = sum(name is not None for name in known.names)
     say(f"marker set: {known.name or 'none'}; {named} of {len(known.labels)} labels are known landmarks")

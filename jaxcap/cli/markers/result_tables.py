@@ -20,6 +20,14 @@ STRAY_DISTANCE, STRAY_SHARE = 0.05, 0.02
 MAX_LISTED = 10
 
 
+def print_doubts(messages: Sequence[str]) -> None:
+    """Print what should be checked, before the results."""
+    if messages:
+        say("please check:")
+    for sentence in messages:
+        say(f"- {sentence}")
+
+
 def print_segments(local_fit: LocalFit) -> None:
     """Print a row for each segment, with its markers and their attachment weights; then the loose ones."""
     labels, weights = local_fit.markers.labels, local_fit.segments.weights

@@ -26,7 +26,7 @@ from ...report.markers.markers import assigned_residuals, report_markers
 from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
-from ..outputs import check_parent, is_run_complete, make_folder
+from ..outputs import check_parent, is_run_complete, make_folder, names_folder
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .filled_markers import deviations_path, write_filled
 from .opensim import SUFFIX as OSIM_SUFFIX
@@ -35,7 +35,7 @@ from .prop_tables import is_prop, prop_table, write_prop_table
 from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays, print_residuals
 from .solved_trials import read_solved, write_solved
 from .streamed import Latency, solve_streamed
-from .subject_files import file_name, named_trials, names_in, subject_names
+from .subject_files import file_name, named_trials, names_in, run_each, subject_names
 from .takes import (
     Files,
     OptionalFolder,
@@ -117,10 +117,17 @@ class Solve:
         runs = [self.for_subject(path, name, trials) for path, name in zip(paths, names, strict=True)]
         for run in runs:
             run.check()
-        for run, name in zip(runs, names, strict=True):
-            say(f"\n{name}:")
-            chosen = {path: name if name in there else None for path, there in named.items()}
-            run.solve_trials(partial(run.read_of_several, chosen))
+            check_new(run.results, self.overwrite or self.resume)
+        chosen = {
+            name: {path: name if name in there else None for path, there in named.items()} for name in names
+        }
+        run_each(
+            {
+                name: partial(run.solve_trials, partial(run.read_of_several, chosen[name]))
+                for name, run in zip(names, runs, strict=True)
+            },
+            "solved",
+        )
 
     def for_subject(self, path: Path, name: str, trials: tuple[str, ...]) -> "Solve":
         """Make the run of one of several subjects, with results of its own."""
@@ -230,11 +237,11 @@ class Solve:
         """Check that options are compatible and results can be written. Raises `InputError`."""
         if not self.trials:
             raise InputError("There are no trials to solve; give .c3d, .trc or .csv files.")
-        if len(self.trials) > 1 and self.out.suffix:
+        if len(self.trials) > 1 and not names_folder(self.out):
             raise InputError(
                 f"{self.out}: {len(self.trials)} trials cannot be written to one file; give a folder."
             )
-        if self.into_folder and self.out.suffix and not self.out.is_dir():
+        if self.into_folder and not names_folder(self.out):
             raise InputError(
                 f"{self.out}: motions are not written as '{self.out.suffix}' files; use {', '.join(MOTION_WRITERS)}, .mot for an OpenSim model, or "
                 "give a folder."

@@ -1,8 +1,9 @@
 """Files of several subjects: their names, and a run for each of them."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, runtime_checkable
@@ -11,6 +12,7 @@ from ...errors import InputError, user_message
 from ...io.registry import read_marker_file
 from ...markers.subject import Subject
 from ...markers.subjects.split_subjects import (
+    UNNAMED_PERSON,
     SubjectMarkers,
     SubjectSplit,
     find_named_groups,
@@ -20,7 +22,7 @@ from ...markers.subjects.split_subjects import (
 from ...observe.marker_labels import group_by_subject
 from ...observe.markers import MarkerFrames
 from ..console.console import say, warn
-from ..outputs import check_npz
+from ..outputs import check_npz, names_folder
 from .takes import Pieces, Up, check_folder, check_new, read_take, separate_static
 
 
@@ -68,17 +70,17 @@ def file_name(name: str) -> str:
 
 def place_of(path: Path, name: str, *, alone: bool = False) -> Path:
     """Place a subject's result: `Anna.npz` in a folder, `subject-Anna.npz` next to `subject.npz`, which is its own if alone."""
-    if not path.suffix:
+    if names_folder(path):
         return path / f"{file_name(name)}.npz"
     return path if alone else path.with_name(f"{path.stem}-{file_name(name)}{path.suffix}")
 
 
 def check_subject_place(path: Path, overwrite: bool) -> None:
     """Check that subjects can be written to a file, or into a folder. Raises `InputError`."""
-    if path.suffix:
-        check_npz(path, overwrite, "a subject")
-    else:
+    if names_folder(path):
         check_folder(path)
+    else:
+        check_npz(path, overwrite, "a subject")
 
 
 def refuse_all(path: str, frames: MarkerFrames, split: SubjectSplit) -> NoReturn:
@@ -110,10 +112,27 @@ def static_of(static: MarkerFrames, name: str | None) -> MarkerFrames | None:
         return static
     if name is None and len(groups) == 1:
         name = next(iter(groups))
-    if name not in groups:
-        warn(f"the static trial has no markers of {name}; it has those of {', '.join(groups)}")
+    if name is not None and name in groups:
+        return select_members(static, groups[name])
+    people = split_subjects(static).people
+    if name == UNNAMED_PERSON and len(people) == 1:
+        return people[0].frames
+    if name == UNNAMED_PERSON and people:
+        raise InputError(
+            f"The person in the takes has no name, and the static trial has {len(people)} people ({', '.join(one.name for one in people)}); "
+            "give the labels of both the same prefix, such as Anna:LASI."
+        )
+    warn(f"the static trial has no markers of {name}; it has those of {', '.join(groups)}")
+    return None
+
+
+def without_labels(frames: MarkerFrames | None, labels: Collection[str]) -> MarkerFrames | None:
+    """Select the markers that have none of some labels."""
+    if frames is None:
         return None
-    return select_members(static, groups[name])
+    return select_members(
+        frames, {index: label for index, label in enumerate(frames.labels) if label not in labels}
+    )
 
 
 def fit_each(options: SubjectFitter, split: SubjectSplit, static: MarkerFrames | None = None) -> None:
@@ -148,17 +167,40 @@ def fit_each(options: SubjectFitter, split: SubjectSplit, static: MarkerFrames |
         for one, _ in subjects
     ]
     check_new([path for run in runs for path in (run.out, *run.joints)], options.overwrite)
+    of_props = {label for prop in split.props for label in prop.labels}
+
+    def fit(run: SubjectFitter, one: SubjectMarkers, is_prop: bool) -> None:
+        if is_prop or static is None:
+            run.fit_subject(one, is_prop, None)
+        else:
+            run.fit_subject(one, is_prop, without_labels(static_of(static, one.name), of_props))
+
+    run_each(
+        {
+            one.name: partial(fit, run, one, is_prop)
+            for run, (one, is_prop) in zip(runs, subjects, strict=True)
+        },
+        "fitted",
+    )
+
+
+def run_each(runs: Mapping[str, Callable[[], None]], done: str) -> None:
+    """Run a function for each subject, by its name; those that fail do not stop the others.
+
+    **Raises:** `InputError` with the reasons of those that failed and are not `done`, after all others.
+    """
     failed = []
-    for run, (one, is_prop) in zip(runs, subjects, strict=True):
-        if not alone:
-            say(f"\n{one.name}:")
+    for name, run in runs.items():
+        if len(runs) > 1:
+            say(f"\n{name}:")
         try:
-            run.fit_subject(one, is_prop, None if is_prop or static is None else static_of(static, one.name))
+            run()
         except (InputError, ValueError) as error:
-            failed.append(f"{one.name}: {user_message(error)}")
+            failed.append(f"{name}: {user_message(error)}")
+            say(f"not {done}; the reason is in the last message")
     if failed:
         raise InputError(
-            f"{len(failed)} of {len(subjects)} subjects {'is' if len(failed) == 1 else 'are'} not fitted. {' '.join(failed)}"
+            f"{len(failed)} of {len(runs)} subjects {'is' if len(failed) == 1 else 'are'} not {done}. {' '.join(failed)}"
         )
 
 

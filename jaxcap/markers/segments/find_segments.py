@@ -7,32 +7,36 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...arguments import checked
-from .maximal_cliques import maximal_cliques
-from .pair_distances import TRIMMED_FRACTION, median_distances, pair_distance_ranges
+from .pair_distances import TRIMMED_FRACTION, median_distances, motion_weights, pair_distance_ranges
 from .segment_sets import Segments, make_segments
 
 #: description cost of a segment of 1, 2, 3 or more markers, against a marker's squared deviation in units of
 #: the usual one: a lone marker explains nothing, so it costs as much as a pair
 SEGMENT_COSTS = np.array([0.0, 2.5, 2.5, 3.0])
-#: number of thresholds that are tried
-NUM_THRESHOLDS = 24
+#: usual deviation, as a multiple of the 80 % quantile of the deviations of markers from their second most rigid partner
+UNIT_RATIO = 1.2
+#: usual deviation, as a share of a given threshold
+THRESHOLD_SHARE = 0.6
+#: factor on the usual deviation for the markers that are alone in their sets, and the deviation that then counts as much as a
+#: metre between two markers: those of a bone are near each other
+LOOSE_RATIO, COMPACTNESS = 2.0, 0.03
 #: least deviation from skin movement, as a share of the body's size: when one joint is exercised most limbs
 #: are at rest, and a smaller unit would make all markers of the moving limb loose
 SKIN_DEVIATION = 0.006
 #: largest deviation between markers on one limb, as a share of the body's size
 MAX_DEVIATION = 0.1
+#: squared deviation, in units, of markers that cannot be on one segment
+EXCLUDED = 1e9
 
 
 class Partition(NamedTuple):
     """Segments, and how they were found."""
 
     segments: Segments
-    #: threshold of the relation "these two keep their distance", metres
-    threshold: float
-    #: (M, M) range of every pair's distance, metres; NaN for pairs that are never visible together
+    #: the usual deviation between markers of a segment, metres
+    unit: float
+    #: (M, M) range of every pair's distance (`pair_deviations`), metres; NaN for pairs that are never visible together
     deviations: Float[np.ndarray, "M M"]
-    #: the cover: all maximal rigid sets, which overlap, the largest first
-    rigid_sets: tuple[tuple[int, ...], ...]
 
 
 @checked
@@ -45,66 +49,99 @@ def find_partition(
 ) -> Partition:
     """Find rigid segments from pairwise distances over the frames (Silaghi et al. 1998, partitioning).
 
-    Two markers are related if their distance varies by less than the threshold. The maximal sets of related
-    markers cover all markers. Taken from the largest on, each without the markers taken before, they are a
-    partition. Then single markers move to the segment that minimises the description length, as long as
-    every two markers of a segment are related. This is necessary as a marker near a joint is rigid to both
-    sides, and the largest set would take it from the other side.
+    Two markers of a segment keep their distance while they move. The partition minimises the length of its description: a
+    cost for each segment, and the squared deviations of its markers in units of the usual one. Sets of markers merge, those
+    that save most first, and then single markers move to other sets, until nothing is shorter. Markers alone in a set are
+    partitioned again with twice the unit, as skin moves more on a fast limb, into sets of three and more; others are loose.
 
-    **Arguments:** `threshold` metres; by default the one with the shortest description among candidates from
-    the data. `robust` ignores the outer 4 % of each pair's distances at both ends.
+    **Arguments:** `threshold` metres, which no two markers of a segment exceed; by default there is none, and the usual
+    deviation is estimated. `robust` ignores the outer 4 % of each pair's distances at both ends.
 
     **Raises:** `ValueError` where no two markers keep their distance or are ever visible together, or where
     the threshold is not above zero.
     """
-    deviations = pair_distance_ranges(positions, seen, TRIMMED_FRACTION if robust else 0)
+    deviations, unit = pair_deviations(positions, seen, robust=robust)
     known = np.where(np.isnan(deviations), np.inf, deviations)
     if not np.isfinite(known[np.triu_indices(len(known), 1)]).any():
         raise ValueError("No two markers are ever visible together, so no segment can be found.")
     if threshold is not None:
         if not threshold > 0:
             raise ValueError(f"The threshold is {threshold}; expected a distance above zero, in metres.")
-        options, unit = [float(threshold)], 0.6 * float(threshold)
-    else:
-        size = float(np.nanmax(median_distances(positions, seen)))
-        unit = typical_deviation(known, size)
-        if unit > MAX_DEVIATION * size:
-            raise ValueError(
-                "No markers move together: for most markers the distances to all others vary by more than "
-                f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; "
-                "if so, give a threshold."
-            )
-        options = np.geomspace(0.5 * unit, 3.0 * unit, NUM_THRESHOLDS).tolist()
-    best: tuple[float, float, list[tuple[int, ...]], list[tuple[int, ...]]] | None = None
-    for option in options:
-        cover = maximal_cliques(known < option, known)
-        parts = _reassign_markers(_greedy_partition(cover), known, option, unit)
-        length = _description_length(parts, known, unit)
-        if best is None or length < best[0] - 1e-9:
-            best = length, option, parts, cover
-    assert best is not None
-    _, chosen, parts, cover = best
+        unit = THRESHOLD_SHARE * float(threshold)
+    elif unit > MAX_DEVIATION * float(np.nanmax(median_distances(positions, seen))):
+        raise ValueError(
+            "No markers move together: for most markers the distances to all others vary by more than "
+            f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; "
+            "if so, give a threshold."
+        )
+    parts = cluster_markers(known, unit, np.inf if threshold is None else float(threshold))
+    if threshold is None:
+        loose = np.array([part[0] for part in parts if len(part) == 1], int)
+        apart = np.hypot(known, COMPACTNESS * np.nan_to_num(median_distances(positions, seen)))
+        again = cluster_markers(apart[np.ix_(loose, loose)], LOOSE_RATIO * unit) if len(loose) > 2 else []
+        parts += [tuple(loose[list(part)].tolist()) for part in again if len(part) > 2]
     members = sorted((part for part in parts if len(part) > 1), key=lambda part: part[0])
     if not members:
         raise ValueError(
             "No markers move together: all distances between two markers vary by more than "
-            f"{1e3 * chosen:.0f} mm. Check that the markers are on one body and that the unit is right; if "
+            f"{1e3 * unit:.0f} mm. Check that the markers are on one body and that the unit is right; if "
             "so, give a larger threshold."
         )
-    weights = attachment_weights(members, known, unit)
-    return Partition(make_segments(members, len(known), weights), chosen, deviations, tuple(cover))
+    return Partition(
+        make_segments(members, len(known), attachment_weights(members, known, unit)), unit, deviations
+    )
+
+
+def pair_deviations(
+    positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], *, robust: bool = True
+) -> tuple[Float[np.ndarray, "M M"], float]:
+    """Compute how far the distance of every pair varies, and the usual deviation in a segment, metres.
+
+    It is the larger one of the ranges over all frames, and over those in which one of the two moves.
+    """
+    trimmed = TRIMMED_FRACTION if robust else 0
+    deviations = np.fmax(
+        pair_distance_ranges(positions, seen, trimmed),
+        pair_distance_ranges(positions, seen, trimmed, motion_weights(positions, seen)),
+    )
+    size = float(np.max(median_distances(positions, seen), initial=0.0, where=np.isfinite(deviations)))
+    return deviations, typical_deviation(np.where(np.isnan(deviations), np.inf, deviations), size)
 
 
 def typical_deviation(deviations: Float[np.ndarray, "M M"], body_size: float) -> float:
     """Estimate the usual deviation of markers within a segment, metres.
 
-    It is 1.5 times the 80 % quantile of the deviations from the second most rigid partner, and at least a
-    share of the body's size.
+    It is 1.2 times the 80 % quantile of the deviations from the second most rigid partner, and at least a share of the
+    body's size.
     """
-    near = np.sort(deviations, axis=1)[:, 1:3]
-    second = np.where(np.isfinite(near[:, -1]), near[:, -1], near[:, 0])
-    second = second[np.isfinite(second)]
-    return max(1.5 * float(np.quantile(second, 0.8)), SKIN_DEVIATION * body_size)
+    near = np.sort(np.where(np.eye(len(deviations), dtype=bool), np.inf, deviations), axis=1)[:, :2]
+    nearest = np.where(np.isfinite(near[:, -1]), near[:, -1], near[:, 0])
+    nearest = nearest[np.isfinite(nearest)]
+    if not len(nearest):
+        return SKIN_DEVIATION * body_size
+    return max(UNIT_RATIO * float(np.quantile(nearest, 0.8)), SKIN_DEVIATION * body_size)
+
+
+def cluster_markers(
+    deviations: Float[np.ndarray, "M M"], unit: float, threshold: float = np.inf
+) -> list[tuple[int, ...]]:
+    """Partition markers by the shortest description: merge sets, and move single markers, while this shortens it.
+
+    **Arguments:** `deviations` of the pairs, infinite where unknown; `unit` the usual deviation within a set; `threshold` the
+    deviation that no pair of a set reaches.
+    """
+    excluded = ~(deviations < threshold) | ~np.isfinite(deviations)
+    squares = np.where(excluded, EXCLUDED, (np.where(excluded, 0.0, deviations) / unit) ** 2)
+    np.fill_diagonal(squares, 0.0)
+    inside = np.eye(len(squares))
+    for _ in range(4 * len(squares)):
+        changed = _merge_best(squares, inside)
+        if changed is None:
+            changed = _move_best(squares, inside)
+        if changed is None:
+            break
+        inside = changed[:, changed.any(0)]
+    return [tuple(np.flatnonzero(column).tolist()) for column in inside.T]
 
 
 def attachment_weights(members, deviations: Float[np.ndarray, "M M"], scale: float) -> Float[np.ndarray, "M"]:
@@ -148,62 +185,46 @@ def apply_corrections(
     return make_segments(kept.values(), len(labels), weights, tuple(kept))
 
 
-def _greedy_partition(rigid_sets: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    left = [set(some) for some in rigid_sets]
-    parts = []
-    while left:
-        # the cover's order breaks ties
-        place = max(range(len(left)), key=lambda k: (len(left[k]), -k))
-        taken = left[place]
-        parts.append(tuple(sorted(taken)))
-        left = [rest for some in left if (rest := some - taken)]
-    return parts
+def _merge_best(
+    squares: Float[np.ndarray, "M M"], inside: Float[np.ndarray, "M K"]
+) -> Float[np.ndarray, "M K"] | None:
+    """Merge the two sets that save most; None where none do. Columns of `inside` are the sets' indicators."""
+    sizes, totals = inside.sum(0), inside.T @ squares @ inside
+    own = _costs(sizes, np.diag(totals))
+    together = _costs(sizes[:, None] + sizes, np.diag(totals)[:, None] + np.diag(totals) + totals + totals.T)
+    change = np.where(np.tri(len(sizes), dtype=bool), np.inf, together - own[:, None] - own)
+    first, second = np.unravel_index(int(np.argmin(change)), change.shape)
+    if not change[first, second] < -1e-9:
+        return None
+    merged = inside.copy()
+    merged[:, first] += merged[:, second]
+    merged[:, second] = 0.0
+    return merged
 
 
-def _reassign_markers(
-    parts: list[tuple[int, ...]], deviations: np.ndarray, threshold: float, scale: float
-) -> list[tuple[int, ...]]:
-    """Move markers one by one while this shortens the description."""
-    count = len(deviations)
-    sets = [list(part) for part in parts]
-    for _ in range(4 * count):
-        costs = [_segment_cost(some, deviations, scale) for some in sets]
-        best, move = -1e-9, None
-        for a, some in enumerate(sets):
-            for marker in some:
-                left = [m for m in some if m != marker]
-                gain = _segment_cost(left, deviations, scale) - costs[a]
-                for b in range(len(sets) + 1):
-                    other = sets[b] if b < len(sets) else []
-                    if b == a or (other and deviations[marker, other].max() >= threshold):
-                        continue
-                    change = (
-                        gain
-                        + _segment_cost([*other, marker], deviations, scale)
-                        - (costs[b] if other else 0.0)
-                    )
-                    if change < best:
-                        best, move = change, (a, b, marker)
-        if move is None:
-            break
-        a, b, marker = move
-        sets[a].remove(marker)
-        if b == len(sets):
-            sets.append([])
-        sets[b].append(marker)
-        sets = [some for some in sets if some]
-    return [tuple(sorted(some)) for some in sets]
+def _move_best(
+    squares: Float[np.ndarray, "M M"], inside: Float[np.ndarray, "M K"]
+) -> Float[np.ndarray, "M L"] | None:
+    """Move the marker that saves most to another set or a set of its own; None where none does."""
+    wide = np.concatenate([inside, np.zeros((len(inside), 1))], 1)
+    sizes, sums = wide.sum(0), squares @ wide
+    totals = np.einsum("mk,mk->k", wide, sums)
+    costs, owner = _costs(sizes, totals), wide.argmax(1)
+    markers = np.arange(len(wide))
+    left = _costs(sizes[owner] - 1, totals[owner] - 2 * sums[markers, owner]) - costs[owner]
+    change = left[:, None] + _costs(sizes + 1, totals + 2 * sums) - costs
+    change[markers, owner] = np.inf
+    marker, target = np.unravel_index(int(np.argmin(change)), change.shape)
+    if not change[marker, target] < -1e-9:
+        return None
+    wide[marker] = 0.0
+    wide[marker, target] = 1.0
+    return wide
 
 
-def _segment_cost(members: list[int], deviations: np.ndarray, scale: float) -> float:
-    cost = float(SEGMENT_COSTS[min(len(members), 3)])
-    if len(members) > 1:
-        cost += float(_mean_square_deviations(deviations[np.ix_(members, members)]).sum()) / scale**2
-    return cost
-
-
-def _description_length(parts: list[tuple[int, ...]], deviations: np.ndarray, scale: float) -> float:
-    return sum(_segment_cost(list(part), deviations, scale) for part in parts)
+def _costs(sizes: np.ndarray, totals: np.ndarray) -> np.ndarray:
+    """Compute the description costs of sets from their sizes and the sums of squared deviations over their ordered pairs."""
+    return SEGMENT_COSTS[np.minimum(sizes, 3).astype(int)] + totals / np.maximum(sizes - 1, 1)
 
 
 def _mean_square_deviations(deviations: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..segments.virtual_markers import AugmentedMarkers, add_virtual_markers, as
 DISTANCE_COST = 0.03
 #: a joint is rejected where its cost is above this share of the markers' median distance, and above this
 #: multiple of the median joint's cost: the segments are then of different bodies
-MAX_RELATIVE_COST, MAX_COST_RATIO = 0.08, 3.0
+MAX_RELATIVE_COST, MAX_COST_RATIO = 0.25, 3.0
 #: segments with few markers get their frames in rounds, each with the joints of at most this multiple of the
 #: round's lowest cost
 ROUND_COST_RATIO = 2.0
@@ -100,8 +100,11 @@ def find_segment_tree(
     if method != "score":
         kept, found = _cheapest_pairs(found, segments.num_segments), {}
         _find_missing_joints(now, found, used, kept, method)
+    # a segment without a frame would cut off all that is joined through it
+    bare = _segments_without_frame(now)
+    found = {pair: some for pair, some in found.items() if not bare & set(pair)}
     chosen = _cheapest_pairs(found, segments.num_segments)
-    limit = MAX_RELATIVE_COST * _median_distance(positions, seen)
+    limit = MAX_RELATIVE_COST * median_distance(positions, seen)
     usual = float(np.median([found[pair][1] for pair in chosen])) if chosen else 0.0
     accepted = [pair for pair in chosen if found[pair][1] <= max(limit, MAX_COST_RATIO * usual)]
     return _root_tree(now, accepted, found)
@@ -210,7 +213,8 @@ def _cheapest_pairs(found, count: int) -> list[tuple[int, int]]:
     return [pairs[edge] for edge in edges]
 
 
-def _median_distance(positions: np.ndarray, seen: np.ndarray) -> float:
+def median_distance(positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"]) -> float:
+    """Compute the median distance of the markers in the frame that shows most of them, metres."""
     frame = int(np.argmax(seen.sum(1)))
     some = positions[frame, seen[frame]]
     return float(np.median(np.linalg.norm(some[:, None] - some[None], axis=-1)))

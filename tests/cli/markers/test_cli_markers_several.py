@@ -11,8 +11,9 @@ from command_line import fails, runs
 import jaxcap as jc
 from jaxcap.body.pose import Motion
 from jaxcap.cli.markers import fit_person
+from jaxcap.cli.markers.fit import Fit
 from jaxcap.cli.markers.prop_tables import write_prop_table
-from jaxcap.cli.markers.subject_files import subject_names
+from jaxcap.cli.markers.subject_files import check_subject_place, place_of, subject_names
 from jaxcap.errors import InputError
 from jaxcap.markers.human.human_template import make_human_template
 from jaxcap.markers.marker_sets.recognise import recognise_markers
@@ -132,3 +133,55 @@ def test_one_subject_of_several_and_names_of_files(capsys, folder, tmp_path):
     assert subject_names(files, ["S-01", "S-02", "Anna Lee"]) == ["S-01", "S-02", "Anna Lee"]
     said = fails(capsys, "markers", "solve", tmp_path / "sword.npz", tmp_path / "sword.npz", folder / "take.c3d", "-o", tmp_path / "x")  # fmt: skip
     assert "two subjects have the name" in said
+
+
+def test_one_subject_that_fails_does_not_stop_the_others(capsys, folder, tmp_path):
+    """The first subject's markers are in another trial, the second is a prop of this one."""
+    places = np.stack([SHAPE + [0.6, 1.0 + 0.02 * f, 0.0] for f in range(FRAMES)])
+    for name, labels in (("Box", "pqrs"), ("Sword", "abcd")):
+        prop = fit_prop(jc.make_markers(places, list(labels), 30.0), name)
+        jc.io.save_subject(tmp_path / f"{name}.npz", prop.subject)
+    jc.write_markers(
+        tmp_path / "trial.c3d", jc.make_markers(places, [f"Sword:{one}" for one in "abcd"], 30.0)
+    )
+    command = ("markers", "solve", tmp_path / "Box.npz", tmp_path / "Sword.npz", tmp_path / "trial.c3d")
+    said = fails(capsys, *command, "-o", tmp_path / "out")
+    assert "1 of 2 subjects is not solved. Box: " in said
+    assert (tmp_path / "out" / "Sword" / "trial.npz").is_file()
+    assert not (tmp_path / "out" / "Box" / "trial.npz").exists()
+    # results that exist are found before any subject is solved
+    assert "already exists" in fails(capsys, *command, "-o", tmp_path / "out")
+
+
+def test_a_static_trial_of_a_person_without_a_name_and_a_prop(capsys, tmp_path, monkeypatch):
+    """The person is found in the static trial, without the prop's markers."""
+    given = {}
+    monkeypatch.setattr(
+        Fit,
+        "fit_subject",
+        lambda self, markers, is_prop, static: given.update({markers.name: (is_prop, static)}),
+    )
+    sword = np.stack([SHAPE + [0.6, 1.0 + 0.05 * f, 0.0] for f in range(FRAMES)])
+    places = np.concatenate([stepping(0), sword], 1)
+    still = np.repeat(places[:1], FRAMES, 0)
+    for prefix in ("Sword:", "Sword"):
+        labels = [*LEGS, *(f"{prefix}{k}" for k in range(4))]
+        jc.write_markers(tmp_path / "take.c3d", jc.make_markers(places, labels, 30.0))
+        jc.write_markers(tmp_path / "still.c3d", jc.make_markers(still, labels, 30.0))
+        given.clear()
+        runs(capsys, "markers", "fit", tmp_path / "take.c3d", "--static", tmp_path / "still.c3d", "-o", tmp_path / "out")  # fmt: skip
+        assert len(given) == 2 and [one for one in given.values() if one[0]] == [(True, None)]
+        assert given["person"][1].labels == tuple(LEGS)
+    two = [*(f"Anna:{one}" for one in LEGS), *(f"Ben:{one}" for one in LEGS)]
+    both = np.concatenate([still[:, : len(LEGS)], still[:, : len(LEGS)] + [1.0, 0, 0]], 1)
+    jc.write_markers(tmp_path / "two.c3d", jc.make_markers(both, two, 30.0))
+    said = fails(capsys, "markers", "fit", tmp_path / "take.c3d", "--static", tmp_path / "two.c3d", "-o", tmp_path / "out")  # fmt: skip
+    assert "The person in the takes has no name, and the static trial has 2 people (Anna, Ben)" in said
+
+
+def test_a_number_is_no_suffix_of_a_folder(tmp_path):
+    assert place_of(tmp_path / "P1.5", "Anna") == tmp_path / "P1.5" / "Anna.npz"
+    assert place_of(tmp_path / "P1.npz", "Anna") == tmp_path / "P1-Anna.npz"
+    check_subject_place(tmp_path / "P1.5", overwrite=False)
+    with pytest.raises(InputError, match="P1.c3d"):
+        check_subject_place(tmp_path / "P1.c3d", overwrite=False)
