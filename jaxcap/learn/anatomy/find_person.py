@@ -1,0 +1,130 @@
+"""The human skeleton placed in one of several registered meshes of a person."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...body.body import Body
+from ...errors import InputError
+from ...geometry.mesh import vertex_areas
+from ...geometry.procrustes import group_moments, rigid_errors
+from ...geometry.sampling import even_indices
+from ...observe.meshes import MeshSequence
+from ...rigging.envelopes import bone_distances, default_tails
+from ...rigging.place_skeleton import UPRIGHT, place_human
+from ...rigging.register_template import make_surface_samples
+from ...rigging.template import load_template
+from ..parts.surface_graph import membership
+
+#: the fewest vertices of a mesh in which a person is looked for
+MIN_VERTICES = 300
+#: the number of meshes that are tried, those most like the human at rest first
+TRIES = 6
+#: sampled points of a surface for its profile, and the most meshes that are compared
+SAMPLES, FRAMES = 2000, 200
+#: another axis than y is taken to point up if bodies are longer along it by this factor
+UPRIGHT_RATIO = 1.15
+#: the largest distance from the bones, as a share of the height, and the largest share of the vertices beyond it
+MAX_DISTANCE, MAX_FAR_SHARE = 0.16, 0.005
+#: the largest error of the parts of a placed skeleton as rigid bodies over all meshes, root mean square, as a share of the
+#: height (18 mm for a person); where an arm is placed in the trunk it is twice that of people
+MAX_PART_ERROR = 0.0105
+
+
+class PlacedPerson(NamedTuple):
+    """The human skeleton in one of the meshes."""
+
+    #: the mesh as rest shape, with the joints and the weights of the human
+    body: Body
+    #: the index of this mesh
+    frame: int
+
+
+class NoPerson(NamedTuple):
+    """The reason why no person was found, a clause without a full stop."""
+
+    reason: str
+
+
+def find_person(meshes: MeshSequence) -> PlacedPerson | NoPerson:
+    """Place the human skeleton in the first mesh in which it fits (`place_human`).
+
+    The skeleton can be placed in the mesh of an upright person with the arms off the body, so meshes that are like the human at
+    rest are tried first (`likeliest_meshes`). It fits if no part of the surface is far from all bones, and if its parts
+    move about rigidly over all meshes.
+    """
+    shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
+    if shapes.shape[1] < MIN_VERTICES:
+        return NoPerson(f"{shapes.shape[1]} vertices are too few to recognise a person")
+    up = up_axis(shapes)
+    tried = likeliest_meshes(shapes, faces, up)[:TRIES]
+    reason = ""
+    for frame in tried.tolist():
+        try:
+            placed = place_human(shapes[frame], faces, up)
+        except InputError as error:
+            reason = reason or str(error).partition(";")[0].rstrip(".")
+            continue
+        doubt = misfit(placed, shapes)
+        if doubt is None:
+            return PlacedPerson(placed, frame)
+        reason = doubt
+    return NoPerson(f"no person was recognised in the {len(tried)} likeliest meshes: {reason}")
+
+
+def misfit(placed: Body, shapes: Float[np.ndarray, "F V 3"]) -> str | None:
+    """Say in which way a placed skeleton does not fit its mesh or the motion; None if it does."""
+    vertices, skeleton = np.asarray(placed.vertices, float), placed.skeleton
+    height = float(np.ptp(np.asarray(skeleton.centres), axis=0).max())
+    tails = default_tails(skeleton)
+    away = bone_distances(vertices, np.asarray(skeleton.centres, float), tails)[0].min(1)
+    far = float(np.mean(away > MAX_DISTANCE * height))
+    if far > MAX_FAR_SHARE:
+        return f"{far:.1%} of the vertices are far from all bones of the skeleton that was placed"
+    areas = vertex_areas(vertices, np.asarray(placed.faces))
+    groups = membership(np.asarray(placed.skin.dominant_bones()), areas, skeleton.num_joints)
+    moments = group_moments(groups, vertices, shapes.transpose(1, 0, 2))
+    error = float(np.sqrt(np.sum(rigid_errors(moments)) / (areas.sum() * len(shapes))))
+    if error > MAX_PART_ERROR * height:
+        return (
+            f"the parts of the skeleton that was placed do not move rigidly, but within {1000 * error:.0f} mm"
+        )
+    return None
+
+
+def likeliest_meshes(
+    shapes: Float[np.ndarray, "F V 3"],
+    faces: Int[np.ndarray, "T 3"],
+    up: Literal["x", "y", "z"] = "y",
+) -> Int[np.ndarray, "F"]:
+    """Order meshes by their likeness to the human at rest, the most similar first.
+
+    Two surfaces are compared by the distributions of the heights and of the distances from the vertical axis, in units of the
+    root of their areas. At most `FRAMES` meshes are compared; the others are left out.
+    """
+    template = load_template().body
+    rest = _profile(np.asarray(template.vertices, float), np.asarray(template.faces))
+    frames = even_indices(len(shapes), FRAMES, nearest=True)
+    turn = np.array(UPRIGHT[up])
+    profiles = np.stack([_profile(shapes[frame] @ turn.T, faces) for frame in frames])
+    return frames[np.argsort(np.abs(profiles - rest).mean(1), kind="stable")]
+
+
+def up_axis(shapes: Float[np.ndarray, "F V 3"]) -> Literal["x", "y", "z"]:
+    """Guess the axis that points up: y, or another one along which most meshes are clearly longer."""
+    x, y, z = np.median(np.ptp(shapes, axis=1), axis=0)
+    if x > UPRIGHT_RATIO * max(y, z):
+        return "x"
+    return "z" if z > UPRIGHT_RATIO * y else "y"
+
+
+def _profile(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "N"]:
+    """Return the sorted heights of points on a surface, and the sorted distances from the vertical axis."""
+    points = make_surface_samples(vertices, faces, SAMPLES).points / np.sqrt(
+        vertex_areas(vertices, faces).sum()
+    )
+    across = points[:, [0, 2]] - np.median(points[:, [0, 2]], axis=0)
+    return np.concatenate(
+        [np.sort(points[:, 1] - points[:, 1].min()), np.sort(np.linalg.norm(across, axis=1))]
+    )
