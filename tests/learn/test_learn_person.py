@@ -14,7 +14,16 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.anatomy.choose_skeleton import choose_skeleton
-from jaxcap.learn.anatomy.find_person import NoPerson, find_person, likeliest_meshes, misfit, up_axis
+from jaxcap.learn.anatomy.find_person import (
+    GOOD_PART_ERROR,
+    MAX_FAR_SHARE,
+    NoPerson,
+    far_share,
+    find_person,
+    likeliest_meshes,
+    part_error,
+    up_axis,
+)
 from jaxcap.learn.anatomy.joint_evidence import describe_joints, joint_evidence
 from jaxcap.learn.anatomy.small_joints import free_small_joints
 from jaxcap.learn.objective import objective
@@ -48,7 +57,8 @@ def test_a_skeleton_that_does_not_follow_the_surface_is_refused():
     body = jc.human(resolution="low")
     poses = jc.body.sample_poses(body.skeleton, count=4)
     shapes = np.asarray(jax.lax.map(lambda pose: jc.pose_body(body, pose).vertices, poses), float)
-    assert misfit(body, shapes) is None
+    assert far_share(body) == 0.0
+    assert part_error(body, shapes) < GOOD_PART_ERROR
     # a forearm that is folded into the trunk: no vertex moves with it, or its joints are elsewhere
     arm = np.flatnonzero(body.skeleton.descendants[body.skeleton.index("LeftForeArm")])
     weights = np.array(body.skin.bone_weights(31))
@@ -56,10 +66,10 @@ def test_a_skeleton_that_does_not_follow_the_surface_is_refused():
     weights[:, arm] = 0.0
     skin = jc.body.RigidSkin(jnp.asarray(weights.argmax(1)))
     stiff = jc.Body(body.skeleton, skin, body.vertices, body.faces)
-    assert "do not move rigidly" in misfit(stiff, shapes)
+    assert part_error(stiff, shapes) > 2 * part_error(body, shapes)
     inside = body.skeleton.centres.at[arm].set(body.skeleton.centres[body.skeleton.index("Spine1")])
     folded = eqx.tree_at(lambda b: b.skeleton.centres, body, inside)
-    assert "far from all bones" in misfit(folded, shapes)
+    assert far_share(folded) > 5 * MAX_FAR_SHARE
 
 
 def test_meshes_without_a_person_are_searched_freely():
@@ -117,6 +127,8 @@ def test_evidence_is_what_the_meshes_show():
     np.testing.assert_allclose(found.shifts, 0.005)
     np.testing.assert_array_equal(found.determined, [False, True, True, False, False])
     assert found.largest_length_difference == 0.0
+    one = found._replace(lengths=np.array([0.0, 0.1, 0.5, 0.0, 0.4]), partners=np.array([3, -1, 4, 0, 2]))
+    np.testing.assert_allclose(one.largest_length_difference, 0.2)
     table = describe_joints(found, True)
     assert table[2].split() == [
         "LeftLeg",

@@ -27,9 +27,10 @@ SAMPLES, FRAMES = 2000, 200
 UPRIGHT_RATIO = 1.15
 #: the largest distance from the bones, as a share of the height, and the largest share of the vertices beyond it
 MAX_DISTANCE, MAX_FAR_SHARE = 0.16, 0.005
-#: the largest error of the parts of a placed skeleton as rigid bodies over all meshes, root mean square, as a share of the
-#: height (18 mm for a person); where an arm is placed in the trunk it is twice that of people
-MAX_PART_ERROR = 0.0105
+#: error of the parts of a placed skeleton as rigid bodies over all meshes, root mean square, as a share of the height: below the
+#: first one a skeleton is accepted at once (14 mm for a person), above the second one never (28 mm). People without clothes
+#: have 12 mm, a man in clothes 20 mm, and a placement with a folded arm 25 mm and more
+GOOD_PART_ERROR, MAX_PART_ERROR = 0.009, 0.018
 
 
 class PlacedPerson(NamedTuple):
@@ -48,49 +49,57 @@ class NoPerson(NamedTuple):
 
 
 def find_person(meshes: MeshSequence) -> PlacedPerson | NoPerson:
-    """Place the human skeleton in the first mesh in which it fits (`place_human`).
+    """Place the human skeleton in the mesh in which it fits best (`place_human`).
 
     The skeleton can be placed in the mesh of an upright person with the arms off the body, so meshes that are like the human at
-    rest are tried first (`likeliest_meshes`). It fits if no part of the surface is far from all bones, and if its parts
-    move about rigidly over all meshes.
+    rest are tried first (`likeliest_meshes`). It fits if no part of the surface is far from all bones (`far_share`), and the
+    better, the more rigidly its parts move over all meshes (`part_error`).
     """
     shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
     if shapes.shape[1] < MIN_VERTICES:
         return NoPerson(f"{shapes.shape[1]} vertices are too few to recognise a person")
     up = up_axis(shapes)
-    tried = likeliest_meshes(shapes, faces, up)[:TRIES]
-    reason = ""
-    for frame in tried.tolist():
+    tried = likeliest_meshes(shapes, faces, up)[:TRIES].tolist()
+    reason, best, least = "", None, MAX_PART_ERROR
+    for frame in tried:
         try:
             placed = place_human(shapes[frame], faces, up)
         except InputError as error:
             reason = reason or str(error).partition(";")[0].rstrip(".")
             continue
-        doubt = misfit(placed, shapes)
-        if doubt is None:
-            return PlacedPerson(placed, frame)
-        reason = doubt
+        far, error = far_share(placed), part_error(placed, shapes)
+        if far > MAX_FAR_SHARE:
+            reason = f"{far:.1%} of the vertices are far from all bones of the skeleton that was placed"
+        elif error > MAX_PART_ERROR:
+            reason = f"parts of the placed skeleton do not move rigidly, but within {error:.1%} of the height"
+        elif error < least:
+            best, least = PlacedPerson(placed, frame), error
+        if least <= GOOD_PART_ERROR:
+            break
+    if best is not None:
+        return best
     return NoPerson(f"no person was recognised in the {len(tried)} likeliest meshes: {reason}")
 
 
-def misfit(placed: Body, shapes: Float[np.ndarray, "F V 3"]) -> str | None:
-    """Say in which way a placed skeleton does not fit its mesh or the motion; None if it does."""
-    vertices, skeleton = np.asarray(placed.vertices, float), placed.skeleton
-    height = float(np.ptp(np.asarray(skeleton.centres), axis=0).max())
-    tails = default_tails(skeleton)
-    away = bone_distances(vertices, np.asarray(skeleton.centres, float), tails)[0].min(1)
-    far = float(np.mean(away > MAX_DISTANCE * height))
-    if far > MAX_FAR_SHARE:
-        return f"{far:.1%} of the vertices are far from all bones of the skeleton that was placed"
+def far_share(placed: Body) -> float:
+    """Return the share of the vertices that are farther than `MAX_DISTANCE` from all bones of a placed skeleton."""
+    centres = np.asarray(placed.skeleton.centres, float)
+    distances, _ = bone_distances(np.asarray(placed.vertices, float), centres, default_tails(placed.skeleton))
+    return float(np.mean(distances.min(1) > MAX_DISTANCE * _height(placed)))
+
+
+def part_error(placed: Body, shapes: Float[np.ndarray, "F V 3"]) -> float:
+    """Compute the error of the parts of a placed skeleton as rigid bodies in all meshes, root mean square, over the height."""
+    vertices, count = np.asarray(placed.vertices, float), placed.skeleton.num_joints
     areas = vertex_areas(vertices, np.asarray(placed.faces))
-    groups = membership(np.asarray(placed.skin.dominant_bones()), areas, skeleton.num_joints)
+    groups = membership(np.asarray(placed.skin.dominant_bones()), areas, count)
     moments = group_moments(groups, vertices, shapes.transpose(1, 0, 2))
-    error = float(np.sqrt(np.sum(rigid_errors(moments)) / (areas.sum() * len(shapes))))
-    if error > MAX_PART_ERROR * height:
-        return (
-            f"the parts of the skeleton that was placed do not move rigidly, but within {1000 * error:.0f} mm"
-        )
-    return None
+    return float(np.sqrt(np.sum(rigid_errors(moments)) / (areas.sum() * len(shapes)))) / _height(placed)
+
+
+def _height(placed: Body) -> float:
+    """Return the extent of the joints: nine tenths of the height of a person."""
+    return float(np.ptp(np.asarray(placed.skeleton.centres), axis=0).max())
 
 
 def likeliest_meshes(

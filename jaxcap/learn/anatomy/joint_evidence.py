@@ -36,7 +36,7 @@ class JointEvidence(NamedTuple):
         """The largest difference of the lengths of two paired bones, as a share of the length."""
         rows = np.flatnonzero(self.partners >= 0)
         pair = self.lengths[rows], self.lengths[self.partners[rows]]
-        return float(np.max(np.abs(pair[0] - pair[1]) / np.maximum(*pair), initial=0.0))
+        return float(np.max(np.abs(pair[0] - pair[1]) / np.maximum(np.maximum(*pair), 1e-12), initial=0.0))
 
 
 @checked

@@ -2,9 +2,9 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from ...body.body import Body
+from ...metrics import scan_to_surface
 
 #: the least winding number of the surface around a joint in the body; it is one inside of a closed surface, zero outside
 MIN_WINDING = 0.5
@@ -24,7 +24,7 @@ def check_skeleton(body: Body) -> list[str]:
     messages = (
         [f"{_listed(outside)} {'is' if len(outside) == 1 else 'are'} outside of the body."] if outside else []
     )
-    widths = 2 * cKDTree(vertices).query(centres)[0]
+    widths = 2 * scan_to_surface(centres, vertices, faces)
     near = [
         f"{skeleton.names[skeleton.parents[j]]} and {skeleton.names[j]} "
         f"({1000 * np.linalg.norm(centres[j] - centres[skeleton.parents[j]]):.0f} mm)"
