@@ -24,7 +24,7 @@ from jaxcap.learn.anatomy.find_person import (
     part_error,
     up_axis,
 )
-from jaxcap.learn.anatomy.joint_evidence import describe_joints, joint_evidence
+from jaxcap.learn.anatomy.joint_evidence import describe_joints, far_joints, joint_evidence
 from jaxcap.learn.anatomy.small_joints import free_small_joints
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.check_skeleton import check_skeleton, winding_numbers
@@ -129,6 +129,9 @@ def test_evidence_is_what_the_meshes_show():
     assert found.largest_length_difference == 0.0
     one = found._replace(lengths=np.array([0.0, 0.1, 0.5, 0.0, 0.4]), partners=np.array([3, -1, 4, 0, 2]))
     np.testing.assert_allclose(one.largest_length_difference, 0.2)
+    assert far_joints(found) == []
+    (sentence,) = far_joints(found._replace(shifts=np.array([0, 0.064, 0.03, 0, 0])))
+    assert "LeftLeg (64 mm);" in sentence
     table = describe_joints(found, True)
     assert table[2].split() == [
         "LeftLeg",

@@ -21,7 +21,7 @@ from ...io.meshes.meshes import read_named_meshes
 from ...io.system.run_lock import run_lock
 from ...learn.anatomy.choose_skeleton import SkeletonName, choose_skeleton
 from ...learn.anatomy.find_person import PlacedPerson
-from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, joint_evidence
+from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, far_joints, joint_evidence
 from ...learn.check_meshes import check_meshes
 from ...learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ...learn.parts.check_parts import check_learned
@@ -352,6 +352,9 @@ def say_joints(learned: Learned) -> None:
     """Print the joints, the lengths of their bones left and right, and what the meshes show of them."""
     for line in describe_joints(evidence_of(learned), learned.given is not None):
         say(line)
+    if learned.given is not None and learned.given.normals is not None:
+        for message in far_joints(evidence_of(learned)):
+            warn(message)
     if not len(learned.left_right_pairs):
         say("no left and right joints were paired")
 

@@ -14,6 +14,10 @@ from ..skeleton.joint_centre_prior import MIN_ROTATION_GIVEN, GivenCentres, moti
 MIN_SHARE = 0.5
 
 
+#: distance from the given position that is more than the error of a placed skeleton, metres
+MAX_SHIFT = 0.04
+
+
 class JointEvidence(NamedTuple):
     """What the meshes show of the joints below the root, one row for each."""
 
@@ -109,6 +113,18 @@ def describe_joints(evidence: JointEvidence, was_given: bool) -> list[str]:
             [cells[0].ljust(widths[0]), cells[1].rjust(widths[1]), cells[2].rjust(widths[2]), cells[3]]
         ).rstrip()
         for cells in rows
+    ]
+
+
+def far_joints(evidence: JointEvidence) -> list[str]:
+    """Return one sentence about joints that the meshes moved by more than `MAX_SHIFT`."""
+    rows = np.flatnonzero(evidence.shifts > MAX_SHIFT)
+    if not len(rows):
+        return []
+    listed = ", ".join(f"{evidence.names[row]} ({1000 * evidence.shifts[row]:.0f} mm)" for row in rows)
+    return [
+        f"The meshes moved joints far from where the person has them: {listed}; clothes that slide can be the reason; "
+        "compare with the joints of --fix-joints."
     ]
 
 
