@@ -121,7 +121,7 @@ def likeliest_meshes(
 
 
 def up_axis(shapes: Float[np.ndarray, "F V 3"]) -> Literal["x", "y", "z"]:
-    """Guess the axis that points up: y, or another one along which most meshes are clearly longer."""
+    """Determine the axis that points up: y, or another one along which most meshes are clearly longer."""
     x, y, z = np.median(np.ptp(shapes, axis=1), axis=0)
     if x > UPRIGHT_RATIO * max(y, z):
         return "x"

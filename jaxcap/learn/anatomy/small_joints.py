@@ -22,7 +22,7 @@ def free_small_joints(
     shapes: Float[np.ndarray, "F V 3"],
     labels: Int[np.ndarray, "V"],
 ) -> Skeleton:
-    """Turn fixed joints with a part of their own into ball joints if the meshes show that the part rotates.
+    """Convert fixed joints with a part of their own to ball joints if the meshes show that the part rotates.
 
     The vertices of the joint's subtree and those of its parent are moved rigidly, once together and once apart. Joints
     without vertices of their own, such as those that carry the hips, stay fixed.
