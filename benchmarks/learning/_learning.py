@@ -81,7 +81,7 @@ def make_synthetic_meshes(
     else:
         picked = _farthest_frames(np.asarray(motion.poses.rotations[:, 1:], float), training + held_out, rng)
     parts = [
-        _select_frames(motion, np.sort(picked[some])) for some in (slice(training), slice(training, None))
+        select_frames(motion, np.sort(picked[some])) for some in (slice(training), slice(training, None))
     ]
     clean = [posed_vertices(body, part) for part in parts]
     noisy = [part + noise * rng.normal(size=part.shape).astype(part.dtype) for part in clean]
@@ -98,6 +98,15 @@ def varied_poses(shared: Path, body: jc.Body, count: int, excluded: Sequence[str
     rest = jax.tree.map(lambda leaf: leaf[None], jc.rest_pose(body.skeleton))
     some = jax.tree.map(lambda leaf: leaf[np.sort(picked)], poses)
     return jc.Motion(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), rest, some), RATE)
+
+
+def varied_motion(shared: Path, body: jc.Body, count: int) -> jc.Motion:
+    """Select dissimilar poses of all takes of one subject, in random order, on the body's skeleton."""
+    motion = _all_takes(shared, body.skeleton)
+    picked = _farthest_frames(
+        np.asarray(motion.poses.rotations[:, 1:], float), count, np.random.default_rng(0)
+    )
+    return select_frames(motion, picked)
 
 
 def meshes_of(body: jc.Body, motion: jc.Motion) -> MeshSequence:
@@ -135,7 +144,9 @@ def largest_angles(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "
 
 
 @eqx.filter_jit
-def _pose_all(body: jc.Body, poses: jc.Pose):
+def pose_all(body: jc.Body, poses: jc.Pose):
+    """Compute the vertices, the joints and the rotations of the bones in every pose."""
+
     def of_frame(pose):
         posed = jc.pose_body(body, pose)
         return posed.vertices, posed.joints, posed.transforms.rotations
@@ -145,7 +156,7 @@ def _pose_all(body: jc.Body, poses: jc.Pose):
 
 def posed_vertices(body: jc.Body, motion: jc.Motion) -> Float[np.ndarray, "F V 3"]:
     """Compute the body's vertices in every pose."""
-    return np.asarray(_pose_all(body, motion.poses)[0])
+    return np.asarray(pose_all(body, motion.poses)[0])
 
 
 def vertex_errors_mm(posed: Float[np.ndarray, "F V 3"], truth) -> Float[np.ndarray, "F V"]:
@@ -191,14 +202,40 @@ def joint_errors(
     A true joint that keeps to one axis has no centre but the axis itself: any point of it moves the
     same. There `determined` leaves out the distance along the axis.
     """
-    _, places, turned = (np.asarray(leaf, float) for leaf in _pose_all(truth.body, truth.poses.poses))
-    found = np.asarray(_pose_all(learned, motion.poses)[1], float)
-    parents = np.array(truth.body.skeleton.parents)
+    nearest = _nearest_joints(truth.body, truth.poses, learned, motion, joints)
+    return _joint_errors(truth.body, truth.poses, learned, motion, dict(zip(joints, nearest, strict=True)))
+
+
+def named_joint_errors(
+    body: jc.Body, poses: jc.Motion, learned: jc.Body, motion: jc.Motion, names: dict[str, str]
+) -> JointErrors:
+    """Compare joints with learned ones, as `joint_errors`, by `names`: learned ones, with those of the true body."""
+    rows = {
+        body.skeleton.names.index(own): learned.skeleton.names.index(name)
+        for name, own in names.items()
+        if name in learned.skeleton.names
+    }
+    errors = _joint_errors(body, poses, learned, motion, rows)
+    return errors._replace(names=[learned.skeleton.names[joint] for joint in rows.values()])
+
+
+def _nearest_joints(body, poses, learned, motion, joints: list[int]) -> list[int]:
+    places, found = (
+        np.asarray(pose_all(*some)[1], float) for some in ((body, poses.poses), (learned, motion.poses))
+    )
+    return [int(np.linalg.norm(found - places[:, joint, None], axis=2).mean(0).argmin()) for joint in joints]
+
+
+def _joint_errors(
+    body: jc.Body, poses: jc.Motion, learned: jc.Body, motion: jc.Motion, pairs: dict[int, int]
+) -> JointErrors:
+    """Compare true joints with learned ones, given as pairs."""
+    _, places, turned = (np.asarray(leaf, float) for leaf in pose_all(body, poses.poses))
+    found = np.asarray(pose_all(learned, motion.poses)[1], float)
+    parents = np.array(body.skeleton.parents)
     centres, determined = [], []
-    for joint in joints:
-        apart = found - places[:, joint, None]
-        nearest = np.linalg.norm(apart, axis=2).mean(0).argmin()
-        apart = apart[:, nearest]
+    for joint, other in pairs.items():
+        apart = found[:, other] - places[:, joint]
         centres.append(1000 * np.linalg.norm(apart, axis=1).mean())
         # the axis is the direction of the parent that the joint's rotations have in common
         parent = turned[:, parents[joint]]
@@ -207,7 +244,7 @@ def joint_errors(
             axis = parent @ left[:, 0]
             apart = apart - np.sum(apart * axis, 1, keepdims=True) * axis
         determined.append(1000 * np.linalg.norm(apart, axis=1).mean())
-    names = [truth.body.skeleton.names[joint] for joint in joints]
+    names = [body.skeleton.names[joint] for joint in pairs]
     return JointErrors(names, np.array(centres), np.array(determined))
 
 
@@ -313,7 +350,8 @@ def _all_takes(
     return jc.retarget(jc.Motion(poses, RATE), source, skeleton)
 
 
-def _select_frames(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
+def select_frames(motion: jc.Motion, frames: Int[np.ndarray, "F"]) -> jc.Motion:
+    """Take some frames of a motion."""
     return jc.Motion(jax.tree.map(lambda leaf: leaf[frames], motion.poses), motion.rate)
 
 

@@ -3,7 +3,7 @@
     python -m benchmarks.learn_known --resolution low --training 12 --held-out 4 --rounds 2
 
 The truth is the embedded human under swing-twist skinning, posed by CMU's takes of subject 02, its
-vertices in a random order. Learning gets the meshes alone, with default options. The error of a vertex is its distance from its true place, means over vertices and meshes; held-out
+vertices in a random order. Learning gets the meshes alone, and finds the joints from the motion (`--skeleton none`). The error of a vertex is its distance from its true place, means over vertices and meshes; held-out
 meshes are fitted with the learned body (`jaxcap.fit.fit_meshes.fit_meshes`). A second run learns
 from meshes with Gaussian noise along each axis, and is measured against the meshes without.
 """
@@ -52,6 +52,12 @@ def main() -> None:
         "--poses", choices=("farthest", "random"), default="farthest", help="selection of the poses"
     )
     parser.add_argument("--joints", type=int, help="number of joints; determined from the meshes by default")
+    parser.add_argument(
+        "--skeleton",
+        choices=("none", "human"),
+        default="none",
+        help="joints found from the motion, or those of a person, to begin with",
+    )
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument(
         "--noise",
@@ -79,7 +85,7 @@ def main() -> None:
             resolution=options.resolution,
             seed=options.seed,
         )
-        run = learn(scene.training, joints=options.joints, **extra)
+        run = learn(scene.training, joints=options.joints, skeleton=options.skeleton, **extra)
         prefix = "noisy_" if noise else ""
         figures |= {prefix + name: value for name, value in mean_errors(scene, run).items()}
         joints = joint_errors(scene, run.body, run.motion, scene.scored_joints)

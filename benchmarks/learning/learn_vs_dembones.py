@@ -77,7 +77,7 @@ def compare_exact(options, extra: dict) -> tuple[Figures, Limits, list[int]]:
     )
     progress(f"lbs: {len(truth.training)} meshes, {truth.clean.shape[1]} vertices")
     # the meshes can be fitted exactly, so a weight on shape gains nothing
-    run = learn(truth.training, skin="lbs", alpha=0.0, **extra)
+    run = learn(truth.training, skin="lbs", alpha=0.0, skeleton="none", **extra)
     bones = run.body.skeleton.num_joints
     rival = dem_bones(truth.training, bones, truth.body.vertices)
     errors = vertex_errors_mm(posed_vertices(run.body, run.motion), truth.clean)

@@ -1,5 +1,7 @@
 """Learn animatable bodies from registered meshes."""
 
+from .anatomy.joint_evidence import JointEvidence as JointEvidence
+from .anatomy.joint_evidence import joint_evidence as joint_evidence
 from .learn_body import Learned as Learned
 from .learn_body import LearnState as LearnState
 from .skeleton.solve_joints import JointSolution as JointSolution

@@ -28,6 +28,13 @@ EDGES = 3000
 TORN = 8.0
 
 
+#: the least enclosed volume whose sign counts, relative to the cube of the standard deviation of the vertices
+MIN_VOLUME = 0.01
+#: components with more than this share of the vertices of the largest one may be subjects of their own; the least change of
+#: the distance between two subjects, as a share of the body's length
+MIN_SUBJECT_SHARE, MIN_SUBJECT_MOTION = 0.3, 0.25
+
+
 class _Group(NamedTuple):
     """Meshes whose edge lengths agree with those of the first mesh in the group."""
 
@@ -41,13 +48,13 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
 
     Returns warnings, one sentence each, about properties that may be intended: disconnected pieces, edges of
     more than two triangles, duplicate vertices, triangles without area, single torn vertices, an unusual
-    size.
+    size, triangles that face inwards, two subjects.
 
     **Arguments:** `names` are the names of the meshes in messages.
 
     **Raises:** `InputError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, vertices of no triangle, meshes with another vertex order or unit than the others (detected by
-    edge lengths), meshes that differ by a rigid motion only, a surface that is disconnected because of
+    edge lengths), meshes that are mirrored, meshes that differ by a rigid motion only, a surface that is disconnected because of
     duplicate vertices, an impossible size.
     """
     vertices, faces = np.asarray(sequence.vertices, float), np.asarray(sequence.faces)
@@ -64,11 +71,14 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
     _check_arrays(vertices, faces, called)
     edges = mesh_edges(faces)
     _check_order(vertices, edges, called)
+    inward = _check_orientation(vertices, faces, called)
     extent = float(np.median(np.ptp(vertices, axis=1).max(1)))
     return [
         *_size(extent),
+        *inward,
         *_check_displaced_vertices(vertices, edges, called),
         *_surface(vertices, faces, edges, extent),
+        *_check_subjects(vertices, edges, extent),
         *_motion(vertices, extent),
     ]
 
@@ -146,6 +156,56 @@ def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
     ratios = ratios - (growth if abs(growth) > np.log(MAX_POSE_RATIO) else 0.0)
     ratios = ratios - np.clip(np.median(ratios), -np.log(MAX_POSE_RATIO), np.log(MAX_POSE_RATIO))
     return float(np.mean(np.abs(ratios) > np.log(STRETCH)))
+
+
+def _check_orientation(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> list[str]:
+    """Check that the triangles of all meshes face the same side, by the signs of the enclosed volumes.
+
+    Edges of a mirrored mesh are as long as those of the others, so that `_check_order` accepts it. Surfaces that enclose
+    hardly any volume have no sign.
+    """
+    moved = vertices - vertices.mean(1, keepdims=True)
+    volumes = np.array([np.linalg.det(mesh[faces]).sum() / 6 for mesh in moved])
+    sizes = np.sqrt(vertices.var(1).sum(1)) ** 3
+    sure = np.abs(volumes) > MIN_VOLUME * sizes
+    positive = int((volumes[sure] > 0).sum())
+    if 0 < positive < sure.sum():
+        main = positive >= sure.sum() / 2
+        wrong = np.flatnonzero(sure & ((volumes > 0) != main)).tolist()
+        raise InputError(
+            f"{_listed(wrong, names)} {'is' if len(wrong) == 1 else 'are'} mirrored: the triangles face "
+            f"{'inwards' if main else 'outwards'}, and those of the other meshes {'outwards' if main else 'inwards'}; mirror "
+            f"{'it' if len(wrong) == 1 else 'them'} back or leave {'it' if len(wrong) == 1 else 'them'} out."
+        )
+    if sure.any() and positive == 0:
+        return [
+            "The triangles of all meshes face inwards: the meshes are mirrored, or the vertices of their triangles are in the "
+            "other order; no person is recognised in such meshes, and left and right are exchanged in mirrored ones."
+        ]
+    return []
+
+
+def _check_subjects(vertices: np.ndarray, edges: np.ndarray, extent: float) -> list[str]:
+    """Warn of two large components that move apart, such as two people."""
+    labels = _components(edges, vertices.shape[1])[1]
+    counts = np.bincount(labels)
+    large = np.flatnonzero(counts >= MIN_SUBJECT_SHARE * counts.max())
+    middles = np.stack([vertices[:, labels == label].mean(1) for label in large])
+    gaps = (
+        np.linalg.norm(middles[:, None] - middles, axis=-1).transpose(2, 0, 1)
+        if len(large) > 1
+        else np.zeros((1, 1, 1))
+    )
+    if np.ptp(gaps, axis=0).max() < MIN_SUBJECT_MOTION * extent:
+        return []
+    return [
+        f"The meshes contain {len(large)} subjects: components of {_numbers(counts[large])} vertices, whose distance changes by "
+        f"{np.ptp(gaps, axis=0).max():.2f} m; learn each of them from meshes of its own."
+    ]
+
+
+def _numbers(counts: np.ndarray) -> str:
+    return f"{', '.join(map(str, counts[:-1].tolist()))} and {counts[-1]}"
 
 
 def _size(extent: float) -> list[str]:
@@ -241,8 +301,13 @@ def _find_duplicates(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:
 
 
 def _num_components(edges: np.ndarray, count: int) -> int:
+    return _components(edges, count)[0]
+
+
+def _components(edges: np.ndarray, count: int) -> tuple[int, Int[np.ndarray, "V"]]:
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return int(connected_components(graph, directed=False)[0])
+    number, labels = connected_components(graph, directed=False)
+    return int(number), labels
 
 
 def _listed(frames: Sequence[int], names: list[str], most: int = 5) -> str:

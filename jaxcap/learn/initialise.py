@@ -2,20 +2,26 @@
 
 from typing import Literal, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton, make_skeleton
 from ..body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
-from ..body.symmetry import symmetrise
+from ..body.skin.swing_twist import swing_twist_from
+from ..body.symmetry import find_left_right_pairs, left_right_pairs_by_name, symmetrise
 from ..geometry.procrustes import group_moments
 from ..observe.meshes import MeshSequence
 from ..rigging.rig_mesh import rig_mesh
+from .anatomy.find_person import PlacedPerson
+from .anatomy.small_joints import free_small_joints
 from .parts.find_parts import find_parts
 from .parts.surface_graph import make_surface_graph, membership
+from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joint_tree import find_joint_tree, pose_parts
 from .skeleton.left_right_pairs import detect_left_right_pairs
 from .skeleton.pose_from_parts import fit_poses
@@ -33,6 +39,8 @@ class InitialBody(NamedTuple):
     left_right_pairs: Int[np.ndarray, "P 2"]
     #: root mean square error over the number of parts, metres; empty for a given skeleton
     curve: Float[np.ndarray, "N"]
+    #: where the anatomy or a given skeleton has the joints; None if they were found from the motion
+    given: GivenCentres | None = None
 
 
 def initialise_from_motion(
@@ -64,17 +72,55 @@ def initialise_from_skeleton(
 
     **Raises:** `InputError` if the skeleton cannot be bound to the mesh.
     """
-    shapes, faces = np.asarray(meshes.vertices, float), np.asarray(meshes.faces)
-    labels = np.asarray(rig_mesh(shapes[0], faces, skeleton, "heat").skin.dominant_bones())
-    surface = make_surface_graph(shapes[0], shapes, faces)
+    shape, faces = np.asarray(meshes.vertices[0], float), np.asarray(meshes.faces)
+    labels = np.asarray(rig_mesh(shape, faces, skeleton, "heat").skin.dominant_bones())
+    pairs, poses = _pose_bound(meshes, shape, skeleton, labels, symmetry)
+    body = _bind(symmetrise(skeleton, pairs), skin, labels, shape, meshes)
+    return InitialBody(body, poses, pairs, np.zeros(0), GivenCentres(skeleton.centres))
+
+
+def initialise_from_person(
+    meshes: MeshSequence, placed: PlacedPerson, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
+) -> InitialBody:
+    """Begin with the human skeleton as it was placed in one of the meshes, with its weights, and fit its poses to all."""
+    shape, skeleton = np.asarray(meshes.vertices[placed.frame], float), placed.body.skeleton
+    labels = np.asarray(placed.body.skin.dominant_bones())
+    skeleton = free_small_joints(skeleton, shape, np.asarray(meshes.vertices, float), labels)
+    pairs, poses = _pose_bound(meshes, shape, skeleton, labels, symmetry)
+    body = _bind(skeleton, skin, labels, shape, meshes)
+    dtype = meshes.vertices.dtype
+    soft = jax.tree.map(lambda leaf: leaf.astype(dtype), placed.body.skin)
+    smooth = {"swing_twist": lambda: swing_twist_from(soft, skeleton), "lbs": lambda: soft}
+    if skin in smooth:
+        body = eqx.tree_at(lambda b: b.skin, body, smooth[skin]())
+    given = GivenCentres(skeleton.centres, normals=middle_normals(skeleton) if len(pairs) else None)
+    return InitialBody(body, poses, pairs, np.zeros(0), given)
+
+
+def _pose_bound(
+    meshes: MeshSequence,
+    shape: Float[np.ndarray, "V 3"],
+    skeleton: Skeleton,
+    labels: Int[np.ndarray, "V"],
+    symmetry: bool | Int[np.ndarray, "P 2"],
+) -> tuple[Int[np.ndarray, "P 2"], Pose]:
+    """Pair the joints of a skeleton, and fit its poses to all meshes; `labels` are the bones of the vertices of `shape`."""
+    shapes = np.asarray(meshes.vertices, float)
+    surface = make_surface_graph(shape, shapes, np.asarray(meshes.faces))
     groups = membership(labels, surface.areas, skeleton.num_joints)
-    areas = np.asarray(groups.sum(1)).ravel()
-    pairs = choose_pairs(symmetry, skeleton, areas)
-    skeleton = symmetrise(skeleton, pairs)
-    poses = fit_poses(skeleton, group_moments(groups, shapes[0], shapes.transpose(1, 0, 2)))
-    return InitialBody(
-        _bind(skeleton, skin, labels, shapes[0], meshes), _cast(poses, meshes), pairs, np.zeros(0)
-    )
+    pairs = choose_pairs(symmetry, skeleton, np.asarray(groups.sum(1)).ravel())
+    poses = fit_poses(symmetrise(skeleton, pairs), group_moments(groups, shape, shapes.transpose(1, 0, 2)))
+    return pairs, _cast(poses, meshes)
+
+
+def middle_normals(skeleton: Skeleton) -> Float[Array, "J 3"]:
+    """Return the lateral axes of the human's joints on the middle of the body, and zero for its other joints."""
+    paired = {joint for pair in left_right_pairs_by_name(skeleton.names) for joint in pair}
+    middle = [
+        parent >= 0 and joint not in paired and skeleton.kinds[joint] != "fixed"
+        for joint, parent in enumerate(skeleton.parents)
+    ]
+    return jnp.where(jnp.array(middle)[:, None], skeleton.axes[:, 0], 0.0)
 
 
 def initialise_free_bones(meshes: MeshSequence, joints: int | None) -> InitialBody:
@@ -96,11 +142,14 @@ def initialise_free_bones(meshes: MeshSequence, joints: int | None) -> InitialBo
 def choose_pairs(
     symmetry: bool | Int[np.ndarray, "P 2"], skeleton: Skeleton, areas: Float[np.ndarray, "J"]
 ) -> Int[np.ndarray, "P 2"]:
-    """Return the detected pairs of joints, none, or those given.
+    """Return the pairs of joints: by their names, else by lengths and areas; none, or those given.
 
     **Raises:** `ValueError` for an invalid joint index.
     """
     if isinstance(symmetry, bool):
+        named = find_left_right_pairs(skeleton) if symmetry else ()
+        if named:
+            return np.array(sorted(named), int)
         return detect_left_right_pairs(skeleton, areas) if symmetry else np.zeros((0, 2), int)
     pairs = np.asarray(symmetry, int).reshape(-1, 2)
     wrong = pairs[(pairs < 0) | (pairs >= skeleton.num_joints)]

@@ -18,12 +18,15 @@ from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
+from .anatomy.choose_skeleton import SkeletonName, choose_skeleton
+from .anatomy.find_person import PlacedPerson
 from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
 from .initialise import (
     InitialBody,
     SkinName,
     initialise_free_bones,
     initialise_from_motion,
+    initialise_from_person,
     initialise_from_skeleton,
 )
 from .joint_exchange.exchange_joints import exchange_joints
@@ -75,6 +78,8 @@ class Learned(NamedTuple):
     history: tuple[tuple[str, float], ...]
     #: root mean square error over the number of rigid parts, metres; empty if it was not computed
     curve: Float[np.ndarray, "N"]
+    #: where the anatomy or a given skeleton has the joints in the rest shape; None if they were found from the motion
+    given: GivenCentres | None = None
 
 
 @checked
@@ -85,7 +90,7 @@ def learn_body(
     skin: SkinName = "swing_twist",
     alpha: float = 100.0,
     symmetry: bool | Int[np.ndarray, "P 2"] = True,
-    skeleton: Skeleton | None = None,
+    skeleton: Skeleton | PlacedPerson | SkeletonName = "automatic",
     fix_joints: bool = False,
     free_bones: bool = False,
     rounds: int = 30,
@@ -106,7 +111,10 @@ def learn_body(
     **Arguments:** `joints` is the number of joints between parts; None chooses it from the motion, and joints
     must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
     `symmetry` keeps left and right bones equally long, in pairs that are detected or given as `(P, 2)`
-    indices of joints. `skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
+    indices of joints. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
+    meshes (`find_person`); they are a prior on the joint centres, and joints on the middle of the body stay there. "none"
+    searches for joints freely. "automatic" is "human" if a person is recognised and neither `joints` nor `free_bones` are
+    given. A `Skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
     joint centres, or as fixed centres with `fix_joints`. `free_bones` learns bones without parents and with
     linear blending. `terms` is an energy or several of the posed body with all vertices, which act on joints
     and poses: one unit weighs as much as a mean vertex error of a millimetre. With `terms`, no joints are
@@ -116,42 +124,43 @@ def learn_body(
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing can be learned, and
     `InputError` for energies of vertices or joints that do not exist.
     """
-    exchanging: ExchangeMode = "no" if skeleton is not None else "free" if joints is None else "fixed"
-    given = None if skeleton is None else GivenCentres(skeleton.centres, fix_joints)
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
-    if whole is not None:
-        # the energies belong to the current tree of joints
-        exchanging = "no"
-    fine = _stage(
-        meshes, alpha, "", given, None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
-    )
-    simple = skeleton is None or has_only_ball_joints(skeleton)
+    tree = _choose(meshes, skeleton, joints, free_bones) if resume is None else resume.body.skeleton
+    given = tree is not None if resume is None else resume.given is not None
+    # energies belong to the current tree of joints
+    exchanging: ExchangeMode = "no" if given or whole is not None else "free" if joints is None else "fixed"
+    known = tree.body.skeleton if isinstance(tree, PlacedPerson) else tree
+    simple = known is None or has_only_ball_joints(known)
     loose = skin == "lbs" and alpha < MAX_PROJECTION_ALPHA and whole is None and simple
     coarse = decimate_meshes(meshes, VERTICES if loose else num_coarse_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
         _LOG.info("segmenting rigid parts and estimating joints")
         # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
-        on_coarse = joints is not None and skeleton is None and whole is None
-        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, skeleton, free_bones)
+        on_coarse = joints is not None and not given and whole is None
+        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones)
         sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.left_right_pairs, FIRST_DAMPING, (), 0, start.curve)
+        if start.given is not None:
+            state = state._replace(given=start.given._replace(is_fixed=fix_joints))
         if thinned and not on_coarse:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(
-            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE_PREFIX, given
+            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE_PREFIX
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("transferring the body to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, loose))
+    energies = None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
+    fine = _stage(meshes, alpha, "", energies)
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):
         state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
-    return Learned(state.body, state.motion, state.left_right_pairs, state.history, state.curve)
+    return Learned(state.body, state.motion, state.left_right_pairs, state.history, state.curve, state.given)
 
 
 class _Stage(NamedTuple):
@@ -161,19 +170,12 @@ class _Stage(NamedTuple):
     metric: Conformance
     curvature: Curvature
     prefix: str
-    given_centres: GivenCentres | None
     terms: AbstractEnergy | None
 
 
-def _stage(
-    meshes: MeshSequence,
-    alpha: float,
-    prefix: str,
-    given: GivenCentres | None,
-    terms: AbstractEnergy | None = None,
-) -> _Stage:
+def _stage(meshes: MeshSequence, alpha: float, prefix: str, terms: AbstractEnergy | None = None) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, make_curvature(metric), prefix, given, terms)
+    return _Stage(meshes, metric, make_curvature(metric), prefix, terms)
 
 
 def _value(body: Body, poses: Pose, stage: _Stage) -> float:
@@ -181,11 +183,31 @@ def _value(body: Body, poses: Pose, stage: _Stage) -> float:
     return float(objective(body, poses, stage.meshes.vertices, stage.metric, stage.terms))
 
 
-def _start(meshes, joints, skin, symmetry, skeleton, free_bones) -> InitialBody:
+def _choose(
+    meshes: MeshSequence,
+    skeleton: Skeleton | PlacedPerson | SkeletonName,
+    joints: int | None,
+    free_bones: bool,
+) -> Skeleton | PlacedPerson | None:
+    """Return the skeleton with which learning begins; None for a free search."""
+    if not isinstance(skeleton, str):
+        return skeleton
+    if joints is not None or free_bones:
+        if skeleton == "human":
+            raise ValueError("The human skeleton has its own joints; omit `joints` and `free_bones`.")
+        return None
+    placed, sentence = choose_skeleton(meshes, skeleton)
+    _LOG.info(sentence)
+    return placed
+
+
+def _start(meshes, joints, skin, symmetry, tree, free_bones) -> InitialBody:
     if free_bones:
         return initialise_free_bones(meshes, joints)
-    if skeleton is not None:
-        return initialise_from_skeleton(meshes, skeleton, skin, symmetry)
+    if isinstance(tree, PlacedPerson):
+        return initialise_from_person(meshes, tree, skin, symmetry)
+    if tree is not None:
+        return initialise_from_skeleton(meshes, tree, skin, symmetry)
     return initialise_from_motion(meshes, joints, skin, symmetry)
 
 
@@ -324,7 +346,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.left_right_pairs,
             state.damping,
             state.history[-1][1],
-            given_centres=stage.given_centres,
+            given_centres=state.given,
             terms=stage.terms,
         )
         state = state._replace(

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Motion
+from .skeleton.joint_centre_prior import GivenCentres
 
 
 class LearnState(NamedTuple):
@@ -23,3 +24,5 @@ class LearnState(NamedTuple):
     round: int
     #: root mean square error over the number of rigid parts, metres; empty if it was not computed
     curve: Float[np.ndarray, "N"] = np.zeros(0)
+    #: where a given skeleton or the anatomy has the joints; None if they were found from the motion
+    given: GivenCentres | None = None

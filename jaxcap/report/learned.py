@@ -12,12 +12,14 @@ from ..body.body import Body
 from ..body.pose import Motion
 from ..io.system.atomic import atomic_path
 from ..io.table import write_json
+from ..learn.anatomy.joint_evidence import JointEvidence
 from ..learn.learn_body import COARSE_PREFIX
+from ..learn.skeleton.joint_centre_prior import GivenCentres
 from ..observe.meshes import MeshSequence
 from .pictures import error_pictures, new_figure
 from .render import INK
 from .scores import Scores
-from .weights import weight_pictures
+from .weights import skeleton_picture, weight_pictures
 
 #: colours of the steps of a round, in their order
 STEP_COLOURS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
@@ -31,11 +33,14 @@ def report_learning(
     history: Sequence[tuple[str, float]],
     curve: Float[np.ndarray, "N"] | None,
     settings: Mapping[str, object],
+    evidence: JointEvidence | None = None,
+    given: GivenCentres | None = None,
 ) -> list[Path]:
     """Write `report.json` and pictures into an existing folder; return the pictures.
 
     **Arguments:** `groups` of meshes by name, such as training and held out; `history` the objective after
-    every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, if parts were computed.
+    every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, if parts were computed; `evidence` of the
+    meshes for the joints, and their `given` positions, for `skeleton.png`.
 
     **Raises:** `InputError` if a file cannot be written.
     """
@@ -46,6 +51,8 @@ def report_learning(
         for path in error_pictures(folder, body, motion, sequence, scores, f"error-{label.replace(' ', '-')}")
     ]
     pictures += weight_pictures(folder, body)
+    if evidence is not None:
+        pictures.append(skeleton_picture(folder / "skeleton.png", body, given))
     if len(history):
         pictures.append(_plot_history(folder / "history.png", history))
     known = None if curve is None or not len(curve) else np.asarray(curve, float)
@@ -62,6 +69,7 @@ def report_learning(
                 "kinds": list(body.skeleton.kinds),
                 "centres": np.asarray(body.skeleton.centres, float).tolist(),
             },
+            "evidence": None if evidence is None else _evidence_rows(evidence, given is not None),
             "history": [{"step": step, "Q": float(value)} for step, value in history],
             "parts_rms": None if known is None else known.tolist(),
             "scores": {label: scores.report() for label, (_, _, scores) in groups.items()},
@@ -69,6 +77,21 @@ def report_learning(
         },
     )
     return pictures
+
+
+def _evidence_rows(evidence: JointEvidence, was_given: bool) -> list[dict[str, object]]:
+    """List the joints with the lengths of their bones, rotations, and the source of their positions."""
+    return [
+        {
+            "joint": name,
+            "pair": evidence.names[evidence.partners[row]] if evidence.partners[row] >= 0 else None,
+            "length": float(evidence.lengths[row]),
+            "rotation_degrees": float(evidence.rotations[row]),
+            "shift": float(evidence.shifts[row]) if was_given else None,
+            "from": "meshes" if evidence.determined[row] or not was_given else "anatomy",
+        }
+        for row, name in enumerate(evidence.names)
+    ]
 
 
 def _plot_history(path: Path, history: Sequence[tuple[str, float]]) -> Path:

@@ -11,11 +11,14 @@ from ..body.body import Body
 from ..body.skin import SwingTwistSkin
 from ..geometry import rotation
 from ..io.system.atomic import atomic_path
+from ..learn.skeleton.joint_centre_prior import GivenCentres
 from .pictures import new_figure
 from .render import INK, distinct_colours, draw_surface, rotate_view, set_frame, view_axes
 
 #: colours of the axes x (twist), y and z of a joint; degrees of the two views
 AXES, VIEWS = ("#d7263d", "#2e9e4f", "#2a5fd0"), (25.0, 115.0)
+#: degrees of the views of a skeleton
+SIDES = (0.0, 90.0, 45.0)
 NEUTRAL = np.array([0.86, 0.86, 0.86])
 
 
@@ -47,6 +50,36 @@ def weight_pictures(folder: str | Path, body: Body) -> list[Path]:
     with atomic_path(path) as beside:
         _draw(beside, body, panels, palette)
     return [path]
+
+
+@checked
+def skeleton_picture(path: str | Path, body: Body, given: GivenCentres | None = None) -> Path:
+    """Draw the skeleton of a body inside its surface from three sides, with the names of the joints that move.
+
+    Hollow circles are `given` positions, where the anatomy or another skeleton has the joints.
+
+    **Raises:** `InputError` if the file cannot be written.
+    """
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    views = [rotate_view(view_axes(vertices), degrees) for degrees in SIDES]
+    boxes = [((vertices @ view.T).min(0)[:2], (vertices @ view.T).max(0)[:2]) for view in views]
+    palette = distinct_colours(body.skeleton.num_joints)
+    canvas, figure = new_figure(13.0, 7.5)
+    for plot, view, box in zip(figure.subplots(1, len(views), squeeze=False)[0], views, boxes, strict=True):
+        draw_surface(plot, vertices, faces, view, opacity=0.3)
+        _draw_skeleton(plot, body, view, palette, 0.0)
+        centres = np.asarray(body.skeleton.centres, float) @ view.T
+        if given is not None:
+            before = np.asarray(given.centres, float) @ view.T
+            plot.scatter(before[:, 0], before[:, 1], s=46, facecolors="none", edgecolors=INK, zorder=7)
+        for name, kind, centre in zip(body.skeleton.names, body.skeleton.kinds, centres, strict=True):
+            if kind != "fixed":
+                plot.annotate(name, centre[:2], (4, 3), textcoords="offset points", fontsize=5.5, zorder=8)
+        set_frame(plot, *box)
+    figure.subplots_adjust(left=0.005, right=0.995, top=0.99, bottom=0.01, wspace=0.02)
+    with atomic_path(Path(path)) as part:
+        canvas.print_png(part)
+    return Path(path)
 
 
 def _draw(path: Path, body: Body, panels: list[tuple[str, np.ndarray]], palette: np.ndarray) -> None:

@@ -13,8 +13,8 @@ from jaxcap.body.body import Body
 from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import LinearSkin
-from jaxcap.cli import learn as verb
-from jaxcap.cli.learn import read_pairs, split_held_out
+from jaxcap.cli.learn import learn as verb
+from jaxcap.cli.learn.input import read_pairs, split_held_out
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import load_body, load_motion, save_body
 from jaxcap.learn.learn_body import Learned, LearnState
@@ -235,6 +235,9 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--limits", "limits.npz"], "--limits needs a skeleton"),
         (["--floor", "nan"], "--floor"),
         (["--fix-joints"], "--fix-joints needs a skeleton"),
+        (["--skeleton", "none", "--fix-joints"], "--fix-joints needs a skeleton"),
+        (["--skeleton", "human", "--joints", "3"], "omit --joints"),
+        (["--skeleton", "human"], "vertices are too few to recognise a person"),
         (["--hold-out", "2", "--motion", "m.bvh"], "m.bvh"),
     ],
 )

@@ -119,6 +119,23 @@ def test_pieces_are_counted():
     assert "has 2 connected components" in told(both, np.concatenate([FACES, FACES + count]))
 
 
+def test_mirrored_meshes_are_named():
+    meshes = bent()
+    meshes[2] *= [-1.0, 1.0, 1.0]
+    message = refused(meshes, names=[f"tube{i}.ply" for i in range(len(meshes))])
+    assert message.startswith("tube2.ply is mirrored") and "inwards" in message
+    assert "mirrored" in told(bent() * [-1.0, 1.0, 1.0])
+    assert told(bent() * [-1.0, 1.0, 1.0], FACES[:, ::-1]) == ""
+
+
+def test_two_subjects_are_told_from_two_pieces_of_one():
+    one, two = bent(), bent()[::-1] + [0.4, 0, 0]
+    faces = np.concatenate([FACES, FACES + one.shape[1]])
+    assert "2 subjects" not in told(np.concatenate([one, one + [0.4, 0, 0]], 1), faces)
+    steps = np.linspace(0, 1, len(one))[:, None, None] * [0.8, 0, 0]
+    assert "2 subjects" in told(np.concatenate([one, two + steps], 1), faces)
+
+
 def test_vertices_that_stand_twice():
     meshes, count = bent(), bent().shape[1]
     # a second vertex 5 that one triangle uses: the surface still holds together

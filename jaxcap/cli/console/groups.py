@@ -68,7 +68,7 @@ the user for later runs. The environment variable JAXCAP_CACHE names another fol
     {
         "demo": Verb("demo.Demo", "Pose, scan and track the embedded human, as a first test"),
         "rig": Verb("rig.Rig", "Place a skeleton in a mesh and bind the mesh to the bones"),
-        "learn": Verb("learn.Learn", "Learn an animatable body from registered meshes of one actor"),
+        "learn": Verb("learn.learn.Learn", "Learn an animatable body from registered meshes of one actor"),
         "fit": Verb("fit.Fit", "Fit the poses of a body to registered meshes"),
         "adapt": Verb("adapt.adapt.Adapt", "Adapt a template body to the actor in a sequence of scans"),
         "register": Verb("register.register.Register", "Register scans of a person to one topology"),

@@ -55,6 +55,9 @@ class GivenCentres(NamedTuple):
 
     centres: Float[Array, "J 3"]
     is_fixed: bool = False
+    #: unit normals of the planes through joints on the middle of the body, in which their centres stay; zero for other
+    #: joints; None if there are no such planes
+    normals: Float[Array, "J 3"] | None = None
 
 
 def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCentrePrior:
@@ -63,7 +66,7 @@ def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCen
     Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
     otherwise drift along the limb.
     """
-    information, values, axes = _motion_information(poses)
+    information, values, axes = motion_information(poses)
     pull = MIN_ROTATION_GIVEN**2 / (np.maximum(values, 0.0) + MIN_ROTATION_GIVEN)
     weights = (
         np.full_like(information, FIXED_WEIGHT) * np.eye(3)
@@ -96,7 +99,7 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
     squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
     radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
-    information, values, axes = _motion_information(poses)
+    information, values, axes = motion_information(poses)
     pull = MIN_ROTATION**2 / (np.maximum(values, 0.0) + MIN_ROTATION)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
@@ -107,7 +110,7 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
     return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, information)))
 
 
-def _motion_information(
+def motion_information(
     poses: Pose,
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
     """Compute the information of each joint's motion on its centre, with eigenvalues and axes."""

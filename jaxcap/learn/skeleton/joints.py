@@ -65,6 +65,14 @@ def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
     return Curvature(jnp.asarray(vertices), make_patch_laplacian(metric, vertices), weight)
 
 
+class MiddlePlanes(eqx.Module):
+    """Planes in which the centres of joints on the middle of the body stay."""
+
+    normals: Float[Array, "M 3"]
+    points: Float[Array, "M 3"]
+    joints: tuple[int, ...] = eqx.field(static=True)
+
+
 class JointState(eqx.Module):
     """Joint centres and orientations at rest, and the poses."""
 
@@ -91,6 +99,7 @@ class JointProblem(AbstractProblem[JointState]):
     prior_strength: float | Float[Array, ""] = 0.0
     terms: AbstractEnergy | None = None
     left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
+    middle_planes: MiddlePlanes | None = None
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -126,7 +135,9 @@ class JointProblem(AbstractProblem[JointState]):
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
 
     def describe_constraints(self):
-        return "bones of equal length" if self.left_right_pairs else None
+        lengths = ["bones of equal length"] if self.left_right_pairs else []
+        middle = [] if self.middle_planes is None else ["joints on the middle"]
+        return " and ".join(lengths + middle) or None
 
     def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
@@ -140,6 +151,10 @@ class JointProblem(AbstractProblem[JointState]):
         differences, by_centre = length_differences(
             body.skeleton, np.array(self.left_right_pairs, int).reshape(-1, 2)
         )
+        if self.middle_planes is not None:
+            distances, slopes = plane_distances(y.centres, self.middle_planes)
+            differences = jnp.concatenate([differences, distances])
+            by_centre = jnp.concatenate([by_centre, slopes])
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
         constraints = StepConstraints(equalities=Equalities(rows, -differences))
@@ -181,10 +196,13 @@ def improve_joints(
         else given_centre_prior(body, poses, given_centres)
     )
     left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
+    planes = None if given_centres is None else middle_planes(given_centres)
     shares = jnp.asarray(damping, targets.dtype)
     for strength in (1.0, 0.0):
         strength = jnp.asarray(strength, targets.dtype)
-        problem = JointProblem(body, targets, metric, curvature, anchors, strength, terms, left_right_pairs)
+        problem = JointProblem(
+            body, targets, metric, curvature, anchors, strength, terms, left_right_pairs, planes
+        )
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
             improved = problem.body_at(y)
@@ -199,10 +217,32 @@ def _descend(problem: JointProblem, start: JointState, damping: Float[Array, ""]
     return found.y, 2.0 * problem.value(found.y), found.damping
 
 
+def middle_planes(given: GivenCentres) -> MiddlePlanes | None:
+    """Build the planes of the joints on the middle; None if there are none."""
+    if given.normals is None:
+        return None
+    joints = np.flatnonzero(np.asarray(given.normals).any(1))
+    return MiddlePlanes(given.normals[joints], given.centres[joints], tuple(joints.tolist()))
+
+
+def plane_distances(
+    centres: Float[Array, "J 3"], planes: MiddlePlanes
+) -> tuple[Float[Array, "M"], Float[Array, "M J 3"]]:
+    """Compute the signed distances of centres from their planes, metres, and their derivatives by the centres."""
+    joints, rows = np.array(planes.joints, int), np.arange(len(planes.joints))
+    slopes = jnp.zeros((len(rows), *centres.shape), centres.dtype).at[rows, joints].set(planes.normals)
+    return jnp.sum((centres[joints] - planes.points) * planes.normals, 1), slopes
+
+
 def shared_slots(body: Body) -> tuple[int, ...]:
     """Return the indices of unknowns in `joint_jacobian`: centres, and orientations without the roll."""
     numbers = [0, 1, 2, 4, 5] if isinstance(body.skin, SwingTwistSkin) else [0, 1, 2]
-    below = [joint for joint, parent in enumerate(body.skeleton.parents) if parent >= 0]
+    # the centre of a fixed joint has no effect on the surface
+    below = [
+        joint
+        for joint, (parent, kind) in enumerate(zip(body.skeleton.parents, body.skeleton.kinds, strict=True))
+        if parent >= 0 and kind != "fixed"
+    ]
     return tuple(6 * joint + number for joint in below for number in numbers)
 
 

@@ -1,5 +1,6 @@
 """`jaxcap learn`: learn a body from registered meshes alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -7,35 +8,41 @@ from typing import Annotated, Literal
 import jax.numpy as jnp
 import numpy as np
 
-from ..body.body import Body
-from ..body.skeleton import Skeleton, make_skeleton
-from ..body.skin import RigidSkin
-from ..energy.energy import AbstractEnergy
-from ..errors import InputError
-from ..fit.fit_meshes import fit_meshes
-from ..io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from ..io.archives.journal import hash_file
-from ..io.archives.npz import get_array, save_body, save_motion
-from ..io.meshes.meshes import read_named_meshes
-from ..io.skinned.clip import split_clip
-from ..io.system.run_lock import run_lock
-from ..learn.check_meshes import check_meshes
-from ..learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
-from ..learn.parts.check_parts import check_learned
-from ..observe.meshes import MeshSequence
-from ..report.learned import report_learning
-from ..report.scores import Scores
-from .console.console import say, warn
-from .console.heartbeat import set_activity
-from .console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg, check_ranges
-from .console.rounds import RoundProgress
-from .fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate_option
-from .motions import load_skeleton
-from .outputs import check_npz, check_parent, is_run_complete, make_folder
-from .scoring import mesh_hashes, print_scores, score_motion
-from .sources import is_human_spec
-from .terms import FloorHeight, LimitsFile, LimitWeight, read_terms
+from ...body.body import Body
+from ...body.skeleton import Skeleton, make_skeleton
+from ...body.skin import RigidSkin
+from ...energy.energy import AbstractEnergy
+from ...errors import InputError
+from ...fit.fit_meshes import fit_meshes
+from ...io.archives.checkpoint import load_checkpoint, save_checkpoint
+from ...io.archives.journal import hash_file
+from ...io.archives.npz import save_body, save_motion
+from ...io.meshes.meshes import read_named_meshes
+from ...io.system.run_lock import run_lock
+from ...learn.anatomy.choose_skeleton import SkeletonName, choose_skeleton
+from ...learn.anatomy.find_person import PlacedPerson
+from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, far_joints, joint_evidence
+from ...learn.check_meshes import check_meshes
+from ...learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
+from ...learn.parts.check_parts import check_learned
+from ...learn.skeleton.check_skeleton import check_skeleton
+from ...observe.meshes import MeshSequence
+from ...report.learned import report_learning
+from ...report.scores import Scores
+from ..console.console import say, warn
+from ..console.heartbeat import set_activity
+from ..console.options import SKELETON_FORMATS, Flag, OptionalCount, OptionalFile, Unit, arg, check_ranges
+from ..console.rounds import RoundProgress
+from ..fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate_option
+from ..motions import load_skeleton
+from ..outputs import check_npz, check_parent, is_run_complete, make_folder
+from ..scoring import mesh_hashes, print_scores, score_motion
+from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
+from .input import read_pairs, skeleton_digest, split_held_out
+from .state import STATE_ARRAYS, make_checkpoint, restore_state
 
+#: values of --skeleton that are not files
+SKELETON_NAMES = ("human", "none")
 OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior_hint="")]
 
 
@@ -61,16 +68,19 @@ class Learn:
     symmetry: Flag = True
     """Do not constrain left and right limbs to equal lengths."""
     pairs: OptionalText = None
-    """Symmetric pairs of left and right joints, by number or, with --skeleton, by name, such as 3:5,4:6. Default:
-    detected from the lengths and areas of the limbs."""
+    """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
+    by the names of joints, or detected from the lengths and areas of the limbs."""
     skeleton: Annotated[
         OptionalFile,
         arg(
-            help=f"Skeleton that is aligned with the first mesh, instead of one found from the motion: {SKELETON_FORMATS}."
+            metavar="human|none|FILE",
+            help="The joints with which learning begins. 'human': the named joints of a person, placed in one of the meshes. "
+            "'none': joints are found from the motion. Or a skeleton that is aligned with the first mesh, in a file: "
+            f"{SKELETON_FORMATS}. Default: 'human' if a person is recognised, else 'none'; 'none' with --joints.",
         ),
     ] = None
     fix_joints: Flag = False
-    """Fix the joints of --skeleton. Without this option, their positions are estimated from the motion."""
+    """Fix the joints of the skeleton. Without this option, their positions are estimated from the motion."""
     free_bones: Flag = False
     """Learn bones without parents, with linear blend skinning. Their number is one more than --joints."""
     limits: LimitsFile = None
@@ -121,12 +131,12 @@ class Learn:
             )
         for message in check_meshes(sequence, names):
             warn(message)
-        skeleton = None if self.skeleton is None else load_skeleton(self.skeleton, self.unit)
         header = {**self.settings(), **mesh_hashes(sequence[train])}
         resumed = self.start(checkpoint_path, header)
         if self.report is not None:
             make_folder(self.report)
-        learned = self.learn(sequence[train], skeleton, checkpoint_path, header, resumed)
+        tree = self.choose(sequence[train], [names[row] for row in train], resumed)
+        learned = self.learn(sequence[train], tree, checkpoint_path, header, resumed)
         set_activity("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
@@ -134,7 +144,11 @@ class Learn:
         bones, joints = body.skeleton.num_joints, sum(parent >= 0 for parent in body.skeleton.parents)
         between = "without parents" if self.free_bones else f"with {joints} joints between them"
         say(f"{self.out}: {len(body.vertices)} vertices on {bones} bones {between}; poses in {motion_path}")
-        for message in check_learned(body, learned.motion):
+        if not self.free_bones:
+            say_joints(learned)
+        # anatomy has joints that are closer to each other than the limb is wide, such as those of the neck
+        doubts = [] if self.free_bones or learned.given is not None else check_skeleton(body)
+        for message in [*check_learned(body, learned.motion), *doubts]:
             warn(message)
         self.score(learned, sequence, names, train, held)
         checkpoint_path.unlink(missing_ok=True)
@@ -155,14 +169,41 @@ class Learn:
             raise InputError(
                 "--pairs defines symmetric joints and --no-symmetry disables symmetry; give one of them."
             )
-        if self.skeleton is not None and self.joints is not None:
+        has_skeleton = self.skeleton_file() is not None or self.skeleton_name() == "human"
+        if has_skeleton and self.joints is not None:
             raise InputError("--skeleton defines the joints; omit --joints.")
-        if self.fix_joints and self.skeleton is None:
+        if self.fix_joints and not has_skeleton:
             raise InputError("--fix-joints needs a skeleton; give it with --skeleton.")
-        if self.limits is not None and self.skeleton is None:
+        if self.limits is not None and not has_skeleton:
             raise InputError("--limits needs a skeleton; give it with --skeleton.")
-        if self.free_bones and (self.skeleton is not None or self.pairs is not None):
+        if self.free_bones and (has_skeleton or self.pairs is not None):
             raise InputError("--free-bones uses no skeleton and no pairs; omit --skeleton and --pairs.")
+
+    def skeleton_file(self) -> Path | None:
+        """Return --skeleton if it is a file, or `human` with options, and not one of the names."""
+        return None if str(self.skeleton) in SKELETON_NAMES else self.skeleton
+
+    def skeleton_name(self) -> SkeletonName:
+        """Return the choice of the skeleton if it is not a file."""
+        if self.skeleton is not None:
+            return "human" if str(self.skeleton) == "human" else "none"
+        return "none" if self.joints is not None or self.free_bones else "automatic"
+
+    def choose(
+        self, meshes: MeshSequence, names: Sequence[str], resumed: LearnState | None
+    ) -> Skeleton | PlacedPerson | None:
+        """Load the skeleton with which learning begins, or place a person's; None for a free search."""
+        if resumed is not None:
+            return None if resumed.given is None else resumed.body.skeleton
+        file = self.skeleton_file()
+        if file is not None:
+            return load_skeleton(file, self.unit)
+        if self.skeleton_name() == "automatic":
+            say("looking for a person in the meshes")
+        placed, sentence = choose_skeleton(meshes, self.skeleton_name(), names)
+        if self.skeleton_name() != "none":
+            say(sentence)
+        return placed
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
@@ -180,7 +221,8 @@ class Learn:
             "limit_weight",
             "floor",
         )
-        skeleton = None if self.skeleton is None else skeleton_digest(self.skeleton)
+        file = self.skeleton_file()
+        skeleton = self.skeleton_name() if file is None else skeleton_digest(file)
         skin = "lbs" if self.free_bones else self.skin
         limits = None if self.limits is None else hash_file(self.limits)
         known = {name: getattr(self, name) for name in names}
@@ -199,7 +241,7 @@ class Learn:
         if self.resume:
             if checkpoint_path.is_file():
                 return restore_state(
-                    load_checkpoint(checkpoint_path, header, ("pairs", "damping", "round", "curve")),
+                    load_checkpoint(checkpoint_path, header, STATE_ARRAYS),
                     checkpoint_path,
                 )
             # without a file the run was probably stopped before the end of its first round
@@ -213,7 +255,7 @@ class Learn:
     def learn(
         self,
         meshes: MeshSequence,
-        skeleton: Skeleton | None,
+        tree: Skeleton | PlacedPerson | None,
         checkpoint_path: Path,
         header: dict[str, object],
         resumed: LearnState | None,
@@ -226,6 +268,7 @@ class Learn:
             else "parts and joints are estimated first, and the first round compiles"
         )
         say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; {begins}")
+        skeleton = tree.body.skeleton if isinstance(tree, PlacedPerson) else tree
         symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
         with RoundProgress(self.rounds, done) as bar:
 
@@ -244,7 +287,7 @@ class Learn:
                     skin="lbs" if self.free_bones else self.skin,
                     alpha=self.alpha,
                     symmetry=symmetry,
-                    skeleton=skeleton,
+                    skeleton="none" if tree is None else tree,
                     fix_joints=self.fix_joints,
                     free_bones=self.free_bones,
                     rounds=self.rounds,
@@ -292,76 +335,30 @@ class Learn:
                 label: (motion, sequence[rows], scores[label]) for label, (motion, _, rows) in groups.items()
             }
             set_activity("drawing the report")
-            report_learning(self.report, learned.body, shown, learned.history, learned.curve, self.settings())
+            report_learning(
+                self.report,
+                learned.body,
+                shown,
+                learned.history,
+                learned.curve,
+                self.settings(),
+                None if self.free_bones else evidence_of(learned),
+                learned.given,
+            )
             say(f"report.json and pictures are in {self.report}")
 
 
-def skeleton_digest(spec: Path) -> str:
-    """Return an identifier of a skeleton: the hash of its file, or the options of `human`."""
-    if is_human_spec(str(spec)):
-        return str(spec)
-    return hash_file(split_clip(spec)[0])
+def say_joints(learned: Learned) -> None:
+    """Print the joints, the lengths of their bones left and right, and what the meshes show of them."""
+    for line in describe_joints(evidence_of(learned), learned.given is not None):
+        say(line)
+    if learned.given is not None and learned.given.normals is not None:
+        for message in far_joints(evidence_of(learned)):
+            warn(message)
+    if not len(learned.left_right_pairs):
+        say("no left and right joints were paired")
 
 
-def split_held_out(count: int, hold_out: int | None) -> tuple[np.ndarray, np.ndarray]:
-    """Split mesh indices into training and held-out: every `hold_out`-th is held out."""
-    numbers = np.arange(count)
-    held = np.zeros(count, bool) if hold_out is None else numbers % hold_out == hold_out - 1
-    return numbers[~held], numbers[held]
-
-
-def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
-    """Parse `left:right,...` to (P, 2) joints, by number or by name of a given skeleton. Raises
-    `InputError`."""
-    rows = []
-    for word in text.split(","):
-        sides = [side.strip() for side in word.split(":")]
-        if len(sides) != 2 or not all(sides):
-            raise InputError(f"--pairs has '{word}'; it must be left:right, such as 3:5,4:6.")
-        row = []
-        for side in sides:
-            # names of learned joints have this prefix
-            number = side.removeprefix("joint") if skeleton is None else side
-            if skeleton is not None and side in skeleton.names:
-                row.append(skeleton.names.index(side))
-            elif number.isdigit() and (skeleton is None or int(number) < skeleton.num_joints):
-                row.append(int(number))
-            else:
-                there = "" if skeleton is None else f"; the skeleton has {', '.join(skeleton.names)}"
-                raise InputError(f"--pairs has '{side}', which is not a joint{there}.")
-        if row[0] == row[1]:
-            raise InputError(f"--pairs has '{word}', which pairs a joint with itself.")
-        rows.append(row)
-    return np.array(rows)
-
-
-def make_checkpoint(state: LearnState) -> Checkpoint:
-    """Convert a state to a checkpoint."""
-    arrays = {
-        "pairs": np.asarray(state.left_right_pairs, int),
-        "damping": np.array(float(state.damping)),
-        "round": np.array(state.round),
-        "curve": np.asarray(state.curve, float),
-    }
-    return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
-
-
-def restore_state(checkpoint: Checkpoint, path: Path) -> LearnState:
-    """Restore the state of a checkpoint by `make_checkpoint`, bit for bit; `path`, its file, is for messages.
-
-    **Raises:** `InputError` if an array is invalid.
-    """
-    pairs = get_array(checkpoint.arrays, "pairs", path, (None, 2), "whole")
-    if pairs.size and not 0 <= pairs.min() <= pairs.max() < checkpoint.body.skeleton.num_joints:
-        raise InputError(
-            f"{path}: the array 'pairs' contains joints that do not exist; give --overwrite to begin anew."
-        )
-    return LearnState(
-        body=checkpoint.body,
-        motion=checkpoint.motion,
-        left_right_pairs=pairs,
-        damping=get_array(checkpoint.arrays, "damping", path, ()).item(),
-        history=checkpoint.history,
-        round=get_array(checkpoint.arrays, "round", path, (), "whole").item(),
-        curve=get_array(checkpoint.arrays, "curve", path, (None,)),
-    )
+def evidence_of(learned: Learned) -> JointEvidence:
+    """Collect what the meshes show of the joints of a learned body."""
+    return joint_evidence(learned.body.skeleton, learned.motion, learned.left_right_pairs, learned.given)

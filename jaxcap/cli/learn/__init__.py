@@ -1,0 +1,1 @@
+"""`jaxcap learn`: the input, the run and the results of learning a body."""

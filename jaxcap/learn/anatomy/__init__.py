@@ -1,0 +1,1 @@
+"""A person's anatomy as the start of learning, and the evidence of the meshes for its joints."""
