@@ -342,9 +342,7 @@ class Track:
         if self.deviations and not self.fit_shape:
             raise InputError("--deviations is for --fit-shape; give both.")
         if self.deviations and not is_model_spec(self.body):
-            raise InputError(
-                "--deviations is for body models; give one as BODY, such as smplx.npz or human:betas=20."
-            )
+            raise InputError("--deviations is for body models; give one as BODY, such as human:betas=20.")
 
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
