@@ -194,7 +194,7 @@ def _write_learned(folder: Path, body, motion: Motion) -> None:
     one = jnp.ones(())
     surface = LimitSurface(
         "shoulder", None, chart, None, jnp.zeros((1, 3)), one, jnp.zeros((1, 2, 3)), jnp.ones((1, 2)), one, one, one,
-        jnp.ones((1, 2)), jnp.ones(3), rest=body.skeleton,
+        jnp.ones((1, 2)), jnp.ones(3),
     )  # fmt: skip
     save_limits(folder / "limits.npz", SurfaceLimits((surface,)))
     save_subject(

@@ -23,8 +23,8 @@ LIMITS = ("limits.npz", "limits.cst", "02.asf")
 GONE, BODY, OUT = "gone.npz", "body.npz", "out.npz"
 PLACES = [
     Place("rig.Rig", {"mesh": FILE, "out": OUT}, (*MESHES, *SKINNED)),
-    Place("learn.Learn", {"meshes": (FILE,), "out": OUT, "hold_out": 9}, SURFACES),
-    Place("learn.Learn", {"meshes": ("small",), "skeleton": FILE, "out": "kept.npz"}, SKELETONS),
+    Place("learn.learn.Learn", {"meshes": (FILE,), "out": OUT, "hold_out": 9}, SURFACES),
+    Place("learn.learn.Learn", {"meshes": ("small",), "skeleton": FILE, "out": "kept.npz"}, SKELETONS),
     Place("fit.Fit", {"body": FILE, "meshes": (GONE,), "out": OUT}, ALL_BODIES),
     Place("fit.Fit", {"body": "giant.npz", "meshes": (FILE,), "out": OUT}, SURFACES),
     Place("adapt.adapt.Adapt", {"body": FILE, "clouds": (GONE,), "out": OUT}, ALL_BODIES),

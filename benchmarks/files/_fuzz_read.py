@@ -14,7 +14,7 @@ from benchmarks.files._fuzz_seeds import ASF, HEADER, fuzz_body
 from jaxcap.body.body import Body
 from jaxcap.cli.adapt.state import restore_state
 from jaxcap.cli.edit.pairs import parse_point_pair, read_pair_table
-from jaxcap.cli.learn import restore_state as learn_state_of
+from jaxcap.cli.learn.state import restore_state as learn_state_of
 from jaxcap.cli.scan.folder import check_same_scans
 from jaxcap.errors import InputError
 from jaxcap.io.archives.checkpoint import load_checkpoint, load_progress

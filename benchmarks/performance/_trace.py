@@ -23,6 +23,8 @@ COMPILE_EVENTS = {
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "lower",
     "/jax/core/compile/backend_compile_duration": "compile",
 }
+#: events in a trace at most: more are left out by the profiler
+MAX_EVENTS = 1_000_000
 #: parts of names of events in which arrays are copied between host and device
 TRANSFERS = ("BufferFromHost", "CopyToLiteral", "ToLiteral", "TransferTo", "TransferFrom", "LinearizeInto")
 
@@ -103,8 +105,10 @@ def trace(run: Callable[[], Any]) -> Trace:
             jax.profiler.stop_trace()
         (path,) = Path(folder).rglob("*.trace.json.gz")
         with gzip.open(path) as file:
-            events = [event for event in json.load(file)["traceEvents"] if event.get("ph") == "X"]
-    return _summarise(wall, events)
+            events = json.load(file)["traceEvents"]
+    if len(events) >= MAX_EVENTS:
+        raise RuntimeError(f"The profiler records {MAX_EVENTS:,} events at most; profile a shorter run.")
+    return _summarise(wall, [event for event in events if event.get("ph") == "X"])
 
 
 def _summarise(wall: float, events: list[dict]) -> Trace:

@@ -6,7 +6,7 @@
 Each stage runs in a process of its own without compiled functions, which gives the seconds of compilation; again, for its wall seconds;
 and once more under JAX's profiler, for the shares of compiled programs, copies between host and device, and the host. The ten
 largest programs are compared with what the machine can do, measured in the same run: bytes over the bandwidth of the
-memory, and operations over the speed of products of matrices. XLA counts both once in each loop, so these are lower bounds.
+memory, and operations over the speed of products of matrices. XLA counts both once in each loop, and counts arrays in caches, so these are estimates.
 """
 
 import argparse

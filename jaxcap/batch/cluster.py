@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+from ..arguments import checked
 from ..errors import InputError
 from .dask_libraries import import_distributed, import_optional
 from .size import GIB, Computer, count_workers, this_computer
@@ -41,6 +42,7 @@ WATCH_SECONDS = 2.0
 DASHBOARD = "127.0.0.1:8787"
 
 
+@checked
 @contextlib.contextmanager
 def open_cluster(
     workers: int | None = None,

@@ -30,6 +30,8 @@ TORN = 8.0
 
 #: the least enclosed volume whose sign counts, relative to the cube of the standard deviation of the vertices
 MIN_VOLUME = 0.01
+#: length of the sum of all area vectors, as a share of the area, above which a surface is far from closed
+MAX_GAP = 0.2
 #: components with more than this share of the vertices of the largest one may be subjects of their own; the least change of
 #: the distance between two subjects, as a share of the body's length
 MIN_SUBJECT_SHARE, MIN_SUBJECT_MOTION = 0.3, 0.25
@@ -162,12 +164,15 @@ def _check_orientation(vertices: np.ndarray, faces: np.ndarray, names: list[str]
     """Check that the triangles of all meshes face the same side, by the signs of the enclosed volumes.
 
     Edges of a mirrored mesh are as long as those of the others, so that `_check_order` accepts it. Surfaces that enclose
-    hardly any volume have no sign.
+    hardly any volume, or are far from closed, have no sign.
     """
     moved = vertices - vertices.mean(1, keepdims=True)
     volumes = np.array([np.linalg.det(mesh[faces]).sum() / 6 for mesh in moved])
     sizes = np.sqrt(vertices.var(1).sum(1)) ** 3
-    sure = np.abs(volumes) > MIN_VOLUME * sizes
+    # the areas of a closed surface, as vectors, add up to zero
+    areas = area_normals(vertices[:, faces])
+    gaps = np.linalg.norm(areas.sum(1), axis=1) / np.linalg.norm(areas, axis=2).sum(1)
+    sure = (np.abs(volumes) > MIN_VOLUME * sizes) & (gaps < MAX_GAP)
     positive = int((volumes[sure] > 0).sum())
     if 0 < positive < sure.sum():
         main = positive >= sure.sum() / 2

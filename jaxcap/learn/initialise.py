@@ -87,7 +87,7 @@ def initialise_from_person(
     labels = np.asarray(placed.body.skin.dominant_bones())
     skeleton = free_small_joints(skeleton, shape, np.asarray(meshes.vertices, float), labels)
     pairs, poses = _pose_bound(meshes, shape, skeleton, labels, symmetry)
-    body = _bind(skeleton, skin, labels, shape, meshes)
+    body = _bind(symmetrise(skeleton, pairs), skin, labels, shape, meshes)
     dtype = meshes.vertices.dtype
     soft = jax.tree.map(lambda leaf: leaf.astype(dtype), placed.body.skin)
     smooth = {"swing_twist": lambda: swing_twist_from(soft, skeleton), "lbs": lambda: soft}

@@ -113,7 +113,7 @@ def learn_body(
     `symmetry` keeps left and right bones equally long, in pairs that are detected or given as `(P, 2)`
     indices of joints. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
     meshes (`find_person`); they are a prior on the joint centres, and joints on the middle of the body stay there. "none"
-    searches for joints freely. "automatic" is "human" if a person is recognised and neither `joints` nor `free_bones` are
+    searches for joints freely. "automatic" is "human" if a person is recognised and neither `joints` nor `free_bones` nor pairs are
     given. A `Skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
     joint centres, or as fixed centres with `fix_joints`. `free_bones` learns bones without parents and with
     linear blending. `terms` is an energy or several of the posed body with all vertices, which act on joints
@@ -125,7 +125,7 @@ def learn_body(
     `InputError` for energies of vertices or joints that do not exist.
     """
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
-    tree = _choose(meshes, skeleton, joints, free_bones) if resume is None else resume.body.skeleton
+    tree = _choose(meshes, skeleton, joints, symmetry, free_bones) if resume is None else resume.body.skeleton
     given = tree is not None if resume is None else resume.given is not None
     # energies belong to the current tree of joints
     exchanging: ExchangeMode = "no" if given or whole is not None else "free" if joints is None else "fixed"
@@ -187,6 +187,7 @@ def _choose(
     meshes: MeshSequence,
     skeleton: Skeleton | PlacedPerson | SkeletonName,
     joints: int | None,
+    symmetry: bool | np.ndarray,
     free_bones: bool,
 ) -> Skeleton | PlacedPerson | None:
     """Return the skeleton with which learning begins; None for a free search."""
@@ -195,6 +196,9 @@ def _choose(
     if joints is not None or free_bones:
         if skeleton == "human":
             raise ValueError("The human skeleton has its own joints; omit `joints` and `free_bones`.")
+        return None
+    if skeleton == "automatic" and not isinstance(symmetry, bool):
+        # the numbers of pairs are those of joints found from the motion
         return None
     placed, sentence = choose_skeleton(meshes, skeleton)
     _LOG.info(sentence)

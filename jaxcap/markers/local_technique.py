@@ -95,7 +95,8 @@ def fit_local(
     mended = correct_swaps(positions, seen, labels)
     messages += mended.messages
     positions, seen = mended.positions, mended.seen
-    left_out, reasons = _leave_out_points(positions, seen, labels)
+    placed = _placed_markers(segments, corrections, labels)
+    left_out, reasons = _leave_out_points(positions, seen, labels, placed)
     shown = seen & ~left_out
     if segments is None:
         segments = find_bones(positions, shown, threshold)
@@ -188,15 +189,29 @@ def _count_markers(tree: SegmentTree, root: int, segments: Segments) -> int:
     )
 
 
+def _placed_markers(
+    segments: Segments | None, corrections: Mapping[str, tuple[str, float]] | None, labels: tuple[str, ...]
+) -> Bool[np.ndarray, "M"]:
+    """Find the markers that the user places on a segment."""
+    placed = np.zeros(len(labels), bool) if segments is None else ~segments.is_loose
+    for label, (name, weight) in (corrections or {}).items():
+        if label in labels:
+            placed[labels.index(label)] = name != "-" and weight > 0
+    return placed
+
+
 def _leave_out_points(
-    positions: Float[np.ndarray, "F M 3"], seen: Bool[np.ndarray, "F M"], labels: tuple[str, ...]
+    positions: Float[np.ndarray, "F M 3"],
+    seen: Bool[np.ndarray, "F M"],
+    labels: tuple[str, ...],
+    placed: Bool[np.ndarray, "M"],
 ) -> tuple[Bool[np.ndarray, "M"], list[str]]:
-    """Find points that are no markers, or too short pieces of some; return a mask and messages."""
+    """Find points that are no markers, or too short pieces of some, and that the user does not place; return a mask and messages."""
     left_out, messages = np.zeros(len(labels), bool), []
     short = [
         m
         for m, label in enumerate(labels)
-        if not label_stem(label) and 0 < seen[:, m].mean() < MIN_VISIBLE_SHARE
+        if not placed[m] and not label_stem(label) and 0 < seen[:, m].mean() < MIN_VISIBLE_SHARE
     ]
     if short:
         left_out[short] = True
@@ -206,6 +221,8 @@ def _leave_out_points(
             "out. If they are pieces of markers, join them."
         )
     for point in find_computed_points(positions, seen & ~left_out):
+        if placed[point.marker]:
+            continue
         left_out[point.marker] = True
         sources = ", ".join(f"'{labels[m]}'" for m in point.sources)
         messages.append(f"'{labels[point.marker]}' is computed from {sources}, and left out.")

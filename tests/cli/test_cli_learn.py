@@ -1,6 +1,7 @@
 """`jaxcap learn` and `jaxcap fit`: options, bad inputs, checkpoints, scores and pictures."""
 
 import json
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -288,6 +289,11 @@ def test_pairs_by_number_and_by_name():
     ):
         with pytest.raises(InputError, match="--pairs"):
             read_pairs(text, given)
+
+
+def test_pairs_are_of_joints_found_from_the_motion():
+    assert verb.Learn(("meshes",), Path("body.npz"), pairs="3:5").skeleton_name() == "none"
+    assert verb.Learn(("meshes",), Path("body.npz")).skeleton_name() == "automatic"
 
 
 def test_every_nth_mesh_is_held_out():

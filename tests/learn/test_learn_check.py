@@ -128,6 +128,17 @@ def test_mirrored_meshes_are_named():
     assert told(bent() * [-1.0, 1.0, 1.0], FACES[:, ::-1]) == ""
 
 
+def test_an_open_surface_has_no_sign():
+    """A sheet that bends both ways, such as a cape: the volume about its middle changes sign."""
+    x, y = (part.ravel() for part in np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(-0.5, 0.5, 11)))
+    corner = (np.arange(10)[:, None] * 11 + np.arange(10)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 12], 1), np.stack([corner, corner + 12, corner + 11], 1)]
+    )
+    sheets = [np.stack([x, y, curvature * (x**2 + y**2)], 1) for curvature in np.linspace(-0.3, 0.3, 6)]
+    assert "mirrored" not in told(np.array(sheets), faces) and "inwards" not in told(np.array(sheets), faces)
+
+
 def test_two_subjects_are_told_from_two_pieces_of_one():
     one, two = bent(), bent()[::-1] + [0.4, 0, 0]
     faces = np.concatenate([FACES, FACES + one.shape[1]])

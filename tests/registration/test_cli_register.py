@@ -86,6 +86,8 @@ def test_what_cannot_be_registered(folder, capsys):
     line = fails(capsys, *words(folder, "--motion", folder / "poses.npz"))
     assert f"this motion has {FRAMES} frames, but there are {FRAMES - 1} scans" in line
     assert "--deviation is 0; it must be above 0" in fails(capsys, *words(folder, "--deviation", "0"))
+    line = fails(capsys, "register", folder / "body.npz", folder, "-o", ".")
+    assert "has no name of its own" in line
     assert "--points is 3; it must be at least 100" in fails(capsys, *words(folder, "--points", "3"))
     write_scan(folder, 0, np.zeros((0, 3)), np.zeros((0, 3)))
     assert "scan_0000.ply" in fails(capsys, *words(folder, "--motion", folder / "poses.npz"))

@@ -69,7 +69,8 @@ class Learn:
     """Do not constrain left and right limbs to equal lengths."""
     pairs: OptionalText = None
     """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
-    by the names of joints, or detected from the lengths and areas of the limbs."""
+    by the names of joints, or detected from the lengths and areas of the limbs. Without --skeleton, joints are then found
+    from the motion."""
     skeleton: Annotated[
         OptionalFile,
         arg(
@@ -187,7 +188,8 @@ class Learn:
         """Return the choice of the skeleton if it is not a file."""
         if self.skeleton is not None:
             return "human" if str(self.skeleton) == "human" else "none"
-        return "none" if self.joints is not None or self.free_bones else "automatic"
+        free = self.joints is not None or self.pairs is not None or self.free_bones
+        return "none" if free else "automatic"
 
     def choose(
         self, meshes: MeshSequence, names: Sequence[str], resumed: LearnState | None

@@ -96,6 +96,11 @@ class Register:
 
     def run(self) -> None:
         self.check()
+        with run_lock(self.out):
+            self.register()
+
+    def register(self) -> None:
+        """Adapt the body or read its poses, and register all scans. Raises `InputError`."""
         adapted = self.adapt() if self.motion is None else self.read_poses(self.motion)
         task, state, scans = adapted
         settings = RegisterSettings(self.deviation, self.length, self.points)
@@ -119,6 +124,10 @@ class Register:
                 "--points": (self.points, self.points >= 100, "at least 100"),
             }
         )
+        if not self.out.name:
+            raise InputError(
+                f"{self.out} has no name of its own; give a file or a new folder for the meshes."
+            )
         if not is_folder(self.out):
             check_parent(self.out)
         check_out(self.out, self.overwrite or self.resume)

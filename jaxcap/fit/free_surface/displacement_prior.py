@@ -4,6 +4,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
+from ...arguments import checked
 from ...geometry.laplacian import cotangent_laplacian
 from ...geometry.mesh import vertex_areas
 from ...value_checks import check_positive
@@ -13,6 +14,7 @@ from ..linear_solvers.regularised_blocks import PrecisionRoot, make_precision_ro
 MIN_AREA = 0.01
 
 
+@checked
 def make_displacement_prior(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],

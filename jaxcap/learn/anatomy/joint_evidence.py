@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ..skeleton.joint_centre_prior import MIN_ROTATION_GIVEN, GivenCentres, motion_information
+from ..skeleton.joint_centre_prior import GivenCentres, given_pull, motion_information
 
 #: share of the meshes in the position of a joint, across the direction that they determine least, above which they determine it
 MIN_SHARE = 0.5
@@ -60,7 +60,8 @@ def joint_evidence(
     centres, parents = np.asarray(skeleton.centres, float), np.array(skeleton.parents)
     joints = np.flatnonzero(parents >= 0)
     _, values, _ = motion_information(motion.poses)
-    shares = np.maximum(values[:, 1], 0.0) / (np.maximum(values[:, 1], 0.0) + MIN_ROTATION_GIVEN)
+    information = np.maximum(values[:, 1], 0.0)
+    shares = information / (information + given_pull(information))
     if given is not None and given.is_fixed:
         shares = np.zeros(len(parents))
     before = centres if given is None else np.asarray(given.centres, float)

@@ -67,7 +67,7 @@ def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCen
     otherwise drift along the limb.
     """
     information, values, axes = motion_information(poses)
-    pull = MIN_ROTATION_GIVEN**2 / (np.maximum(values, 0.0) + MIN_ROTATION_GIVEN)
+    pull = given_pull(np.maximum(values, 0.0))
     weights = (
         np.full_like(information, FIXED_WEIGHT) * np.eye(3)
         if given.is_fixed
@@ -78,6 +78,12 @@ def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCen
     return JointCentrePrior(
         *(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, information))
     )
+
+
+def given_pull(information: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Compute the weight of the prior at a given centre, by the mean squared rotation that determines it; both weigh the same
+    at 13 degrees."""
+    return MIN_ROTATION_GIVEN**2 / (information + MIN_ROTATION_GIVEN)
 
 
 def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance: float) -> JointCentrePrior:

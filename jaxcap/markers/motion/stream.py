@@ -18,15 +18,12 @@ from .initial_pose import estimate_initial_poses
 from .inverse_kinematics import INITIAL_SEARCH, MAX_RESIDUAL_SCALE, MIN_MARKERS
 from .solve_frame import SearchCriteria, solve_frame
 
-#: search of a frame in real time
-LIVE_SEARCH = SearchCriteria(max_iterations=6, tolerance=0.1)
-
 
 class Streamer(eqx.Module):
     """A subject, and the stopping criteria of each frame."""
 
     subject: Subject
-    search: SearchCriteria = LIVE_SEARCH
+    search: SearchCriteria = SearchCriteria()
     #: energies of a user's own, which see the markers as vertices
     terms: AbstractEnergy | None = None
 
@@ -43,7 +40,7 @@ class StreamState(NamedTuple):
 
 @checked
 def make_streamer(
-    subject: Subject, search: SearchCriteria = LIVE_SEARCH, terms: UserTerms = ()
+    subject: Subject, search: SearchCriteria = SearchCriteria(), terms: UserTerms = ()
 ) -> tuple[Streamer, StreamState]:
     """Build a compiled streamer and the state before the first frame; `terms` as in `solve_markers`."""
     energy = sum_user_terms("make_streamer", terms, marker_body(subject))

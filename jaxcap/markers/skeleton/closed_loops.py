@@ -52,7 +52,8 @@ def open_loops(
     """
     still = still_segments(positions, seen, segments, unit)
     most = MAX_COST * median_distance(positions, seen)
-    for segment in still:
+    # the last ones first: splitting a segment moves those after it
+    for segment in reversed(still):
         others = [k for k in range(segments.num_segments) if k != segment]
         if len(others) < 2 or len(segments.members[segment]) < 2 * MIN_MARKERS:
             continue

@@ -21,7 +21,8 @@ def place_lone_markers(
     """Make bones of lone markers where one is missing, and attach others to the segments that they nearly move with.
 
     A marker that keeps its distance from one of a segment, which no joint connects well to the others, is the only marker of
-    the bone between: the thigh of a gait model, whose marker at the knee is on the shank. Any other marker joins the segment from which its
+    the bone between: the thigh of a gait model, whose marker at the knee is on the shank. Such markers that keep their distances from each
+    other share a bone. Any other marker joins the segment from which its
     distances vary least, if by less than three times the usual deviation.
 
     **Arguments:** `tree` of the segments; `distances` the median distance of every pair of markers, metres.
@@ -34,7 +35,11 @@ def place_lone_markers(
     for marker in np.flatnonzero(owner < 0).tolist():
         partner = find_partner(marker, owner, deviations, distances, unit)
         if partner is not None and owner[partner] in strained:
-            bones.append([marker])
+            near = [bone for bone in bones if known[marker, bone].max() < MAX_RATIO * unit]
+            if near:
+                near[0].append(marker)
+            else:
+                bones.append([marker])
             continue
         usual = [float(np.sqrt(np.mean(known[marker, list(some)] ** 2))) for some in segments.members]
         best = int(np.argmin(usual))

@@ -1,10 +1,14 @@
 """Recordings that hide bones from the technique without a template: feet on the floor, still arms, bones of one or two markers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
 from jaxcap.markers.local_technique import fit_local
 from jaxcap.markers.segments.computed_points import find_computed_points
 from jaxcap.markers.segments.find_segments import find_partition
+from jaxcap.markers.segments.segment_sets import make_segments
+from jaxcap.markers.skeleton import closed_loops
 from jaxcap.markers.skeleton.find_bones import find_bones
 from jaxcap.observe.markers import make_markers
 from tests.markers_scene import PUPPET, puppet, waves
@@ -163,6 +167,43 @@ def test_computed_points_are_left_out(rng):
         and "'Centre' is computed from" in told
         and "'*7' is" in told
     )
+
+
+def test_a_computed_point_that_the_user_places_stays(rng):
+    scene = puppet(rng, noise=0.002, markers=3)
+    middle = 0.5 * (scene.places[:, 6] + scene.places[:, 12])
+    places = np.concatenate([scene.places, np.round(middle, 4)[:, None]], 1)
+    labels = [*(f"m{i}" for i in range(18)), "Middle"]
+    found = find_bones(scene.places, everything(scene.places), None)
+    name = found.names[found.marker_segments[6]]
+    fit = fit_local(take(places, labels), corrections={"Middle": (name, 0.5)})
+    assert fit.bones[18] >= 0 and "left out" not in " ".join(fit.messages)
+
+
+def test_all_still_segments_are_tried(monkeypatch):
+    """A squat with a bar in both hands: feet and hands stand still, the trunk does not."""
+    sets = [(0, 1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12, 13)]
+    tried = []
+
+    segments = make_segments(sets, 14, np.ones(14), ("feet", "leg", "trunk", "hands"))
+    monkeypatch.setattr(closed_loops, "still_segments", lambda *_: [0, 3])
+    star = SimpleNamespace(augmented=SimpleNamespace(frames=SimpleNamespace(local_positions=np.eye(14, 3))))
+
+    def tree(positions, seen, segments, pairs=None):
+        if pairs is not None:
+            tried.append(segments.members[pairs[0][0]])
+        return star
+
+    monkeypatch.setattr(closed_loops, "find_segment_tree", tree)
+    monkeypatch.setattr(closed_loops, "median_distance", lambda *_: 1.0)
+    monkeypatch.setattr(
+        closed_loops,
+        "_centres_in",
+        lambda star, segment, most: {k: np.eye(3)[n] for n, k in enumerate([1, 2])},
+    )
+    monkeypatch.setattr(closed_loops, "_largest_connected", lambda rest, chosen, most: chosen)
+    closed_loops.open_loops(np.zeros((1, 14, 3)), np.ones((1, 14), bool), segments, 0.01)
+    assert sorted(tried) == [(0, 1, 2, 3), (10, 11, 12, 13)]
 
 
 def test_markers_of_no_computed_point(rng):
