@@ -16,8 +16,10 @@ from jaxcap.batch.size import GIB, Computer, count_workers
 from jaxcap.batch.versions import Version, installed_version
 from jaxcap.cli import main
 from jaxcap.cli.batch import batch
+from jaxcap.cli.batch.finished import check_absent_outputs, index_owners, owned_outputs
 from jaxcap.cli.batch.results import ResultTable, read_rows
 from jaxcap.cli.batch.run_job import Assignment, run_job
+from jaxcap.cli.batch.staging import open_staging, publish
 from jaxcap.errors import InputError
 
 pytest.importorskip("distributed")
@@ -99,6 +101,38 @@ def test_existing_outputs_are_replaced_only_if_they_may_be(tmp_path):
     assert (tmp_path / "out" / "a.txt").read_text() == "mine"
     assert run_job(assigned(tmp_path, job, replace=True))["status"] == "done"
     assert (tmp_path / "out" / "a.txt").read_text() == "0 seven"
+
+
+def test_outputs_of_others_are_never_replaced(tmp_path):
+    """Neither after a row of a failed job, nor after an attempt that was killed before it moved its outputs."""
+    job = count_job(tmp_path, stop=True)
+    failed = {"key": job.key, "status": "failed", "outputs": []}
+    with pytest.raises(KeyboardInterrupt):
+        run_job(assigned(tmp_path, job))
+    (tmp_path / "out" / "a.txt").write_text("mine")
+    with pytest.raises(InputError, match="not an output of an earlier run"):
+        check_absent_outputs([job], {job.key: failed})
+    assert owned_outputs(job, {job.key: failed}, index_owners({job.key: failed})) == ()
+    row = run_job(assigned(tmp_path, job))
+    assert "this file already exists" in row["message"]
+    assert (tmp_path / "out" / "a.txt").read_text() == "mine"
+    # those of a done job are, and so are those that a killed attempt had begun to move
+    done = {
+        "other": {**failed, "status": "done", "outputs": [str(tmp_path / "out" / ".." / "out" / "a.txt")]}
+    }
+    check_absent_outputs([job], done)
+    owned = owned_outputs(job, done, index_owners(done))
+    job = count_job(tmp_path)
+    assert run_job(assigned(tmp_path, job)._replace(owned=owned))["status"] == "done"
+    (tmp_path / "receipts" / f"{job.key}.json").unlink()
+    with open_staging(job) as staging:
+        (tmp_path / "out" / "a.txt").unlink()
+        (next(iter(staging.folders.values())) / "a.txt").write_text("new")
+        publish(staging, replace=False)
+        check_absent_outputs([job], {})
+        (next(iter(staging.folders.values())) / "a.txt").write_text("newer")
+        publish(staging, replace=False)
+    assert (tmp_path / "out" / "a.txt").read_text() == "newer"
 
 
 def test_urls_are_fetched_and_sent(tmp_path):

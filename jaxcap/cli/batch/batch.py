@@ -22,7 +22,14 @@ from ..console.errors import error_sentence
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalCount, OptionalFile, arg
 from ..outputs import check_parent, make_folder
-from .finished import check_absent_outputs, check_folders, is_finished, owns_outputs
+from .finished import (
+    check_absent_outputs,
+    check_folders,
+    index_owners,
+    is_finished,
+    outputs_of,
+    owned_outputs,
+)
 from .job_lists import ListedJob, list_jobs
 from .jobs import Job, make_jobs
 from .memory import job_memory
@@ -107,8 +114,15 @@ class Batch:
         receipts = receipts_folder(table.path)
         make_folder(receipts)
         folder = os.getcwd()
+        owners = index_owners(table.rows)
         assignments = [
-            Assignment(job, folder, str(receipts.absolute()), self.overwrite or owns_outputs(job, table.rows))
+            Assignment(
+                job,
+                folder,
+                str(receipts.absolute()),
+                self.overwrite,
+                owned_outputs(job, table.rows, owners),
+            )
             for job in jobs
         ]
         memory = job_memory(job.verb for job in jobs) if self.memory is None else self.memory * GIB
@@ -124,6 +138,9 @@ class Batch:
                 results = map_jobs(run_job, assignments, client)
                 rows = rows_of(results, jobs)
                 for row in progress(rows, total, begun, "batch", "jobs", first="the first one is done"):
+                    if row["status"] == FAILED:
+                        # those of an earlier run are still there
+                        row["outputs"] = list(outputs_of(table.rows.get(row["key"])))
                     table.append(row)
                     done += row["status"] == DONE
                     if row["status"] == FAILED:

@@ -37,8 +37,10 @@ class Assignment(NamedTuple):
     folder: str
     #: the folder of receipts, in which a finished job is known before its row arrives
     receipts: str
-    #: may outputs that exist be replaced?
+    #: may all outputs that exist be replaced?
     replace: bool
+    #: outputs of earlier runs, which may be replaced in any case
+    owned: tuple[str, ...] = ()
 
 
 def prepare_worker() -> None:
@@ -91,9 +93,9 @@ def _run(assignment: Assignment, record: Record) -> dict[str, Any]:
             try:
                 _run_verb(command, staging)
                 found["figures"] = {**record.figures, **collect_figures(staging)}
-                # outputs that exist after an earlier attempt are those of this job
-                replace = assignment.replace or staging.attempt > 1 or _overwrites(job)
-                found |= {"status": DONE, "message": "", "outputs": publish(staging, replace)}
+                replace = assignment.replace or _overwrites(job)
+                outputs = publish(staging, replace, assignment.owned)
+                found |= {"status": DONE, "message": "", "outputs": outputs}
             except _ERRORS as error:
                 # the folders remain only for the checkpoints of killed workers: a failed job begins anew
                 found |= _failure(error, staging.destination)
