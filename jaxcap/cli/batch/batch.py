@@ -33,8 +33,9 @@ from .finished import (
 from .job_lists import ListedJob, list_jobs
 from .jobs import Job, make_jobs
 from .memory import job_memory
+from .prepare import prepare_worker
 from .results import ResultTable, Row, receipts_folder, write_parquet
-from .run_job import DONE, FAILED, Assignment, prepare_worker, run_job
+from .run_job import DONE, FAILED, Assignment, run_job
 from .urls import is_url
 
 

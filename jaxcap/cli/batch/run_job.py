@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from ...batch.versions import installed_version
 from ...errors import InputError
-from ..console.compiled import prepare_jax
 from ..console.console import warn
 from ..console.errors import error_sentence, warnings_as_lines
 from ..console.record import Record, record_output
@@ -41,11 +40,6 @@ class Assignment(NamedTuple):
     replace: bool
     #: outputs of earlier runs, which may be replaced in any case
     owned: tuple[str, ...] = ()
-
-
-def prepare_worker() -> None:
-    """Set the cache of compiled functions of a worker, before its first job imports JAX."""
-    prepare_jax(use_cache=True)
 
 
 def run_job(assignment: Assignment) -> dict[str, Any]:
