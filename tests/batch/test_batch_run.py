@@ -16,7 +16,9 @@ from jaxcap.batch.size import GIB, Computer, count_workers
 from jaxcap.batch.versions import Version, installed_version
 from jaxcap.cli import main
 from jaxcap.cli.batch import batch
-from jaxcap.cli.batch.finished import check_absent_outputs, index_owners, owned_outputs
+from jaxcap.cli.batch.finished import check_absent_outputs, index_owners, is_finished, owned_outputs
+from jaxcap.cli.batch.inputs import describe_inputs
+from jaxcap.cli.batch.jobs import Job
 from jaxcap.cli.batch.results import ResultTable, read_rows
 from jaxcap.cli.batch.run_job import Assignment, run_job
 from jaxcap.cli.batch.staging import open_staging, publish
@@ -152,6 +154,56 @@ def test_urls_are_fetched_and_sent(tmp_path):
     gone = {name: url.replace("source", "gone") for name, url in urls.items()}
     row = run_job(assigned(tmp_path, job._replace(key="4", command=command, urls=gone), replace=True))
     assert "cannot be reached" in row["message"] or "there is no such file" in row["message"]
+    # nor is anything left of a job with outputs on this computer
+    local = dataclasses.replace(job.command, source=Path("memory:/in/source.txt"))
+    row = run_job(assigned(tmp_path, job._replace(key="5", command=local, urls=gone)))
+    assert row["status"] == "failed"
+    assert files_in(tmp_path / "out") == []
+
+
+def test_files_that_are_not_written_again_are_removed(tmp_path):
+    job = count_job(tmp_path, report=True)
+    first = run_job(assigned(tmp_path, job))
+    (tmp_path / "out" / "report" / "old.json").write_text("{}")
+    (tmp_path / "out" / "report" / "mine.json").write_text("{}")
+    earlier = (*first["outputs"], str(tmp_path / "out" / "report" / "old.json"))
+    (tmp_path / "receipts" / f"{job.key}.json").unlink()
+    row = run_job(assigned(tmp_path, job)._replace(earlier=earlier))
+    assert (row["status"], row["outputs"]) == ("done", first["outputs"])
+    assert files_in(tmp_path / "out") == ["a.txt", "mine.json", "report", "report.json"]
+
+
+@dataclasses.dataclass
+class List:
+    """A verb that reads a folder or a pattern."""
+
+    source: str
+    out: Path
+    report: Path
+
+
+@pytest.mark.parametrize("source", [".", "*", "**/*", "scans"])
+def test_outputs_in_an_input_folder_are_no_inputs(tmp_path, monkeypatch, source):
+    monkeypatch.chdir(tmp_path)
+    write_take(Path("scans/a.bvh"), 0)
+    write_take(Path("b.bvh"), 0)
+    command = List(source, Path("scans/found"), Path("scans/c.json"))
+    job = Job("0", "", {}, (), "list", command, {})
+    row = {"key": job.key, "status": "done", "inputs": describe_inputs(job, ("batch.jsonl",)), "outputs": []}
+    row["version"] = str(installed_version())
+    assert row["inputs"][source]["files"] == {".": 2, "*": 1, "**/*": 2, "scans": 1}[source]
+    for name in ("scans/found/d.bvh", "scans/found/e/d.bvh", "scans/c.json", "scans/c.mtl"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+        row["outputs"].append(name)
+    for name in ("batch.jsonl", "batch.parquet", "scans/.hidden"):
+        Path(name).touch()
+    assert is_finished(job, row, Path("batch.jsonl"))
+    # other sources with the same number are another version
+    other = Version(installed_version().number, "0" * 64)
+    assert not is_finished(job, {**row, "version": str(other)}, Path("batch.jsonl"))
+    Path("scans/f.bvh" if source != "*" else "f.bvh").touch()
+    assert not is_finished(job, row, Path("batch.jsonl"))
 
 
 def test_a_torn_row_is_left_out(tmp_path):

@@ -62,7 +62,7 @@ class Batch:
     workers: OptionalCount = None
     """Number of worker processes. Default: one for each core, as far as the memory suffices."""
     memory: Annotated[float | None, arg(metavar="GIB", help_behavior_hint="")] = None
-    """Memory of each worker, GiB. Default: the measured need of the verb."""
+    """Memory of each worker, GiB. Default: an estimate of what the verb needs."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
     """Address of a running Dask scheduler, such as tcp://10.0.0.1:8786, to use its workers."""
     slurm: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE...", help_behavior_hint="")] = ()
@@ -104,7 +104,7 @@ class Batch:
         if self.overwrite:
             return jobs
         set_activity("comparing the inputs with those of finished jobs")
-        todo = [job for job in jobs if not is_finished(job, table.rows.get(job.key))]
+        todo = [job for job in jobs if not is_finished(job, table.rows.get(job.key), table.path)]
         check_absent_outputs(todo, table.rows)
         return todo
 
@@ -123,6 +123,8 @@ class Batch:
                 str(receipts.absolute()),
                 self.overwrite,
                 owned_outputs(job, table.rows, owners),
+                outputs_of(table.rows.get(job.key)),
+                str(table.path),
             )
             for job in jobs
         ]
@@ -174,7 +176,7 @@ def rows_of(results: Iterator[JobResult], jobs: Sequence[Job]) -> Iterator[Row]:
             "job": job.label,
             "command": shlex.join(job.words),
             "values": dict(job.values),
-            "version": installed_version().number,
+            "version": str(installed_version()),
             "status": FAILED,
             "message": error_sentence(error) or f"{type(error).__name__}: {error}",
             "outputs": [],
@@ -210,6 +212,9 @@ def default_table(source: str, listed: Sequence[ListedJob], jobs: Sequence[Job])
         return Path(source).with_suffix(".results.jsonl")
     outputs = [output for output in jobs[0].outputs() if not is_url(output)]
     for word, filled in zip(listed[0].template, jobs[0].words, strict=True):
-        if filled in outputs[:1]:
-            return Path(word.partition("{")[0].rpartition("/")[0] or ".") / "batch.jsonl"
+        # also in a word such as --out=out/{stem}.bvh
+        value = filled.partition("=")[2] if filled.startswith("--") else filled
+        if str(Path(value)) in outputs[:1]:
+            folder = word[len(filled) - len(value) :].partition("{")[0].rpartition("/")[0]
+            return Path(folder or ".") / "batch.jsonl"
     return Path("batch.jsonl")

@@ -18,12 +18,12 @@ from .urls import exists, folders_of, is_url, place_of
 Owners = Mapping[str, Collection[str]]
 
 
-def is_finished(job: Job, row: Row | None) -> bool:
-    """Test if a job is done: by this version, with these inputs, and its outputs are there."""
-    if row is None or row["status"] != DONE or row.get("version") != installed_version().number:
+def is_finished(job: Job, row: Row | None, table: Path) -> bool:
+    """Test if a job is done by its row of a table: by this version, with these inputs, and its outputs are there."""
+    if row is None or row["status"] != DONE or row.get("version") != str(installed_version()):
         return False
     there = (is_url(output) or Path(output).exists() for output in row.get("outputs", ()))
-    return all(there) and is_unchanged(job, row.get("inputs", {}))
+    return all(there) and is_unchanged(job, row.get("inputs", {}), (str(table), *outputs_of(row)))
 
 
 def check_folders(jobs: Sequence[Job]) -> None:

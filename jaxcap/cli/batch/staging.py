@@ -14,7 +14,7 @@ from ...io.system.atomic import DISK_FULL_ERRORS, write_text
 from ...io.system.run_lock import FOLDER_LOCK, run_lock
 from .file_fields import output_paths, replace_outputs
 from .jobs import Job
-from .urls import exists, folders_of, place_of, upload
+from .urls import exists, folders_of, is_url, place_of, upload
 
 #: beginning of the name of the folder of a job, and the files in it that count the attempts and list the outputs to be moved
 PREFIX, ATTEMPTS_FILE, MOVES_FILE = ".jaxcap-batch-", ".attempts", ".moves"
@@ -44,6 +44,15 @@ class Staging(NamedTuple):
 def staging_folder(job: Job, folder: Path) -> Path:
     """Return the folder in which a job writes the outputs of a folder."""
     return folder / f"{PREFIX}{job.key}"
+
+
+def remove_earlier(earlier: Iterable[str], written: Iterable[str]) -> None:
+    """Remove the files of an earlier run of a job that it has not written again; those at URLs remain."""
+    places = set(map(place_of, written))
+    for output in earlier:
+        if not is_url(output) and place_of(output) not in places:
+            with contextlib.suppress(OSError):
+                os.unlink(output)
 
 
 def begun_outputs(job: Job) -> list[str]:
