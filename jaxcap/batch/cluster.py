@@ -190,7 +190,9 @@ def _slurm_settings(options: Mapping[str, Any], memory: int | float) -> dict[str
     processes = int(given.get("processes", 1))
     cores = max(int(given.get("job_cpu", given.get("cores", processes))), processes)
     # the process that a job starts reads its configuration from the environment
-    variables = {f"DASK_{name.replace('.', '__').upper()}": value for name, value in WORKER.items()}
+    variables: dict[str, Any] = {
+        f"DASK_{name.replace('.', '__').upper()}": value for name, value in WORKER.items()
+    }
     variables["NPROC"] = cores // processes
     # the computing centre's own commands, such as those that load modules, stay
     found = f"jobqueue.{given.get('config_name', 'slurm')}.job-script-prologue"
@@ -210,7 +212,8 @@ def _slurm_settings(options: Mapping[str, Any], memory: int | float) -> dict[str
 
 def check_versions(client: "Client") -> None:
     """Check that the present workers have this version of jaxcap, and one thread. Raises `InputError`."""
-    for address, threads in client.nthreads().items():
+    counts: Any = client.nthreads()
+    for address, threads in counts.items():
         check_threads(threads, address)
     own = installed_version()
     answers: Any = client.run(installed_version, on_error="return")
