@@ -334,19 +334,6 @@ def test_a_batch_goes_on_where_it_was(takes, capsys):
     assert Path("other.bvh").read_text() == "mine"
 
 
-def test_a_done_job_that_fails_later_keeps_its_outputs(takes, capsys):
-    words = ("batch", "takes/anna/{take}1.bvh", "--", "edit", "mirror", "{input}", "-o", "out/{take}.bvh")
-    runs(capsys, *words)
-    text = Path("takes/anna/t1.bvh").read_text()
-    Path("takes/anna/t1.bvh").write_text("no motion")
-    assert "1 job of 1 failed" in fails(capsys, *words)
-    assert Path("out/t.bvh").exists()
-    (row,) = table().values()
-    assert (row["status"], row["outputs"]) == ("failed", ["out/t.bvh"])
-    Path("takes/anna/t1.bvh").write_text(text + "\n")
-    assert "1 of 1 job are done" in runs(capsys, *words).replace("is done", "are done")
-
-
 def test_refused_with_one_sentence(takes, capsys):
     (takes / "locked").mkdir(mode=0o500)
     if not os.access(takes / "locked", os.W_OK):
