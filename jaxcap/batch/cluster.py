@@ -165,12 +165,9 @@ def _slurm_cluster(
     jobqueue = import_optional("dask_jobqueue", "Jobs of SLURM are started by dask-jobqueue")
     from dask import config
 
-    names = {"partition": "queue", "time": "walltime"}
-    given = {names.get(name, name): value for name, value in options.items()}
-    settings = {"cores": 1, "processes": 1, "memory": f"{memory / GIB:g}GiB", **given}
     with config.set(SCHEDULER), _quiet_logs():
         try:
-            cluster = jobqueue.SLURMCluster(**{**settings, "cores": int(settings["cores"])})
+            cluster = jobqueue.SLURMCluster(**_slurm_settings(options, memory))
         except (TypeError, ValueError) as error:
             reason = str(error).partition(".")[0]
             raise InputError(
@@ -183,8 +180,43 @@ def _slurm_cluster(
             yield client
 
 
+def _slurm_settings(options: Mapping[str, Any], memory: int | float) -> dict[str, Any]:
+    """Return the arguments of `SLURMCluster`: workers of one thread, with the settings of `WORKER`. Raises `ValueError`.
+
+    The cores of a SLURM job, by default one for each of its processes, are divided among the processes for the threads of XLA.
+    """
+    from dask import config
+
+    names = {"partition": "queue", "time": "walltime"}
+    given = {names.get(name, name): value for name, value in options.items()}
+    processes = int(given.get("processes", 1))
+    cores = max(int(given.get("job_cpu", given.get("cores", processes))), processes)
+    # the process that a job starts reads its configuration from the environment
+    variables: dict[str, Any] = {
+        f"DASK_{name.replace('.', '__').upper()}": value for name, value in WORKER.items()
+    }
+    variables["NPROC"] = cores // processes
+    # the computing centre's own commands, such as those that load modules, stay
+    found = f"jobqueue.{given.get('config_name', 'slurm')}.job-script-prologue"
+    prologue = given.get("job_script_prologue") or config.get(found, None) or []
+    return {
+        "memory": f"{processes * memory / GIB:g}GiB",
+        **given,
+        "cores": processes,
+        "processes": processes,
+        "job_cpu": cores,
+        "job_script_prologue": [
+            *([prologue] if isinstance(prologue, str) else prologue),
+            *(f"export {name}={value}" for name, value in variables.items()),
+        ],
+    }
+
+
 def check_versions(client: "Client") -> None:
-    """Check that the present workers have this version of jaxcap. Raises `InputError`."""
+    """Check that the present workers have this version of jaxcap, and one thread. Raises `InputError`."""
+    counts: Any = client.nthreads()
+    for address, threads in counts.items():
+        check_threads(threads, address)
     own = installed_version()
     answers: Any = client.run(installed_version, on_error="return")
     for address, found in answers.items():
@@ -195,6 +227,15 @@ def check_versions(client: "Client") -> None:
         if isinstance(found, Exception):
             raise InputError(f"{address}: this worker does not answer ({found}); restart it.")
         check_version(own, found, address)
+
+
+def check_threads(threads: int, where: str) -> None:
+    """Check that a worker runs one job at a time. Raises `InputError`."""
+    if threads != 1:
+        raise InputError(
+            f"{where}: this worker has {threads} threads, and the jobs of a batch need a process each; start it with "
+            "--nthreads 1, and with --nworkers for several processes."
+        )
 
 
 def check_version(own: Version, found: Version, where: str) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..arguments import checked
 from ..errors import InputError
-from .cluster import ATTEMPTS, check_version, open_cluster
+from .cluster import check_version, open_cluster
 from .dask_libraries import import_distributed
 from .versions import Version, installed_version
 
@@ -112,7 +112,7 @@ def _failure(distributed: Any, error: Any) -> Exception:
     """Return the error of a job that Dask ended."""
     if isinstance(error, distributed.KilledWorker):
         return InputError(
-            f"The process of its worker ended {ATTEMPTS} times while it ran, perhaps for lack of memory; give it more memory, "
-            "by fewer workers."
+            f"The process of its worker ended {error.allowed_failures + 1} times while it ran, perhaps for lack of memory; give it "
+            "more memory, by fewer workers."
         )
     return error

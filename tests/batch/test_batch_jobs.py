@@ -9,9 +9,12 @@ from pathlib import Path
 import pytest
 from batch_inputs import write_takes
 
+from jaxcap.batch.size import GIB
+from jaxcap.cli.batch.batch import default_table
 from jaxcap.cli.batch.file_fields import output_fields
 from jaxcap.cli.batch.job_lists import list_jobs
 from jaxcap.cli.batch.jobs import INTERACTIVE, make_jobs
+from jaxcap.cli.batch.memory import job_memory
 from jaxcap.cli.batch.patterns import match_pattern
 from jaxcap.cli.console.groups import JAXCAP
 from jaxcap.cli.console.verbs import VerbGroup, find_verb, parse_command
@@ -91,6 +94,25 @@ def test_urls_keep_their_slashes(takes):
     assert job.urls[str(job.command.motion)] == "s3://in/t1.bvh"
 
 
+@pytest.mark.parametrize("out", ["--out=s3://out/{stem}.bvh", "--out=memory://out/{stem}.bvh"])
+def test_urls_within_words(takes, out):
+    job = jobs_of("takes/anna/*.bvh", "edit", "mirror", "{input}", out)[0]
+    assert list(job.outputs()) == [out.partition("=")[2].replace("{stem}", "t1")]
+
+
+@pytest.mark.parametrize(
+    "words", [("-o", "./out/{person}/{take}.bvh"), ("--out=out/{person}/{take}.bvh",), ("-o", "out//{take}")]
+)
+def test_the_table_is_in_the_folder_of_the_outputs(takes, words):
+    pattern = "takes/anna/{take}.bvh" if words[-1] == "out//{take}" else "takes/{person}/{take}.bvh"
+    listed = list_jobs(pattern, ("edit", "mirror", "{input}", *words))
+    assert default_table(pattern, listed, make_jobs(listed)) == Path("out/batch.jsonl")
+
+
+def test_memory_of_verbs_with_many_scans():
+    assert job_memory(["info", "register"]) == job_memory(["adapt"]) == 4 * GIB
+
+
 @pytest.mark.parametrize(
     ("source", "words", "sentence"),
     [
@@ -110,6 +132,21 @@ def test_urls_keep_their_slashes(takes):
             "out/t1.bvh: the jobs takes/anna/t1.bvh and takes/ben/t1.bvh both write this output",
         ),
         (
+            "jobs.csv",
+            ("edit", "mirror", "{input}", "-o", "{out}"),
+            "out/a/b.bvh: the job takes/ben/t1.bvh writes this within",
+        ),
+        (
+            "urls.csv",
+            ("edit", "mirror", "{input}", "--out={out}"),
+            "s3://out/a/b.bvh: the job takes/ben/t1.bvh writes this within s3://out/a",
+        ),
+        (
+            "same.csv",
+            ("edit", "mirror", "{input}", "-o", "{out}"),
+            "both write this output",
+        ),
+        (
             "takes/{person}/{take}.bvh",
             ("edit", "gaze", "{input}", "-o", "out/{person}/{take}.bvh"),
             "takes/anna/t1.bvh: Give either --target or --direction",
@@ -123,6 +160,12 @@ def test_urls_keep_their_slashes(takes):
     ],
 )  # fmt: skip
 def test_refused_before_the_first_job(takes, source, words, sentence):
+    for name, first, second in (
+        ("jobs.csv", "out/a", "./out/a/b.bvh"),
+        ("urls.csv", "s3://out/a", "s3://out/a/b.bvh"),
+        ("same.csv", "out/a.bvh", "out/b/../a.bvh"),
+    ):
+        Path(name).write_text(f"input,out\ntakes/anna/t1.bvh,{first}\ntakes/ben/t1.bvh,{second}\n")
     with pytest.raises(InputError) as error:
         jobs_of(source, *words)
     assert sentence in str(error.value)

@@ -16,8 +16,12 @@ from jaxcap.batch.size import GIB, Computer, count_workers
 from jaxcap.batch.versions import Version, installed_version
 from jaxcap.cli import main
 from jaxcap.cli.batch import batch
+from jaxcap.cli.batch.finished import check_absent_outputs, index_owners, is_finished, owned_outputs
+from jaxcap.cli.batch.inputs import describe_inputs
+from jaxcap.cli.batch.jobs import Job
 from jaxcap.cli.batch.results import ResultTable, read_rows
 from jaxcap.cli.batch.run_job import Assignment, run_job
+from jaxcap.cli.batch.staging import open_staging, publish
 from jaxcap.errors import InputError
 
 pytest.importorskip("distributed")
@@ -101,6 +105,38 @@ def test_existing_outputs_are_replaced_only_if_they_may_be(tmp_path):
     assert (tmp_path / "out" / "a.txt").read_text() == "0 seven"
 
 
+def test_outputs_of_others_are_never_replaced(tmp_path):
+    """Neither after a row of a failed job, nor after an attempt that was killed before it moved its outputs."""
+    job = count_job(tmp_path, stop=True)
+    failed = {"key": job.key, "status": "failed", "outputs": []}
+    with pytest.raises(KeyboardInterrupt):
+        run_job(assigned(tmp_path, job))
+    (tmp_path / "out" / "a.txt").write_text("mine")
+    with pytest.raises(InputError, match="not an output of an earlier run"):
+        check_absent_outputs([job], {job.key: failed})
+    assert owned_outputs(job, {job.key: failed}, index_owners({job.key: failed})) == ()
+    row = run_job(assigned(tmp_path, job))
+    assert "this file already exists" in row["message"]
+    assert (tmp_path / "out" / "a.txt").read_text() == "mine"
+    # those of a done job are, and so are those that a killed attempt had begun to move
+    done = {
+        "other": {**failed, "status": "done", "outputs": [str(tmp_path / "out" / ".." / "out" / "a.txt")]}
+    }
+    check_absent_outputs([job], done)
+    owned = owned_outputs(job, done, index_owners(done))
+    job = count_job(tmp_path)
+    assert run_job(assigned(tmp_path, job)._replace(owned=owned))["status"] == "done"
+    (tmp_path / "receipts" / f"{job.key}.json").unlink()
+    with open_staging(job) as staging:
+        (tmp_path / "out" / "a.txt").unlink()
+        (next(iter(staging.folders.values())) / "a.txt").write_text("new")
+        publish(staging, replace=False)
+        check_absent_outputs([job], {})
+        (next(iter(staging.folders.values())) / "a.txt").write_text("newer")
+        publish(staging, replace=False)
+    assert (tmp_path / "out" / "a.txt").read_text() == "newer"
+
+
 def test_urls_are_fetched_and_sent(tmp_path):
     """fsspec's store in memory stands for one on a network."""
     store = pytest.importorskip("fsspec").filesystem("memory")
@@ -118,6 +154,56 @@ def test_urls_are_fetched_and_sent(tmp_path):
     gone = {name: url.replace("source", "gone") for name, url in urls.items()}
     row = run_job(assigned(tmp_path, job._replace(key="4", command=command, urls=gone), replace=True))
     assert "cannot be reached" in row["message"] or "there is no such file" in row["message"]
+    # nor is anything left of a job with outputs on this computer
+    local = dataclasses.replace(job.command, source=Path("memory:/in/source.txt"))
+    row = run_job(assigned(tmp_path, job._replace(key="5", command=local, urls=gone)))
+    assert row["status"] == "failed"
+    assert files_in(tmp_path / "out") == []
+
+
+def test_files_that_are_not_written_again_are_removed(tmp_path):
+    job = count_job(tmp_path, report=True)
+    first = run_job(assigned(tmp_path, job))
+    (tmp_path / "out" / "report" / "old.json").write_text("{}")
+    (tmp_path / "out" / "report" / "mine.json").write_text("{}")
+    earlier = (*first["outputs"], str(tmp_path / "out" / "report" / "old.json"))
+    (tmp_path / "receipts" / f"{job.key}.json").unlink()
+    row = run_job(assigned(tmp_path, job)._replace(earlier=earlier))
+    assert (row["status"], row["outputs"]) == ("done", first["outputs"])
+    assert files_in(tmp_path / "out") == ["a.txt", "mine.json", "report", "report.json"]
+
+
+@dataclasses.dataclass
+class List:
+    """A verb that reads a folder or a pattern."""
+
+    source: str
+    out: Path
+    report: Path
+
+
+@pytest.mark.parametrize("source", [".", "*", "**/*", "scans"])
+def test_outputs_in_an_input_folder_are_no_inputs(tmp_path, monkeypatch, source):
+    monkeypatch.chdir(tmp_path)
+    write_take(Path("scans/a.bvh"), 0)
+    write_take(Path("b.bvh"), 0)
+    command = List(source, Path("scans/found"), Path("scans/c.json"))
+    job = Job("0", "", {}, (), "list", command, {})
+    row = {"key": job.key, "status": "done", "inputs": describe_inputs(job, ("batch.jsonl",)), "outputs": []}
+    row["version"] = str(installed_version())
+    assert row["inputs"][source]["files"] == {".": 2, "*": 1, "**/*": 2, "scans": 1}[source]
+    for name in ("scans/found/d.bvh", "scans/found/e/d.bvh", "scans/c.json", "scans/c.mtl"):
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        Path(name).touch()
+        row["outputs"].append(name)
+    for name in ("batch.jsonl", "batch.parquet", "scans/.hidden"):
+        Path(name).touch()
+    assert is_finished(job, row, Path("batch.jsonl"))
+    # other sources with the same number are another version
+    other = Version(installed_version().number, "0" * 64)
+    assert not is_finished(job, {**row, "version": str(other)}, Path("batch.jsonl"))
+    Path("scans/f.bvh" if source != "*" else "f.bvh").touch()
+    assert not is_finished(job, row, Path("batch.jsonl"))
 
 
 def test_a_torn_row_is_left_out(tmp_path):

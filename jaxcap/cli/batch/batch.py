@@ -22,12 +22,20 @@ from ..console.errors import error_sentence
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalCount, OptionalFile, arg
 from ..outputs import check_parent, make_folder
-from .finished import check_absent_outputs, check_folders, is_finished, owns_outputs
+from .finished import (
+    check_absent_outputs,
+    check_folders,
+    index_owners,
+    is_finished,
+    outputs_of,
+    owned_outputs,
+)
 from .job_lists import ListedJob, list_jobs
 from .jobs import Job, make_jobs
 from .memory import job_memory
+from .prepare import prepare_worker
 from .results import ResultTable, Row, receipts_folder, write_parquet
-from .run_job import DONE, FAILED, Assignment, prepare_worker, run_job
+from .run_job import DONE, FAILED, Assignment, run_job
 from .urls import is_url
 
 
@@ -54,7 +62,7 @@ class Batch:
     workers: OptionalCount = None
     """Number of worker processes. Default: one for each core, as far as the memory suffices."""
     memory: Annotated[float | None, arg(metavar="GIB", help_behavior_hint="")] = None
-    """Memory of each worker, GiB. Default: the measured need of the verb."""
+    """Memory of each worker, GiB. Default: an estimate of what the verb needs."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
     """Address of a running Dask scheduler, such as tcp://10.0.0.1:8786, to use its workers."""
     slurm: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE...", help_behavior_hint="")] = ()
@@ -96,7 +104,7 @@ class Batch:
         if self.overwrite:
             return jobs
         set_activity("comparing the inputs with those of finished jobs")
-        todo = [job for job in jobs if not is_finished(job, table.rows.get(job.key))]
+        todo = [job for job in jobs if not is_finished(job, table.rows.get(job.key), table.path)]
         check_absent_outputs(todo, table.rows)
         return todo
 
@@ -107,8 +115,17 @@ class Batch:
         receipts = receipts_folder(table.path)
         make_folder(receipts)
         folder = os.getcwd()
+        owners = index_owners(table.rows)
         assignments = [
-            Assignment(job, folder, str(receipts.absolute()), self.overwrite or owns_outputs(job, table.rows))
+            Assignment(
+                job,
+                folder,
+                str(receipts.absolute()),
+                self.overwrite,
+                owned_outputs(job, table.rows, owners),
+                outputs_of(table.rows.get(job.key)),
+                str(table.path),
+            )
             for job in jobs
         ]
         memory = job_memory(job.verb for job in jobs) if self.memory is None else self.memory * GIB
@@ -124,6 +141,9 @@ class Batch:
                 results = map_jobs(run_job, assignments, client)
                 rows = rows_of(results, jobs)
                 for row in progress(rows, total, begun, "batch", "jobs", first="the first one is done"):
+                    if row["status"] == FAILED:
+                        # those of an earlier run are still there
+                        row["outputs"] = list(outputs_of(table.rows.get(row["key"])))
                     table.append(row)
                     done += row["status"] == DONE
                     if row["status"] == FAILED:
@@ -156,7 +176,7 @@ def rows_of(results: Iterator[JobResult], jobs: Sequence[Job]) -> Iterator[Row]:
             "job": job.label,
             "command": shlex.join(job.words),
             "values": dict(job.values),
-            "version": installed_version().number,
+            "version": str(installed_version()),
             "status": FAILED,
             "message": error_sentence(error) or f"{type(error).__name__}: {error}",
             "outputs": [],
@@ -192,6 +212,9 @@ def default_table(source: str, listed: Sequence[ListedJob], jobs: Sequence[Job])
         return Path(source).with_suffix(".results.jsonl")
     outputs = [output for output in jobs[0].outputs() if not is_url(output)]
     for word, filled in zip(listed[0].template, jobs[0].words, strict=True):
-        if filled in outputs[:1]:
-            return Path(word.partition("{")[0].rpartition("/")[0] or ".") / "batch.jsonl"
+        # also in a word such as --out=out/{stem}.bvh
+        value = filled.partition("=")[2] if filled.startswith("--") else filled
+        if str(Path(value)) in outputs[:1]:
+            folder = word[len(filled) - len(value) :].partition("{")[0].rpartition("/")[0]
+            return Path(folder or ".") / "batch.jsonl"
     return Path("batch.jsonl")

@@ -11,16 +11,19 @@ from .inputs import is_unchanged
 from .jobs import Job
 from .results import Row
 from .run_job import DONE
-from .staging import is_begun
-from .urls import exists, is_url
+from .staging import begun_outputs
+from .urls import exists, folders_of, is_url, place_of
+
+#: keys of jobs by the places of their outputs
+Owners = Mapping[str, Collection[str]]
 
 
-def is_finished(job: Job, row: Row | None) -> bool:
-    """Test if a job is done: by this version, with these inputs, and its outputs are there."""
-    if row is None or row["status"] != DONE or row.get("version") != installed_version().number:
+def is_finished(job: Job, row: Row | None, table: Path) -> bool:
+    """Test if a job is done by its row of a table: by this version, with these inputs, and its outputs are there."""
+    if row is None or row["status"] != DONE or row.get("version") != str(installed_version()):
         return False
     there = (is_url(output) or Path(output).exists() for output in row.get("outputs", ()))
-    return all(there) and is_unchanged(job, row.get("inputs", {}))
+    return all(there) and is_unchanged(job, row.get("inputs", {}), (str(table), *outputs_of(row)))
 
 
 def check_folders(jobs: Sequence[Job]) -> None:
@@ -36,31 +39,43 @@ def check_folders(jobs: Sequence[Job]) -> None:
 
 def check_absent_outputs(jobs: Sequence[Job], rows: Mapping[str, Row]) -> None:
     """Check that no output exists, except those of earlier runs of this batch. Raises `InputError`."""
-    owned = _owned(rows)
+    owners = index_owners(rows)
     for job in jobs:
-        if getattr(job.command, "overwrite", False) or job.key in rows or is_begun(job):
+        if getattr(job.command, "overwrite", False):
             continue
+        begun = set(map(place_of, begun_outputs(job)))
+        begun.update(folder for place in tuple(begun) for folder in folders_of(place))
         for output in job.outputs():
-            if _is_there(output) and os.path.normpath(output) not in owned:
+            place = place_of(output)
+            if _is_there(output) and place not in owners and place not in begun:
                 raise InputError(
                     f"{output}: this already exists, and it is not an output of an earlier run of this batch; give --overwrite to "
                     "the batch to replace it, or another output."
                 )
 
 
-def owns_outputs(job: Job, rows: Mapping[str, Row]) -> bool:
-    """Test if outputs that exist are those of an earlier run; named outputs were checked to be that."""
-    return job.key in rows or any(map(_is_there, job.outputs()))
+def owned_outputs(job: Job, rows: Mapping[str, Row], owners: Owners) -> tuple[str, ...]:
+    """List the outputs of earlier runs that a job may replace: its own, and those of runs with the same named outputs."""
+    keys = dict.fromkeys(
+        [job.key, *(key for name in job.outputs() for key in owners.get(place_of(name), ()))]
+    )
+    return tuple(dict.fromkeys(output for key in keys for output in outputs_of(rows.get(key))))
 
 
-def _owned(rows: Mapping[str, Row]) -> Collection[str]:
-    """Collect the outputs of earlier runs, and the folders that they are in."""
-    found: set[str] = set()
-    for row in rows.values():
-        for output in row.get("outputs", ()):
-            path = Path(os.path.normpath(output))
-            found.update((str(path), str(path.parent)))
-    return found
+def outputs_of(row: Row | None) -> tuple[str, ...]:
+    """List the outputs that a row says were written; a job that failed after an earlier run has those of that run."""
+    return () if row is None else tuple(row.get("outputs", ()))
+
+
+def index_owners(rows: Mapping[str, Row]) -> Owners:
+    """Find the jobs of earlier runs by their outputs and the folders that these are in."""
+    owners: dict[str, dict[str, None]] = {}
+    for key, row in rows.items():
+        for output in outputs_of(row):
+            place = place_of(output)
+            for each in (place, *folders_of(place)):
+                owners.setdefault(each, {})[key] = None
+    return owners
 
 
 def _is_there(output: str) -> bool:

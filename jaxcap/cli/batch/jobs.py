@@ -16,7 +16,7 @@ from ..console.verbs import Verb, find_verb, parse_command
 from .file_fields import output_paths, replace_outputs, replace_texts
 from .job_lists import ListedJob, label_of
 from .patterns import fill
-from .urls import is_url
+from .urls import folders_of, is_url, place_of
 
 #: verbs that a person uses while they run, and this one
 INTERACTIVE = ("view", "ik", "live", "batch")
@@ -63,7 +63,9 @@ def make_jobs(listed: Sequence[ListedJob]) -> list[Job]:
             command = replace_texts(unfilled, lambda text, values=one.values: fill(text, values))
         name = prog.removeprefix("jaxcap ")
         key = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:16]
-        urls = {name: word for word in words if is_url(word) for name in (word, str(Path(word)))}
+        # also those of words such as --out=s3://bucket/take.bvh
+        values = (word.partition("=")[2] if word.startswith("--") else word for word in words)
+        urls = {name: value for value in values if is_url(value) for name in (value, str(Path(value)))}
         jobs.append(Job(key, label, dict(one.values), words, name, command, urls))
     _check_options(jobs)
     _check_outputs_differ(jobs)
@@ -128,12 +130,20 @@ def _check_outputs_differ(jobs: Sequence[Job]) -> None:
                 raise InputError(
                     f"{output}: this is not the name of an output; write the name of the folder."
                 )
-            place = output.rstrip("/") if is_url(output) else str(Path(output).absolute())
+            place = place_of(output)
             other = owners.setdefault(place, job)
-            if other is not job or other.key != job.key:
+            if other is not job:
                 raise InputError(
                     f"{output}: the jobs {other.label} and {job.label} both write this output; put the names that "
                     "distinguish them into it, such as {stem}."
+                )
+    for place, job in owners.items():
+        for folder in folders_of(place):
+            other = owners.get(folder, job)
+            if other is not job:
+                raise InputError(
+                    f"{place}: the job {job.label} writes this within {folder}, the output of the job {other.label}; give them "
+                    "separate folders."
                 )
 
 

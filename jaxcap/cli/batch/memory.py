@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from ...batch.size import GIB
 
 #: GiB of one process, for recordings of usual sizes: estimates with a margin, of which `docs/scale.md` lists what was measured
-BY_VERB = {"adapt": 4.0, "learn": 4.0, "track": 3.0, "rig": 2.5, "demo": 3.0}
+BY_VERB = {"adapt": 4.0, "learn": 4.0, "register": 4.0, "track": 3.0, "rig": 2.5, "demo": 3.0}
 DEFAULT = 2.0
 
 

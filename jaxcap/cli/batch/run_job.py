@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 from ...batch.versions import installed_version
 from ...errors import InputError
-from ..console.compiled import prepare_jax
 from ..console.console import warn
 from ..console.errors import error_sentence, warnings_as_lines
 from ..console.record import Record, record_output
@@ -22,7 +21,7 @@ from .file_fields import replace_inputs
 from .inputs import describe_inputs
 from .jobs import Job, with_settings
 from .results import read_receipt, write_receipt
-from .staging import Staging, empty, open_staging, publish
+from .staging import Staging, empty, open_staging, publish, remove_earlier
 from .urls import fetch
 
 #: values of the column `status`
@@ -37,13 +36,14 @@ class Assignment(NamedTuple):
     folder: str
     #: the folder of receipts, in which a finished job is known before its row arrives
     receipts: str
-    #: may outputs that exist be replaced?
+    #: may all outputs that exist be replaced?
     replace: bool
-
-
-def prepare_worker() -> None:
-    """Set the cache of compiled functions of a worker, before its first job imports JAX."""
-    prepare_jax(use_cache=True)
+    #: outputs of earlier runs, which may be replaced in any case
+    owned: tuple[str, ...] = ()
+    #: outputs of the earlier run of this job, which are removed if they are not written again
+    earlier: tuple[str, ...] = ()
+    #: the table of results
+    table: str = ""
 
 
 def run_job(assignment: Assignment) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def run_job(assignment: Assignment) -> dict[str, Any]:
         "job": job.label,
         "command": shlex.join(job.words),
         "values": dict(job.values),
-        "version": installed_version().number,
+        "version": str(installed_version()),
         "worker": f"{socket.gethostname()}:{os.getpid()}",
         "started": round(time.time(), 3),
     }
@@ -85,15 +85,17 @@ def _run(assignment: Assignment, record: Record) -> dict[str, Any]:
     """Run the verb in a folder of its own and publish its outputs; return what the row has of it."""
     job = assignment.job
     try:
-        inputs = describe_inputs(job)
-        with open_staging(job) as staging, _local_inputs(job, staging) as command:
+        inputs = describe_inputs(job, (assignment.table, *assignment.earlier))
+        with open_staging(job) as staging:
             found: dict[str, Any] = {"inputs": inputs, "attempts": staging.attempt}
             try:
-                _run_verb(command, staging)
+                with _local_inputs(job, staging) as command:
+                    _run_verb(command, staging)
                 found["figures"] = {**record.figures, **collect_figures(staging)}
-                # outputs that exist after an earlier attempt are those of this job
-                replace = assignment.replace or staging.attempt > 1 or _overwrites(job)
-                found |= {"status": DONE, "message": "", "outputs": publish(staging, replace)}
+                replace = assignment.replace or _overwrites(job)
+                outputs = publish(staging, replace, (*assignment.owned, *assignment.earlier))
+                remove_earlier(assignment.earlier, outputs)
+                found |= {"status": DONE, "message": "", "outputs": outputs}
             except _ERRORS as error:
                 # the folders remain only for the checkpoints of killed workers: a failed job begins anew
                 found |= _failure(error, staging.destination)

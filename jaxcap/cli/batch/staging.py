@@ -1,22 +1,23 @@
 """The folder in which a job writes, next to its outputs, until it is done: outputs appear whole or not at all."""
 
 import contextlib
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import InputError
-from ...io.system.atomic import DISK_FULL_ERRORS
+from ...io.system.atomic import DISK_FULL_ERRORS, write_text
 from ...io.system.run_lock import FOLDER_LOCK, run_lock
 from .file_fields import output_paths, replace_outputs
 from .jobs import Job
-from .urls import exists, upload
+from .urls import exists, folders_of, is_url, place_of, upload
 
-#: beginning of the name of the folder of a job, and the file in it that counts the attempts
-PREFIX, ATTEMPTS_FILE = ".jaxcap-batch-", ".attempts"
+#: beginning of the name of the folder of a job, and the files in it that count the attempts and list the outputs to be moved
+PREFIX, ATTEMPTS_FILE, MOVES_FILE = ".jaxcap-batch-", ".attempts", ".moves"
 
 
 class Staging(NamedTuple):
@@ -45,10 +46,20 @@ def staging_folder(job: Job, folder: Path) -> Path:
     return folder / f"{PREFIX}{job.key}"
 
 
-def is_begun(job: Job) -> bool:
-    """Test if an unfinished attempt of a job left its folders."""
+def remove_earlier(earlier: Iterable[str], written: Iterable[str]) -> None:
+    """Remove the files of an earlier run of a job that it has not written again; those at URLs remain."""
+    places = set(map(place_of, written))
+    for output in earlier:
+        if not is_url(output) and place_of(output) not in places:
+            with contextlib.suppress(OSError):
+                os.unlink(output)
+
+
+def begun_outputs(job: Job) -> list[str]:
+    """List the outputs that an attempt of a job had begun to move when it was killed."""
     paths = output_paths(job.verb, job.command)
-    return any(staging_folder(job, path.parent).is_dir() for path in paths if str(path) not in job.urls)
+    folders = {staging_folder(job, path.parent) for path in paths if str(path) not in job.urls}
+    return [output for folder in sorted(folders) for output in _listed_moves(folder)]
 
 
 @contextlib.contextmanager
@@ -86,12 +97,15 @@ def empty(staging: Staging) -> None:
             shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
-def publish(staging: Staging, replace: bool) -> list[str]:
+def publish(staging: Staging, replace: bool, owned: Iterable[str] = ()) -> list[str]:
     """Move the outputs to their folders; return their paths and URLs.
 
     A file is replaced at once, and so is a new folder; the files of a folder that exists are moved one by one.
 
-    **Raises:** `InputError` if an output exists and `replace` is False, or it cannot be written; then nothing is moved,
+    **Arguments:** `replace` allows the replacement of all outputs that exist; `owned` are those of earlier runs, which are always
+    replaced, as are those that a killed attempt had begun to move.
+
+    **Raises:** `InputError` if an output exists that may not be replaced, or it cannot be written; then nothing is moved,
     unless the disk is full.
     """
     moves = [
@@ -100,12 +114,12 @@ def publish(staging: Staging, replace: bool) -> list[str]:
         for entry in _entries(there)
     ]
     files = [pair for entry, target in moves for pair in _files(entry, target)]
-    taken = [str(target) for _, target in files if target.exists()]
-    taken += [url for url in staging.uploads.values() if not replace and exists(url)]
-    if taken and not replace:
-        raise InputError(
-            f"{taken[0]}: this file already exists; give --overwrite to the batch to replace it."
-        )
+    begun = [output for folder in staging.folders.values() for output in _listed_moves(folder)]
+    if not replace:
+        _check_absent(staging, files, {place_of(output) for output in (*owned, *begun)})
+    destinations = [*(str(target) for _, target in files), *staging.uploads.values()]
+    for folder in staging.folders.values():
+        write_text(folder / MOVES_FILE, json.dumps([*begun, *destinations]))
     try:
         for entry, target in moves:
             if entry.is_dir() and target.is_dir():
@@ -125,9 +139,32 @@ def publish(staging: Staging, replace: bool) -> list[str]:
     return [str(target) for _, target in files] + sent
 
 
+def _check_absent(staging: Staging, files: list[tuple[Path, Path]], owned: Collection[str]) -> None:
+    """Check that no output exists, except those in the places that are `owned`. Raises `InputError`."""
+    found = [str(target) for _, target in files if target.exists() and place_of(str(target)) not in owned]
+    for url in filter(exists, staging.uploads.values()):
+        # a folder is owned by one of its files
+        if not any(place == place_of(url) or place_of(url) in folders_of(place) for place in owned):
+            found.append(url)
+    if found:
+        raise InputError(
+            f"{found[0]}: this file already exists; give --overwrite to the batch to replace it."
+        )
+
+
+def _listed_moves(folder: Path) -> list[str]:
+    """Read the outputs that an attempt had begun to move; empty if there are none."""
+    try:
+        found = json.loads((folder / MOVES_FILE).read_text("utf-8"))
+    except (OSError, ValueError):
+        return []
+    return [output for output in found if isinstance(output, str)] if isinstance(found, list) else []
+
+
 def _entries(folder: Path) -> list[Path]:
-    """List the files and folders of a job, without the lock and the count of attempts."""
-    return sorted(entry for entry in folder.iterdir() if entry.name not in (FOLDER_LOCK, ATTEMPTS_FILE))
+    """List the files and folders of a job, without the files of the batch itself."""
+    own = (FOLDER_LOCK, ATTEMPTS_FILE, MOVES_FILE)
+    return sorted(entry for entry in folder.iterdir() if entry.name not in own)
 
 
 def _files(entry: Path, target: Path) -> list[tuple[Path, Path]]:

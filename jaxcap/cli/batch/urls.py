@@ -1,6 +1,8 @@
 """Files at URLs, such as `s3://bucket/take.c3d`, by fsspec: whole files and folders are fetched and uploaded."""
 
+import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,19 @@ _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 def is_url(text: str) -> bool:
     """Test if a text is a URL and not a path of this computer."""
     return _SCHEME.match(text) is not None
+
+
+def place_of(output: str) -> str:
+    """Return the one name of a place that several paths or URLs may name, for comparisons."""
+    return output.rstrip("/") if is_url(output) else os.path.abspath(output)
+
+
+def folders_of(place: str) -> Iterator[str]:
+    """Iterate over the folders that a place is in, the nearest first."""
+    folder = place.rpartition("/")[0] if is_url(place) else os.path.dirname(place)
+    while folder and folder != place and not folder.endswith(":/"):
+        yield folder
+        place, folder = folder, (folder.rpartition("/")[0] if is_url(folder) else os.path.dirname(folder))
 
 
 def glob_urls(pattern: str) -> list[str]:

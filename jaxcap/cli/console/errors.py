@@ -43,13 +43,11 @@ def error_sentence(error: BaseException) -> str | None:
 
 @contextlib.contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """Show warnings as message lines."""
-    show = warnings.showwarning
-    warnings.showwarning = _print_warning
-    try:
+    """Show warnings as message lines, each as often as in a new process: Python otherwise shows those of a line of code once."""
+    # a change of the filters, as this is, makes Python forget the warnings that it has shown
+    with warnings.catch_warnings():
+        warnings.showwarning = _print_warning
         yield
-    finally:
-        warnings.showwarning = show
 
 
 def _print_warning(message: Warning | str, *_) -> None:
