@@ -16,6 +16,7 @@ from jaxcap.body.pose import Motion, Pose
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
 from jaxcap.cli.adapt.state import make_checkpoint
+from jaxcap.cli.learn.state import given_arrays
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.checkpoint import Checkpoint, save_checkpoint
 from jaxcap.io.archives.journal import create_journal
@@ -291,6 +292,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
         "damping": np.array(0.1),
         "round": np.array(2),
         "curve": np.ones(3),
+        **given_arrays(None),
     }
     save_checkpoint(folder / "learn-own.npz", Checkpoint(body, motion, history, learnt), HEADER)
     with create_journal(folder / "journal-own.journal", HEADER, 6) as journal:

@@ -133,10 +133,12 @@ class Learn:
         for message in check_meshes(sequence, names):
             warn(message)
         header = {**self.settings(), **mesh_hashes(sequence[train])}
+        file = self.skeleton_file()
+        given = None if file is None else load_skeleton(file, self.unit)
         resumed = self.start(checkpoint_path, header)
         if self.report is not None:
             make_folder(self.report)
-        tree = self.choose(sequence[train], [names[row] for row in train], resumed)
+        tree = self.choose(sequence[train], [names[row] for row in train], given, resumed)
         learned = self.learn(sequence[train], tree, checkpoint_path, header, resumed)
         set_activity("writing the body and checking it")
         save_body(self.out, learned.body)
@@ -192,14 +194,13 @@ class Learn:
         return "none" if free else "automatic"
 
     def choose(
-        self, meshes: MeshSequence, names: Sequence[str], resumed: LearnState | None
+        self, meshes: MeshSequence, names: Sequence[str], given: Skeleton | None, resumed: LearnState | None
     ) -> Skeleton | PlacedPerson | None:
-        """Load the skeleton with which learning begins, or place a person's; None for a free search."""
+        """Choose the skeleton with which learning begins: a given one, or a person's; None for a free search."""
         if resumed is not None:
             return None if resumed.given is None else resumed.body.skeleton
-        file = self.skeleton_file()
-        if file is not None:
-            return load_skeleton(file, self.unit)
+        if given is not None:
+            return given
         if self.skeleton_name() == "automatic":
             say("looking for a person in the meshes")
         placed, sentence = choose_skeleton(meshes, self.skeleton_name(), names)
