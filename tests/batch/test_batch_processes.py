@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import pytest
 from batch_inputs import write_takes
 from command_line import runs
@@ -28,7 +29,7 @@ def workers(batch: subprocess.Popen) -> list:
 
 @pytest.mark.slow
 def test_killed_workers_lose_nothing(tmp_path, monkeypatch, capsys):
-    """Each worker dies once; every job is done, with the outputs of one process."""
+    """All workers die during a job; every job is done, with the outputs of one process."""
     monkeypatch.chdir(write_takes(tmp_path))
     words = ["edit", "resample", "{input}", "-o", "out/{person}-{stem}.bvh", "--rate", "60"]
     batch = subprocess.Popen(
@@ -38,16 +39,20 @@ def test_killed_workers_lose_nothing(tmp_path, monkeypatch, capsys):
         stderr=subprocess.PIPE,
         text=True,
     )
-    killed = 0
-    while batch.poll() is None and killed < 2:
+    interrupted = False
+    while batch.poll() is None and not interrupted:
         # a folder of an attempt: a job runs now
-        if list(Path("out").glob(".jaxcap-batch-*")) and workers(batch):
-            workers(batch)[0].kill()
-            killed += 1
-            time.sleep(1.0)
+        begun = list(Path("out").glob(".jaxcap-batch-*"))
+        found = workers(batch) if begun else []
+        for worker in found:
+            worker.kill()
+        if found:
+            time.sleep(0.2)
+            # the folder of a job that was done in the last moment is gone
+            interrupted = any(folder.exists() for folder in begun)
         time.sleep(0.005)
     said, wrong = batch.communicate(timeout=300)
-    assert killed > 0
+    assert interrupted
     assert batch.returncode == 0, wrong
     assert "4 of 4 jobs are done" in said
     rows = [json.loads(line) for line in Path("out/batch.jsonl").read_text().splitlines()]
@@ -56,7 +61,9 @@ def test_killed_workers_lose_nothing(tmp_path, monkeypatch, capsys):
     for person in ("anna", "ben"):
         for stem in ("t1", "t10"):
             words = ("edit", "resample", f"takes/{person}/{stem}.bvh", "-o", "alone.bvh", "--rate", "60")
-            runs(capsys, *words, "--overwrite")
+            # workers are in single precision, as the command line is
+            with jax.enable_x64(False):
+                runs(capsys, *words, "--overwrite")
             assert Path("alone.bvh").read_bytes() == Path(f"out/{person}-{stem}.bvh").read_bytes()
     # nothing else is left
     left = {path.name for path in Path("out").iterdir()} - {"batch.parquet"}
