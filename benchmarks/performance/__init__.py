@@ -1,1 +1,1 @@
-"""Where the seconds go."""
+"""Profiles of the library."""

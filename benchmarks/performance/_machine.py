@@ -1,4 +1,4 @@
-"""What the machine can do at most: bytes moved to and from memory, and floating-point operations, a second."""
+"""Limits of the machine: memory bandwidth and floating-point operations per second."""
 
 from typing import NamedTuple
 

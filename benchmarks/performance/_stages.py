@@ -60,10 +60,8 @@ def make_adaptation(small: bool) -> Stage:
     settings = AdaptSettings(num_frames=count, proportion_rounds=2, rounds=(2, 2))
 
     def run() -> Any:
-        state = None
-        for state in adapt_body(make_adapt_task(body, clouds, start=start, settings=settings)):  # noqa: B007
-            pass
-        return state.motion.poses if state else None
+        *_, state = adapt_body(make_adapt_task(body, clouds, start=start, settings=settings))
+        return state.motion.poses
 
     return Stage(run, "adaptation to a scan", count)
 

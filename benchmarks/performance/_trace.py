@@ -1,4 +1,4 @@
-"""Where the seconds of a piece of code go: compilation, compiled programs and the host, from JAX's own profiler.
+"""Time of compilation, of compiled programs and of the host in a function, measured by JAX's profiler.
 
 A trace has an event for each operation of each compiled program. Seconds of programs are the union of these events over
 all threads, so nested and parallel operations count once. The rest is the host: Python, NumPy, dispatch and waiting.

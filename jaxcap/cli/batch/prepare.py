@@ -3,9 +3,8 @@
 import contextlib
 import os
 import sys
-from pathlib import Path
 
-from ..console.compiled import MIN_COMPILE_SECONDS, _machine, _users, make_private, prepare_jax
+from ..console.compiled import MIN_COMPILE_SECONDS, make_cache_folder, prepare_jax
 
 
 def prepare_worker() -> None:
@@ -17,11 +16,8 @@ def prepare_worker() -> None:
     jax = sys.modules.get("jax")
     if jax is None or jax.config.jax_compilation_cache_dir is not None:
         return
-    named = os.environ.get("JAXCAP_CACHE")
     # a home without write access: compile on each worker
     with contextlib.suppress(OSError):
-        folder = make_private(Path(named).expanduser() if named else _users()) / _machine()
-        folder.mkdir(exist_ok=True)
-        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_compilation_cache_dir", str(make_cache_folder()))
         if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
             jax.config.update("jax_persistent_cache_min_compile_time_secs", float(MIN_COMPILE_SECONDS))

@@ -38,8 +38,7 @@ def prepare_jax(use_cache: bool) -> None:
         return
     named = os.environ.get("JAXCAP_CACHE")
     try:
-        folder = make_private(Path(named).expanduser() if named else _users()) / _machine()
-        folder.mkdir(exist_ok=True)
+        folder = make_cache_folder()
         trim(folder, MAX_CACHE_BYTES)
     except OSError as error:
         if named:
@@ -51,6 +50,14 @@ def prepare_jax(use_cache: bool) -> None:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", MIN_COMPILE_SECONDS)
+
+
+def make_cache_folder() -> Path:
+    """Make the cache folder for this type of processor, in that of `JAXCAP_CACHE` or of the user. Raises `OSError`."""
+    named = os.environ.get("JAXCAP_CACHE")
+    folder = make_private(Path(named).expanduser() if named else _users()) / _machine()
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 def make_private(folder: Path) -> Path:

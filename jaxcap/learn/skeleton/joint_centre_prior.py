@@ -83,7 +83,12 @@ def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCen
 def given_pull(information: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Compute the weight of the prior at a given centre, by the mean squared rotation that determines it; both weigh the same
     at 13 degrees."""
-    return MIN_ROTATION_GIVEN**2 / (information + MIN_ROTATION_GIVEN)
+    return _pull(information, MIN_ROTATION_GIVEN)
+
+
+def _pull(information: Float[np.ndarray, "..."], least: float) -> Float[np.ndarray, "..."]:
+    """Compute the weight of a prior that is `least` without information, and falls with it."""
+    return least**2 / (information + least)
 
 
 def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance: float) -> JointCentrePrior:
@@ -106,7 +111,7 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
     radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
     information, values, axes = motion_information(poses)
-    pull = MIN_ROTATION**2 / (np.maximum(values, 0.0) + MIN_ROTATION)
+    pull = _pull(np.maximum(values, 0.0), MIN_ROTATION)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     beyond = np.einsum("jaa->j", information) / 3 * np.maximum(away / radii - 1, 0.0)
