@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry import dual_quaternions, rotation
+from ..small_matrices import apply_small
 from .pose import Pose
 from .skeleton import Skeleton
 
@@ -48,7 +49,7 @@ def decompose_motions(
     axes = rotation.rotate(orientations, ahead)
     swings, twists = rotation.swing_twist(rotations, axes)
     matrices = rotation.to_matrix(swings)
-    shifts = translations + centres - jnp.einsum("...ab,...b->...a", matrices, centres)
+    shifts = translations + centres - apply_small(matrices, centres)
     return SwingTwist(
         dual_quaternions.about_centre(twists, centres), jnp.concatenate([matrices, shifts[..., None]], -1)
     )

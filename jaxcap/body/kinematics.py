@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..arguments import checked
 from ..geometry import rotation
+from ..small_matrices import apply_small, multiply_small
 from .pose import Pose, universal_angles
 from .skeleton import Skeleton
 
@@ -35,25 +36,27 @@ def forward_kinematics(skeleton: Skeleton, pose: Pose) -> Transforms:
     """
     rotations = rotation.to_matrix(pose.rotations)
     centres = skeleton.centres
-    translations = pose.translations + centres - jnp.einsum("jab,jb->ja", rotations, centres)
+    translations = pose.translations + centres - apply_small(rotations, centres)
     # each joint's transform is relative to `ancestors`; the row after the last joint is the world
     world = skeleton.num_joints
     ancestors = np.array([*skeleton.parents, world])
     ancestors[ancestors < 0] = world
-    rotations = jnp.concatenate([rotations, jnp.eye(3, dtype=rotations.dtype)[None]])
-    translations = jnp.concatenate([translations, jnp.zeros((1, 3), translations.dtype)])
+    motions = jnp.concatenate([rotations, translations[:, :, None]], 2)
+    # a constant, as an array that is computed in a loop stands there once for each call of this function
+    still = np.eye(4, dtype=motions.dtype)
+    below = np.broadcast_to(still[3], (world, 1, 4))
+    motions = jnp.concatenate([jnp.concatenate([motions, below], 1), still[None]])
     while np.any(ancestors < world):
-        upper = rotations[ancestors]
-        translations = jnp.einsum("jab,jb->ja", upper, translations) + translations[ancestors]
-        rotations = upper @ rotations
+        motions = multiply_small(motions[ancestors], motions)
         ancestors = ancestors[ancestors]
-    return Transforms(pose.scale * rotations[:world], pose.scale * translations[:world])
+    motions = pose.scale * motions[:world]
+    return Transforms(motions[:, :3, :3], motions[:, :3, 3])
 
 
 @partial(jax.jit, inline=True)
 def joint_positions(skeleton: Skeleton, transforms: Transforms) -> Float[Array, "J 3"]:
     """Compute the world positions of the joint centres, metres."""
-    return jnp.einsum("jab,jb->ja", transforms.rotations, skeleton.centres) + transforms.translations
+    return apply_small(transforms.rotations, skeleton.centres) + transforms.translations
 
 
 @partial(jax.jit, inline=True)
@@ -78,9 +81,9 @@ def world_axes(
     moves = np.isin(kinds, ["translate", "free"])[:, None, None]
     translations = jnp.where(moves, scale * jnp.swapaxes(parent_r, -1, -2), 0.0)
     free = jnp.swapaxes(whole, -1, -2)
-    first = jnp.einsum("jab,jb->ja", parent_r, skeleton.axes[:, 0])
+    first = apply_small(parent_r, skeleton.axes[:, 0])
     half_turned = rotation.about_axis(skeleton.axes[:, 0], universal_angles(skeleton, pose)[:, 0])
-    second = jnp.einsum("jab,jb->ja", parent_r, rotation.rotate(half_turned, skeleton.axes[:, 1]))
+    second = apply_small(parent_r, rotation.rotate(half_turned, skeleton.axes[:, 1]))
     none = jnp.zeros_like(first)
     kind = kinds[:, None, None]
     rotations = jnp.where(np.isin(kind, ["ball", "free"]), free, 0.0)

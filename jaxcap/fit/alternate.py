@@ -165,8 +165,10 @@ def reweighted_least_squares(
 
     def improve(carry):
         y, damping, _, count = carry
-        found = minimise(make_problem(y), y, solver, 1, damping)
-        return found.y, found.damping, found.result == optx.RESULTS.successful, count + 1
+        # with the precision of the step, so that what both compute is computed once
+        with jax.default_matmul_precision("highest"):
+            problem = make_problem(y)
+        return *solver.single_step(problem, y, damping), count + 1
 
     dtype = jnp.result_type(*(leaf for leaf in jax.tree.leaves(start) if eqx.is_inexact_array(leaf)))
     first = start, jnp.asarray(solver.damping, dtype), jnp.array(False), jnp.array(0)

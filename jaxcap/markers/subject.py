@@ -14,6 +14,7 @@ from ..body.kinematics import forward_kinematics
 from ..body.pose import Pose
 from ..body.skeleton import Skeleton
 from ..body.skin import LinearSkin
+from ..small_matrices import apply_small
 
 #: marker models: fixed to a point of its bone; on a circle about the bone; on a sphere about its joint
 MARKER_MODELS = ("rigid", "circle", "sphere")
@@ -118,7 +119,7 @@ def marker_positions(subject: Subject, pose: Pose) -> Float[Array, "M 3"]:
     """Compute the marker positions of a pose, metres; circle and sphere markers as if rigid."""
     transforms = forward_kinematics(subject.skeleton, pose)
     r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
-    return jnp.einsum("mab,mb->ma", r, subject.offsets) + t
+    return apply_small(r, subject.offsets) + t
 
 
 @checked

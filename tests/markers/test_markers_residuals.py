@@ -8,13 +8,18 @@ import pytest
 
 from jaxcap.body.pose import rest_pose
 from jaxcap.body.retraction import retract
-from jaxcap.markers.calibration.residuals import linearise_residuals, marker_residuals
+from jaxcap.markers.calibration.residuals import linearise_residuals, marker_residuals, residual_equations
 from jaxcap.markers.subject import make_subject, marker_positions
 from tests.helpers import chain_skeleton
 
 _linearise = eqx.filter_jit(linearise_residuals)
 _marker_places = eqx.filter_jit(marker_positions)
 _residuals = eqx.filter_jit(marker_residuals)
+
+
+@eqx.filter_jit
+def _equations(subject, pose, places, weights):
+    return residual_equations(subject, pose, places, lambda squared: weights)
 
 
 def subject_of(models: tuple[str, ...], rng):
@@ -91,3 +96,20 @@ def test_subjects_say_what_is_wrong():
         make_subject(skeleton, [0, 1], np.zeros((2, 3)), ["a", "a"])
     with pytest.raises(ValueError, match="one of each"):
         make_subject(skeleton, [0, 1], np.zeros((3, 3)), ["a", "b"])
+
+
+@pytest.mark.parametrize("models", [("rigid",) * 9, ("rigid", "circle", "sphere") * 3])
+@pytest.mark.parametrize("away", [0.0, 30.0])
+def test_equations_are_products_of_the_rows(models, away, rng):
+    subject = subject_of(models, rng)
+    pose = posed(subject, rng)
+    pose = eqx.tree_at(lambda p: p.translations, pose, pose.translations.at[0].add(away))
+    places = _marker_places(subject, pose) + 0.02 * rng.normal(size=(9, 3))
+    rows = _linearise(subject, pose, places)
+    weights = rng.uniform(0.5, 2.0, 9)
+    residual, gradient, matrix = _equations(subject, pose, places, weights)
+    flat = np.asarray(rows.by_pose).reshape(27, -1)
+    weighted = np.repeat(weights, 3)[:, None] * flat
+    np.testing.assert_allclose(residual, rows.residual, atol=1e-12)
+    np.testing.assert_allclose(gradient, weighted.T @ np.asarray(rows.residual).reshape(-1), atol=1e-10)
+    np.testing.assert_allclose(matrix, weighted.T @ flat, atol=1e-10)

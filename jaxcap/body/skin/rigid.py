@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from ...small_matrices import apply_small
 from ..geometric_jacobian import descendant_matrix, project_velocities
 from .skin import AbstractSkin
 
@@ -16,7 +17,7 @@ class RigidSkin(AbstractSkin):
     def deform(self, vertices, skeleton, pose, transforms):
         del skeleton, pose
         r, t = transforms.rotations[self.bones], transforms.translations[self.bones]
-        return jnp.einsum("vab,vb->va", r, vertices) + t
+        return apply_small(r, vertices) + t
 
     def dominant_bones(self):
         return self.bones

@@ -6,6 +6,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...geometry import dual_quaternions
+from ...small_matrices import apply_small, multiply_small
 from ..geometric_jacobian import descendant_matrix, project_velocities
 from ..joint_swing_twist import decompose_joints
 from ..skeleton import Skeleton
@@ -40,9 +41,9 @@ class SwingTwistSkin(AbstractSkin):
         weights, motions = self._signed_weights(split.twists)
         twisted = dual_quaternions.apply(weights @ motions, vertices)
         swings = self._blend_swings(split.swings)
-        beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
+        beside = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
-        return jnp.einsum("vab,vb->va", r, beside) + t
+        return apply_small(r, beside) + t
 
     def _signed_weights(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
         """Compute signed weights of all joints' twists and, last, of the identity; and these motions."""
@@ -87,16 +88,16 @@ class SwingTwistSkin(AbstractSkin):
         blended = weights @ motions
         twisted = dual_quaternions.apply(blended, vertices)
         swings = self._blend_swings(split.swings)
-        beside = jnp.einsum("vab,vb->va", swings[:, :, :3], twisted) + swings[:, :, 3]
+        beside = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
-        posed = jnp.einsum("vab,vb->va", r, beside) + t
+        posed = apply_small(r, beside) + t
         rows = (
             project_velocities(posed, directions, rates)
             * descendant_matrix(skeleton, rates)[self.bases][:, None]
         )
         # directions in the frame before the base moves, and before the swing
-        inner = jnp.einsum("vrb,vbc->vrc", directions, r)
-        innermost = jnp.einsum("vrb,vbc->vrc", inner, swings[:, :, :3])
+        inner = multiply_small(directions, r)
+        innermost = multiply_small(inner, swings[:, :, :3])
         joints = np.array(rates.joints)
         pulled = dual_quaternions.pull_back(blended, vertices, innermost)
         rows += weights[:, joints][:, None] * (pulled @ rates.twist.T)

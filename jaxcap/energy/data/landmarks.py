@@ -5,6 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
+from ...small_matrices import apply_small
 from ..energy import AbstractEnergy, mask_unweighted, safe_sqrt
 from .vertices import AbstractVertexEnergy, axis_directions
 
@@ -40,7 +41,7 @@ class BoneLandmarks(AbstractEnergy):
 
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations[self.bones], posed.transforms.translations[self.bones]
-        positions = jnp.einsum("cab,cb->ca", r, self.rest) + t
+        positions = apply_small(r, self.rest) + t
         return _weighted_residual(self.weights, positions, self.targets)
 
 

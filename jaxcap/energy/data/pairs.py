@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
+from ...small_matrices import apply_small, interpolate_corners
 from ...stacking import stack_trees
 from ..energy import safe_sqrt
 from .vertices import AbstractVertexEnergy
@@ -59,7 +60,7 @@ class PairDistances(AbstractVertexEnergy):
 
     def residual(self, posed: Posed) -> Float[Array, "R"]:
         differences = pair_positions(self.pairs, posed.vertices) - self.pairs.points
-        return jnp.einsum("cra,ca->cr", pair_directions(self.pairs), differences).reshape(-1)
+        return apply_small(pair_directions(self.pairs), differences).reshape(-1)
 
     def vertex_jacobian(self, posed: Posed):
         del posed
@@ -69,7 +70,7 @@ class PairDistances(AbstractVertexEnergy):
 @checked
 def pair_positions(pairs: PointPairs, vertices: Float[Array, "V 3"]) -> Float[Array, "C 3"]:
     """Compute the points on a surface of the pairs of one frame, metres."""
-    return jnp.einsum("ck,cka->ca", pairs.barycentric, vertices[pairs.vertices])
+    return interpolate_corners(pairs.barycentric, vertices[pairs.vertices])
 
 
 def pair_directions(pairs: PointPairs) -> Float[Array, "C 3 3"]:

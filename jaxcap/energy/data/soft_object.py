@@ -10,6 +10,7 @@ from ...arguments import check_fields, checked
 from ...body.body import Body, Posed
 from ...geometry.linear import inverse_symmetric
 from ...geometry.mesh import vertex_areas
+from ...small_matrices import apply_small, multiply_small
 from ..energy import AbstractEnergy, safe_sqrt
 
 #: share of an ellipsoid's size around its centre in which the cone of distances is rounded off
@@ -97,9 +98,9 @@ def _posed_primitives(
 ) -> tuple[Float[Array, "P 3"], Float[Array, "P 3 3"], Float[Array, ""]]:
     """Compute centres, precisions and stiffness in the world."""
     r, scale = posed.transforms.rotations[soft.bones], posed.pose.scale
-    centres = jnp.einsum("pab,pb->pa", r, soft.centres) + posed.transforms.translations[soft.bones]
+    centres = apply_small(r, soft.centres) + posed.transforms.translations[soft.bones]
     # the inverse of a similarity: its rotation block is a rotation times the scale
-    precisions = jnp.einsum("pab,pbc,pdc->pad", r, soft.precisions, r) / scale**4
+    precisions = multiply_small(multiply_small(r, soft.precisions), jnp.swapaxes(r, 1, 2)) / scale**4
     return centres, precisions, soft.stiffness / scale
 
 

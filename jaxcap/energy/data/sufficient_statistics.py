@@ -5,6 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
 from ...body.body import Posed
+from ...small_matrices import apply_small, multiply_small
 from .bones import AbstractBoneEnergy
 
 
@@ -23,17 +24,17 @@ class RigidMoments(AbstractBoneEnergy):
 
     def residual(self, posed: Posed):
         r, t = posed.transforms.rotations, posed.transforms.translations
-        shift = jnp.einsum("jab,jb->ja", r, self.origins) + t - self.target_origins
+        shift = apply_small(r, self.origins) + t - self.target_origins
         f = self.factors
-        moved = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + shift[:, :, None] * f[:, 3:4] - f[:, 4:]
+        moved = multiply_small(r, f[:, :3]) + shift[:, :, None] * f[:, 3:4] - f[:, 4:]
         return moved.reshape(-1)
 
     def bone_jacobian(self, posed: Posed):
         """Differentiate by each bone: `a x (R F_x + (R o + t) F_1) + b F_1` for the field `(a, b)`."""
         r, t = posed.transforms.rotations, posed.transforms.translations
         f, ones = self.factors, self.factors[:, 3]
-        origins = jnp.einsum("jab,jb->ja", r, self.origins) + t
-        carried = jnp.einsum("jab,jbc->jac", r, f[:, :3]) + origins[:, :, None] * f[:, 3:4]
+        origins = apply_small(r, self.origins) + t
+        carried = multiply_small(r, f[:, :3]) + origins[:, :, None] * f[:, 3:4]
         x, y, z = carried[:, 0], carried[:, 1], carried[:, 2]
         none = jnp.zeros_like(x)
         # a x v, for each column v

@@ -13,6 +13,7 @@ from ...body.people.anatomy import BODY_REGIONS
 from ...body.pose import rest_pose
 from ...body.skeleton import Skeleton
 from ...geometry.sampling import even_indices
+from ...small_matrices import apply_small
 from ..data.bones import AbstractBoneEnergy
 from ..data.soft_object import SoftObject, make_soft_object, soft_distance, soft_distance_slopes
 from ..energy import safe_sqrt
@@ -103,7 +104,7 @@ def make_self_collision(body: Body, deviation: float | int = 0.01) -> SelfCollis
 
 def _limb_points(limb: LimbCollision, posed: Posed) -> Float[Array, "N 3"]:
     r, t = posed.transforms.rotations[limb.bones], posed.transforms.translations[limb.bones]
-    return jnp.einsum("nab,nb->na", r, limb.points) + t
+    return apply_small(r, limb.points) + t
 
 
 def _bones(skeleton: Skeleton, names: Collection[str], side: str = "") -> list[int]:

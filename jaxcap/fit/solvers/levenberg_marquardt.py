@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on a manifold, composed of optimistix's parts."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,6 +39,16 @@ class SolverState(eqx.Module):
     num_steps: Int[Array, ""]
     result: optx.RESULTS
     history: Float[Array, "H"]
+
+
+class TestedStep(NamedTuple):
+    """The end of one step."""
+
+    y: Any
+    #: the damping of the next step
+    damping: Float[Array, ""]
+    #: true if the step met the tolerances of the solver
+    converged: Bool[Array, ""]
 
 
 class LevenbergMarquardt(AbstractManifoldSolver):
@@ -119,6 +129,25 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     def step(self, fn, y, args: AbstractProblem, options, state: SolverState, tags):
         del fn, options, tags
         info = _filter_cond(state.moved, lambda y: self._linearise(args, y), y, state.info)
+        return *self._step_from(args, y, info, state), None
+
+    def single_step(self, problem: AbstractProblem, y: Any, damping: Float[Array, ""]) -> TestedStep:
+        """Take one step, and keep `y` where the step does not lower the energy.
+
+        The same as `minimise` with one step, without a loop and a condition about it: a small problem that is rebuilt before
+        every step is then compiled into one piece with what rebuilds it.
+        """
+        none: Any = None
+        with jax.default_matmul_precision("highest"):
+            state = self.init(none, y, problem, {"history": 1, "damping": damping}, none, none, none)
+            y, state = self._step_from(problem, y, self._linearise(problem, y), state)
+        return TestedStep(
+            y, 1.0 / state.step_size, state.terminate & (state.result == optx.RESULTS.successful)
+        )
+
+    def _step_from(
+        self, args: AbstractProblem, y: Any, info: Any, state: SolverState
+    ) -> tuple[Any, SolverState]:
         zero = jax.tree.map(jnp.zeros_like, args.scales())
         descent_state = self.descent.query(zero, info, self.descent.init(zero, info))
         whole, _ = self.descent.step(state.step_size, descent_state)
@@ -157,7 +186,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
                 2.0 * jnp.where(accept, after, before), mode="drop"
             ),
         )
-        return tree_where(accept, candidate, y), state, None
+        return tree_where(accept, candidate, y), state
 
     def _linearise(self, problem: Any, y: Any) -> Any:
         if not self.needs_jacobian:

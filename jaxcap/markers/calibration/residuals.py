@@ -7,12 +7,14 @@ the marker models of the global technique, with markers on circles about their s
 their joint, and with unknown radii.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...body.composite_equations import composite_equations, wrenches_of
 from ...body.geometric_jacobian import (
     GeometricJacobian,
     descendant_matrix,
@@ -21,9 +23,10 @@ from ...body.geometric_jacobian import (
     project_velocities,
     select_parameters,
 )
-from ...body.kinematics import Transforms, forward_kinematics
+from ...body.kinematics import Transforms, forward_kinematics, joint_positions
 from ...body.pose import Pose
 from ...geometry import rotation
+from ...small_matrices import apply_small
 from ..subject import Subject
 
 
@@ -57,8 +60,12 @@ def rest_positions(
     subject: Subject, pose: Pose, transforms: Transforms, positions: Float[Array, "M 3"]
 ) -> Float[Array, "M 3"]:
     """Transform marker positions to the rest frames of their bones."""
-    r, t = transforms.rotations[subject.bones], transforms.translations[subject.bones]
-    return jnp.einsum("mba,mb->ma", r, positions - t) / pose.scale**2
+    r, t = _of_bones(transforms.rotations, subject), _of_bones(transforms.translations, subject)
+    return apply_small(jnp.swapaxes(r, 1, 2), positions - t) / pose.scale**2
+
+
+def _of_bones(values: Float[Array, "J *shape"], subject: Subject) -> Float[Array, "M *shape"]:
+    return values.at[subject.bones].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def linearise_residuals(
@@ -72,7 +79,7 @@ def linearise_residuals(
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
     residual, slopes = _model_residuals(subject, rest_positions(subject, pose, transforms, positions))
-    back = jnp.swapaxes(transforms.rotations[subject.bones], 1, 2) / pose.scale**2
+    back = jnp.swapaxes(_of_bones(transforms.rotations, subject), 1, 2) / pose.scale**2
     # the bone moves and the observation is fixed, so it moves the opposite way in the bone's frame
     directions = -back if _all_rigid(subject) else -slopes.local @ back
     by_pose = _residual_jacobian(subject, positions, directions, pose_jacobian(skeleton, pose, transforms))
@@ -86,6 +93,31 @@ def linearise_residuals(
             wide = slope[:, :, None, :] * at[:, None, :, None]
             by_centres = by_centres + wide.reshape(by_centres.shape)
     return LinearisedResiduals(residual, by_pose, by_centres, slopes.offset)
+
+
+def residual_equations(
+    subject: Subject,
+    pose: Pose,
+    positions: Float[Array, "M 3"],
+    weigh: Callable[[Float[Array, "M"]], Float[Array, "M"]],
+) -> tuple[Float[Array, "M 3"], Float[Array, "D"], Float[Array, "D D"]]:
+    """Compute residuals, and the gradient and the Gauss-Newton matrix of half their weighted squares by the tangent of the pose.
+
+    `weigh` computes the weights of the markers from their squared residuals. Equal to products of the rows of `linearise_residuals`, without
+    these rows.
+    """
+    skeleton = subject.skeleton
+    transforms = forward_kinematics(skeleton, pose)
+    residual, slopes = _model_residuals(subject, rest_positions(subject, pose, transforms, positions))
+    back = jnp.swapaxes(_of_bones(transforms.rotations, subject), 1, 2) / pose.scale**2
+    directions = -back if _all_rigid(subject) else -slopes.local @ back
+    # moments about the root, as those about a distant origin are differences of large numbers
+    origin = joint_positions(skeleton, transforms)[0]
+    near = Transforms(transforms.rotations, transforms.translations - origin)
+    rates = pose_jacobian(skeleton, pose, near)
+    wrenches = wrenches_of(positions - origin, directions)
+    weights = weigh(jnp.sum(residual**2, 1))
+    return residual, *composite_equations(skeleton, rates, subject.bones, wrenches, residual, weights)
 
 
 def _residual_jacobian(
@@ -113,7 +145,7 @@ def _model_residuals(
 ) -> tuple[Float[Array, "M 3"], _ResidualDerivatives]:
     """Compute the residual of each marker's model, and its derivatives."""
     offsets, dtype = subject.offsets, local.dtype
-    one = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (len(offsets), 3, 3))
+    one = jnp.asarray(np.broadcast_to(np.eye(3, dtype=dtype), (len(offsets), 3, 3)))
     none = jnp.zeros_like(one)
     residual, slopes = local - offsets, _ResidualDerivatives(one, -one, none, none)
     for name, model in (("circle", _circle_residuals), ("sphere", _sphere_residuals)):

@@ -16,7 +16,7 @@ from ...fit.linear_solvers.dense import DenseMatrix
 from ...fit.solvers.descent import ConstrainedInfo
 from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ..calibration.residuals import linearise_residuals, marker_residuals
+from ..calibration.residuals import marker_residuals, residual_equations
 from ..posture import posture_prior
 from ..robust import robust_kernel, variance_ratio
 from ..subject import Subject, marker_body
@@ -69,11 +69,11 @@ class FrameProblem(AbstractProblem[Pose]):
         return value + 0.5 * (r @ r)
 
     def information(self, y):
-        rows = linearise_residuals(self.subject, y, self.positions)
-        costs, slopes = robust_kernel(jnp.sum(rows.residual**2, 1) * self.precision)
-        flat = rows.by_pose.reshape(-1, rows.by_pose.shape[2])
-        weighted = flat * jnp.repeat(slopes * self.precision, 3)[:, None]
-        value, side, matrix = 0.5 * jnp.sum(costs), weighted.T @ rows.residual.reshape(-1), weighted.T @ flat
+        def weigh(squared):
+            return robust_kernel(squared * self.precision)[1] * self.precision
+
+        residual, side, matrix = residual_equations(self.subject, y, self.positions, weigh)
+        value = 0.5 * jnp.sum(robust_kernel(jnp.sum(residual**2, 1) * self.precision)[0])
         if self.terms is not None:
             extra = frame_equations(self.terms, marker_body(self.subject), y)
             value, side, matrix = value + extra[0], side + extra[1], matrix + extra[2]

@@ -15,6 +15,7 @@ from ...fit.pose_problem import PoseProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...observe.clouds import Cloud
+from ...small_matrices import apply_small
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from .clothes import Clothes
 from .e_step import Posterior, posterior, update_priors, update_sigma
@@ -137,7 +138,7 @@ def data_energy(
     vertices, bones = found.vertices.reshape(-1), found.parts.reshape(-1)
     r, t = posed.transforms.rotations[bones], posed.transforms.translations[bones]
     # the inverse of a similarity: its rotation block is a rotation times the scale
-    rest = jnp.einsum("cba,cb->ca", r, posed.vertices[vertices] - t) / posed.pose.scale**2
+    rest = apply_small(jnp.swapaxes(r, 1, 2), posed.vertices[vertices] - t) / posed.pose.scale**2
     across = PointToPlane(vertices, points, posed.normals[vertices], (1.0 - tangential_weight) * weights)
     return Sum((across, rigid_moments(bones, rest, points, tangential_weight * weights, len(posed.joints))))
 

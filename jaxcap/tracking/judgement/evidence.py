@@ -12,6 +12,7 @@ from ...body.body import pose_body
 from ...body.pose import Pose
 from ...geometry.camera import Camera, is_in_image, project_points
 from ...observe.clouds import Cloud
+from ...small_matrices import apply_small
 from .region_samples import MIN_DISTANCE, STRIDE, RegionSamples
 from .self_penetration import inside_degrees
 
@@ -83,7 +84,7 @@ def gather_evidence(
     clothes explain points, metres (`clothes_allowance`); there are no clothes where it is not given.
     """
     posed = pose_body(surface.body, pose)
-    turned = jnp.einsum("sab,sb->sa", posed.transforms.rotations[surface.bones], surface.normals)
+    turned = apply_small(posed.transforms.rotations[surface.bones], surface.normals)
     normals = turned / jnp.linalg.norm(turned, axis=1, keepdims=True)
     size = surface.size * pose.scale
     rows, weights = _sample_points(cloud)
