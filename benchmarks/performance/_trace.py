@@ -5,8 +5,6 @@ all threads, so nested and parallel operations count once. The rest is the host:
 """
 
 import contextlib
-import gzip
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -23,8 +21,6 @@ COMPILE_EVENTS = {
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "lower",
     "/jax/core/compile/backend_compile_duration": "compile",
 }
-#: events in a trace at most: more are left out by the profiler
-MAX_EVENTS = 1_000_000
 #: parts of names of events in which arrays are copied between host and device
 TRANSFERS = ("BufferFromHost", "CopyToLiteral", "ToLiteral", "TransferTo", "TransferFrom", "LinearizeInto")
 
@@ -103,36 +99,49 @@ def trace(run: Callable[[], Any]) -> Trace:
             wall = time.perf_counter() - begin
         finally:
             jax.profiler.stop_trace()
-        (path,) = Path(folder).rglob("*.trace.json.gz")
-        with gzip.open(path) as file:
-            events = json.load(file)["traceEvents"]
-    if len(events) >= MAX_EVENTS:
-        raise RuntimeError(f"The profiler records {MAX_EVENTS:,} events at most; profile a shorter run.")
-    return _summarise(wall, [event for event in events if event.get("ph") == "X"])
+        (path,) = Path(folder).rglob("*.xplane.pb")
+        return _summarise(wall, _read_events(path))
 
 
-def _summarise(wall: float, events: list[dict]) -> Trace:
-    operations = [event for event in events if "hlo_module" in event.get("args", {})]
-    copies = [event for event in events if any(name in event["name"] for name in TRANSFERS)]
-    by_program: dict[str, list[dict]] = {}
-    for event in operations:
-        by_program.setdefault(event["args"]["hlo_module"], []).append(event)
+class _Events(NamedTuple):
+    """Start and end of events, seconds: of operations by program and call, and of copies."""
+
+    operations: dict[str, list[tuple[float, float]]]
+    calls: dict[str, set[int]]
+    copies: list[tuple[float, float]]
+
+
+def _read_events(path: Path) -> _Events:
+    # the file of the profiler, as its version in JSON has a million events at most
+    found = _Events({}, {}, [])
+    for plane in jax.profiler.ProfileData.from_file(str(path)).planes:
+        for event in (event for line in plane.lines for event in line.events):
+            span = 1e-9 * event.start_ns, 1e-9 * (event.start_ns + event.duration_ns)
+            if any(part in event.name for part in TRANSFERS):
+                found.copies.append(span)
+            elif event.duration_ns > 0 and not event.name.startswith("end: "):
+                stats: dict[str, Any] = dict(event.stats)
+                if "hlo_module" in stats:
+                    found.operations.setdefault(stats["hlo_module"], []).append(span)
+                    found.calls.setdefault(stats["hlo_module"], set()).add(stats.get("run_id", 0))
+    return found
+
+
+def _summarise(wall: float, events: _Events) -> Trace:
     costs, programs = _costs(), []
-    for name, own in by_program.items():
-        calls = len({event["args"].get("run_id") for event in own})
+    for name, own in events.operations.items():
+        calls = len(events.calls[name])
         flops, size = costs.get(name, (np.nan, np.nan))
         programs.append(Program(name, calls, union_seconds(_spans(own)), calls * flops, calls * size))
     programs.sort(key=lambda program: -program.seconds)
-    spans = _spans(operations)
+    spans = _spans([span for own in events.operations.values() for span in own])
     busy = union_seconds(spans)
-    transfers = union_seconds(np.concatenate([spans, _spans(copies)])) - busy
+    transfers = union_seconds(np.concatenate([spans, _spans(events.copies)])) - busy
     return Trace(wall, busy, transfers, programs)
 
 
-def _spans(events: list[dict]) -> Float[np.ndarray, "E 2"]:
-    """Collect the start and end of events, seconds."""
-    spans = [(event["ts"], event["ts"] + event.get("dur", 0.0)) for event in events]
-    return 1e-6 * np.array(spans, float).reshape(-1, 2)
+def _spans(spans: list[tuple[float, float]]) -> Float[np.ndarray, "E 2"]:
+    return np.array(spans, float).reshape(-1, 2)
 
 
 def union_seconds(spans: Float[np.ndarray, "E 2"]) -> float:
