@@ -30,7 +30,7 @@ from .calibration_parameters import (
     shift_subject,
 )
 from .prior_scales import ScaledGroups, scaled_groups
-from .residuals import linearise_residuals, marker_residuals
+from .residuals import linearise_residuals, marker_residuals, residual_equations
 from .rotation_prior import (
     RotationPrior,
     free_rotation_prior,
@@ -168,12 +168,17 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
 
         def of_frame(frame):
             pose, place, visible, phi, weight = frame
-            rows = linearise_residuals(apply_sliding(subject, y.slides, phi), pose, place)
-            root, _ = self.root_weights_and_cost(rows.residual, visible, weight)
-            flat = (rows.by_pose * root[:, None, None]).reshape(-1, rows.by_pose.shape[2])
-            matrix, side = rotation_prior_equations(subject.skeleton, self.rotation_prior, pose)
-            matrix = matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype) + flat.T @ flat
-            side = side + flat.T @ (rows.residual * root[:, None]).reshape(-1)
+            _, side, matrix = residual_equations(
+                apply_sliding(subject, y.slides, phi),
+                pose,
+                place,
+                lambda residual: self.root_weights_and_cost(residual, visible, weight)[0] ** 2,
+            )
+            prior_matrix, prior_side = rotation_prior_equations(subject.skeleton, self.rotation_prior, pose)
+            matrix, side = (
+                matrix + prior_matrix + RIDGE * jnp.eye(len(side), dtype=side.dtype),
+                side + prior_side,
+            )
             if self.terms is not None:
                 _, own_side, own_matrix = frame_equations(self.terms, marker_body(subject), pose)
                 matrix, side = matrix + own_matrix, side + own_side

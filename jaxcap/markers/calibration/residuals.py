@@ -99,11 +99,11 @@ def residual_equations(
     subject: Subject,
     pose: Pose,
     positions: Float[Array, "M 3"],
-    weigh: Callable[[Float[Array, "M"]], Float[Array, "M"]],
+    weigh: Callable[[Float[Array, "M 3"]], Float[Array, "M"]],
 ) -> tuple[Float[Array, "M 3"], Float[Array, "D"], Float[Array, "D D"]]:
     """Compute residuals, and the gradient and the Gauss-Newton matrix of half their weighted squares by the tangent of the pose.
 
-    `weigh` computes the weights of the markers from their squared residuals. Equal to products of the rows of `linearise_residuals`, without
+    `weigh` computes the weights of the markers from their residuals. Equal to products of the rows of `linearise_residuals`, without
     these rows.
     """
     skeleton = subject.skeleton
@@ -116,7 +116,7 @@ def residual_equations(
     near = Transforms(transforms.rotations, transforms.translations - origin)
     rates = pose_jacobian(skeleton, pose, near)
     wrenches = wrenches_of(positions - origin, directions)
-    weights = weigh(jnp.sum(residual**2, 1))
+    weights = weigh(residual)
     return residual, *composite_equations(skeleton, rates, subject.bones, wrenches, residual, weights)
 
 

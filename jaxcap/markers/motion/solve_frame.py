@@ -69,8 +69,8 @@ class FrameProblem(AbstractProblem[Pose]):
         return value + 0.5 * (r @ r)
 
     def information(self, y):
-        def weigh(squared):
-            return robust_kernel(squared * self.precision)[1] * self.precision
+        def weigh(residual):
+            return robust_kernel(jnp.sum(residual**2, 1) * self.precision)[1] * self.precision
 
         residual, side, matrix = residual_equations(self.subject, y, self.positions, weigh)
         value = 0.5 * jnp.sum(robust_kernel(jnp.sum(residual**2, 1) * self.precision)[0])
