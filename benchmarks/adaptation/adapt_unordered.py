@@ -82,7 +82,7 @@ def model_scene(shared: Path, frames: int, seed: int = 0) -> Scene:
     z = np.clip(np.random.default_rng([seed, 2]).normal(size=len(model.template_coefficients)), -2.5, 2.5)
     body = jc.shape_body(model, jnp.asarray(z, jnp.float32))
     takes = (cmu_motion(shared, take) for take in PEOPLE["woman"][1])
-    motions = [retarget(motion[:LENGTH], source, body.skeleton) for motion, source in takes]
+    motions = [retarget(motion.slice(slice(LENGTH)), source, body.skeleton) for motion, source in takes]
     return pose_scene(body, motions, frames, seed)._replace(model=model)
 
 
