@@ -161,11 +161,9 @@ def point_jacobian(
     """Compute rows `sum_k n_k . dx_k/d[d, s]` of points between K vertices each, by the pose and by the
     shared parameters.
 
-    If points have more corners than the body has vertices, each vertex is differentiated once, along the
-    three axes.
+    If there are more rows than coordinates of the body's vertices, each vertex is differentiated once, along the three axes.
     """
-    count = len(posed.vertices)
-    if vertices.size <= count:
+    if directions.size // 3 <= posed.vertices.size:
         every = vertices.reshape(-1)
         rows = _skin_jacobian(posed, every, directions.reshape(-1, *directions.shape[2:]), tangent)
         return jnp.sum(rows.reshape(*vertices.shape, *rows.shape[1:]), 1)
