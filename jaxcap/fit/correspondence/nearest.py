@@ -48,11 +48,13 @@ def nearest_vertices(
     near = _in_reach(tiles, blocks, reach)
     squared, slot = lax.cond(
         jnp.sum(near) < MAX_CULLED_SHARE * near.size,
-        lambda: _nearest_in_reach(tiles, blocks, near),
-        lambda: _nearest_in_blocks(tiles[None], blocks[:, None]),
+        lambda: _nearest_in_reach(parts, tiles, blocks, near),
+        lambda: _nearest_by_part(parts, *_nearest_in_blocks(tiles[None], blocks[:, None])),
     )
-    squared, vertex = _without_fusion(lambda a, b: _nearest_by_part(parts, a, b, reach), squared, slot)
-    return squared[:, :count], vertex[:, :count]
+    # excludes also pairs beyond reach within a box in reach, so that the result does not depend on the tiles
+    squared, slot = (found.reshape(parts.num_parts, -1)[:, :count] for found in (squared, slot))
+    here = jnp.isfinite(squared) & (squared <= jnp.asarray(reach, squared.dtype) ** 2)
+    return jnp.where(here, squared, jnp.inf), jnp.where(here, parts.slots.reshape(-1)[slot], 0)
 
 
 def _tiles_and_blocks(
@@ -101,9 +103,11 @@ def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array,
     return lax.fori_loop(0, BLOCK // UNROLLED, step, (best, slot))
 
 
-def _nearest_in_reach(tiles, blocks, near):
-    """Run `_nearest_in_blocks` on the pairs in reach only, which are listed first, in as many steps as needed."""
-    num_tiles, total = len(tiles), near.size
+def _nearest_in_reach(
+    parts: PartBlocks, tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], near: Bool[Array, "B T"]
+) -> tuple[Float[Array, "KT 32"], Int[Array, "KT 32"]]:
+    """Find the nearest slot of each part from the pairs in reach only, which are listed first, in as many steps as needed."""
+    num_tiles, total, rows = len(tiles), near.size, parts.num_parts * len(tiles)
     chosen = near.reshape(-1)
     place = jnp.where(chosen, jnp.cumsum(chosen.astype(jnp.int32)) - 1, total + CHUNK)
     pairs = (
@@ -111,20 +115,42 @@ def _nearest_in_reach(tiles, blocks, near):
         .at[place]
         .set(jnp.arange(total, dtype=jnp.int32), mode="drop")
     )
+    parts_of_blocks = jnp.asarray(np.repeat(np.arange(parts.num_parts), parts.blocks_of_part), jnp.int32)
 
     def step(i, found):
         pair = lax.dynamic_slice(pairs, (i * CHUNK,), (CHUNK,))
-        block = jnp.take(blocks, pair // num_tiles, axis=0, mode="clip")
-        new = _without_fusion(_nearest_in_blocks, tiles[pair % num_tiles], block)
-        return tuple(old.at[pair].set(rows, mode="drop") for old, rows in zip(found, new, strict=True))
+        block, tile = jnp.minimum(pair // num_tiles, parts.num_blocks - 1), pair % num_tiles
+        squared, slot = _without_fusion(_nearest_in_blocks, tiles[tile], blocks[block])
+        row = jnp.where(pair < total, parts_of_blocks[block] * num_tiles + tile, rows)
+        return _keep_nearest(*found, row, squared, block[:, None] * BLOCK + slot)
 
-    start = (jnp.full((total, TILE), jnp.inf, tiles.dtype), jnp.zeros((total, TILE), jnp.int32))
-    found = lax.fori_loop(0, (jnp.sum(chosen) + CHUNK - 1) // CHUNK, step, start)
-    return tuple(rows.reshape(*near.shape, TILE) for rows in found)
+    start = jnp.full((rows, TILE), jnp.inf, tiles.dtype), jnp.zeros((rows, TILE), jnp.int32)
+    return lax.fori_loop(0, (jnp.sum(chosen) + CHUNK - 1) // CHUNK, step, start)
 
 
-def _nearest_by_part(parts: PartBlocks, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"], reach):
-    """Find the best of each part's blocks, `(K, N)`, by a running minimum that restarts with every part."""
+def _keep_nearest(
+    best: Float[Array, "R 32"],
+    place: Int[Array, "R 32"],
+    row: Int[Array, "P"],
+    squared: Float[Array, "P 32"],
+    slot: Int[Array, "P 32"],
+) -> tuple[Float[Array, "R 32"], Int[Array, "R 32"]]:
+    """Replace the best of each row by nearer ones, of which several may belong to one row; the first of equal ones is kept.
+
+    Rows beyond the last are dropped.
+    """
+    nearer = squared < best.at[row].get(mode="fill", fill_value=-jnp.inf)
+    best = best.at[row].min(squared, mode="drop")
+    winner = nearer & (squared == best.at[row].get(mode="fill", fill_value=-jnp.inf))
+    last = np.iinfo(np.int32).max
+    place = place.at[row].max(jnp.where(nearer, last, -1), mode="drop")
+    return best, place.at[row].min(jnp.where(winner, slot, last), mode="drop")
+
+
+def _nearest_by_part(
+    parts: PartBlocks, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"]
+) -> tuple[Float[Array, "KT 32"], Int[Array, "KT 32"]]:
+    """Find the best of each part's blocks by a running minimum that restarts with every part."""
     counts = np.array(parts.blocks_of_part)
     last = np.cumsum(counts) - 1
     begins = np.isin(np.arange(parts.num_blocks), last - counts + 1)
@@ -140,10 +166,8 @@ def _nearest_by_part(parts: PartBlocks, squared: Float[Array, "B T 32"], slot: I
     start = (jnp.full(shape, jnp.inf, squared.dtype), jnp.zeros(shape, jnp.int32))
     firsts = jnp.arange(parts.num_blocks, dtype=jnp.int32) * BLOCK
     _, (best, place) = lax.scan(step, start, (squared, slot, jnp.asarray(begins), firsts))
-    best, place = (rows[last].reshape(len(last), -1) for rows in (best, place))
-    # excludes also pairs beyond reach within a box in reach, so that the result does not depend on the tiles
-    here = jnp.isfinite(best) & (best <= jnp.asarray(reach, best.dtype) ** 2) & (counts > 0)[:, None]
-    return jnp.where(here, best, jnp.inf), jnp.where(here, parts.slots.reshape(-1)[place], 0)
+    best = jnp.where((counts > 0)[:, None, None], best[last], jnp.inf)
+    return best.reshape(-1, TILE), place[last].reshape(-1, TILE)
 
 
 def _without_fusion(function, *arguments):

@@ -18,6 +18,8 @@ from .self_penetration import inside_degrees
 
 #: points sampled from a cloud
 NUM_POINTS = 1536
+#: samples compared with all points in one pass
+BLOCK = 32
 #: directions from which unknown sensors may look
 NUM_DIRECTIONS = 32
 #: least cosine between a point's normal and that of the surface that explains it
@@ -175,30 +177,41 @@ def _nearest_samples(
     vertices: Float[Array, "S 3"],
     normals: Float[Array, "S 3"],
 ) -> _NearestSamples:
-    """Search by a running minimum over the samples, which XLA vectorises on a CPU, unlike `argmin` of all distances."""
-    x, y, z = points.T
-    nx, ny, nz = point_normals.T
+    """Search by a running minimum over blocks of samples, which XLA vectorises on a CPU, unlike `argmin` of all distances."""
+    count, extra = len(vertices), -len(vertices) % BLOCK
     known = jnp.any(point_normals != 0, 1)
     limits = jnp.where(known, MIN_NORMAL_COSINE, -jnp.inf).astype(points.dtype)
+    away = jnp.where(used, 0.0, jnp.inf).astype(points.dtype)
 
-    def step(found, row):
+    def first_of(values, least, numbers):
+        return jnp.min(jnp.where(values == least, numbers, count), 0)
+
+    def step(found, rows):
         best, sample, best_compatible, compatible = found
-        (vx, vy, vz), (ux, uy, uz), number = row
-        squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
-        near = jnp.where(nx * ux + ny * uy + nz * uz > limits, squared, jnp.inf)
-        closer, closer_compatible = squared < best, near < best_compatible
+        block, block_normals, first = rows
+        squared = sum((points[:, axis] - block[:, axis, None]) ** 2 for axis in range(3))
+        squared = jnp.where(squared < jnp.inf, squared, jnp.inf)  # also where it is not a number
+        cosine = sum(point_normals[:, axis] * block_normals[:, axis, None] for axis in range(3))
+        near = jnp.where(cosine > limits, squared, jnp.inf)
+        least, least_near = jnp.min(squared, 0), jnp.min(near, 0)
+        closer, closer_compatible = least < best, least_near < best_compatible
+        numbers = (first + jnp.arange(BLOCK, dtype=jnp.int32))[:, None]
         found = (
-            jnp.where(closer, squared, best),
-            jnp.where(closer, number, sample),
-            jnp.where(closer_compatible, near, best_compatible),
-            jnp.where(closer_compatible, number, compatible),
+            jnp.where(closer, least, best),
+            jnp.where(closer, first_of(squared, least, numbers), sample),
+            jnp.where(closer_compatible, least_near, best_compatible),
+            jnp.where(closer_compatible, first_of(near, least_near, numbers), compatible),
         )
-        return found, jnp.min(jnp.where(used, near, jnp.inf))
+        return found, jnp.min(near + away, 1)
 
     far, none = jnp.full(len(points), jnp.inf, points.dtype), jnp.zeros(len(points), jnp.int32)
-    rows = (vertices, normals, jnp.arange(len(vertices), dtype=jnp.int32))
-    (_, sample, squared, compatible), to_points = jax.lax.scan(step, (far, none, far, none), rows, unroll=8)
-    return _NearestSamples(sample, compatible, squared, to_points)
+    rows = (
+        jnp.pad(vertices, ((0, extra), (0, 0)), constant_values=jnp.inf).reshape(-1, BLOCK, 3),
+        jnp.pad(normals, ((0, extra), (0, 0))).reshape(-1, BLOCK, 3),
+        jnp.arange(0, count + extra, BLOCK, dtype=jnp.int32),
+    )
+    (_, sample, squared, compatible), to_points = jax.lax.scan(step, (far, none, far, none), rows)
+    return _NearestSamples(sample, compatible, squared, to_points.reshape(-1)[:count])
 
 
 def _nearest_clothes(
