@@ -39,6 +39,8 @@ from ..outputs import check_npz, check_parent, is_run_complete, make_folder
 from ..scoring import mesh_hashes, print_scores, score_motion
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .input import read_pairs, skeleton_digest, split_held_out
+from .people import run_people
+from .people_input import names_people
 from .state import STATE_ARRAYS, make_checkpoint, restore_state
 
 #: values of --skeleton that are not files
@@ -49,7 +51,8 @@ OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior
 @dataclass
 class Learn:
     """Learn an animatable body from registered meshes of one actor in many poses; write the body and its poses in the
-    meshes. All meshes have the same vertices, in the same order.
+    meshes. All meshes have the same vertices, in the same order. With --people they are of several people, and the result is a
+    body model with shape coefficients.
 
     An interrupted run continues with --resume. The result is the same as without the interruption."""
 
@@ -71,6 +74,11 @@ class Learn:
     """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
     by the names of joints, or detected from the lengths and areas of the limbs. Without --skeleton, joints are then found
     from the motion."""
+    people: Flag = False
+    """MESHES show several people, and a body model of all is written: a folder, an .npz or the mesh files of a folder are one
+    person. A pattern with a named part, such as "meshes/{subject}/*.ply", does the same for the text of this part."""
+    components: OptionalCount = None
+    """Number of shape coefficients with --people. Default: one less than people, which is also the most."""
     skeleton: Annotated[
         OptionalFile,
         arg(
@@ -108,6 +116,9 @@ class Learn:
 
     def run(self) -> None:
         self.check()
+        if self.people or names_people(self.meshes):
+            run_people(self)
+            return
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
         for path in (self.out, motion_path):
@@ -179,6 +190,8 @@ class Learn:
             raise InputError("--fix-joints needs a skeleton; give it with --skeleton.")
         if self.limits is not None and not has_skeleton:
             raise InputError("--limits needs a skeleton; give it with --skeleton.")
+        if self.components is not None and not (self.people or names_people(self.meshes)):
+            raise InputError("--components is for several people; give --people.")
         if self.free_bones and (has_skeleton or self.pairs is not None):
             raise InputError("--free-bones uses no skeleton and no pairs; omit --skeleton and --pairs.")
 
