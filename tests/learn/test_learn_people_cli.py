@@ -10,7 +10,7 @@ from helpers import random_pose
 
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
-from jaxcap.body.pose import Motion, stack_poses
+from jaxcap.body.pose import Motion, stack_poses, take_poses
 from jaxcap.cli.learn import people as verb
 from jaxcap.cli.learn.people_input import find_people, names_people
 from jaxcap.errors import InputError
@@ -52,14 +52,7 @@ def instant_learner(monkeypatch, scene):
         calls.update(options, people=people)
         space = make_shape_space([bodies[name] for name in people], components)
         motions = tuple(
-            Motion(
-                type(poses[name])(
-                    *(
-                        leaf[: len(meshes)]
-                        for leaf in (poses[name].translations, poses[name].rotations, poses[name].scale)
-                    )
-                )
-            )  # fmt: skip
+            Motion(take_poses(poses[name], np.arange(len(meshes))), meshes.rate)
             for name, meshes in people.items()
         )
         none = np.zeros((0, 2), int)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,59 +26,63 @@ from ...report.scores import Scores
 from ..console.console import pluralise, print_table, say, warn
 from ..console.heartbeat import set_activity
 from ..console.rounds import RoundProgress
-from ..motions import load_skeleton
 from ..outputs import check_npz, check_parent, make_folder
 from ..scoring import score_motion
-from .input import read_pairs, split_held_out
+from .input import split_held_out
 from .people_input import read_people
-
-if TYPE_CHECKING:
-    from .learn import Learn
 
 #: components that a line lists
 MAX_LISTED = 5
 
 
-def run_people(options: "Learn") -> None:
+class PeopleRun(NamedTuple):
+    """The options of a run: the files, and the arguments of `learn_people` with the settings that a report has."""
+
+    meshes: Sequence[str]
+    out: Path
+    motion: Path | None
+    report: Path | None
+    unit: str
+    rate: float | None
+    hold_out: int | None
+    overwrite: bool
+    learning: Mapping[str, Any]
+    settings: Mapping[str, object]
+
+
+def run_people(run: PeopleRun) -> None:
     """Learn one body model of several people, and write it with the parameters of each person."""
-    check_options(options)
     set_activity("reading the meshes")
-    people, names = read_people(options.meshes, options.unit, options.rate)
-    paths = motion_paths(options.out, options.motion, tuple(people))
-    for path in (options.out, *paths.values()):
+    people, names = read_people(run.meshes, run.unit, run.rate)
+    paths = motion_paths(run.out, run.motion, tuple(people))
+    for path in (run.out, *paths.values()):
         check_parent(path)
-    with run_lock(options.out):
-        check_npz(options.out, options.overwrite, "a body model")
+    with run_lock(run.out):
+        check_npz(run.out, run.overwrite, "a body model")
         for path in paths.values():
-            check_npz(path, options.overwrite)
-        train, held = split_people(people, names, options.hold_out)
+            check_npz(path, run.overwrite)
+        train, held = split_people(people, names, run.hold_out)
         for message in check_people(train[0], train[1]):
             warn(message)
-        if options.report is not None:
-            make_folder(options.report)
-        learned = learn_all(options, train[0])
+        if run.report is not None:
+            make_folder(run.report)
+        learned = learn_all(run, train[0])
         set_activity("writing the body and checking it")
-        write_all(options.out, paths, learned)
-        describe(options, learned, paths)
+        write_all(run.out, paths, learned)
+        describe(run, learned, paths)
         scores = score_people(learned, train, held)
         print_people(scores)
-        if options.report is not None:
-            write_report(options.report, options.settings(), learned, scores)
+        if run.report is not None:
+            write_report(run.report, run.settings, learned, scores)
 
 
-def check_options(options: "Learn") -> None:
-    """Check that options are compatible with several people. Raises `InputError`."""
-    others = {
-        "--resume": options.resume,
-        "--free-bones": options.free_bones,
-        "--limits": options.limits is not None,
-        "--floor": options.floor is not None,
-    }
-    for name, given in others.items():
-        if given:
+def check_people_options(given: Mapping[str, bool], components: int | None) -> None:
+    """Check options with several people: those `given` by name are for one person. Raises `InputError`."""
+    for name, present in given.items():
+        if present:
             raise InputError(f"{name} is for the meshes of one person; leave it out.")
-    if options.components is not None and options.components < 1:
-        raise InputError(f"--components is {options.components}; it must be at least 1.")
+    if components is not None and components < 1:
+        raise InputError(f"--components is {components}; it must be at least 1.")
 
 
 def motion_paths(out: Path, motion: Path | None, names: Sequence[str]) -> dict[str, Path]:
@@ -92,31 +96,31 @@ Meshes = tuple[dict[str, MeshSequence], dict[str, tuple[str, ...]]]
 
 
 def split_people(
-    people: Mapping[str, MeshSequence], names: Mapping[str, Sequence[str]], hold_out: int | None
+    people: Mapping[str, MeshSequence], names: Mapping[str, tuple[str, ...]], hold_out: int | None
 ) -> tuple[Meshes, Meshes]:
     """Split the meshes of each person into training and held-out ones. Raises `InputError` if none is held out."""
-    groups: tuple[Meshes, Meshes] = (({}, {}), ({}, {}))
+    train: Meshes = ({}, {})
+    held: Meshes = ({}, {})
     for name, meshes in people.items():
-        for (sequences, called), rows in zip(groups, split_held_out(len(meshes), hold_out), strict=True):
+        for (sequences, called), rows in zip(
+            (train, held), split_held_out(len(meshes), hold_out), strict=True
+        ):
             if len(rows):
                 sequences[name], called[name] = meshes[rows], tuple(names[name][row] for row in rows)
-    if hold_out is not None and not groups[1][0]:
+    if hold_out is not None and not held[0]:
         raise InputError(f"--hold-out {hold_out} leaves out no mesh of any person; give a lower number.")
-    return groups
+    return train, held
 
 
-def learn_all(options: "Learn", people: Mapping[str, MeshSequence]) -> LearnedPeople:
+def learn_all(run: PeopleRun, people: Mapping[str, MeshSequence]) -> LearnedPeople:
     """Run the learning loop with its progress."""
-    file, name = options.skeleton_file(), options.skeleton_name()
-    skeleton = name if file is None else load_skeleton(file, options.unit)
-    given = None if isinstance(skeleton, str) else skeleton
     count = sum(len(meshes) for meshes in people.values())
     vertices = next(iter(people.values())).vertices.shape[1]
     say(
         f"learning one body from {pluralise(len(people), 'person', 'people')}, {count} meshes of {vertices} vertices; a first body is "
         "learned from one person"
     )
-    with RoundProgress(options.rounds) as bar:
+    with RoundProgress(run.learning["rounds"]) as bar:
 
         def on_round(state: PeopleState) -> None:
             step, value = state.history[-1]
@@ -125,18 +129,7 @@ def learn_all(options: "Learn", people: Mapping[str, MeshSequence]) -> LearnedPe
             )
             bar.update(state.round, f"Q {value:.5g} m²{some}")
 
-        return learn_people(
-            people,
-            components=options.components,
-            joints=options.joints,
-            skin=options.skin,
-            alpha=options.alpha,
-            symmetry=options.symmetry if options.pairs is None else read_pairs(options.pairs, given),
-            skeleton=skeleton,
-            fix_joints=options.fix_joints,
-            rounds=options.rounds,
-            on_round=on_round,
-        )
+        return learn_people(people, on_round=on_round, **run.learning)
 
 
 def write_all(out: Path, paths: Mapping[str, Path], learned: LearnedPeople) -> None:
@@ -152,12 +145,12 @@ def person_body(model: BodyModel, coefficients: np.ndarray) -> Body:
     return shape_body(model, jnp.asarray(coefficients, model.template_coefficients.dtype))
 
 
-def describe(options: "Learn", learned: LearnedPeople, paths: Mapping[str, Path]) -> None:
+def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) -> None:
     """Print the size of the model, its joints and the variance of its components, and messages about the joints."""
     body = learned.model.template
     joints = sum(parent >= 0 for parent in body.skeleton.parents)
     say(
-        f"{options.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} bones with {joints} joints between them; poses and "
+        f"{run.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} bones with {joints} joints between them; poses and "
         f"coefficients in {next(iter(paths.values()))}" + (" and so on" if len(paths) > 1 else "")
     )
     shares = learned.explained
@@ -166,7 +159,7 @@ def describe(options: "Learn", learned: LearnedPeople, paths: Mapping[str, Path]
         f"{pluralise(len(shares), 'coefficient')} explain {100 * shares.sum():.1f} % of the variance of "
         f"{pluralise(len(learned.names), 'person', 'people')} at rest; the first {len(shares[:MAX_LISTED])}: {listed} %"
     )
-    asked = options.components
+    asked = run.learning["components"]
     if asked is not None and asked > len(shares):
         warn(
             f"--components is {asked}, and {len(learned.names)} people have {len(shares)} at most; give meshes of more people for more"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from ...errors import InputError
 from ...geometry.mesh import mesh_edges
@@ -71,10 +71,10 @@ def _check_topology(name: str, meshes: MeshSequence, first: str, others: MeshSeq
 def _check_one_person(name: str, meshes: MeshSequence, names: Sequence[str]) -> None:
     groups = find_people_by_size(np.asarray(meshes.vertices, float), np.asarray(meshes.faces))
     if len(groups) > 1:
-        few, many = (([names[mesh] for mesh in group]) for group in (groups[-1], groups[0]))
+        few, usual = [names[mesh] for mesh in groups[-1]], names[groups[0][0]]
         listed = ", ".join(few[:3]) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
         raise InputError(
-            f"learn_people: the meshes of {name} show several people: {listed} and {many[0]} differ by more than {MIN_GAP:.0%} in the "
+            f"learn_people: the meshes of {name} show several people: {listed} and {usual} differ by more than {MIN_GAP:.0%} in the "
             "size of most parts of the surface, which poses hardly change; give each person its own folder or file."
         )
 
@@ -101,7 +101,7 @@ def patch_sizes(
     """Compute the mean length of the edges in patches of the surface, metres."""
     edges = mesh_edges(faces)
     seeds = shapes[0][even_indices(shapes.shape[1], NUM_PATCHES)]
-    patches = cKDTree(seeds).query(shapes[0][edges].mean(1))[1]
+    patches = KDTree(seeds).query(shapes[0][edges].mean(1))[1]
     counts = np.bincount(patches, minlength=len(seeds))
     sums = [
         np.bincount(patches, np.linalg.norm(mesh[edges[:, 0]] - mesh[edges[:, 1]], axis=1), len(seeds))
