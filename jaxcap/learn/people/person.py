@@ -15,6 +15,7 @@ from ...body.pose import Pose, shift_roots
 from ...body.symmetry import symmetrise
 from ...fit.fit_meshes import procrustes_poses
 from ...observe.meshes import MeshSequence
+from ..anatomy.joint_evidence import MIN_LENGTH
 from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 
@@ -86,9 +87,13 @@ def joints_of_surface(
     parents = np.array(skeleton.parents)
     bends[:, parents < 0] = 0.0
     weights = 1.0 / (1.0 + (bends / MAX_BEND) ** 2) ** 2
-    centres = np.asarray(skeleton.centres, float).copy()
+    rest = np.asarray(skeleton.centres, float)
+    centres = rest.copy()
     for joint, parent in enumerate(parents):
         if parent < 0:
+            continue
+        if np.linalg.norm(rest[joint] - rest[parent]) < MIN_LENGTH:
+            centres[joint] = centres[parent]
             continue
         bones = np.einsum("fba,fb->fa", turns[:, parent], posed[:, joint] - posed[:, parent])
         shares = weights[:, joint] * weights[:, parent]
