@@ -82,7 +82,18 @@ def bomb(name: str, shape: str, dtype: str = "<f8") -> bytes:
 
 
 def _archives() -> Iterator[tuple[str, str, bytes]]:
-    readers = ("body", "motion", "subject", "limits", "prior", "amass", "checkpoint", "meshes", "clouds")
+    readers = (
+        "body",
+        "model",
+        "motion",
+        "subject",
+        "limits",
+        "prior",
+        "amass",
+        "checkpoint",
+        "meshes",
+        "clouds",
+    )
     small = npz(
         points=np.zeros((1, 3, 3)),
         vertices=np.zeros((1, 3, 3)),

@@ -23,8 +23,10 @@ from jaxcap.io.archives.limits import load_limits, read_limits
 from jaxcap.io.archives.npz import load_body_limits, load_skeleton
 from jaxcap.io.archives.prior import load_priors, load_shape_prior, shape_prior_size
 from jaxcap.io.archives.run_statistics import read_statistics
+from jaxcap.io.body_models.learned import read_model_people
 from jaxcap.io.body_models.mhr import read_mhr
 from jaxcap.io.body_models.skel import read_skel
+from jaxcap.io.body_models.smpl import read_body_model
 from jaxcap.io.cameras import read_cameras
 from jaxcap.io.constraints import read_constraints
 from jaxcap.io.gltf.gltf_reader import read_gltf
@@ -228,6 +230,7 @@ READERS: dict[str, tuple[Reader, ...]] = {
     "corrections": (read_corrections,),
     "pairs": (_pairs,),
     "body": (read_body, read_skeleton, load_body_limits),
+    "model": (read_body, read_skeleton, read_body_model, read_model_people),
     "motion": (lambda path: read_body_motion(_body(), path), load_skeleton),
     "subject": (load_subject,),
     "limits": (_corrupt_limits, _contents),

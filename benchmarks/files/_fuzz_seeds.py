@@ -12,7 +12,9 @@ import numpy as np
 from jaxcap.adapt.shape.shape_prior import ShapePrior, uniform_laplacian
 from jaxcap.adapt.task import AdaptState
 from jaxcap.body.body import Body
+from jaxcap.body.body_model import BodyModel
 from jaxcap.body.pose import Motion, Pose
+from jaxcap.body.shape_modes import ShapeModes
 from jaxcap.body.skeleton import Skeleton, make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, swing_twist_from
 from jaxcap.cli.adapt.state import make_checkpoint
@@ -23,6 +25,7 @@ from jaxcap.io.archives.journal import create_journal
 from jaxcap.io.archives.limits import save_limits
 from jaxcap.io.archives.npz import save_body, save_motion
 from jaxcap.io.archives.prior import save_prior
+from jaxcap.io.body_models.learned import save_body_model
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.markers.subject import save_subject
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
@@ -87,6 +90,16 @@ def fuzz_body(skin: str = "linear") -> Body:
     return Body(skeleton, skins[skin](), jnp.asarray(vertices), jnp.asarray(faces))
 
 
+def fuzz_model(skin: str, rng: np.random.Generator) -> BodyModel:
+    """Make a body model of three coefficients around `fuzz_body`."""
+    body = fuzz_body(skin)
+    shapes = (3, body.skeleton.num_joints, 3), (3, len(body.vertices), 3)
+    modes = ShapeModes(*(jnp.asarray(0.01 * rng.normal(size=shape)) for shape in shapes))
+    return BodyModel(
+        body, modes, jnp.zeros(3), (("betas", 2), ("size", 1)), "made", jnp.full(3, -4.0), jnp.full(3, 4.0)
+    )
+
+
 def fuzz_motion(skeleton: Skeleton, rng: np.random.Generator, still: bool = False) -> Motion:
     """Make a few frames in which every ball joint rotates; with `still`, only the root moves."""
     joints = skeleton.num_joints
@@ -119,7 +132,7 @@ FORMATS = (
     "skl", "vj", "cst", "bvh", "asf", "amc", "off", "obj", "ply", "stl", "glb", "gltf",
     "skinned", "usda", "usdc", "usdz", "c3d", "trc", "csv", "cameras", "constraints",
     "vertices", "corrections", "pairs", "body", "motion", "subject", "limits", "prior", "shape", "amass",
-    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans", "osim", "mot", "tasks", "mhr", "skel",
+    "checkpoint", "adapt", "learn", "journal", "meshes", "clouds", "statistics", "scans", "osim", "mot", "tasks", "mhr", "skel", "model",
 )  # fmt: skip
 
 
@@ -128,6 +141,10 @@ def _bodies(folder: Path, rng: np.random.Generator) -> None:
     motion = fuzz_motion(body.skeleton, rng)
     for skin in ("linear", "rigid", "dual", "swing"):
         save_body(folder / f"body-{skin}.npz", fuzz_body(skin))
+    for skin in ("linear", "swing"):
+        save_body_model(
+            folder / f"model-{skin}.npz", fuzz_model(skin, rng), {"anna": np.zeros(3), "ben": np.ones(3)}
+        )
     save_motion(folder / "motion-own.npz", motion, body.skeleton)
     save_motion(folder / "motion-bare.npz", motion)
     write_amass(folder / "amass-a.npz", body.skeleton, motion)

@@ -58,6 +58,8 @@ SIDED = {
     "elbow": "ForeArm",
     "wrist": "Hand",
 }
+#: parts whose joints are scored without the distance along their axis
+HINGES = ("knee", "elbow")
 MIDDLE = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
 MAJOR = {f"{side}{part}": f"{side}{part}" for part in SIDED.values() for side in ("Left", "Right")} | {
     "Neck": "Neck"
@@ -143,13 +145,15 @@ def true_figures(person: Person, learned: tuple[Learned, Learned]) -> dict[str, 
         errors = named_joint_errors(person.body, motion, half.body, half.motion, person.joints)
         for name, centre, off in zip(errors.names, errors.centres, errors.determined, strict=True):
             progress(f"    {name:14s} {centre:6.1f} mm, {off:6.1f} mm off its axis")
-            part = next((label for label, word in SIDED.items() if name.endswith(word)), "neck")
-            # "Leg" also ends "UpLeg", and "Arm" also "ForeArm"
-            part = {"UpLeg": "hip", "ForeArm": "elbow"}.get(
-                name.removeprefix("Left").removeprefix("Right"), part
-            )
-            groups.setdefault(part, []).append(off if part in ("knee", "elbow") else centre)
+            part = part_of(name)
+            groups.setdefault(part, []).append(off if part in HINGES else centre)
     return {f"{part}_mm": max(values) for part, values in groups.items()}
+
+
+def part_of(name: str) -> str:
+    """Return the part of the body of a major joint, such as hip or neck."""
+    word = name.removeprefix("Left").removeprefix("Right")
+    return next((part for part, end in SIDED.items() if end == word), "neck")
 
 
 def middle_distance(person: Person, learned: tuple[Learned, Learned]) -> float:

@@ -12,6 +12,8 @@ from .archives.prior import save_prior as save_prior
 from .body_models.anny import anny_coefficients as anny_coefficients
 from .body_models.anny import anny_pose as anny_pose
 from .body_models.anny import read_anny as read_anny
+from .body_models.learned import read_model_people as read_model_people
+from .body_models.learned import save_body_model as save_body_model
 from .body_models.mhr import read_mhr as read_mhr
 from .body_models.mhr import read_mhr_motion as read_mhr_motion
 from .body_models.skel import read_skel as read_skel

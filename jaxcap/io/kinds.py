@@ -108,6 +108,7 @@ KIND_PLURALS = {
 #: commands that write the formats of an `.npz`
 WRITERS = {
     "body": "`jaxcap rig`, `learn` or `adapt`",
+    "body model": "`jaxcap learn --people`",
     "motion": "`jaxcap track`, `fit` or `adapt`",
     "subject": "`jaxcap markers fit`",
     "limits": "`jaxcap limits learn`",
@@ -128,7 +129,7 @@ _COUNTED = {
 #: keys of the intrinsics of a camera, as other programs write them
 INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx")
 #: names of formats in an `.npz`
-_FORMATS = ("body", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
+_FORMATS = ("body", "body model", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
 _ARCHIVE_SUFFIXES = (".npz", ".partial")
 _SUFFIXES = {
@@ -185,6 +186,8 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
     found = set(names)
     if format_name.removeprefix("jaxcap ") in _FORMATS:
         return format_name.removeprefix("jaxcap ")
+    if {"modes.centres", "modes.vertices", "template_coefficients"} <= found:
+        return "body model"
     if "skin" in found:
         # a body without the name of its format
         return "arrays"

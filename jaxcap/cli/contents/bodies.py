@@ -9,12 +9,13 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...io.body_models.learned import is_own_model, read_model_people
 from ...io.gltf.gltf_reader import read_shape_keys
 from ...io.meshes.mesh import check_mesh, read_mesh
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
-from ..body_models import is_morphs_spec, load_model
+from ..body_models import is_morphs_spec, load_model, split_model
 from ..console.console import pluralise, say
 from ..motions import extent, load_motion, warn_of_clip
 from .listing import indented, print_list
@@ -44,6 +45,10 @@ def describe_model(spec: str) -> str:
     else:
         groups = ", ".join(f"{size} {name}" for name, size in model.groups)
     say(f"body model: {model.family}, {groups}")
+    path = split_model(spec)[0]
+    people = read_model_people(path) if is_own_model(path) else {}
+    if people:
+        say(f"learned from {pluralise(len(people), 'person', 'people')}: {list_names(people)}")
     describe_body(model.template)
     return "body model"
 

@@ -14,14 +14,13 @@ from ...body.skin import RigidSkin
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...fit.fit_meshes import fit_meshes
-from ...io.archives.checkpoint import load_checkpoint, save_checkpoint
+from ...io.archives.checkpoint import save_checkpoint
 from ...io.archives.journal import hash_file
 from ...io.archives.npz import save_body, save_motion
 from ...io.meshes.meshes import read_named_meshes
 from ...io.system.run_lock import run_lock
 from ...learn.anatomy.choose_skeleton import SkeletonName, choose_skeleton
 from ...learn.anatomy.find_person import PlacedPerson
-from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, far_joints, joint_evidence
 from ...learn.check_meshes import check_meshes
 from ...learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ...learn.parts.check_parts import check_learned
@@ -39,7 +38,10 @@ from ..outputs import check_npz, check_parent, is_run_complete, make_folder
 from ..scoring import mesh_hashes, print_scores, score_motion
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .input import read_pairs, skeleton_digest, split_held_out
-from .state import STATE_ARRAYS, make_checkpoint, restore_state
+from .joints import evidence_of, say_joints
+from .people import PeopleRun, check_people_options, run_people
+from .people_input import names_people
+from .state import load_state, make_checkpoint
 
 #: values of --skeleton that are not files
 SKELETON_NAMES = ("human", "none")
@@ -49,7 +51,8 @@ OptionalText = Annotated[str | None, arg(metavar="LEFT:RIGHT,...", help_behavior
 @dataclass
 class Learn:
     """Learn an animatable body from registered meshes of one actor in many poses; write the body and its poses in the
-    meshes. All meshes have the same vertices, in the same order.
+    meshes. All meshes have the same vertices, in the same order. With --people they are of several people, and the result is a
+    body model with shape coefficients.
 
     An interrupted run continues with --resume. The result is the same as without the interruption."""
 
@@ -71,6 +74,11 @@ class Learn:
     """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
     by the names of joints, or detected from the lengths and areas of the limbs. Without --skeleton, joints are then found
     from the motion."""
+    people: Flag = False
+    """MESHES show several people, and a body model of all is written: a folder, an .npz or the mesh files of a folder are one
+    person. A pattern with a named part, such as "meshes/{subject}/*.ply", does the same for the text of this part."""
+    components: OptionalCount = None
+    """Number of shape coefficients with --people. Default: one less than people, which is also the most."""
     skeleton: Annotated[
         OptionalFile,
         arg(
@@ -108,6 +116,9 @@ class Learn:
 
     def run(self) -> None:
         self.check()
+        if self.people or names_people(self.meshes):
+            self.run_people()
+            return
         motion_path = self.motion or self.out.with_name(f"{self.out.stem}-motion.npz")
         kept = self.out.with_name(f"{self.out.name}.partial")
         for path in (self.out, motion_path):
@@ -120,6 +131,26 @@ class Learn:
             check_npz(self.out, replace, "a body")
             check_npz(motion_path, replace)
             self.learn_all(motion_path, kept)
+
+    def run_people(self) -> None:
+        """Learn one body model from the meshes of several people."""
+        for_one = {
+            "--resume": self.resume,
+            "--free-bones": self.free_bones,
+            "--limits": self.limits is not None,
+            "--floor": self.floor is not None,
+        }
+        check_people_options(for_one, self.components)
+        file = self.skeleton_file()
+        given = None if file is None else load_skeleton(file, self.unit)
+        own = ("components", "joints", "skin", "alpha", "fix_joints", "rounds")
+        learning = {
+            **{name: getattr(self, name) for name in own},
+            "symmetry": self.symmetry if self.pairs is None else read_pairs(self.pairs, given),
+            "skeleton": self.skeleton_name() if given is None else given,
+        }
+        files = (self.meshes, self.out, self.motion, self.report, self.unit, self.rate)
+        run_people(PeopleRun(*files, self.hold_out, self.overwrite, learning, self.settings()))
 
     def learn_all(self, motion_path: Path, checkpoint_path: Path) -> None:
         """Read, learn, write and score, while the lock excludes other runs with the same output files."""
@@ -135,7 +166,7 @@ class Learn:
         header = {**self.settings(), **mesh_hashes(sequence[train])}
         file = self.skeleton_file()
         given = None if file is None else load_skeleton(file, self.unit)
-        resumed = self.start(checkpoint_path, header)
+        resumed = load_state(checkpoint_path, header, self.resume, self.overwrite)
         if self.report is not None:
             make_folder(self.report)
         tree = self.choose(sequence[train], [names[row] for row in train], given, resumed)
@@ -179,6 +210,8 @@ class Learn:
             raise InputError("--fix-joints needs a skeleton; give it with --skeleton.")
         if self.limits is not None and not has_skeleton:
             raise InputError("--limits needs a skeleton; give it with --skeleton.")
+        if self.components is not None and not (self.people or names_people(self.meshes)):
+            raise InputError("--components is for several people; give --people.")
         if self.free_bones and (has_skeleton or self.pairs is not None):
             raise InputError("--free-bones uses no skeleton and no pairs; omit --skeleton and --pairs.")
 
@@ -237,23 +270,6 @@ class Learn:
         labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
         body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
         return read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor)
-
-    def start(self, checkpoint_path: Path, header: dict[str, object]) -> LearnState | None:
-        """Load the state to resume from; None to start again. Raises `InputError` if another run's checkpoint
-        exists."""
-        if self.resume:
-            if checkpoint_path.is_file():
-                return restore_state(
-                    load_checkpoint(checkpoint_path, header, STATE_ARRAYS),
-                    checkpoint_path,
-                )
-            # without a file the run was probably stopped before the end of its first round
-            return None
-        if checkpoint_path.exists() and not self.overwrite:
-            raise InputError(
-                f"{checkpoint_path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
-            )
-        return None
 
     def learn(
         self,
@@ -349,19 +365,3 @@ class Learn:
                 learned.given,
             )
             say(f"report.json and pictures are in {self.report}")
-
-
-def say_joints(learned: Learned) -> None:
-    """Print the joints, the lengths of their bones left and right, and what the meshes show of them."""
-    for line in describe_joints(evidence_of(learned), learned.given is not None):
-        say(line)
-    if learned.given is not None and learned.given.normals is not None:
-        for message in far_joints(evidence_of(learned)):
-            warn(message)
-    if not len(learned.left_right_pairs):
-        say("no left and right joints were paired")
-
-
-def evidence_of(learned: Learned) -> JointEvidence:
-    """Collect what the meshes show of the joints of a learned body."""
-    return joint_evidence(learned.body.skeleton, learned.motion, learned.left_right_pairs, learned.given)

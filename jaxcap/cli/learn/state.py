@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import InputError
-from ...io.archives.checkpoint import Checkpoint
+from ...io.archives.checkpoint import Checkpoint, load_checkpoint
 from ...io.archives.npz import get_array
 from ...learn.learn_body import LearnState
 from ...learn.skeleton.joint_centre_prior import GivenCentres
@@ -47,6 +47,21 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> LearnState:
         curve=get_array(checkpoint.arrays, "curve", path, (None,)),
         given=restore_given(checkpoint, path),
     )
+
+
+def load_state(path: Path, header: dict[str, object], resume: bool, overwrite: bool) -> LearnState | None:
+    """Load the state of the checkpoint `path` to resume from; None to start again.
+
+    **Raises:** `InputError` if the checkpoint of another run exists, or that of this run without `resume` and `overwrite`.
+    """
+    if resume:
+        # without a file the run was probably stopped before the end of its first round
+        return restore_state(load_checkpoint(path, header, STATE_ARRAYS), path) if path.is_file() else None
+    if path.exists() and not overwrite:
+        raise InputError(
+            f"{path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
+        )
+    return None
 
 
 def given_arrays(given: GivenCentres | None) -> dict[str, np.ndarray]:

@@ -261,7 +261,7 @@ def motion_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> Motion:
 @reader_of("a skeleton")
 def load_skeleton(path: str | Path) -> Skeleton:
     """Read the skeleton of a body or subject file, or of a motion file that was written with one."""
-    kinds = ("jaxcap body", "jaxcap motion", "jaxcap subject")
+    kinds = ("jaxcap body", "jaxcap body model", "jaxcap motion", "jaxcap subject")
     return skeleton_of(load_format(path, *kinds, select=lambda name: name in _SKELETON_ARRAYS), path)
 
 

@@ -9,6 +9,7 @@ from ..archives.archive import array_names
 from ..archives.pickle_arrays import read_pickled_arrays
 from ..kinds import kind_of_arrays
 from ..system.reader_errors import reader_of
+from .learned import is_own_model, read_own_model
 from .mhr import read_mhr
 from .skel import ARRAYS as SKEL_ARRAYS
 from .skel import TREE, make_skel
@@ -38,6 +39,8 @@ def read_model_file(path: str | Path, **options: Any) -> BodyModel:
     suffix = Path(path).suffix.lower()
     if suffix == ".pt":
         return read_mhr(path, **options)
+    if is_own_model(path):
+        return read_own_model(path, **options)
     if suffix != ".pkl":
         return read_body_model(path, **options)
     entries = read_pickled_arrays(Path(path), (*SMPL_ARRAYS, *SKEL_ARRAYS))

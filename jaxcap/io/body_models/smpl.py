@@ -29,6 +29,7 @@ from ..kinds import kind_of_arrays
 from ..skeletons.twist_axes import twist_orientations
 from ..system.reader_errors import reader_of
 from .families import FAMILIES, PARENTS, STAR, Family, family_in_name, split_directions
+from .learned import is_own_model, read_own_model
 
 #: the arrays of a model
 ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -47,7 +48,8 @@ def read_body_model(
     num_expression: int = NUM_EXPRESSION,
     joints: Literal["full", "tracking"] = "full",
 ) -> BodyModel:
-    """Read a body model of SMPL's family: SMPL, SMPL-H, SMPL-X, MANO, FLAME or STAR, `.npz` or `.pkl`.
+    """Read a body model of SMPL's family: SMPL, SMPL-H, SMPL-X, MANO, FLAME or STAR, `.npz` or `.pkl`, or one that
+    `save_body_model` wrote.
 
     The joints have the names of the package `smplx`, in the order of the file. A pickle is not unpickled: its arrays are read,
     and anything else in it is refused (`read_pickled_arrays`). The model is y up, in metres, as the file has it. The rotations
@@ -60,6 +62,8 @@ def read_body_model(
     **Raises:** `InputError` if the file has another format or family than its name states, is damaged, or its arrays do not
     fit each other.
     """
+    if is_own_model(path):
+        return read_own_model(path, num_betas)
     return make_smpl(_load(Path(path)), path, num_betas, num_expression, joints)
 
 

@@ -12,7 +12,8 @@ from ..skeleton.joint_centre_prior import GivenCentres, given_pull, motion_infor
 
 #: share of the meshes in the position of a joint, across the direction that they determine least, above which they determine it
 MIN_SHARE = 0.5
-
+#: shorter bones, metres, connect joints in one place, such as those that carry the hips
+MIN_LENGTH = 1e-3
 
 #: distance from the given position that is more than the error of a placed skeleton, metres
 MAX_SHIFT = 0.04
@@ -40,7 +41,9 @@ class JointEvidence(NamedTuple):
         """The largest difference of the lengths of two paired bones, as a share of the length."""
         rows = np.flatnonzero(self.partners >= 0)
         pair = self.lengths[rows], self.lengths[self.partners[rows]]
-        return float(np.max(np.abs(pair[0] - pair[1]) / np.maximum(np.maximum(*pair), 1e-12), initial=0.0))
+        return float(
+            np.max(np.abs(pair[0] - pair[1]) / np.maximum(np.maximum(*pair), MIN_LENGTH), initial=0.0)
+        )
 
 
 @checked
@@ -90,13 +93,13 @@ def largest_rotations(rotations: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray
 def describe_joints(evidence: JointEvidence, was_given: bool) -> list[str]:
     """Format a table of the joints, left next to right.
 
-    Bones of zero length, such as those that carry the hips, are left out. `was_given` adds a column with the source of the
+    Bones of no length, such as those that carry the hips, are left out. `was_given` adds a column with the source of the
     positions.
     """
     rows = [("joint", "bone, mm", "rotates", "position from" if was_given else "")]
     done: set[int] = set()
     for row, partner in enumerate(evidence.partners.tolist()):
-        if row in done or evidence.lengths[row] == 0:
+        if row in done or evidence.lengths[row] < MIN_LENGTH:
             continue
         group = [row] if partner < 0 else [row, partner]
         done |= set(group)

@@ -100,10 +100,12 @@ class JointProblem(AbstractProblem[JointState]):
     terms: AbstractEnergy | None = None
     left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     middle_planes: MiddlePlanes | None = None
+    #: whether the orientations of joints are unknowns
+    free_orientations: bool = eqx.field(static=True, default=True)
 
     @property
     def slots(self) -> tuple[int, ...]:
-        return shared_slots(self.body)
+        return shared_slots(self.body, self.free_orientations)
 
     def start(self, poses: Pose) -> JointState:
         """Return the current joints and the given poses as a starting point."""
@@ -184,11 +186,13 @@ def improve_joints(
     steps: int = STEPS,
     given_centres: GivenCentres | None = None,
     terms: AbstractEnergy | None = None,
+    free_orientations: bool = True,
 ) -> JointStep:
     """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
     Components of a centre that no motion determines follow the `given_centres` skeleton or else the cut between
-    parts. If anchors that pull would raise Q, they only damp the motion of centres.
+    parts. If anchors that pull would raise Q, they only damp the motion of centres. Without `free_orientations`, joints keep
+    their orientations, which several bodies may share.
     """
     anchors = (
         boundary_centre_prior(body, poses, metric, value / targets.size)
@@ -201,7 +205,16 @@ def improve_joints(
     for strength in (1.0, 0.0):
         strength = jnp.asarray(strength, targets.dtype)
         problem = JointProblem(
-            body, targets, metric, curvature, anchors, strength, terms, left_right_pairs, planes
+            body,
+            targets,
+            metric,
+            curvature,
+            anchors,
+            strength,
+            terms,
+            left_right_pairs,
+            planes,
+            free_orientations,
         )
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
@@ -234,9 +247,11 @@ def plane_distances(
     return jnp.sum((centres[joints] - planes.points) * planes.normals, 1), slopes
 
 
-def shared_slots(body: Body) -> tuple[int, ...]:
-    """Return the indices of unknowns in `joint_jacobian`: centres, and orientations without the roll."""
-    numbers = [0, 1, 2, 4, 5] if isinstance(body.skin, SwingTwistSkin) else [0, 1, 2]
+def shared_slots(body: Body, free_orientations: bool = True) -> tuple[int, ...]:
+    """Return the indices of unknowns in `joint_jacobian`: centres, and orientations without the roll if they are free and the
+    skin has twist axes."""
+    twisting = free_orientations and isinstance(body.skin, SwingTwistSkin)
+    numbers = [0, 1, 2, 4, 5] if twisting else [0, 1, 2]
     # the centre of a fixed joint has no effect on the surface
     below = [
         joint

@@ -55,7 +55,7 @@ def sweep(
     solver: SwingTwistWeightSolver | LinearWeightSolver | RigidWeightSolver,
     rows,
     field: ErrorField,
-    rest: Float[Array, "V 3"],
+    rest: Float[Array, "V 3 N"],
     metric: Conformance,
     blocks: Int[Array, "B C"],
     slide_length: Float[Array, ""],
@@ -65,7 +65,8 @@ def sweep(
 ) -> SweepResult:
     """Update the weights of the vertices of every block, block after block.
 
-    **Arguments:** `rows` are the weights of all vertices in the format of the `solver`; `blocks` are
+    **Arguments:** `rows` are the weights of all vertices in the format of the `solver`; `rest` are the vertices at rest,
+    one column for all frames or one for each; `blocks` are
     vertices of which no two are coupled by the metric, padded with V; `slide_length`, `relaxation`,
     `num_candidates` as in `SwingTwistWeightSolver.solve`; `neighbour_offset` selects the neighbours whose
     weights are tried. The buffer of `field` is donated.

@@ -16,9 +16,11 @@ the start, as it may near the optimum, these sweeps are undone, and all sweeps u
 """
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,7 +29,7 @@ from ...body.body import Body
 from ...body.pose import Pose
 from ...body.skin import LinearSkin, RigidSkin, SwingTwistSkin
 from ...geometry.laplacian import Conformance
-from .coordinate_descent import error_field, field_energy, make_blocks, scale_alpha, sweep
+from .coordinate_descent import ErrorField, error_field, field_energy, make_blocks, scale_alpha, sweep
 from .graph_colouring import colour_vertices, within_two_rings
 from .linear_weights import RigidWeightSolver, make_linear_weight_solver
 from .swing_twist_weights import (
@@ -70,6 +72,14 @@ class ImprovedWeights(NamedTuple):
     energies: tuple[float, ...]
 
 
+class PosedMeshes(NamedTuple):
+    """A body, its poses stacked over F frames, and the registered meshes in these poses, metres."""
+
+    body: Body
+    poses: Pose
+    targets: Float[Array, "F V 3"]
+
+
 def improve_weights(
     body: Body,
     poses: Pose,
@@ -91,8 +101,33 @@ def improve_weights(
     **Raises:** `ValueError` for a skin that is neither swing-twist, linear nor rigid, and for targets with
     another number of frames or vertices.
     """
-    _check(body, poses, targets)
-    descent = _Descent(body, poses, targets, metric, influences)
+    return improve_shared_weights(
+        [PosedMeshes(body, poses, targets)],
+        metric,
+        sweeps=sweeps,
+        tolerance=tolerance,
+        coarse=coarse,
+        influences=influences,
+    )
+
+
+def improve_shared_weights(
+    subjects: Sequence[PosedMeshes],
+    metric: Conformance,
+    *,
+    sweeps: int = 10,
+    tolerance: float = 1e-3,
+    coarse: bool = True,
+    influences: int | None = None,
+) -> ImprovedWeights:
+    """Improve the skinning weights that several bodies share, as `improve_weights`; Q is the sum over all subjects.
+
+    The bodies have the same tree, skin and triangles, and rest vertices, joints and poses of their own. The result is the
+    first body, with the weights of all.
+    """
+    for subject in subjects:
+        _check(*subject)
+    descent = _Descent(subjects, metric, influences)
     start, before = descent.rows, descent.energy()
     energies = [before]
     if coarse and float(metric.alpha) > MIN_COARSE_ALPHA:
@@ -115,9 +150,14 @@ def improve_weights(
 class _Descent:
     """The state of the descent: weights in the format of their solver, and the error field."""
 
-    def __init__(self, body: Body, poses: Pose, targets, metric: Conformance, influences: int | None):
-        self._body, self._poses, self._targets, self._metric = body, poses, targets, metric
-        self._solver, rows, self._restore = _weight_solver(body, poses, influences)
+    def __init__(self, subjects: Sequence[PosedMeshes], metric: Conformance, influences: int | None):
+        self._subjects, self._metric = subjects, metric
+        self._body = subjects[0].body
+        self._rest = _rest_of_frames(subjects)
+        solvers = [_weight_solver(subject.body, subject.poses, influences) for subject in subjects]
+        self._solver, rows, self._restore = solvers[0]
+        if len(solvers) > 1:
+            self._solver = _concatenate_frames([solver for solver, _, _ in solvers])
         self._colours = colour_vertices(metric)
         self._share, self._turns = 1.0, 0
         self.reset(rows)
@@ -125,7 +165,12 @@ class _Descent:
     def reset(self, rows) -> None:
         """Set the weights, and mark all vertices for an update."""
         self.rows = rows
-        self._field = error_field(self.body(), self._poses, self._targets, self._metric)
+        skin = self._restore(rows)
+        fields = [
+            error_field(eqx.tree_at(lambda body: body.skin, body, skin), poses, targets, self._metric)
+            for body, poses, targets in self._subjects
+        ]
+        self._field = ErrorField(*(jnp.concatenate(parts, -1) for parts in zip(*fields, strict=True)))
         self.stale = np.ones(len(self._body.vertices), bool)
 
     def body(self) -> Body:
@@ -146,7 +191,7 @@ class _Descent:
             self._solver,
             self.rows,
             self._field,
-            self._body.vertices,
+            self._rest,
             scale_alpha(self._metric, settings.alpha_share),
             make_blocks(self._colours, active, order),
             jnp.asarray(settings.slide_length, self._body.vertices.dtype),
@@ -156,6 +201,26 @@ class _Descent:
         )
         self.stale = within_two_rings(self._metric, np.asarray(changed))
         self._share, self._turns = settings.alpha_share, self._turns + NUM_NEIGHBOURS
+
+
+def _rest_of_frames(subjects: Sequence[PosedMeshes]) -> Float[Array, "V 3 N"]:
+    """Return the rest vertices of one body for all frames, or those of several bodies with one column for each frame."""
+    if len(subjects) == 1:
+        return subjects[0].body.vertices[..., None]
+    rest = [
+        jnp.repeat(body.vertices[..., None], len(poses.rotations), axis=-1) for body, poses, _ in subjects
+    ]
+    return jnp.concatenate(rest, -1)
+
+
+def _concatenate_frames(solvers: list):
+    """Concatenate the frames of several solvers of one tree: the last axis of all arrays of numbers."""
+    return jax.tree.map(
+        lambda first, *others: (
+            jnp.concatenate([first, *others], -1) if jnp.issubdtype(first.dtype, jnp.floating) else first
+        ),
+        *solvers,
+    )
 
 
 def _weight_solver(body: Body, poses: Pose, influences: int | None):

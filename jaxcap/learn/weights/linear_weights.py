@@ -24,7 +24,7 @@ class LinearWeightSolver(eqx.Module):
         self,
         rows: Float[Array, "C J"],
         neighbour_rows: list[Float[Array, "C J"]],
-        rest: Float[Array, "C 3"],
+        rest: Float[Array, "C 3 N"],
         target_offsets: Float[Array, "C 3 F"],
         slide_length: Float[Array, ""],
         relaxation: Float[Array, ""],
@@ -52,10 +52,9 @@ class LinearWeightSolver(eqx.Module):
             jnp.sum(target_offsets**2, (1, 2)) - jnp.sum((target_offsets - shift) ** 2, (1, 2)),
         )
 
-    def _images(self, rest: Float[Array, "C 3"]) -> Float[Array, "C J 3 F"]:
+    def _images(self, rest: Float[Array, "C 3 N"]) -> Float[Array, "C J 3 F"]:
         axes = [
-            sum(self.rotations[:, 3 * a + b] * rest[:, b, None, None] for b in range(3))
-            + self.translations[:, a]
+            sum(self.rotations[:, 3 * a + b] * rest[:, b, None] for b in range(3)) + self.translations[:, a]
             for a in range(3)
         ]
         return jnp.stack(axes, 2)
@@ -71,7 +70,7 @@ class RigidWeightSolver(eqx.Module):
         self,
         rows: Int[Array, "C"],
         neighbour_rows: list[Int[Array, "C"]],
-        rest: Float[Array, "C 3"],
+        rest: Float[Array, "C 3 N"],
         target_offsets: Float[Array, "C 3 F"],
         slide_length: Float[Array, ""],
         relaxation: Float[Array, ""],

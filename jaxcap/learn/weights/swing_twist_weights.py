@@ -58,7 +58,7 @@ class SwingTwistWeightSolver(eqx.Module):
         self,
         rows: SwingTwistRows,
         neighbour_rows: list[SwingTwistRows],
-        rest: Float[Array, "C 3"],
+        rest: Float[Array, "C 3 N"],
         target_offsets: Float[Array, "C 3 F"],
         slide_length: Float[Array, ""],
         relaxation: Float[Array, ""],
@@ -69,7 +69,7 @@ class SwingTwistWeightSolver(eqx.Module):
         Returns the weights, the displacement of the vertex, and the decrease of its squared distance to the
         aim.
 
-        **Arguments:** `neighbour_rows` are the weights of neighbours; `rest` vertices, metres; `target_offsets` are the
+        **Arguments:** `neighbour_rows` are the weights of neighbours; `rest` vertices, metres, one column for all frames or one for each; `target_offsets` are the
         displacements from the current positions to the goals; `slide_length` is the length of slides; `relaxation` scales
         the aims when weights are solved for (over-relaxation). Candidates are compared by the unscaled aims.
         """
@@ -296,11 +296,11 @@ def _signs(twist, neutral, reals):
     return signs[:, 0], signs[:, 1:]
 
 
-def _move(motion: Float[Array, "C 8 F"], rest: Float[Array, "C 3"]) -> Float[Array, "C 3 F"]:
+def _move(motion: Float[Array, "C 8 F"], rest: Float[Array, "C 3 N"]) -> Float[Array, "C 3 F"]:
     """Apply `dual_quaternions.apply` with frames last."""
     a0, v0, ae, ve = motion[:, :1], motion[:, 1:4], motion[:, 4:5], motion[:, 5:]
     squared = jnp.sum(motion[:, :4] ** 2, 1, keepdims=True)
-    points = jnp.broadcast_to(rest[:, :, None], v0.shape)
+    points = jnp.broadcast_to(rest, v0.shape)
     turned = _cross(v0, _cross(v0, points) + a0 * points)
     return points + 2.0 * (turned + a0 * ve - ae * v0 + _cross(v0, ve)) / squared
 

@@ -1,0 +1,21 @@
+"""The joints of a learned body as text."""
+
+from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, far_joints, joint_evidence
+from ...learn.learn_body import Learned
+from ..console.console import say, warn
+
+
+def say_joints(learned: Learned) -> None:
+    """Print the joints, the lengths of their bones left and right, and what the meshes show of them."""
+    for line in describe_joints(evidence_of(learned), learned.given is not None):
+        say(line)
+    if learned.given is not None and learned.given.normals is not None:
+        for message in far_joints(evidence_of(learned)):
+            warn(message)
+    if not len(learned.left_right_pairs):
+        say("no left and right joints were paired")
+
+
+def evidence_of(learned: Learned) -> JointEvidence:
+    """Collect what the meshes show of the joints of a learned body."""
+    return joint_evidence(learned.body.skeleton, learned.motion, learned.left_right_pairs, learned.given)

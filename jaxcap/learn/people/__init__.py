@@ -1,0 +1,1 @@
+"""One body, with a shape space, from the meshes of several people."""

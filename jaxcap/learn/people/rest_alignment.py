@@ -1,0 +1,102 @@
+"""One rest pose of several people: the rotations of bones at rest, which joints' motions hardly determine, are made alike."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
+from ...body.kinematics import forward_kinematics
+from ...body.pose import Pose
+from ...fit.fit_meshes import procrustes_poses
+from ...geometry import rotation
+from ...observe.meshes import MeshSequence
+from ..skeleton.joint_centre_prior import GivenCentres
+from ..weights.rest_vertices import fit_rest_vertices
+from .person import Person, onto_middle
+from .shape_space import mean_body
+
+#: kinds of joints that can rest in any pose
+FREE_KINDS = ("free", "ball", "fixed")
+
+
+def align_rest_poses(people: Sequence[Person]) -> list[Person]:
+    """Rotate the bones of each person at rest as those of the mean, and move the person to its position.
+
+    A body may rest in any pose, which its poses make up for. Differences of rest poses would count as differences of shape. The
+    rotation of a bone is that which best aligns its vertices, each group centred, with those of the mean, so that sizes and
+    lengths do not count (`procrustes_poses`; SMPL also normalises the pose before principal components). Poses change so that
+    bones are where they were; vertices at rest are solved for again. Joints with fewer axes than three keep their rest pose.
+
+    The prior of each person's joints becomes that of the surface around the joints of the mean, which all people determine.
+    """
+    mean = mean_body([person.body for person in people])
+    regressor = make_joint_regressor(mean)
+    can_rotate = all(kind in FREE_KINDS for kind in mean.skeleton.kinds)
+    shapes = MeshSequence(jnp.stack([person.body.vertices for person in people]), mean.faces)
+    turned = procrustes_poses(mean, shapes)
+    aligned = []
+    for number, person in enumerate(people):
+        if can_rotate:
+            person = rotate_at_rest(person, jax.tree.map(lambda leaf, at=number: leaf[at], turned))
+        person = move_to_centre(person, jnp.mean(mean.vertices, 0))
+        if not person.given.is_fixed:
+            places = regress_joints(regressor, np.asarray(person.body.vertices, float))
+            person = person._replace(
+                given=_replace_centres(person.given, jnp.asarray(places, mean.vertices.dtype))
+            )
+        aligned.append(person)
+    return aligned
+
+
+def rotate_at_rest(person: Person, pose: Pose) -> Person:
+    """Give a person another rest pose: the one from which `pose` leads to the old one, by the rotations of its bones.
+
+    With world rotations `H_b` from the old to the new rest pose, bones rotate by `R_b H_b^T` from the new one.
+    """
+    skeleton = person.body.skeleton
+    first = np.array([parent < 0 for parent in skeleton.parents])
+    parents = np.maximum(np.array(skeleton.parents), 0)
+    back = rotation.from_matrix(jnp.swapaxes(forward_kinematics(skeleton, pose).rotations, 1, 2))
+    above = jnp.where(first[:, None], rotation.identity(back.dtype), back[parents])
+
+    def turned(rotations: Float[Array, "J 4"]) -> Float[Array, "J 4"]:
+        return rotation.multiply(rotation.multiply(above, rotations), rotation.conjugate(back))
+
+    local = rotation.normalise(jax.vmap(turned)(person.poses.rotations))
+    # what is fixed to the parent at a joint, such as its own arm, turns with the parent
+    carry = jnp.where(first[:, None], back, back[parents])
+    arms = rotation.rotate(carry, skeleton.centres - skeleton.centres[parents])
+    below = jnp.asarray(skeleton.descendants, arms.dtype)
+    roots = jnp.where(first[:, None], skeleton.centres, 0.0)
+    moved = below.T @ (arms + roots)
+    given = person.given
+    normals = None if given.normals is None else rotation.rotate(carry, given.normals)
+    own = moved + rotation.rotate(carry, given.centres - skeleton.centres)
+    body = eqx.tree_at(lambda b: b.skeleton.centres, person.body, moved)
+    poses = Pose(person.poses.translations, local, person.poses.scale)
+    body = eqx.tree_at(lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets))
+    return person._replace(body=body, poses=poses, given=GivenCentres(own, given.is_fixed, normals))
+
+
+def move_to_centre(person: Person, centre: Float[Array, "3"]) -> Person:
+    """Move a person at rest so that the mean of its vertices is at `centre`; posed vertices stay."""
+    shift = centre - jnp.mean(person.body.vertices, 0)
+    roots = jnp.array([parent < 0 for parent in person.body.skeleton.parents])
+    body = eqx.tree_at(
+        lambda b: (b.vertices, b.skeleton.centres),
+        person.body,
+        (person.body.vertices + shift, person.body.skeleton.centres + shift),
+    )
+    back = person.poses.translations - jnp.where(roots[:, None], shift, 0.0)
+    poses = Pose(back, person.poses.rotations, person.poses.scale)
+    given = person.given._replace(centres=person.given.centres + shift)
+    return person._replace(body=body, poses=poses, given=given)
+
+
+def _replace_centres(given: GivenCentres, centres: Float[Array, "J 3"]) -> GivenCentres:
+    moved = given._replace(centres=centres)
+    return moved if given.normals is None else moved._replace(centres=onto_middle(centres, given))

@@ -1,0 +1,229 @@
+"""One body of several people: shared weights, one rest pose, and a shape space that is recovered."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import random_pose
+
+import jaxcap as jc
+from jaxcap.adapt.shape.joint_regressor import make_joint_regressor
+from jaxcap.body.body import posed_vertices
+from jaxcap.body.pose import stack_poses
+from jaxcap.errors import InputError
+from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.learn.people.check_people import check_people, find_people_by_size
+from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
+from jaxcap.learn.people.person import Person, initialise_person
+from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
+from jaxcap.learn.people.shape_space import make_shape_space
+from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
+from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
+from jaxcap.observe.meshes import MeshSequence
+from tests.learn.made_limb import RINGS, SIDES, limb, tube
+
+MESHES = 4
+
+
+def poses_of(body: jc.Body, rng, count: int = MESHES, size: float = 0.5) -> jc.Pose:
+    return stack_poses([random_pose(body.skeleton, rng, size) for _ in range(count)]).poses
+
+
+def given_of(body: jc.Body) -> GivenCentres:
+    return GivenCentres(body.skeleton.centres)
+
+
+@pytest.mark.parametrize("skin", ["start", "swing_twist"])
+def test_frames_in_two_groups_give_the_weights_of_all(skin, rng):
+    true, start = limb(), limb(skin=skin)
+    poses = poses_of(true, rng, 8)
+    targets = posed_vertices(true, poses)
+    metric = make_conformance(np.asarray(true.faces), len(true.vertices), 10.0)
+    whole = improve_weights(start, poses, targets, metric, sweeps=3)
+    halves = [
+        PosedMeshes(start, jax.tree.map(lambda leaf, r=rows: leaf[r], poses), targets[rows])
+        for rows in (slice(0, 4), slice(4, 8))
+    ]
+    shared = improve_shared_weights(halves, metric, sweeps=3)
+    np.testing.assert_allclose(shared.energies, whole.energies, rtol=1e-9)
+    np.testing.assert_allclose(shared.body.skin.bone_weights(3), whole.body.skin.bone_weights(3), atol=1e-9)
+
+
+def test_weights_of_people_of_different_shapes_are_found(rng):
+    people, metric = [], make_conformance(tube()[1], RINGS * SIDES, 1.0)
+    for length, radius in ((1.0, 0.06), (1.3, 0.05), (0.8, 0.09)):
+        true = limb(length, radius)
+        poses = poses_of(true, rng)
+        people.append(PosedMeshes(limb(length, radius, "start"), poses, posed_vertices(true, poses)))
+    found = improve_shared_weights(people, metric, sweeps=20, tolerance=1e-6)
+    assert found.energies[-1] < 1e-4 * found.energies[0]
+    np.testing.assert_allclose(found.body.skin.bone_weights(3), limb().skin.bone_weights(3), atol=0.02)
+
+
+def test_another_rest_pose_leaves_a_rigid_body_where_it_is(rng):
+    body = limb(skin="rigid")
+    poses = poses_of(body, rng)
+    targets = posed_vertices(body, poses)
+    moved = rotate_at_rest(
+        Person(body, poses, targets, given_of(body), 1e-3), random_pose(body.skeleton, rng, 0.3)
+    )
+    assert float(jnp.abs(moved.body.vertices - body.vertices).max()) > 0.02
+    np.testing.assert_allclose(posed_vertices(moved.body, moved.poses), targets, atol=1e-9)
+    # bones at rest are as long as before, and the given joints stay at the joints
+    lengths = [
+        np.linalg.norm(np.diff(np.asarray(b.skeleton.centres), axis=0), axis=1) for b in (body, moved.body)
+    ]
+    np.testing.assert_allclose(lengths[0], lengths[1], atol=1e-12)
+    np.testing.assert_allclose(moved.given.centres, moved.body.skeleton.centres, atol=1e-12)
+
+
+def test_people_in_different_rest_poses_are_aligned(rng):
+    """Two bodies of one shape at rest in different poses and places become one."""
+    body = limb(skin="rigid")
+    people = []
+    for size in (0.0, 0.3):
+        poses = poses_of(body, rng)
+        person = Person(body, poses, posed_vertices(body, poses), given_of(body), 1e-3)
+        pose = random_pose(body.skeleton, rng, size)
+        people.append(rotate_at_rest(person, pose))
+    before = np.abs(np.asarray(people[0].body.vertices - people[1].body.vertices)).max()
+    aligned = people
+    for _ in range(4):
+        aligned = align_rest_poses(aligned)
+    after = np.abs(np.asarray(aligned[0].body.vertices - aligned[1].body.vertices)).max()
+    assert before > 0.05 and after < 0.002
+    for person in aligned:
+        np.testing.assert_allclose(posed_vertices(person.body, person.poses), person.targets, atol=1e-9)
+
+
+def test_a_body_takes_the_shape_of_a_larger_person(rng):
+    reference, true = limb(), limb(1.25, 0.075)
+    poses = poses_of(true, rng, size=0.25)
+    targets = posed_vertices(true, poses)
+    none = np.zeros((0, 2), int)
+    found = initialise_person(
+        reference, make_joint_regressor(reference), targets, none, given_of(reference), 1e-3
+    )
+    bones = np.diff(np.asarray(found.body.skeleton.centres), axis=0)
+    np.testing.assert_allclose(np.linalg.norm(bones, axis=1), [1.25 * 0.33, 1.25 * 0.35], atol=0.02)
+    posed = posed_vertices(found.body, found.poses)
+    assert float(jnp.sqrt(jnp.mean(jnp.sum((posed - targets) ** 2, -1)))) < 0.02
+
+
+def test_a_linear_shape_space_is_recovered_with_its_derivatives(rng):
+    ends = limb(1.0, 0.06), limb(1.2, 0.06), limb(1.0, 0.08)
+    base, modes = ends[0], [jax.tree.map(jnp.subtract, (e.vertices, e.skeleton.centres), (ends[0].vertices, ends[0].skeleton.centres)) for e in ends[1:]]  # fmt: skip
+    z = rng.normal(size=(6, 2))
+
+    def made(row):
+        return eqx.tree_at(
+            lambda b: (b.vertices, b.skeleton.centres),
+            base,
+            tuple(
+                start + sum(share * mode[part] for share, mode in zip(row, modes, strict=True))
+                for part, start in enumerate((base.vertices, base.skeleton.centres))
+            ),
+        )
+
+    bodies = [made(row) for row in z]
+    space = make_shape_space(bodies)
+    assert space.coefficients.shape == (6, 2)
+    np.testing.assert_allclose(space.explained.sum(), 1.0, atol=1e-9)
+    # standard deviations of one, not correlated, and a linear function of the true ones
+    np.testing.assert_allclose(np.cov(space.coefficients.T), np.eye(2), atol=0.02)
+    design = np.column_stack([z, np.ones(6)])
+    left = space.coefficients - design @ np.linalg.lstsq(design, space.coefficients)[0]
+    np.testing.assert_allclose(left, 0.0, atol=1e-9)
+    for body, row in zip(bodies, space.coefficients, strict=True):
+        again = jc.shape_body(space.model, row)
+        np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-9)
+        np.testing.assert_allclose(again.skeleton.centres, body.skeleton.centres, atol=1e-9)
+    pose, weights = random_pose(base.skeleton, rng), rng.normal(size=base.vertices.shape)
+
+    def loss(row):
+        return jnp.sum(weights * jc.pose_body(jc.shape_body(space.model, row), pose).vertices)
+
+    at, step = jnp.array([0.3, -0.7]), 1e-5
+    numeric = [(loss(at.at[k].add(step)) - loss(at.at[k].add(-step))) / (2 * step) for k in range(2)]
+    np.testing.assert_allclose(jax.grad(loss)(at), numeric, rtol=1e-6)
+
+
+def test_meshes_are_repeated_to_few_lengths(rng):
+    faces = tube()[1]
+    for count in (1, 5, 9, 70):
+        meshes = MeshSequence(rng.normal(size=(count, RINGS * SIDES, 3)), faces)
+        found = repeat_meshes(meshes)
+        assert len(found) == count or len(found) in LENGTHS
+        np.testing.assert_array_equal(found.vertices[count:], meshes.vertices[: len(found) - count])
+
+
+def people_meshes(rng, **people: tuple[float, float]) -> dict[str, MeshSequence]:
+    found = {}
+    for name, (length, radius) in people.items():
+        body = limb(length, radius)
+        found[name] = MeshSequence(posed_vertices(body, poses_of(body, rng)), body.faces)
+    return found
+
+
+def test_people_from_whom_nothing_can_be_learned_are_refused(rng):
+    people = people_meshes(rng, anna=(1.0, 0.06), ben=(1.2, 0.07))
+    assert check_people(people) == []
+    anna, ben = people.values()
+    with pytest.raises(InputError, match="there is one person, anna, in the meshes"):
+        check_people({"anna": anna})
+    with pytest.raises(InputError, match="each of the 2 people has one mesh"):
+        check_people({"anna": anna[:1], "ben": ben[:1]})
+    other = MeshSequence(
+        ben.vertices[:, :-SIDES], np.asarray(ben.faces)[(np.asarray(ben.faces) < (RINGS - 1) * SIDES).all(1)]
+    )
+    with pytest.raises(
+        InputError, match=r"the meshes of ben have 128 vertices .* those of anna 136 .*jaxcap register"
+    ):
+        check_people({"anna": anna, "ben": other})
+    with pytest.raises(InputError, match="connect other vertices"):
+        check_people({"anna": anna, "ben": MeshSequence(ben.vertices, ben.faces[:, ::-1])})
+    both = MeshSequence(jnp.concatenate([anna.vertices, ben.vertices[:2]]), anna.faces)
+    with pytest.raises(
+        InputError, match="the meshes of both show several people: mesh 4 of both, mesh 5 of both and mesh 0"
+    ):
+        check_people({"both": both, "ben": ben})
+
+
+def test_people_are_distinguished_by_the_sizes_of_their_surface():
+    bodies = [jc.human(resolution="low"), jc.human(resolution="low", sex="female", height=1.55)]
+    poses = jc.body.sample_poses(bodies[0].skeleton, count=6)
+    shapes = [np.asarray(posed_vertices(body, poses), float) for body in bodies]
+    faces = np.asarray(bodies[0].faces)
+    assert len(find_people_by_size(shapes[0], faces)) == 1
+    groups = find_people_by_size(np.concatenate([shapes[0], shapes[1][:2]]), faces)
+    np.testing.assert_array_equal(groups[1], [6, 7])
+
+
+@pytest.mark.slow
+def test_limbs_of_several_sizes_are_learned(rng):
+    """Five limbs of a shape space with two dimensions, one of them with a single mesh near the rest pose: space, joints and poses come back."""
+    sizes = {"a": (1.0, 0.06), "b": (1.2, 0.06), "c": (1.0, 0.08), "d": (1.15, 0.075), "e": (1.1, 0.05)}
+    bodies = {name: limb(*size) for name, size in sizes.items()}
+    poses = {name: poses_of(body, rng, *((1, 0.1) if name == "e" else (6,))) for name, body in bodies.items()}
+    rest = stack_poses([jc.rest_pose(bodies["a"].skeleton)]).poses
+    poses["a"] = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), rest, poses["a"])
+    meshes = {
+        name: MeshSequence(posed_vertices(body, poses[name]), body.faces) for name, body in bodies.items()
+    }
+    learned = jc.learn.learn_people(meshes, skeleton=bodies["a"].skeleton, skin="lbs", alpha=1.0)
+    assert learned.names == tuple("abcde") and learned.coefficients.shape[1] <= 4
+    assert learned.explained[:2].sum() > 0.97
+    for name, row, motion in zip(learned.names, learned.coefficients, learned.motions, strict=True):
+        assert len(motion) == len(poses[name].rotations)
+        body = jc.shape_body(learned.model, row)
+        posed = jc.body.posed_vertices(body, motion.poses)
+        off = jnp.linalg.norm(posed - meshes[name].vertices, axis=-1)
+        assert float(off.mean()) < 0.003, name
+        lengths = np.linalg.norm(np.diff(np.asarray(body.skeleton.centres), axis=0), axis=1)
+        np.testing.assert_allclose(lengths[1], 0.35 * sizes[name][0], atol=0.02, err_msg=name)
+    # another person of the same space, whose shape and poses are unknowns
+    other = limb(1.08, 0.07)
+    there = poses_of(other, rng)
+    fit = jc.fit_model(learned.model, MeshSequence(posed_vertices(other, there), other.faces))
+    assert float(fit.rmse.max()) < 0.006

@@ -1,0 +1,163 @@
+"""`jaxcap learn --people`: the meshes of each person, the files that are written, and the verbs that take them."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from command_line import fails, runs
+from helpers import random_pose
+
+import jaxcap as jc
+from jaxcap.body.body import posed_vertices
+from jaxcap.body.pose import Motion, stack_poses, take_poses
+from jaxcap.cli.learn import people as verb
+from jaxcap.cli.learn.people_input import find_people, names_people
+from jaxcap.errors import InputError
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.learn.people.learn_people import LearnedPeople
+from jaxcap.learn.people.shape_space import make_shape_space
+from tests.learn.made_limb import limb
+
+SIZES = {"anna": (1.0, 0.06), "ben": (1.2, 0.07), "carl": (1.1, 0.05)}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Meshes of three people: two folders of files, and an archive; and their bodies and poses."""
+    folder, rng = tmp_path_factory.mktemp("people"), np.random.default_rng(4)
+    bodies = {name: limb(*size) for name, size in SIZES.items()}
+    poses = {
+        name: stack_poses([random_pose(body.skeleton, rng, 0.4) for _ in range(3)]).poses
+        for name, body in bodies.items()
+    }
+    for name, body in bodies.items():
+        vertices = np.asarray(posed_vertices(body, poses[name]))
+        if name == "carl":
+            jc.io.save_meshes(folder / "carl.npz", jc.MeshSequence(vertices, body.faces))
+            continue
+        (folder / name).mkdir()
+        for number, mesh in enumerate(vertices):
+            write_mesh(folder / name / f"{number}.ply", Mesh(mesh, np.asarray(body.faces)))
+    return folder, bodies, poses
+
+
+@pytest.fixture
+def instant_learner(monkeypatch, scene):
+    """In place of learning: the true bodies and poses. The arguments are kept."""
+    _, bodies, poses = scene
+    calls: dict = {}
+
+    def learn_people(people, *, components, **options):
+        calls.update(options, people=people)
+        space = make_shape_space([bodies[name] for name in people], components)
+        motions = tuple(
+            Motion(take_poses(poses[name], np.arange(len(meshes))), meshes.rate)
+            for name, meshes in people.items()
+        )
+        none = np.zeros((0, 2), int)
+        return LearnedPeople(
+            space.model, tuple(people), space.coefficients, motions, space.explained, none, (("round", 1.0),)
+        )
+
+    monkeypatch.setattr(verb, "learn_people", learn_people)
+    return calls
+
+
+def test_folders_archives_and_named_parts_are_people(scene, monkeypatch):
+    folder, _, _ = scene
+    monkeypatch.chdir(folder)
+    found = find_people(["anna", "ben/*.ply", "carl.npz"])
+    assert {name: len(files) for name, files in found.items()} == {"anna": 3, "ben": 3, "carl": 1}
+    # files that a shell expanded, or a glob of folders
+    assert list(find_people(["ben/0.ply", "anna/1.ply", "ben/2.ply"]).items()) == [
+        ("ben", ["ben/0.ply", "ben/2.ply"]),
+        ("anna", ["anna/1.ply"]),
+    ]
+    assert set(find_people(["*n*"])) == {"anna", "ben"} or set(find_people(["[ab]*"])) == {"anna", "ben"}
+    assert find_people(["{subject}/*.ply"]) == find_people(["anna", "ben"])
+    assert find_people(["{who}/{subject}.ply"]).keys() == {"0", "1", "2"}
+    assert names_people(["{subject}/*.ply"]) and not names_people(["anna", "carl.npz"])
+    with pytest.raises(
+        InputError,
+        match=r"parts a, b have names, and none of them names the person; call that part \{subject\}",
+    ):
+        find_people(["{a}/{b}.ply"])
+    (folder / "more").mkdir(exist_ok=True)
+    (folder / "more" / "anna.npz").write_bytes((folder / "carl.npz").read_bytes())
+    with pytest.raises(InputError, match="two people are called anna, in anna and more/anna.npz"):
+        find_people(["anna", "more/anna.npz"])
+
+
+def test_a_model_and_the_parameters_of_each_person_are_written(
+    scene, instant_learner, tmp_path, monkeypatch, capsys
+):
+    folder, bodies, poses = scene
+    monkeypatch.chdir(folder)
+    out = tmp_path / "model.npz"
+    printed = runs(
+        capsys, "learn", "anna", "ben", "carl.npz", "--people", "-o", out, "--report", tmp_path / "report"
+    )
+    assert list(instant_learner["people"]) == ["anna", "ben", "carl"]
+    assert "2 coefficients explain 100.0 % of the variance of 3 people at rest" in printed
+    rows = [line.split() for line in printed.splitlines() if line.split()[:1] in (["anna"], ["carl"])]
+    assert [row[:2] for row in rows] == [["anna", "3"], ["carl", "3"]]
+    assert all(float(value) < 0.05 for row in rows for value in row[2:])
+    report = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert set(report["people"]) == {"anna", "ben", "carl"}
+    # the model with the parameters of a person is the person
+    model, (shape, _) = jc.read_body_model(out), jc.io.read_amass_shape(tmp_path / "model-motion-ben.npz")
+    body = jc.shape_body(model, **shape)
+    _, motion = jc.io.read_motion(tmp_path / "model-motion-ben.npz")
+    np.testing.assert_allclose(
+        posed_vertices(body, motion.poses), posed_vertices(bodies["ben"], poses["ben"]), atol=1e-6
+    )
+    described = runs(capsys, "info", out)
+    assert (
+        "body model: learned, 2 betas" in described and "learned from 3 people: anna, ben, carl" in described
+    )
+    # verbs that take a model take it
+    runs(capsys, "fit", out, "anna", "-o", tmp_path / "fit.npz")
+    coefficients = jc.io.read_model_people(out)["anna"]
+    np.testing.assert_allclose(
+        jc.io.read_amass_shape(tmp_path / "fit.npz")[0]["betas"], coefficients, atol=1e-3
+    )
+    runs(capsys, "convert", tmp_path / "model-motion-ben.npz", tmp_path / "ben.glb", "--body", out)
+    there = jc.io.read_skinned(tmp_path / "ben.glb")[0]
+    np.testing.assert_allclose(np.ptp(there.vertices, axis=0), np.ptp(body.vertices, axis=0), atol=1e-4)
+
+
+def test_options_that_are_for_one_person_are_refused(scene, instant_learner, tmp_path, monkeypatch, capsys):
+    folder, _, _ = scene
+    monkeypatch.chdir(folder)
+    out = tmp_path / "model.npz"
+    for extra in ("--resume", "--free-bones"):
+        assert f"{extra} is for the meshes of one person" in fails(
+            capsys, "learn", "anna", "ben", "--people", extra, "-o", out
+        )
+    assert "there is one person, anna" in fails(capsys, "learn", "anna", "--people", "-o", out)
+    assert "--components is for several people" in fails(
+        capsys, "learn", "anna", "--components", "3", "-o", out
+    )
+    assert "leaves out no mesh of any person" in fails(
+        capsys, "learn", "{subject}/*.ply", "--hold-out", "9", "-o", out
+    )
+    body = limb()
+    short = np.asarray(body.faces)[: len(body.faces) // 2]
+    few = jc.MeshSequence(jnp.stack([body.vertices] * 2), short)
+    jc.io.save_meshes(tmp_path / "dora.npz", few)
+    message = fails(capsys, "learn", "anna", str(tmp_path / "dora.npz"), "--people", "-o", out)
+    assert (
+        "dora.npz: this mesh has 136 vertices and 128 triangles" in message and "jaxcap register" in message
+    )
+    assert not out.exists()
+
+
+def test_every_person_is_scored_on_held_out_meshes(scene, instant_learner, tmp_path, monkeypatch, capsys):
+    folder, _, _ = scene
+    monkeypatch.chdir(folder)
+    printed = runs(
+        capsys, "learn", "{subject}/*.ply", "--hold-out", "3", "--components", "5", "-o", tmp_path / "m.npz"
+    )
+    assert [len(meshes) for meshes in instant_learner["people"].values()] == [2, 2]
+    assert "held out: surface" in printed and "1 coefficient explain" in printed
