@@ -108,7 +108,7 @@ def _low_rank(skin: AbstractSkin, rng: np.random.Generator):
     """Displacements by units of a linear layer; each has the features of one joint or of two."""
     features = RotationMatrixFeatures()
     layer = np.zeros((6, features.num_features(9)))
-    for unit, joint in enumerate((0, 1, 1, 4, 6, 7)):
+    for unit, joint in enumerate((0, 1, 1, 4, 7, 6)):
         layer[unit, 9 * joint : 9 * (joint + 1 + unit % 2)] = rng.normal(size=9 * (1 + unit % 2))
     directions = 0.02 * rng.normal(size=(len(skin.dominant_bones()), 3, len(layer)))
     return CorrectedSkin(skin, features, jnp.asarray(directions), jnp.asarray(layer), rectified=False)

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ...errors import InputError
 from ..geometric_jacobian import GeometricJacobian
+from ..kinematics import Transforms
 from ..pose import Pose
 from ..skeleton import Skeleton
 from .interpolate import clamp_barycentric
@@ -83,28 +84,30 @@ class CorrectedSkin(AbstractSkin):
         shaped = vertices + self.displacements(pose)
         rows = self.skin.jacobian(shaped, directions, skeleton, pose, transforms, rates)
         along_rest = self._along_rest(shaped, directions, skeleton, pose, transforms)
-        by_feature = feature_velocities(self.features, pose, transforms, rates)
+        moved = self._displacement_velocities(pose, transforms, rates)
         # an explicit sum, as one small product per vertex is slow on a CPU
-        parts = []
-        for first, last in _runs(rates):
-            joint = rates.joints[first]
-            part = rows[:, :, first:last]
-            if joint > 0 and rates.turning[first]:
-                moved = self._responses(pose, joint, by_feature[first:last])
-                part = part + sum(along_rest[:, :, a, None] * moved[:, None, a] for a in range(3))
-            parts.append(part)
-        return jnp.concatenate(parts, 2)
+        return rows + sum(along_rest[:, :, a, None] * moved[:, None, a] for a in range(3))
 
     def _with(self, skin: AbstractSkin, directions: Float[Array, "V 3 P"]) -> "CorrectedSkin":
         return CorrectedSkin(skin, self.features, directions, self.layer, self.rectified)
 
-    def _responses(self, pose: Pose, joint: int, velocities: Float[Array, "N M"]) -> Float[Array, "V 3 N"]:
-        """Compute the displacements by velocities of the features of one joint."""
-        size = self.features.num_of_joint
-        columns = slice(size * (joint - 1), size * joint)
+    def _displacement_velocities(
+        self, pose: Pose, transforms: Transforms, rates: GeometricJacobian
+    ) -> Float[Array, "V 3 N"]:
+        """Differentiate the displacements by the parameters."""
+        of_joint = feature_velocities(self.features, pose, transforms, rates)
+        factors = self.directions if self.layer is None else self.layer
+        size, parts = self.features.num_of_joint, []
+        # only the columns of a joint depend on its parameters
+        for first, last in _runs(rates):
+            joint = rates.joints[first]
+            if joint > 0 and rates.turning[first]:
+                parts.append(factors[..., size * (joint - 1) : size * joint] @ of_joint[first:last].T)
+            else:
+                parts.append(jnp.zeros((*factors.shape[:-1], last - first), factors.dtype))
+        moved = jnp.concatenate(parts, -1)
         if self.layer is None:
-            return self.directions[:, :, columns] @ velocities.T
-        moved = self.layer[:, columns] @ velocities.T
+            return moved
         if self.rectified:
             active = self.layer @ self.features.of_rotations(pose.rotations) > 0
             moved = jnp.where(active[:, None], moved, 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
+from ...body.skin import AbstractSkin, CorrectedSkin
 from ...errors import InputError
 from ...io.gltf.gltf_reader import read_shape_keys
 from ...io.meshes.mesh import check_mesh, read_mesh
@@ -29,9 +30,16 @@ def describe_body(body: Body) -> None:
     """Print a body's size, its skin type, and its joints."""
     size = np.ptp(np.asarray(body.vertices), axis=0)
     say(
-        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {type(body.skin).__name__}"
+        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {describe_skin(body.skin)}"
     )
     describe_skeleton(body.skeleton)
+
+
+def describe_skin(skin: AbstractSkin) -> str:
+    """Name the type of a skin, and the number of its displacements by the pose."""
+    if not isinstance(skin, CorrectedSkin):
+        return type(skin).__name__
+    return f"{type(skin.skin).__name__}, {pluralise(skin.directions.shape[2], 'displacement')} by the pose"
 
 
 def describe_model(spec: str) -> str:
@@ -43,7 +51,7 @@ def describe_model(spec: str) -> str:
         )
     else:
         groups = ", ".join(f"{size} {name}" for name, size in model.groups)
-    say(f"body model: {model.family}, {groups}")
+    say(f"body model: {model.family or 'of no known family'}, {groups}")
     describe_body(model.template)
     return "body model"
 

@@ -73,7 +73,7 @@ def to_linear_blend(
     *,
     max_influences: int = 4,
     max_virtual_bones: int = 256,
-    correctives: bool = True,
+    correctives: bool = False,
 ) -> LinearBlendBody:
     """Approximate `body` within `tolerance` by a body with a `LinearSkin` on an extended skeleton.
 
@@ -82,11 +82,11 @@ def to_linear_blend(
     was reached. Bodies that blend linearly already need none. If one of their vertices follows more than
     `max_influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
     that fit it best are chosen with new weights; `error` is the resulting error. The displacements of a `CorrectedSkin` are
-    reduced to those that matter in the poses; `linear_targets` converts them to morph targets.
+    left out, and `error` includes them, unless they are kept as `correctives`.
 
     **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is in
-    metres; `max_influences` is the largest number of bones per vertex; without `correctives`, the displacements of a
-    `CorrectedSkin` are left out, for programs without morph targets, and `error` includes what is lost.
+    metres; `max_influences` is the largest number of bones per vertex; `correctives` keeps the displacements of a
+    `CorrectedSkin` that matter in the poses, for programs with morph targets (`linear_targets`).
 
     **Raises:** `ValueError` if there are no poses, they are of another skeleton, or a number is not positive.
     """

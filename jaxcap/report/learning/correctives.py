@@ -30,12 +30,12 @@ def corrective_picture(path: str | Path, found: LearnedCorrectives) -> Path:
     **Raises:** `InputError` if the file cannot be written.
     """
     canvas, figure = new_figure(13.0, 8.0)
+    figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.08)
     grid = figure.add_gridspec(2, 4, height_ratios=(2.2, 1.0))
     if found.is_used:
         _draw_surfaces(figure, [figure.add_subplot(grid[0, column]) for column in (0, 1)], found)
         _draw_joints(figure.add_subplot(grid[0, 2:]), found)
     _draw_errors(figure.add_subplot(grid[1, :]), found)
-    figure.tight_layout()
     with atomic_path(Path(path)) as part:
         canvas.print_png(part)
     return Path(path)
@@ -89,7 +89,9 @@ def _draw_surfaces(figure: Any, plots: list[Any], found: LearnedCorrectives) -> 
         draw_surface(plot, vertices, faces, view, colours(scale(moved))[:, :3])
         seen = vertices @ view.T
         set_frame(plot, seen.min(0)[:2], seen.max(0)[:2])
-    bar = figure.colorbar(ScalarMappable(scale, colours), ax=plots, orientation="horizontal", extend="max")
+    bar = figure.colorbar(
+        ScalarMappable(scale, colours), ax=plots, orientation="horizontal", extend="max", aspect=40
+    )
     bar.set_label("largest displacement over the poses, millimetres", fontsize=9, color=INK)
     bar.ax.tick_params(labelsize=8, colors=INK)
 

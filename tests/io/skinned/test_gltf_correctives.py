@@ -39,9 +39,12 @@ def moving():
 @pytest.mark.parametrize("name", ["low rank", "all features"])
 def test_a_viewer_shows_the_posed_body(moving, name, tmp_path):
     body, motion = moving[0][name], moving[1]
-    linear = jc.edit.to_linear_blend(body, motion.poses, 1e-4, max_influences=9)
+    linear = jc.edit.to_linear_blend(body, motion.poses, 1e-4, max_influences=9, correctives=True)
     targets = jc.edit.linear_targets(linear, motion)
     assert linear.error < 1e-4
+    # without morph targets the error includes what is lost
+    plain = jc.edit.to_linear_blend(body, motion.poses, 1e-4, max_influences=9)
+    assert plain.error > 0.01 and jc.edit.linear_targets(plain, motion) is None
     write_gltf(tmp_path / "body.glb", linear.body, jc.edit.linear_motion(linear, motion), targets)
     viewer = Viewer(tmp_path / "body.glb")
     for frame in range(5):
@@ -79,7 +82,7 @@ def test_the_command_line_writes_targets_and_says_what_usd_loses(moving, tmp_pat
 
 def test_targets_that_do_not_fit_are_refused(moving, tmp_path):
     body, motion = moving[0]["low rank"], moving[1]
-    linear = jc.edit.to_linear_blend(body, motion.poses, 1e-4, max_influences=9)
+    linear = jc.edit.to_linear_blend(body, motion.poses, 1e-4, max_influences=9, correctives=True)
     targets = jc.edit.linear_targets(linear, motion)
     moved = jc.edit.linear_motion(linear, motion)
     for wrong, sentence in (
