@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 import jaxcap as jc
-from jaxcap.report.learned import report_learning
+from jaxcap.report.learning.learned import report_learning
 from jaxcap.report.scores import score_meshes
 
 ASSETS = Path(__file__).resolve().parents[1] / "assets"

@@ -28,7 +28,7 @@ from jaxcap.energy.data.pairs import PointPairs
 
 SKINS = ("rigid", "linear", "dual_quaternion", "swing_twist")
 #: displacements by the pose before a skin
-CORRECTED = ("corrected", "corrected_swing_twist")
+CORRECTED = ("corrected", "corrected_swing_twist", "corrected_low_rank")
 
 _retract, _pose_body = eqx.filter_jit(retract), eqx.filter_jit(pose_body)
 
@@ -79,6 +79,7 @@ def chain_body(skin: str = "linear", rings: int = 4, sides: int = 4) -> Body:
         "corrected_swing_twist": lambda: _corrected(
             QuaternionFeatures(), _forked_skin(skeleton, rng, jnp.asarray(np.argmin(apart, 1))), rng
         ),
+        "corrected_low_rank": lambda: _low_rank(LinearSkin(weights), rng),
     }[skin]()
     return Body(skeleton, bound, jnp.asarray(vertices), jnp.asarray(faces))
 
@@ -101,6 +102,16 @@ def _corrected(features: AbstractPoseFeatures, skin: AbstractSkin, rng: np.rando
     count = len(skin.dominant_bones())
     directions = 0.02 * rng.normal(size=(count, 3, features.num_features(9)))
     return CorrectedSkin(skin, features, jnp.asarray(directions))
+
+
+def _low_rank(skin: AbstractSkin, rng: np.random.Generator):
+    """Displacements by units of a linear layer; each has the features of one joint or of two."""
+    features = RotationMatrixFeatures()
+    layer = np.zeros((6, features.num_features(9)))
+    for unit, joint in enumerate((0, 1, 1, 4, 7, 6)):
+        layer[unit, 9 * joint : 9 * (joint + 1 + unit % 2)] = rng.normal(size=9 * (1 + unit % 2))
+    directions = 0.02 * rng.normal(size=(len(skin.dominant_bones()), 3, len(layer)))
+    return CorrectedSkin(skin, features, jnp.asarray(directions), jnp.asarray(layer), rectified=False)
 
 
 def _forked_skin(skeleton: Skeleton, rng: np.random.Generator, bases) -> SwingTwistSkin:

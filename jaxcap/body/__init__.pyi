@@ -15,6 +15,7 @@ from .decimate import reduce_body as reduce_body
 from .decimate import reduce_model as reduce_model
 from .euler_angles import joint_euler_angles as joint_euler_angles
 from .kinematics import Transforms as Transforms
+from .morph_targets import MorphTargets as MorphTargets
 from .people.sample import sample_poses as sample_poses
 from .retraction import difference as difference
 from .retraction import project as project

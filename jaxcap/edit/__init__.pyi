@@ -36,6 +36,7 @@ from .keys import interpolate_keys as interpolate_keys
 from .linear_blend.convert import LinearBlendBody as LinearBlendBody
 from .linear_blend.convert import linear_motion as linear_motion
 from .linear_blend.convert import linear_pose as linear_pose
+from .linear_blend.convert import linear_targets as linear_targets
 from .linear_blend.convert import to_linear_blend as to_linear_blend
 from .linear_blend.influences import limit_influences as limit_influences
 from .mirror_motion import mirror as mirror

@@ -92,6 +92,24 @@ def least_squares(matrix: Float[np.ndarray, "R N"], rhs: Float[np.ndarray, "R"])
     return np.linalg.lstsq(matrix, rhs, rcond=None)[0]
 
 
+def low_rank_factors(
+    matrix: Float[np.ndarray, "R N"], metric: Float[np.ndarray, "N N"], rank: int
+) -> tuple[Float[np.ndarray, "R K"], Float[np.ndarray, "K N"]]:
+    """Compute the factors of the best approximation of a matrix by one of lower rank: the least trace of `D M D^T` of the
+    difference `D`.
+
+    The columns of the first factor are in descending order of their share. There are fewer of them if the matrix has
+    fewer columns than `rank`.
+
+    **Arguments:** `metric`, `M`, is positive definite; the covariance of what the matrix is multiplied by.
+    """
+    factor = factor_symmetric(metric)
+    whitened = matrix @ factor
+    # there are few columns, and many rows
+    vectors = np.linalg.eigh(whitened.T @ whitened)[1][:, ::-1][:, :rank]
+    return whitened @ vectors, np.linalg.solve(factor.T, vectors).T
+
+
 def factor_sparse(matrix: scipy.sparse.sparray | scipy.sparse.spmatrix) -> scipy.sparse.linalg.SuperLU:
     """Factor a sparse symmetric positive definite matrix with a fill-reducing ordering.
 

@@ -18,6 +18,7 @@ from .body_models.mhr import read_mhr as read_mhr
 from .body_models.mhr import read_mhr_motion as read_mhr_motion
 from .body_models.skel import read_skel as read_skel
 from .body_models.skel import read_skel_motion as read_skel_motion
+from .body_models.smpl_writer import write_body_model as write_body_model
 from .cameras import read_cameras as read_cameras
 from .cameras import write_cameras as write_cameras
 from .constraints import read_constraints as read_constraints

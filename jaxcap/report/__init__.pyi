@@ -3,7 +3,7 @@
 from .adaptation import adaptation_page as adaptation_page
 from .adaptation import report_adaptation as report_adaptation
 from .heat_map import heat_pictures as heat_pictures
-from .learned import report_learning as report_learning
+from .learning.learned import report_learning as report_learning
 from .limit_pictures import draw_limits as draw_limits
 from .motion_strip import draw_strip as draw_strip
 from .scores import score_meshes as score_meshes

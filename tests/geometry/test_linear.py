@@ -91,3 +91,15 @@ def test_a_sparse_factor_serves_many_sides(rng):
     expected = scipy.linalg.solve(matrix.toarray(), side)
     np.testing.assert_allclose(factor.solve(side), expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(factor.solve(side[:, 0].copy()), expected[:, 0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("rank", [1, 3, 5])
+def test_low_rank_factors_are_the_best_ones_in_their_metric(rng, rank):
+    matrix, root = rng.normal(size=(30, 5)), rng.normal(size=(5, 5))
+    metric = root @ root.T + 0.1 * np.eye(5)
+    left, right = linear.low_rank_factors(matrix, metric, rank)
+    assert left.shape == (30, rank) and right.shape == (rank, 5)
+    # Eckart and Young: what is lost are the smallest singular values of the whitened matrix
+    whitened = np.linalg.svd(matrix @ scipy.linalg.sqrtm(metric), compute_uv=False)
+    lost = matrix - left @ right
+    np.testing.assert_allclose(np.trace(lost @ metric @ lost.T), np.sum(whitened[rank:] ** 2), atol=1e-10)

@@ -8,6 +8,7 @@ import numpy as np
 from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
+from ...body.skin import AbstractSkin, CorrectedSkin
 from ...errors import InputError
 from ...io.body_models.learned import is_own_model, read_model_people
 from ...io.gltf.gltf_reader import read_shape_keys
@@ -30,9 +31,16 @@ def describe_body(body: Body) -> None:
     """Print a body's size, its skin type, and its joints."""
     size = np.ptp(np.asarray(body.vertices), axis=0)
     say(
-        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {type(body.skin).__name__}"
+        f"body: {len(body.vertices)} vertices, {len(body.faces)} faces, {format_size(size)}, {describe_skin(body.skin)}"
     )
     describe_skeleton(body.skeleton)
+
+
+def describe_skin(skin: AbstractSkin) -> str:
+    """Name the type of a skin, and the number of its displacements by the pose."""
+    if not isinstance(skin, CorrectedSkin):
+        return type(skin).__name__
+    return f"{type(skin.skin).__name__}, {pluralise(skin.directions.shape[2], 'displacement')} by the pose"
 
 
 def describe_model(spec: str) -> str:
@@ -44,7 +52,7 @@ def describe_model(spec: str) -> str:
         )
     else:
         groups = ", ".join(f"{size} {name}" for name, size in model.groups)
-    say(f"body model: {model.family}, {groups}")
+    say(f"body model: {model.family or 'of no known family'}, {groups}")
     path = split_model(spec)[0]
     people = read_model_people(path) if is_own_model(path) else {}
     if people:

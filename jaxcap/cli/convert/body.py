@@ -6,7 +6,8 @@ from ...body.body import Body
 from ...body.people.sample import sample_poses
 from ...body.pose import Motion
 from ...body.skin import CorrectedSkin
-from ...edit.linear_blend.convert import linear_motion, to_linear_blend
+from ...edit.linear_blend.convert import linear_motion, linear_targets, to_linear_blend
+from ...io.gltf.gltf import write_gltf
 from ...io.registry import write_body
 from ..console.console import say, warn
 
@@ -19,19 +20,26 @@ def write_linear_body(
     **Raises:** `InputError` if the file cannot be written; `ValueError` if a number is not positive.
     """
     poses = sample_poses(body.skeleton) if motion is None else motion.poses
-    converted = to_linear_blend(body, poses, tolerance, max_influences=influences)
+    has_targets = target.suffix.lower() == ".glb"
+    converted = to_linear_blend(body, poses, tolerance, max_influences=influences, correctives=has_targets)
     linear, joints = converted.body, body.skeleton.num_joints
-    write_body(target, linear, None if motion is None else linear_motion(converted, motion))
+    targets = linear_targets(converted, motion)
+    moving = None if motion is None else linear_motion(converted, motion)
+    if targets is None:
+        write_body(target, linear, moving)
+    else:
+        write_gltf(target, linear, moving, targets)
     virtual, count = linear.skeleton.num_joints - joints, poses.rotations.shape[0]
     say(
-        f"{target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones; "
+        f"{target}: {len(linear.vertices)} vertices, {joints} joints, {virtual} virtual bones"
+        f"{'' if targets is None else f', {len(targets.names)} morph targets'}; "
         f"largest error {1000 * converted.error:.2g} mm, mean {1000 * converted.mean_error:.2g} mm, "
         f"over {count} {'sampled poses' if motion is None else 'frames'}"
     )
     if converted.error > tolerance:
         advice = (
-            "the displacements of the surface that depend on the pose cannot be written as bones, and are left out"
-            if isinstance(body.skin, CorrectedSkin)
+            "the displacements of the surface that depend on the pose are left out, as only .glb has them"
+            if isinstance(body.skin, CorrectedSkin) and targets is None
             else "increase --influences"
         )
         warn(

@@ -34,6 +34,7 @@ PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
     "as amass": ("motions that are written as .npz", ("motion",)),
     "as angles": ("joint angles of motions", ("angles",)),
     "as body": ("bodies that are written as .npz", ("own",)),
+    "as smpl": ("bodies that are written as .npz", ("own",)),
     "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
     "up": ("motions in AMASS format", ("body", "motion", "points", "angles")),
     "tolerance": ("bodies that are written as .glb or USD", ("body",)),
@@ -44,6 +45,7 @@ SUFFIXES_OF_CONTENT: dict[str, tuple[str, ...]] = {
     "as amass": (".npz",),
     "as angles": tuple(ANGLE_WRITERS),
     "as body": (".npz",),
+    "as smpl": (".npz",),
 }
 #: suffixes of files in metres, or with a unit
 KNOWN_UNIT_SUFFIXES = (".npz", *SKINNED_READERS, ".asf", ".amc")

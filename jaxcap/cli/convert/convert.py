@@ -12,6 +12,7 @@ from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError, user_message
 from ...io.archives.npz import save_body
+from ...io.body_models.smpl_writer import write_body_model
 from ...io.kinds import identify
 from ...io.meshes.mesh import read_mesh, write_mesh
 from ...io.opensim.osim import read_osim
@@ -81,12 +82,12 @@ class Convert:
         ),
     ] = None
     as_: Annotated[
-        Literal["amass", "angles", "body"] | None,
-        arg(name="as", metavar="amass|angles|body", help_behavior_hint=""),
+        Literal["amass", "angles", "body", "smpl"] | None,
+        arg(name="as", metavar="amass|angles|body|smpl", help_behavior_hint=""),
     ] = None
     """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
     up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
-    SOURCE as .npz."""
+    SOURCE as .npz; `smpl`, the body of SOURCE as a body model in SMPL's format, .npz."""
     up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
     """Up axis of a motion in AMASS format. Default: the axis stated in the file, else z."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
@@ -110,7 +111,7 @@ class Convert:
             self.convert_to(self.to)
             return
         # the human counts as a body file
-        own = self.as_ == "body" or (human and self.target.suffix.lower() == ".npz")
+        own = self.as_ in ("body", "smpl") or (human and self.target.suffix.lower() == ".npz")
         way: ConversionKind = (
             "own"
             if own
@@ -177,6 +178,7 @@ class Convert:
             "as amass": self.as_ == "amass",
             "as angles": self.as_ == "angles",
             "as body": self.as_ == "body",
+            "as smpl": self.as_ == "smpl",
             "vertices": self.vertices,
             "up": self.up,
             "tolerance": self.tolerance != TOLERANCE,
@@ -233,7 +235,10 @@ class Convert:
 
     def write_own(self) -> None:
         body = load_body(str(self.source), unit=self.unit or "m")[0]
-        save_body(self.target, body)
+        if self.as_ == "smpl":
+            write_body_model(self.target, body)
+        else:
+            save_body(self.target, body)
         say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:

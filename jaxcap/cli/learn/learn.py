@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...body.body import Body
+from ...body.pose import Motion
 from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import RigidSkin
 from ...energy.energy import AbstractEnergy
@@ -22,11 +23,12 @@ from ...io.system.run_lock import run_lock
 from ...learn.anatomy.choose_skeleton import SkeletonName, choose_skeleton
 from ...learn.anatomy.find_person import PlacedPerson
 from ...learn.check_meshes import check_meshes
+from ...learn.correctives.learn_correctives import LearnedCorrectives
 from ...learn.learn_body import COARSE_PREFIX, Learned, LearnState, learn_body
 from ...learn.parts.check_parts import check_learned
 from ...learn.skeleton.check_skeleton import check_skeleton
 from ...observe.meshes import MeshSequence
-from ...report.learned import report_learning
+from ...report.learning.learned import report_learning
 from ...report.scores import Scores
 from ..console.console import say, warn
 from ..console.heartbeat import set_activity
@@ -37,6 +39,7 @@ from ..motions import load_skeleton
 from ..outputs import check_npz, check_parent, is_run_complete, make_folder
 from ..scoring import mesh_hashes, print_scores, score_motion
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
+from .correctives import add_correctives
 from .input import read_pairs, skeleton_digest, split_held_out
 from .joints import evidence_of, say_joints
 from .people import PeopleRun, check_people_options, run_people
@@ -92,6 +95,9 @@ class Learn:
     """Fix the joints of the skeleton. Without this option, their positions are estimated from the motion."""
     free_bones: Flag = False
     """Learn bones without parents, with linear blend skinning. Their number is one more than --joints."""
+    correctives: Flag = False
+    """Learn displacements of the surface that depend on the pose, if they lower the errors of poses that are left out of the
+    fit."""
     limits: LimitsFile = None
     limit_weight: LimitWeight = 100.0
     floor: FloorHeight = None
@@ -171,6 +177,9 @@ class Learn:
             make_folder(self.report)
         tree = self.choose(sequence[train], [names[row] for row in train], given, resumed)
         learned = self.learn(sequence[train], tree, checkpoint_path, header, resumed)
+        plain, correctives = learned, None
+        if self.correctives:
+            learned, correctives = add_correctives(learned, sequence[train])
         set_activity("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
@@ -184,7 +193,7 @@ class Learn:
         doubts = [] if self.free_bones or learned.given is not None else check_skeleton(body)
         for message in [*check_learned(body, learned.motion), *doubts]:
             warn(message)
-        self.score(learned, sequence, names, train, held)
+        self.score(learned, sequence, names, train, held, plain, correctives)
         checkpoint_path.unlink(missing_ok=True)
 
     def check(self) -> None:
@@ -214,6 +223,8 @@ class Learn:
             raise InputError("--components is for several people; give --people.")
         if self.free_bones and (has_skeleton or self.pairs is not None):
             raise InputError("--free-bones uses no skeleton and no pairs; omit --skeleton and --pairs.")
+        if self.free_bones and self.correctives:
+            raise InputError("--correctives depend on joints, and --free-bones has none; give one of them.")
 
     def skeleton_file(self) -> Path | None:
         """Return --skeleton if it is a file, or `human` with options, and not one of the names."""
@@ -251,6 +262,7 @@ class Learn:
             "pairs",
             "fix_joints",
             "free_bones",
+            "correctives",
             "unit",
             "rate",
             "hold_out",
@@ -330,28 +342,19 @@ class Learn:
         names: tuple[str, ...],
         train: np.ndarray,
         held_out: np.ndarray,
+        plain: Learned,
+        correctives: LearnedCorrectives | None,
     ) -> None:
-        """Score the body on training and on held-out meshes; print and report the scores."""
-        groups = {"training": (learned.motion, np.ones(len(train), bool), train)}
-        if held_out.size:
-            set_activity("fitting the held-out meshes")
-            fit = fit_meshes(learned.body, sequence[held_out])
-            groups["held out"] = (fit.motion, np.asarray(fit.converged), held_out)
-        scores: dict[str, Scores] = {
-            label: score_motion(
-                learned.body,
-                motion,
-                fitted,
-                sequence[rows],
-                tuple(names[row] for row in rows),
-                f"scoring {label}",
-            )
-            for label, (motion, fitted, rows) in groups.items()
-        }
-        print_scores(scores)
+        """Score the body on training and on held-out meshes, and the `plain` one before correctives; print and report the scores."""
+        groups, scores = self.score_groups(learned, sequence, names, train, held_out, "")
+        before: dict[str, Scores] = {}
+        if correctives is not None and correctives.is_used:
+            suffix = " without correctives"
+            before = self.score_groups(plain, sequence, names, train, held_out, suffix)[1]
+        print_scores({**before, **scores})
         if self.report is not None:
             shown = {
-                label: (motion, sequence[rows], scores[label]) for label, (motion, _, rows) in groups.items()
+                label: (motion, sequence[rows], scores[label]) for label, (motion, rows) in groups.items()
             }
             set_activity("drawing the report")
             report_learning(
@@ -363,5 +366,34 @@ class Learn:
                 self.settings(),
                 None if self.free_bones else evidence_of(learned),
                 learned.given,
+                correctives,
             )
             say(f"report.json and pictures are in {self.report}")
+
+    def score_groups(
+        self,
+        learned: Learned,
+        sequence: MeshSequence,
+        names: tuple[str, ...],
+        train: np.ndarray,
+        held_out: np.ndarray,
+        suffix: str,
+    ) -> tuple[dict[str, tuple[Motion, np.ndarray]], dict[str, Scores]]:
+        """Score a body on training and on held-out meshes; return the motions with the meshes, and the scores, by label."""
+        groups = {f"training{suffix}": (learned.motion, np.ones(len(train), bool), train)}
+        if held_out.size:
+            set_activity("fitting the held-out meshes")
+            fit = fit_meshes(learned.body, sequence[held_out])
+            groups[f"held out{suffix}"] = (fit.motion, np.asarray(fit.converged), held_out)
+        scores = {
+            label: score_motion(
+                learned.body,
+                motion,
+                fitted,
+                sequence[rows],
+                tuple(names[row] for row in rows),
+                f"scoring {label}",
+            )
+            for label, (motion, fitted, rows) in groups.items()
+        }
+        return {label: (motion, rows) for label, (motion, _, rows) in groups.items()}, scores

@@ -17,10 +17,13 @@ import numpy as np
 from ...arguments import checked
 from ...body.body import Body, pose_body
 from ...body.influences import strongest_bones
+from ...body.morph_targets import MorphTargets
 from ...body.pose import Motion, Pose, take_poses
 from ...body.skeleton import Skeleton
 from ...body.skin import CorrectedSkin, DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
+from ...body.skin.corrected import corrective_units
 from ...geometry.sampling import even_indices
+from .correctives import reduce_correctives, unit_names
 from .examples import pose_blocks, skeleton_frames, virtual_frames
 from .virtual_bones import VirtualBones, extended_pose, extended_skeleton, make_virtual_bones
 from .weight_rows import (
@@ -58,11 +61,19 @@ class LinearBlendBody(eqx.Module):
     #: largest and mean distance of vertices from the source's over all given poses, metres
     error: float = eqx.field(static=True)
     mean_error: float = eqx.field(static=True)
+    #: the source's displacements by the pose, which move the vertices of `body` before its skin; None if there are none
+    correctives: CorrectedSkin | None = None
 
 
 @checked
 def to_linear_blend(
-    body: Body, poses: Pose, tolerance: float = 1e-3, *, max_influences: int = 4, max_virtual_bones: int = 256
+    body: Body,
+    poses: Pose,
+    tolerance: float = 1e-3,
+    *,
+    max_influences: int = 4,
+    max_virtual_bones: int = 256,
+    correctives: bool = False,
 ) -> LinearBlendBody:
     """Approximate `body` within `tolerance` by a body with a `LinearSkin` on an extended skeleton.
 
@@ -71,10 +82,11 @@ def to_linear_blend(
     was reached. Bodies that blend linearly already need none. If one of their vertices follows more than
     `max_influences` bones, the strongest are kept. If this moves it by more than half of `tolerance`, the bones
     that fit it best are chosen with new weights; `error` is the resulting error. The displacements of a `CorrectedSkin` are
-    left out, and `error` includes them.
+    left out, and `error` includes them, unless they are kept as `correctives`.
 
     **Arguments:** `poses` are stacked, `(F, J, ...)`: a motion's, or `sample_poses`; `tolerance` is in
-    metres; `max_influences` is the largest number of bones per vertex.
+    metres; `max_influences` is the largest number of bones per vertex; `correctives` keeps the displacements of a
+    `CorrectedSkin` that matter in the poses, for programs with morph targets (`linear_targets`).
 
     **Raises:** `ValueError` if there are no poses, they are of another skeleton, or a number is not positive.
     """
@@ -84,9 +96,10 @@ def to_linear_blend(
         found = to_linear_blend(
             plain, poses, tolerance, max_influences=max_influences, max_virtual_bones=max_virtual_bones
         )
-        errors = np.array(_surface_distances(body, found, poses))
+        kept = reduce_correctives(body.skin, poses, tolerance) if correctives else None
+        errors = np.array(_surface_distances(body, found, kept, poses))
         return LinearBlendBody(
-            found.body, found.source, found.bones, float(errors.max()), float(errors.mean())
+            found.body, found.source, found.bones, float(errors.max()), float(errors.mean()), kept
         )
     if not isinstance(body.skin, (LinearSkin, RigidSkin, SwingTwistSkin, DualQuaternionSkin)):
         raise ValueError(
@@ -132,24 +145,51 @@ def linear_motion(converted: LinearBlendBody, motion: Motion) -> Motion:
 
     **Raises:** `ValueError` if the motion has other joints.
     """
+    _check_joints(converted, motion)
+    return Motion(_linear_poses(converted, motion.poses), motion.rate)
+
+
+@checked
+def linear_targets(converted: LinearBlendBody, motion: Motion | None = None) -> MorphTargets | None:
+    """Convert the displacements of the source to morph targets of the converted body; None if it has none.
+
+    Their weights are those of a motion of the source; without one, the body is at rest.
+
+    **Raises:** `ValueError` if the motion has other joints.
+    """
+    skin = converted.correctives
+    if skin is None:
+        return None
+    names = unit_names(skin, converted.source.names)
+    displacements = np.moveaxis(np.asarray(skin.directions, float), 2, 0)
+    if motion is None:
+        return MorphTargets(names, displacements, np.zeros((0, len(names))))
+    _check_joints(converted, motion)
+    return MorphTargets(names, displacements, np.asarray(corrective_units(skin, motion.poses), float))
+
+
+@eqx.filter_jit
+def _surface_distances(body: Body, converted: LinearBlendBody, kept: CorrectedSkin | None, poses: Pose):
+    """Compute the distances of the vertices of both bodies in all poses, metres."""
+
+    def of_pose(pose):
+        moved = (
+            converted.body.vertices if kept is None else converted.body.vertices + kept.displacements(pose)
+        )
+        linear = eqx.tree_at(lambda b: b.vertices, converted.body, moved)
+        there = pose_body(linear, linear_pose(converted, pose)).vertices
+        return jnp.linalg.norm(there - pose_body(body, pose).vertices, axis=1)
+
+    return jax.lax.map(of_pose, poses)
+
+
+def _check_joints(converted: LinearBlendBody, motion: Motion) -> None:
     joints = motion.poses.rotations.shape[1]
     if joints != converted.source.num_joints:
         raise ValueError(
             f"The motion has {joints} joints, but the source body has {converted.source.num_joints}; give a motion "
             "of the source body."
         )
-    return Motion(_linear_poses(converted, motion.poses), motion.rate)
-
-
-@eqx.filter_jit
-def _surface_distances(body: Body, converted: LinearBlendBody, poses: Pose):
-    """Compute the distances of the vertices of both bodies in all poses, metres."""
-
-    def of_pose(pose):
-        there = pose_body(converted.body, linear_pose(converted, pose)).vertices
-        return jnp.linalg.norm(there - pose_body(body, pose).vertices, axis=1)
-
-    return jax.lax.map(of_pose, poses)
 
 
 def _check(body: Body, poses: Pose, tolerance: float, max_influences: int, max_virtual_bones: int) -> None:

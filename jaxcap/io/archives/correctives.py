@@ -23,8 +23,8 @@ FEATURES: dict[str, AbstractPoseFeatures] = {
     "quaternions": QuaternionFeatures(),
 }
 _FEATURES, _DIRECTIONS = "correctives.features", "correctives.directions"
-#: weights of a layer between the features and the directions
-_LAYER = "correctives.layer"
+#: weights of a rectified layer between the features and the directions, and of a linear one
+_LAYER, _LINEAR_LAYER = "correctives.layer", "correctives.linear_layer"
 
 
 def corrective_arrays(skin: CorrectedSkin, path: str | Path) -> dict[str, Any]:
@@ -35,7 +35,7 @@ def corrective_arrays(skin: CorrectedSkin, path: str | Path) -> dict[str, Any]:
             f"{path}: the displacements of this body depend on {type(skin.features).__name__}, which cannot be written; use "
             f"{' or '.join(FEATURES)}."
         )
-    layer = {} if skin.layer is None else {_LAYER: skin.layer}
+    layer = {} if skin.layer is None else {_LAYER if skin.rectified else _LINEAR_LAYER: skin.layer}
     return {_FEATURES: np.array(kind), _DIRECTIONS: skin.directions, **layer}
 
 
@@ -60,11 +60,13 @@ def add_correctives(
             f"numbers of shape ({count}, 3, features)."
         )
     given, expected = directions.shape[2], FEATURES[kind].num_features(num_joints)
-    layer = arrays.get(_LAYER)
+    rectified = _LINEAR_LAYER not in arrays
+    name = _LAYER if rectified else _LINEAR_LAYER
+    layer = arrays.get(name)
     if layer is not None:
         if layer.shape != (given, expected) or layer.dtype.kind != "f" or not np.isfinite(layer).all():
             raise InputError(
-                f"{path}: the array '{_LAYER}' has the shape {layer.shape} and the type {layer.dtype}; expected finite numbers of "
+                f"{path}: the array '{name}' has the shape {layer.shape} and the type {layer.dtype}; expected finite numbers of "
                 f"shape ({given}, {expected})."
             )
         expected = given
@@ -77,5 +79,9 @@ def add_correctives(
             f"{path}: the array '{_DIRECTIONS}' has numbers that are not finite; write it again."
         )
     return CorrectedSkin(
-        skin, FEATURES[kind], jnp.asarray(directions), None if layer is None else jnp.asarray(layer)
+        skin,
+        FEATURES[kind],
+        jnp.asarray(directions),
+        None if layer is None else jnp.asarray(layer),
+        rectified,
     )

@@ -33,6 +33,8 @@ from .learned import is_own_model, read_own_model
 
 #: the arrays of a model
 ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
+#: names of the joints of a model of no known family, as `write_body_model` writes them
+JOINT_NAMES = "joint_names"
 #: numbers of coefficients that are read by default, as by the package `smplx`
 NUM_BETAS, NUM_EXPRESSION = 10, 10
 #: largest error of the sum of the weights of a vertex, and of a row of the joint regressor
@@ -89,7 +91,11 @@ def make_smpl(
     faces = get_array(arrays, "f", path, (None, 3), "whole").astype(int)
     check_sums(weights, regressor, path)
     correctives = _correctives(arrays, path, count, num_joints)
-    family = _family(path, parents, correctives)
+    family = (
+        _own_family(arrays, path, num_joints)
+        if JOINT_NAMES in arrays
+        else _family(path, parents, correctives)
+    )
     groups = split_directions(family.name, directions.shape[2])
     wanted = {"betas": num_betas, "expression": num_expression}
     kept = {name: min(wanted[name], size) for name, (_, size) in groups.items()}
@@ -119,7 +125,7 @@ def _load(path: Path) -> Mapping[str, np.ndarray]:
     """Read the arrays of a model from a pickle or an `.npz` file."""
     if path.suffix.lower() == ".pkl":
         return filled_arrays(read_pickled_arrays(path, ARRAYS))
-    return load_arrays(path, lambda name: name in ARRAYS)
+    return load_arrays(path, lambda name: name in (*ARRAYS, JOINT_NAMES))
 
 
 def filled_arrays(found: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -186,6 +192,14 @@ def _correctives(
 
 
 _MATRICES, _QUATERNIONS = RotationMatrixFeatures(), QuaternionFeatures()
+
+
+def _own_family(arrays: Mapping[str, np.ndarray], path: str | Path, num_joints: int) -> Family:
+    """Make a family without a name of the joints that a file names. Raises `InputError`."""
+    names = tuple(str(name) for name in get_array(arrays, JOINT_NAMES, path, (num_joints,), "text"))
+    if len(set(names)) < num_joints or not all(names):
+        raise InputError(f"{path}: the array '{JOINT_NAMES}' has empty names or duplicates.")
+    return Family("", names, (), ())
 
 
 def _family(path: str | Path, parents: list[int], correctives: tuple | None) -> Family:

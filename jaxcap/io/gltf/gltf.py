@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from ...arguments import checked
 from ...body.body import Body
+from ...body.morph_targets import MorphTargets
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
@@ -29,6 +30,7 @@ from ..skinned.skinned import (
 )
 from ..system.atomic import atomic_path
 from .glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
+from .gltf_target_writer import add_targets, check_targets
 
 if TYPE_CHECKING:
     import pygltflib
@@ -38,15 +40,18 @@ _CHANNEL_TOLERANCE = 1e-7
 
 
 @checked
-def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> None:
+def write_gltf(
+    path: str | Path, body: Body, motion: Motion | None = None, targets: MorphTargets | None = None
+) -> None:
     """Write a body, with an optional motion as its animation, in metres, y up.
 
     All influences are kept, in sets of four in `JOINTS_0`, `JOINTS_1`, ...; the strongest come first. Some
     programs read the first four only: `limit_influences` makes a body with at most four. Kinds and axes of
-    joints are in the nodes' extras, so that `read_gltf` restores the skeleton.
+    joints are in the nodes' extras, so that `read_gltf` restores the skeleton. `targets` become morph targets (shape keys), with
+    weights that the motion animates: `jaxcap.edit.linear_targets` makes them of displacements that depend on the pose.
 
     **Raises:** `InputError` if the suffix is not `.glb`, the skin is not linear, the motion has other joints
-    or no frames, or the file cannot be written.
+    or no frames, the targets have other vertices or frames, or the file cannot be written.
     """
     import pygltflib
 
@@ -55,6 +60,7 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
         raise InputError(f"{path}: skinned bodies are not written as '{path.suffix}' files; use .glb.")
     check_linear_skin(path, body, "glTF")
     check_motion(path, body.skeleton, motion)
+    check_targets(path, body, motion, targets)
     document = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0", generator="jaxcap"))
     blob = GlbBuilder(document)
     roots = [joint for joint, parent in enumerate(body.skeleton.parents) if parent < 0]
@@ -64,6 +70,8 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
     # outside the armature, because a skinned mesh does not follow its own node
     document.nodes.append(pygltflib.Node(name=_unique_name("Body", body.skeleton), mesh=0, skin=0))
     document.meshes = [pygltflib.Mesh(name="Body", primitives=[_surface(blob, body)])]
+    if targets is not None and len(targets.names):
+        add_targets(blob, document.meshes[0], targets)
     # the default material of glTF is a metallic mirror
     look = pygltflib.PbrMetallicRoughness(
         baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.8
@@ -78,7 +86,9 @@ def write_gltf(path: str | Path, body: Body, motion: Motion | None = None) -> No
         )
     ]
     if motion is not None:
-        document.animations = _animations(blob, body.skeleton, motion)
+        document.animations = _animations(
+            blob, body.skeleton, motion, surface, None if targets is None else targets.weights
+        )
     document.scenes, document.scene = [pygltflib.Scene(nodes=[top, surface])], 0
     with atomic_path(path) as beside:
         beside.write_bytes(blob.to_bytes())
@@ -140,10 +150,16 @@ def _surface(blob: GlbBuilder, body: Body) -> "pygltflib.Primitive":
     )
 
 
-def _animations(blob: GlbBuilder, skeleton: Skeleton, motion: Motion) -> "list[pygltflib.Animation]":
+def _animations(
+    blob: GlbBuilder,
+    skeleton: Skeleton,
+    motion: Motion,
+    surface: int,
+    weights: Float[np.ndarray, "F K"] | None,
+) -> "list[pygltflib.Animation]":
     """Build one animation with a channel for every node property that leaves its rest value.
 
-    Empty if all are at rest.
+    `weights` are those of the targets of the node `surface`. Empty if all are at rest.
     """
     import pygltflib
 
@@ -153,10 +169,12 @@ def _animations(blob: GlbBuilder, skeleton: Skeleton, motion: Motion) -> "list[p
 
     def channel(node: int, what: str, values: np.ndarray, rest: np.ndarray) -> None:
         nonlocal clock
-        if np.abs(values - rest).max() <= _CHANNEL_TOLERANCE:
+        if np.abs(values - rest).max(initial=0.0) <= _CHANNEL_TOLERANCE:
             return
         clock = blob.add(times.astype("<f4"), bounds=True) if clock is None else clock
-        output = blob.add(values.astype("<f4"))
+        # the weights of all targets of a frame follow each other, as numbers
+        rows = values.reshape(-1) if what == "weights" else values
+        output = blob.add(rows.astype("<f4"))
         animation.samplers.append(
             pygltflib.AnimationSampler(input=clock, output=output, interpolation="LINEAR")
         )
@@ -171,4 +189,6 @@ def _animations(blob: GlbBuilder, skeleton: Skeleton, motion: Motion) -> "list[p
         channel(joint, "rotation", moving.quaternions[:, joint], rest.quaternions[joint])
     scales = np.repeat(np.asarray(motion.poses.scale, float)[:, None], 3, 1)
     channel(skeleton.num_joints, "scale", scales, np.ones(3))
+    if weights is not None:
+        channel(surface, "weights", weights, np.zeros(weights.shape[1]))
     return [animation] if animation.channels else []

@@ -34,7 +34,7 @@ def solve_rest_vertices(
     products over all frames are needed. Every step of the conjugate gradients lowers Q, so that it is safe to
     stop at `tolerance` of the gradient.
     """
-    slopes = _slopes(body, poses)
+    slopes = rest_slopes(body, poses)
     side = _pull(metric, slopes, targets - posed_vertices(body, poses))
 
     def precondition(rest):
@@ -56,14 +56,14 @@ def solve_rest_vertices(
 @eqx.filter_jit
 def fit_rest_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
     """Solve for the rest position of each vertex independently, by least squares to its targets, metres."""
-    slopes = _slopes(body, poses)
+    slopes = rest_slopes(body, poses)
     errors = targets - posed_vertices(body, poses)
     normal = jnp.einsum("fvab,fvac->bcv", slopes, slopes)
     side = jnp.einsum("fvab,fva->bv", slopes, errors)
     return body.vertices + gauss_jordan_solve(normal, side[:, None])[:, 0].T
 
 
-def _slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
+def rest_slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:
     """Compute the derivatives of posed vertices by rest positions; constant, as skins are affine in these."""
 
     def of_frame(pose):

@@ -50,6 +50,9 @@ class Viewer:
         for channel in self.animation.channels if self.animation else []:
             sampler = self.animation.samplers[channel.sampler]
             times, values = self.array(sampler.input), self.array(sampler.output).astype(float)
+            if channel.target.path == "weights":
+                # section 3.11: all targets of a key follow each other
+                values = values.reshape(len(times), -1)
             before = int(np.clip(np.searchsorted(times, time, "right") - 1, 0, max(len(times) - 2, 0)))
             after = min(before + 1, len(times) - 1)
             gap = times[after] - times[before]
@@ -78,6 +81,9 @@ class Viewer:
         inverse = self.array(skin.inverseBindMatrices).astype(float).reshape(-1, 4, 4).transpose(0, 2, 1)
         moves = np.array([world[joint] @ inverse[i] for i, joint in enumerate(skin.joints)])
         rest = self.array(primitive.attributes.POSITION).astype(float)
+        weights = nodes[self.file.nodes.index(skinned)].get("weights", self.file.meshes[skinned.mesh].weights)
+        for target, weight in zip(primitive.targets or [], () if weights is None else weights, strict=True):
+            rest += weight * self.array(target["POSITION"] if isinstance(target, dict) else target.POSITION)
         total, posed = np.zeros(len(rest)), np.zeros_like(rest)
         for i in range(16):
             if getattr(primitive.attributes, f"JOINTS_{i}", None) is None:

@@ -7,19 +7,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..arguments import checked
-from ..body.body import Body
-from ..body.pose import Motion
-from ..io.system.atomic import atomic_path
-from ..io.table import write_json
-from ..learn.anatomy.joint_evidence import JointEvidence
-from ..learn.learn_body import COARSE_PREFIX
-from ..learn.skeleton.joint_centre_prior import GivenCentres
-from ..observe.meshes import MeshSequence
-from .pictures import error_pictures, new_figure
-from .render import INK
-from .scores import Scores
-from .weights import skeleton_picture, weight_pictures
+from ...arguments import checked
+from ...body.body import Body
+from ...body.pose import Motion
+from ...io.system.atomic import atomic_path
+from ...io.table import write_json
+from ...learn.anatomy.joint_evidence import JointEvidence
+from ...learn.correctives.learn_correctives import LearnedCorrectives
+from ...learn.learn_body import COARSE_PREFIX
+from ...learn.skeleton.joint_centre_prior import GivenCentres
+from ...observe.meshes import MeshSequence
+from ..pictures import error_pictures, new_figure
+from ..render import INK
+from ..scores import Scores
+from ..weights import skeleton_picture, weight_pictures
+from .correctives import corrective_picture, corrective_report
 
 #: colours of the steps of a round, in their order
 STEP_COLOURS = ("#2a5fd0", "#e8743b", "#2e9e4f", "#8f4fb0", "#b3202c", "#17a398", "#c9a227", "#555555")
@@ -35,12 +37,13 @@ def report_learning(
     settings: Mapping[str, object],
     evidence: JointEvidence | None = None,
     given: GivenCentres | None = None,
+    correctives: LearnedCorrectives | None = None,
 ) -> list[Path]:
     """Write `report.json` and pictures into an existing folder; return the pictures.
 
     **Arguments:** `groups` of meshes by name, such as training and held out; `history` the objective after
     every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, if parts were computed; `evidence` of the
-    meshes for the joints, and their `given` positions, for `skeleton.png`.
+    meshes for the joints, and their `given` positions, for `skeleton.png`; `correctives` of the body, for `correctives.png`.
 
     **Raises:** `InputError` if a file cannot be written.
     """
@@ -53,6 +56,8 @@ def report_learning(
     pictures += weight_pictures(folder, body)
     if evidence is not None:
         pictures.append(skeleton_picture(folder / "skeleton.png", body, given))
+    if correctives is not None:
+        pictures.append(corrective_picture(folder / "correctives.png", correctives))
     if len(history):
         pictures.append(_plot_history(folder / "history.png", history))
     known = None if curve is None or not len(curve) else np.asarray(curve, float)
@@ -70,6 +75,7 @@ def report_learning(
                 "centres": np.asarray(body.skeleton.centres, float).tolist(),
             },
             "evidence": None if evidence is None else _evidence_rows(evidence, given is not None),
+            "correctives": None if correctives is None else corrective_report(correctives),
             "history": [{"step": step, "Q": float(value)} for step, value in history],
             "parts_rms": None if known is None else known.tolist(),
             "scores": {label: scores.report() for label, (_, _, scores) in groups.items()},
