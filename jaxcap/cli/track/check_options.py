@@ -1,6 +1,6 @@
 """Checks of the options of `jaxcap track` before files are read."""
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -10,16 +10,13 @@ from ..body_models import is_model_spec
 from ..console.options import check_ranges
 from .people import read_count
 
-if TYPE_CHECKING:
-    from .track import Track
 
-
-def is_in_chunks(track: "Track") -> bool:
+def is_in_chunks(track: Any) -> bool:
     """Test if a sequence is tracked in chunks on several workers."""
     return track.workers is not None or track.scheduler is not None
 
 
-def check_options(track: "Track") -> None:
+def check_options(track: Any) -> None:
     """Check that options are in range. Raises `InputError`."""
     ranges = {
         "--normal-angle": (

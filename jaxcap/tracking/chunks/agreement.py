@@ -54,7 +54,7 @@ def is_unsure(judgement: Judgement, difference: float) -> Bool[np.ndarray, "*fra
     """
     worst = np.max(np.asarray(judgement.shares), axis=(-2, -1))
     limits = np.asarray(judgement.doubt), np.asarray(judgement.tolerance)
-    return np.any([np.abs(worst - limit) <= difference for limit in limits], axis=0)
+    return np.asarray(np.any([np.abs(worst - limit) <= difference for limit in limits], axis=0))
 
 
 def is_rested(searches: SearchHistory) -> bool:
