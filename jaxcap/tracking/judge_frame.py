@@ -21,6 +21,7 @@ from .judgement.baseline import (
 from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
+from .round_state import round_state
 from .track_frame import Tracker, TrackState, start_state, track_frame, with_clothes
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
@@ -185,7 +186,7 @@ def _compare(
 
 
 def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> TrackedFrame:
-    """Determine the start of the next frame: the last trusted pose, `previous`, if the body is not in the
+    """Determine the start of the next frame, rounded: the last trusted pose, `previous`, if the body is not in the
     cloud.
     """
     searches = frame.searches.advance(frame.verdict == "good")
@@ -197,7 +198,9 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
     return eqx.tree_at(
-        lambda f: (f.pose, f.trusted, f.state, f.searches), frame, (pose, trusted, state, searches)
+        lambda f: (f.pose, f.trusted, f.state, f.searches),
+        frame,
+        (pose, trusted, round_state(state), searches),
     )
 
 

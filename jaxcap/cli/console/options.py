@@ -57,6 +57,25 @@ Vj = Annotated[
 OptionalCount = Annotated[int | None, arg(metavar="N", help_behavior_hint="")]
 OptionalUnit = Annotated[str | None, arg(metavar="UNIT", help_behavior_hint="")]
 Unit = Annotated[str, arg(metavar="UNIT")]
+Workers = Annotated[
+    OptionalCount,
+    arg(
+        help="Track one long sequence in chunks, on N worker processes of this computer (Dask). See also `jaxcap batch`."
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    arg(
+        metavar="ADDRESS",
+        help_behavior_hint="",
+        help="Track in chunks on the workers of a running Dask scheduler, such as tcp://10.0.0.1:8786, which see the same files.",
+    ),
+]
+NumChunks = Annotated[
+    OptionalCount,
+    arg(help="Number of chunks. Default: up to four for each worker, fewer in a short sequence."),
+]
+Overlap = Annotated[int, arg(metavar="N", help="Number of frames that each chunk begins early.")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 KeepPlanes = Annotated[
     bool,

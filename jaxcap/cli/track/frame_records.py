@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from ...body.pose import Pose, rest_pose
 from ...body.skeleton import Skeleton
@@ -75,14 +75,7 @@ class Results(NamedTuple):
 
 def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Results:
     """Decode the results in rows by `pack`, or in their first `results_width` columns."""
-    leaves, tree = jax.tree.flatten(_results_in(template))
-    arrays, at = [], POSE_AT
-    for leaf in leaves:
-        size = np.size(leaf)
-        columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
-        arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
-        at += size
-    poses, statistics, lost, judgements, others = jax.tree.unflatten(tree, arrays)
+    poses, statistics, lost, judgements, others = _decode_results(template, rows)
     lost = np.asarray(lost)
     judgements = jax.tree.map(np.asarray, judgements)
     verdicts: list[tuple[str, tuple[str, ...]]] = [("good", ())] * len(rows)
@@ -96,6 +89,24 @@ def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Re
         unseen[number] = unseen_of(gone, there)
     statistics, others = jax.tree.map(np.asarray, (statistics, others))
     return Results(rows[:, 0], poses, statistics, verdicts, unseen, others.astype(bool).tolist())
+
+
+def judgements_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Judgement:
+    """Decode the judgements in rows by `pack`, stacked over the frames."""
+    return _decode_results(template, rows)[3]
+
+
+def _decode_results(
+    template: TrackedFrame, rows: Float[np.ndarray, "N R"]
+) -> tuple[Pose, FrameStatistics, Array, Judgement, Array]:
+    leaves, tree = jax.tree.flatten(_results_in(template))
+    arrays, at = [], POSE_AT
+    for leaf in leaves:
+        size = np.size(leaf)
+        columns = rows[:, at : at + size].reshape(-1, *np.shape(leaf))
+        arrays.append(jnp.asarray(columns, jnp.asarray(leaf).dtype))
+        at += size
+    return jax.tree.unflatten(tree, arrays)
 
 
 def results_width(template: TrackedFrame) -> int:

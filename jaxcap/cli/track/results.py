@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -27,6 +28,8 @@ PERSON = "person.npz"
 #: beginning of the name of the folder of one person among several, followed by the number from 1
 PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
+#: of a run in chunks: the folder of the journals of all tasks, and how the chunks were joined
+CHUNKS, REPORT = "chunks", "chunks.json"
 #: the parameters of a body model in AMASS's format
 PARAMETERS = "parameters.npz"
 
@@ -61,6 +64,8 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resu
     if overwrite:
         for name in there:
             (folder / name).unlink()
+        (folder / REPORT).unlink(missing_ok=True)
+        shutil.rmtree(folder / CHUNKS, ignore_errors=True)
         for own in folder.glob(f"{PERSON_FOLDER}*"):
             if own.is_dir() and not any(own.iterdir()):
                 own.rmdir()

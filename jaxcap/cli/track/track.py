@@ -20,12 +20,14 @@ from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
+from ...tracking.chunks.division import OVERLAP
+from ...tracking.chunks.tasks import TrackSettings, forgetful_tracker
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
 from ...tracking.track import track_frames
 from ...tracking.track_frame import Tracker, make_tracker, replace_body
-from ..body_models import is_model_spec, load_model_of, write_parameters
+from ..body_models import load_model_of, write_parameters
 from ..console.console import pluralise, progress, say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -34,13 +36,16 @@ from ..console.options import (
     DepthSpec,
     Flag,
     KeepPlanes,
+    NumChunks,
     OptionalCount,
+    Overlap,
+    Scheduler,
     Skl,
     Unit,
     Up,
     Vj,
+    Workers,
     arg,
-    check_ranges,
 )
 from ..console.timed import timed
 from ..depth.sources import (
@@ -58,6 +63,9 @@ from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .announce import make_announcer, warn_without_prior
+from .check_options import check_options, is_in_chunks
+from .chunk_files import ChunkedRun
+from .chunks import ChunkOptions, track_in_chunks
 from .depth import (
     BACKGROUND_KEY,
     announce_missing,
@@ -72,7 +80,9 @@ from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
 from .person_shape import find_shapes
 from .results import (
+    CHUNKS,
     PARAMETERS,
+    REPORT,
     check_complete,
     check_folder,
     fingerprint,
@@ -84,6 +94,8 @@ from .results import (
 )
 
 JOURNAL = "journal"
+#: key of its header, with which a run in chunks is not continued as one run
+IN_CHUNKS = "in chunks"
 People = Annotated[str | None, arg(metavar="N", help_behavior_hint="")]
 #: values of --initialise
 SEARCHES: dict[str, FirstSearch] = {"auto": "auto", "always": True, "never": False}
@@ -153,11 +165,16 @@ class Track:
     damping: float = 1.0
     """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
     iterations: OptionalCount = None
-    """Number of iterations of expectation maximisation per frame: by default 3, or 6 with --depth, --partial or --clothes."""
+    """Number of iterations of expectation maximisation per frame: by default 3, or 6 with --depth, --partial or --clothes;
+    at least 6 with --workers or --scheduler."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
     """Also estimate, for each body part, its share of the points."""
+    workers: Workers = None
+    scheduler: Scheduler = None
+    chunks: NumChunks = None
+    overlap: Overlap = OVERLAP
     initialise: Literal["auto", "always", "never"] = "auto"
     """Search for the pose of the first frame: if the rest pose does not explain the first cloud (auto), always, or
     never. Without a search, tracking starts at the rest pose."""
@@ -167,7 +184,7 @@ class Track:
     """Replace the results of an earlier run."""
 
     def run(self) -> None:
-        self.check()
+        check_options(self)
         body, limits = load_body(
             self.body, self.skl, self.vj, self.limits, vertices=self.vertices, unit=self.unit, up=self.up
         )
@@ -192,6 +209,7 @@ class Track:
                 **fingerprint(trackers, begun),
                 **pose_layout(body.skeleton),
                 BACKGROUND_KEY: images,
+                **({IN_CHUNKS: True} if is_in_chunks(self) else {}),
             }
             if self.people is None:
                 self.track(journal, trackers[0], clouds, rate, header, others, planes)
@@ -247,9 +265,16 @@ class Track:
         template = row_template(tracker, num_cameras=len(self.depth))
         with open_journal(path, header, row_width(template), self.resume) as journal:
             last = last_frame(journal, clouds.names, template)
-            self.track_remaining(
-                self.steps(tracker, clouds, journal.count, last, others, planes), clouds, journal
-            )
+            if is_in_chunks(self):
+                options = ChunkOptions(self.workers, self.scheduler, self.chunks, self.overlap)
+                settings = TrackSettings(SEARCHES[self.initialise], self.sigma0, planes=planes)
+                folder, cameras = self.out.absolute() / CHUNKS, len(self.depth)
+                run = ChunkedRun(tracker, clouds, others, settings, folder, header, cameras)
+                track_in_chunks(run, options, journal, last, self.out / REPORT)
+            else:
+                self.track_remaining(
+                    self.steps(tracker, clouds, journal.count, last, others, planes), clouds, journal
+                )
         set_activity("writing the results")
         rows = journal.read(slice(results_width(template)))[: len(clouds)]
         results = unpack_results(template, rows)
@@ -308,42 +333,6 @@ class Track:
         write_people(*where, self.body, self.vertices, own)
         check_complete(len(rows), clouds)
 
-    def check(self) -> None:
-        """Check that options are in range. Raises `InputError`."""
-        ranges = {
-            "--normal-angle": (
-                self.normal_angle,
-                0 < self.normal_angle <= 180,
-                "above 0 and at most 180 degrees",
-            ),
-            "--sigma0": (self.sigma0, 0 < self.sigma0 < np.inf, "above 0 metres"),
-            "--outlier": (self.outlier, 0 < self.outlier < 1, "between 0 and 1"),
-            "--damping": (self.damping, 0 <= self.damping < np.inf, "at least 0"),
-            "--iterations": (self.iterations, self.iterations is None or self.iterations >= 1, "at least 1"),
-            "--rate": (self.rate, self.rate is None or 0 < self.rate < np.inf, "above 0 frames per second"),
-        }
-        check_ranges(ranges)
-        if not (self.clouds or self.depth):
-            raise InputError("No clouds were given; give CLOUDS, or depth images with --depth.")
-        if self.clouds and self.depth:
-            raise InputError("CLOUDS and --depth were both given; give one of them.")
-        given = {
-            "--cameras": self.cameras is not None,
-            "--masks": bool(self.masks),
-            "--empty": bool(self.empty),
-        }
-        for name, there in given.items():
-            if there and not self.depth:
-                raise InputError(f"{name} is for depth images; give these with --depth.")
-        if self.people is not None:
-            read_count(self.people)
-        if self.resume and self.overwrite:
-            raise InputError("--resume continues a run and --overwrite replaces it; give one of them.")
-        if self.deviations and not self.fit_shape:
-            raise InputError("--deviations is for --fit-shape; give both.")
-        if self.deviations and not is_model_spec(self.body):
-            raise InputError("--deviations is for body models; give one as BODY, such as human:betas=20.")
-
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
         return {name: getattr(self, name) for name in SETTINGS}
@@ -361,6 +350,7 @@ class Track:
         partial = self.partial or self.clothes or bool(self.depth)
         steps = self.iterations
         made = make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
+        made = forgetful_tracker(made) if is_in_chunks(self) else made
         return warn_without_prior(made) if partial else made
 
     def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:

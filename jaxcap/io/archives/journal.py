@@ -13,6 +13,7 @@ import hashlib
 import json
 import shutil
 import struct
+import sys
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping
@@ -149,9 +150,9 @@ def resume_journal(path: str | Path, header: Mapping[str, object], width: int) -
 
 
 def read_records(
-    path: str | Path, skip: int = 0, columns: slice = slice(None)
+    path: str | Path, skip: int = 0, columns: slice = slice(None), count: int | None = None
 ) -> Float[np.ndarray, "N columns"]:
-    """Read the valid records after the first `skip`, or some of their columns.
+    """Read the valid records after the first `skip`, or some of their columns; at most `count` records.
 
     Another program may write the journal at the same time; an incomplete record is skipped. Raises
     `InputError` if the file is no journal.
@@ -159,8 +160,14 @@ def read_records(
     with _open_journal(Path(path)) as (file, there, start):
         width = int(str(there["width"]))
         file.seek(start + _size(width) * skip)
-        blocks = [block[:, columns].copy() for block in _blocks(file, width)]
+        blocks = [block[:, columns].copy() for block in _blocks(file, width, count)]
     return np.concatenate([np.zeros((0, width))[:, columns], *blocks])
+
+
+def count_records(path: str | Path) -> int:
+    """Count the records of a journal by its size; another program may write it. Raises `InputError` if the file is no journal."""
+    with _open_journal(Path(path)) as (file, there, start):
+        return (file.seek(0, 2) - start) // _size(int(str(there["width"])))
 
 
 def check_same_header(path: Path, stored: Mapping[str, object], header: Mapping[str, object]) -> None:
@@ -196,11 +203,13 @@ def _size(width: int) -> int:
     return 8 * width + 4
 
 
-def _blocks(file: BinaryIO, width: int) -> Iterator[Float[np.ndarray, "N width"]]:
-    """Iterate over blocks of records from the current position to the first torn record."""
+def _blocks(file: BinaryIO, width: int, count: int | None = None) -> Iterator[Float[np.ndarray, "N width"]]:
+    """Iterate over blocks of records from the current position to the first torn record, or of the next `count` records."""
     size = _size(width)
     record = np.dtype([("numbers", "<f8", (width,)), ("sum", "<u4")])
-    while data := file.read(max(BLOCK // size, 1) * size):
+    left = sys.maxsize if count is None else count
+    while data := file.read(min(max(BLOCK // size, 1), left) * size):
+        left -= len(data) // size
         block = np.frombuffer(data, record, len(data) // size)
         whole = next(
             (n for n, (numbers, total) in enumerate(block) if zlib.crc32(numbers.tobytes()) != total),

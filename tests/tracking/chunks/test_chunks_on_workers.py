@@ -1,0 +1,125 @@
+"""Chunks on the workers of a cluster, and their files."""
+
+import jax
+import numpy as np
+import pytest
+from limb_scene import BODY, TRACKER, joints, pose_of, scan_frames
+
+from jaxcap.batch.cluster import open_cluster
+from jaxcap.cli.track import chunk_files
+from jaxcap.cli.track.chunk_files import ChunkedRun, JournalSegment, run_saved_task
+from jaxcap.cli.track.chunks import find_division
+from jaxcap.errors import InputError
+from jaxcap.io.archives.journal import Journal
+from jaxcap.io.lazy_frames import LazyFrames
+from jaxcap.tracking.chunks.tasks import Task, TrackSettings
+from jaxcap.tracking.chunks.track_chunks import track_chunks
+from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import make_tracker
+
+pytest.importorskip("distributed")
+FRAMES = 70
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    return scan_frames(FRAMES)
+
+
+@pytest.fixture(scope="module")
+def alone(clouds):
+    return list(track_frames(TRACKER, clouds, pose_of(0), planes=[]))
+
+
+def test_workers_track_the_poses_of_one_run(clouds, alone):
+    with open_cluster(2, processes=False) as client:
+        found = track_chunks(
+            make_tracker(BODY), clouds, pose_of(0), client=client, chunks=2, overlap=30, planes=[]
+        )
+    assert not found.failures
+    assert [boundary.joined for boundary in found.boundaries] == [True]
+    for frame, one in zip(found.frames, alone, strict=True):
+        assert frame is not None
+        assert np.abs(joints(frame.pose) - joints(one.pose)).max() < 1e-4
+        assert frame.verdict == one.verdict
+
+
+def test_wrong_arguments_are_refused_before_a_cluster_is_started(clouds):
+    with pytest.raises(InputError, match="overlap of chunks is 3 frames"):
+        track_chunks(TRACKER, clouds, overlap=3)
+    with pytest.raises(InputError, match="tolerance"):
+        track_chunks(TRACKER, clouds, tolerance=0.0)
+
+
+def saved_run(folder, clouds):
+    names = [f"{number}.ply" for number in range(FRAMES)]
+    lazy = LazyFrames(names, lambda number: clouds[number])
+    return ChunkedRun(TRACKER, lazy, {3}, TrackSettings(), folder, {"body": "limb"}, 0)
+
+
+def test_an_interrupted_task_continues_from_its_journal(clouds, alone, tmp_path, monkeypatch):
+    run, task = saved_run(tmp_path, clouds), Task("chunk_0", 0, 12, pose_of(0))
+    append, left = Journal.append, [5]
+
+    def dying(self, record):
+        if not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        append(self, record)
+
+    monkeypatch.setattr(Journal, "append", dying)
+    with pytest.raises(KeyboardInterrupt):
+        run_saved_task(run, task)
+    left[0], begun = -1, []
+    follow = chunk_files.track_task
+
+    def counted(*arguments):
+        for frame in follow(*arguments):
+            begun.append(frame)
+            yield frame
+
+    monkeypatch.setattr(chunk_files, "track_task", counted)
+    segment = run_saved_task(run, task).outcome.segment
+    assert isinstance(segment, JournalSegment)
+    assert len(begun) == 7
+    frames = list(segment.frames(0, 12))
+    # a second person, which the reader of the clouds noticed
+    assert [number for number, frame in enumerate(frames) if frame.others] == [3]
+    for frame, one in zip(frames, alone[:12], strict=True):
+        assert all(map(np.array_equal, jax.tree.leaves(frame.pose), jax.tree.leaves(one.pose)))
+    # a finished task is not tracked again, and one from another start is begun anew
+    begun.clear()
+    run_saved_task(run, task)
+    assert begun == []
+    run_saved_task(run, task._replace(start=pose_of(1)))
+    assert len(begun) == 12
+
+
+def test_a_task_stops_where_it_agrees_also_after_an_interruption(clouds, alone, tmp_path):
+    run = saved_run(tmp_path, clouds)
+    expected = run_saved_task(run, Task("chunk_1", 10, 30, alone[9])).outcome.segment
+    again = Task("again_1_0", 10, 30, alone[9], "agreed", expected)
+    for _ in range(2):
+        segment = run_saved_task(run, again).outcome.segment
+        assert segment is not None and segment.end == 15
+
+
+def test_a_cloud_that_cannot_be_read_ends_a_task_with_its_sentence(clouds, tmp_path):
+    def load(number):
+        if number == 4:
+            raise InputError("4.ply: damaged.")
+        return clouds[number]
+
+    run = saved_run(tmp_path, clouds)
+    run = ChunkedRun(**{**vars(run), "clouds": LazyFrames(run.clouds.names, load)})
+    outcome = run_saved_task(run, Task("chunk_0", 0, 12, pose_of(0))).outcome
+    assert outcome.error == "4.ply: damaged."
+    assert outcome.segment is not None and outcome.segment.end == 4
+
+
+def test_a_stopped_run_keeps_its_division(tmp_path):
+    path = tmp_path / "plan.json"
+    first = find_division(path, 100, 3, 10, 0)
+    assert find_division(path, 100, 5, 20, 0) == first
+    # of other frames
+    assert len(find_division(path, 200, 5, 20, 0)) == 5
