@@ -14,14 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...body.composite_equations import composite_equations, wrenches_of
 from ...body.geometric_jacobian import (
     GeometricJacobian,
+    composite_equations,
     descendant_matrix,
     joint_jacobian,
     pose_jacobian,
     project_velocities,
     select_parameters,
+    wrenches_of,
 )
 from ...body.kinematics import Transforms, forward_kinematics, joint_positions
 from ...body.pose import Pose
