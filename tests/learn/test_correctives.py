@@ -17,7 +17,7 @@ from jaxcap.learn.correctives.near_joints import find_near_joints, list_columns
 from jaxcap.learn.correctives.pose_basis import make_pose_basis, pose_values
 
 FEATURES = RotationMatrixFeatures()
-COUNT, TESTED = 40, 8
+COUNT, TESTED = 80, 8
 STRENGTH = jnp.asarray(0.3)
 
 
@@ -25,7 +25,7 @@ STRENGTH = jnp.asarray(0.3)
 def truth():
     """A body with displacements of rank two at each joint, about 1 cm, each at vertices near the joint; and poses."""
     rng = np.random.default_rng(0)
-    body = chain_body("swing_twist", rings=5)
+    body = chain_body("linear", rings=5)
     near = find_near_joints(body)[:, 1:]
     layer, owners = [], []
     for joint in np.flatnonzero(near.any(0)):
