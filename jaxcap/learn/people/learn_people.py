@@ -157,7 +157,7 @@ def learn_people(
 
 
 def repeat_meshes(sequence: MeshSequence) -> MeshSequence:
-    """Extend the meshes of a person by its first ones until their number is one of `LENGTHS`, for which functions are compiled."""
+    """Append the first meshes of a person until their number is one of `LENGTHS`, for which functions are compiled."""
     count = len(sequence)
     length = next((length for length in LENGTHS if length >= count), count)
     return sequence if length == count else sequence[np.arange(length) % count]
