@@ -71,7 +71,7 @@ def _check_topology(name: str, meshes: MeshSequence, first: str, others: MeshSeq
 def _check_one_person(name: str, meshes: MeshSequence, names: Sequence[str]) -> None:
     groups = find_people_by_size(np.asarray(meshes.vertices, float), np.asarray(meshes.faces))
     if len(groups) > 1:
-        few, usual = [names[mesh] for mesh in groups[-1]], names[groups[0][0]]
+        few, usual = [str(names[mesh]) for mesh in groups[-1].tolist()], names[int(groups[0][0])]
         listed = ", ".join(few[:3]) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
         raise InputError(
             f"learn_people: the meshes of {name} show several people: {listed} and {usual} differ by more than {MIN_GAP:.0%} in the "
