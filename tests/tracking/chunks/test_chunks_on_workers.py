@@ -1,17 +1,24 @@
 """Chunks on the workers of a cluster, and their files."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
+from command_line import runs
 from limb_scene import BODY, TRACKER, joints, pose_of, scan_frames
 
 from jaxcap.batch.cluster import open_cluster
+from jaxcap.cli import main
 from jaxcap.cli.track import chunk_files
 from jaxcap.cli.track.chunk_files import ChunkedRun, JournalSegment, run_saved_task
-from jaxcap.cli.track.chunks import find_division
+from jaxcap.cli.track.chunks import ChunkOptions, find_division
+from jaxcap.cli.track.track import Track
 from jaxcap.errors import InputError
 from jaxcap.io.archives.journal import Journal
+from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.lazy_frames import LazyFrames
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.tracking.chunks.tasks import Task, TrackSettings
 from jaxcap.tracking.chunks.track_chunks import track_chunks
 from jaxcap.tracking.track import track_frames
@@ -119,7 +126,58 @@ def test_a_cloud_that_cannot_be_read_ends_a_task_with_its_sentence(clouds, tmp_p
 
 def test_a_stopped_run_keeps_its_division(tmp_path):
     path = tmp_path / "plan.json"
-    first = find_division(path, 100, 3, 10, 0)
-    assert find_division(path, 100, 5, 20, 0) == first
+    first = find_division(path, 100, 1, ChunkOptions(None, None, 3, 10), 0)
+    # also while its rows were being joined
+    assert find_division(path, 100, 1, ChunkOptions(None, None, 5, 20), 40) == first
     # of other frames
-    assert len(find_division(path, 200, 5, 20, 0)) == 5
+    assert len(find_division(path, 200, 1, ChunkOptions(None, None, 5, 20), 0)) == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"chunks": 3}, "--chunks is for several workers"),
+        ({"workers": 2, "scheduler": "tcp://there:1"}, "give one of them"),
+        ({"workers": 2, "people": "2"}, "for one person"),
+        ({"workers": 0}, "--workers is 0"),
+        ({"workers": 2, "overlap": 5}, "--overlap is 5; it must be above 5"),
+    ],
+)
+def test_options_of_chunks_are_checked(options, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        Track(body="human", clouds=("a.ply",), out=tmp_path / "out", **options).run()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_command_tracks_in_chunks_and_continues(clouds, tmp_path, capsys, monkeypatch):
+    """The program is stopped while the chunks are joined; the result is that of one run."""
+    save_body(tmp_path / "limb.npz", BODY)
+    for number, cloud in enumerate(clouds):
+        real = np.asarray(cloud.weights) > 0
+        points, normals = np.asarray(cloud.points)[real], np.asarray(cloud.normals)[real]
+        write_mesh(tmp_path / f"cloud_{number:03d}.ply", Mesh(points, np.zeros((0, 3), int), normals))
+    words = ["track", tmp_path / "limb.npz", tmp_path / "cloud_*.ply", "-o"]
+    runs(capsys, *words, tmp_path / "one", "--workers", "1")
+    two = (*words, tmp_path / "two", "--workers", "2", "--chunks", "2", "--overlap", "30")
+    append, left = Journal.append, [10]
+
+    def stopped(self, record):
+        if not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        append(self, record)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Journal, "append", stopped)
+        with pytest.raises(SystemExit):
+            main([str(word) for word in two])
+    out = runs(capsys, *two, "--resume")
+    assert "2 chunks on 2 workers" in out
+    first, second = (load_motion(tmp_path / name / "motion.npz") for name in ("one", "two"))
+    assert first.num_frames == second.num_frames == FRAMES
+    for number in range(FRAMES):
+        assert np.abs(joints(first[number]) - joints(second[number])).max() < 1e-4
+    report = json.loads((tmp_path / "two" / "chunks.json").read_text())
+    assert [boundary["joined"] for boundary in report["boundaries"]] == [True]
+    assert not (tmp_path / "two" / "chunks").exists()
