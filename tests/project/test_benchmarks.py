@@ -69,6 +69,28 @@ def test_batch(checkout, shared):
 
 @pytest.mark.slow
 @pytest.mark.shared
+def test_chunks(checkout, shared):
+    options = (
+        "--frames",
+        "150",
+        "--resolution",
+        "low",
+        "--points",
+        "800",
+        "--overlap",
+        "25",
+        "--chunks",
+        "3",
+    )
+    line = run(checkout, "chunks", *options)
+    assert meets(line, "not_joined", "killed_max_mm")
+    # the passage without a person, at a boundary
+    assert line["figures"]["not_good_frames"] > 20
+    assert line["figures"]["repeated_frames"] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.shared
 def test_rooms_clutter(checkout, shared, tmp_path):
     options = (
         "--takes",

@@ -29,7 +29,7 @@ from ..batch.prepare import prepare_worker
 from ..console.console import has_terminal, pluralise, progress_bar, report_progress, say, warn
 from ..console.heartbeat import set_activity
 from .chunk_files import ChunkedRun, JournalSegment, SavedOutcome, run_saved_task
-from .frame_records import judgements_of
+from .frame_records import judgements_of, row_template
 
 #: the file of the division, in the folder of the journals
 PLAN = "plan.json"
@@ -46,33 +46,31 @@ class ChunkOptions(NamedTuple):
     overlap: int
 
 
-def track_in_chunks(
-    run: ChunkedRun, options: ChunkOptions, journal: Journal, last: TrackedFrame | None, report: Path
-) -> None:
+def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, report: Path) -> None:
     """Track all frames that the journal lacks in chunks, add them to it, and write the boundaries of the chunks to `report`.
-
-    **Arguments:** `last`, the last frame of the journal.
 
     **Raises:** `InputError` if frames could not be tracked. All others are kept in the folder of the run, for --resume.
     """
-    first, count = journal.count, len(run.clouds)
+    count, plan = len(run.clouds), run.folder / PLAN
+    if journal.count >= count and not plan.is_file():
+        return
     run.folder.mkdir(exist_ok=True)
     set_activity("starting the workers")
-    jobs = options.chunks or count - first
     memory = job_memory(["track"])
-    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs)
+    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=count)
     try:
         with opened as client:
             client.register_worker_callbacks(prepare_worker)
-            number = options.chunks or count_chunks(count - first, count_workers(client), options.overlap)
-            chunks = find_division(run.folder / PLAN, count, number, options.overlap, first)
-            say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(count_workers(client), 'worker')}")
+            workers = count_workers(client)
+            chunks = find_division(plan, count, workers, options, journal.count)
+            first = chunks[0].first
+            say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
             with watch_frames(run.folder, first, count):
                 joined = join_chunks(
                     run.tracker.body.skeleton,
                     chunks,
                     partial(_run, client, run),
-                    last,
+                    _frame_before(run, journal, first),
                     run.settings.tolerance,
                 )
     except KeyboardInterrupt:
@@ -94,16 +92,27 @@ def track_in_chunks(
     _describe(joined.boundaries, unsure)
 
 
-def find_division(path: Path, count: int, chunks: int, overlap: int, first: int) -> list[Chunk]:
-    """Divide the frames into chunks, as a run of the same frames that was stopped; write the division to a file."""
-    found = {"first": first, "count": count}
+def find_division(path: Path, count: int, workers: int, options: ChunkOptions, num_done: int) -> list[Chunk]:
+    """Divide the frames from `num_done` on into chunks, and write the division to a file; a stopped run of as many frames has its own."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         stored = json.loads(path.read_text())
-        if {name: stored[name] for name in found} == found:
-            return [Chunk(*map(int, chunk)) for chunk in stored["chunks"]]
-    divided = divide_frames(count - first, chunks, overlap, first)
-    write_json(path, {**found, "chunks": [list(chunk) for chunk in divided]})
+        chunks = [Chunk(*map(int, chunk)) for chunk in stored["chunks"]]
+        # some rows may have been joined when it was stopped
+        if chunks[-1].end == count and chunks[0].first <= num_done:
+            return chunks
+    left = count - num_done
+    number = options.chunks or count_chunks(left, workers, options.overlap)
+    divided = divide_frames(left, number, options.overlap, num_done)
+    write_json(path, {"chunks": [list(chunk) for chunk in divided]})
     return divided
+
+
+def _frame_before(run: ChunkedRun, journal: Journal, number: int) -> TrackedFrame | None:
+    """Read the frame before the first one of a run in chunks; None at the beginning of the sequence."""
+    if not number:
+        return None
+    like = row_template(run.tracker, num_cameras=run.num_cameras)
+    return next(JournalSegment(journal.path, 0, journal.count, like).frames(number - 1, number))
 
 
 def _run(client, run: ChunkedRun, tasks: Sequence[Task]) -> Iterator[tuple[int, Outcome]]:
@@ -129,7 +138,8 @@ def _add_rows(run: ChunkedRun, chunks: Sequence[Chunk], joined: JoinedChunks, jo
                     close = is_unsure(judgements_of(span.segment.like, rows), boundary.margin)
                     numbers = (number + np.flatnonzero(close)).tolist()
                     unsure += [k for k in numbers if k >= boundary.frame + boundary.num_repeated]
-                for row in rows:
+                # rows that a stopped run has joined are there
+                for row in rows[max(journal.count - number, 0) :]:
                     journal.append(row)
                 number += len(rows)
     return unsure

@@ -270,7 +270,7 @@ class Track:
                 settings = TrackSettings(SEARCHES[self.initialise], self.sigma0, planes=planes)
                 folder, cameras = self.out.absolute() / CHUNKS, len(self.depth)
                 run = ChunkedRun(tracker, clouds, others, settings, folder, header, cameras)
-                track_in_chunks(run, options, journal, last, self.out / REPORT)
+                track_in_chunks(run, options, journal, self.out / REPORT)
             else:
                 self.track_remaining(
                     self.steps(tracker, clouds, journal.count, last, others, planes), clouds, journal

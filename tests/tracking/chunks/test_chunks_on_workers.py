@@ -1,17 +1,28 @@
 """Chunks on the workers of a cluster, and their files."""
 
+import json
+import subprocess
+
 import jax
 import numpy as np
 import pytest
+from command_line import PYTHON
 from limb_scene import BODY, TRACKER, joints, pose_of, scan_frames
 
 from jaxcap.batch.cluster import open_cluster
 from jaxcap.cli.track import chunk_files
 from jaxcap.cli.track.chunk_files import ChunkedRun, JournalSegment, run_saved_task
-from jaxcap.cli.track.chunks import find_division
+from jaxcap.cli.track.chunks import ChunkOptions, _add_rows, find_division
+from jaxcap.cli.track.frame_records import CLOUD_AT, hash_cloud_name, row_width
+from jaxcap.cli.track.track import Track
 from jaxcap.errors import InputError
-from jaxcap.io.archives.journal import Journal
+from jaxcap.io.archives.journal import Journal, create_journal
+from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.lazy_frames import LazyFrames
+from jaxcap.io.meshes.mesh import Mesh, write_mesh
+from jaxcap.tracking.chunks.division import Chunk
+from jaxcap.tracking.chunks.join_chunks import Boundary, JoinedChunks
+from jaxcap.tracking.chunks.segments import JoinedSegment
 from jaxcap.tracking.chunks.tasks import Task, TrackSettings
 from jaxcap.tracking.chunks.track_chunks import track_chunks
 from jaxcap.tracking.track import track_frames
@@ -19,6 +30,24 @@ from jaxcap.tracking.track_frame import make_tracker
 
 pytest.importorskip("distributed")
 FRAMES = 70
+PROGRAM = "import sys; from jaxcap.cli import main; main(sys.argv[1:])"
+STOP_WHILE_JOINING = """
+from jaxcap.io.archives.journal import Journal, create_journal
+append, left = Journal.append, [10]
+def stopped(self, record):
+    if not left[0]:
+        raise KeyboardInterrupt
+    left[0] -= 1
+    append(self, record)
+Journal.append = stopped
+"""
+
+
+def run_program(*words, before="") -> tuple[int, str]:
+    """Run the command line in a process of its own; return its exit code and output."""
+    command = [PYTHON, "-c", f"{before}\n{PROGRAM}", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
+    return done.returncode, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +146,73 @@ def test_a_cloud_that_cannot_be_read_ends_a_task_with_its_sentence(clouds, tmp_p
     assert outcome.segment is not None and outcome.segment.end == 4
 
 
+def test_rows_are_joined_in_order_also_after_an_interruption(clouds, alone, tmp_path):
+    run = saved_run(tmp_path, clouds)
+    first = run_saved_task(run, Task("chunk_0", 0, 12, pose_of(0))).outcome.segment
+    second = run_saved_task(run, Task("chunk_1", 8, 20, alone[7])).outcome.segment
+    chunks = [Chunk(0, 0, 12), Chunk(8, 12, 20)]
+    segments = tuple(JoinedSegment([]).replace_first(segment) for segment in (first, second))
+    boundary = Boundary(12, 0.0, np.inf, 0, True)
+    joined = JoinedChunks(segments, (boundary,), ())
+    with create_journal(tmp_path / "journal", {}, row_width(first.like)) as journal:
+        # a run that was stopped after three rows
+        for row in next(first.rows(0, 3)):
+            journal.append(row)
+        # all verdicts of the second chunk are within an infinite margin
+        assert _add_rows(run, chunks, joined, journal) == list(range(12, 20))
+        rows = journal.read()
+    assert len(rows) == 20
+    names = [hash_cloud_name(f"{number}.ply") for number in range(20)]
+    assert rows[:, CLOUD_AT].tolist() == names
+    within = joined._replace(boundaries=(boundary._replace(share_difference=0.0),))
+    with create_journal(tmp_path / "journal", {}, row_width(first.like)) as journal:
+        assert _add_rows(run, chunks, within, journal) == []
+
+
 def test_a_stopped_run_keeps_its_division(tmp_path):
     path = tmp_path / "plan.json"
-    first = find_division(path, 100, 3, 10, 0)
-    assert find_division(path, 100, 5, 20, 0) == first
+    first = find_division(path, 100, 1, ChunkOptions(None, None, 3, 10), 0)
+    # also while its rows were being joined
+    assert find_division(path, 100, 1, ChunkOptions(None, None, 5, 20), 40) == first
     # of other frames
-    assert len(find_division(path, 200, 5, 20, 0)) == 5
+    assert len(find_division(path, 200, 1, ChunkOptions(None, None, 5, 20), 0)) == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"chunks": 3}, "--chunks is for several workers"),
+        ({"workers": 2, "scheduler": "tcp://there:1"}, "give one of them"),
+        ({"workers": 2, "people": "2"}, "for one person"),
+        ({"workers": 0}, "--workers is 0"),
+        ({"workers": 2, "overlap": 5}, "--overlap is 5; it must be above 5"),
+    ],
+)
+def test_options_of_chunks_are_checked(options, words, tmp_path):
+    with pytest.raises(InputError, match=words):
+        Track(body="human", clouds=("a.ply",), out=tmp_path / "out", **options).run()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_command_tracks_in_chunks_and_continues(clouds, tmp_path):
+    """The program is stopped while the chunks are joined; the result is that of one run."""
+    save_body(tmp_path / "limb.npz", BODY)
+    for number, cloud in enumerate(clouds):
+        real = np.asarray(cloud.weights) > 0
+        points, normals = np.asarray(cloud.points)[real], np.asarray(cloud.normals)[real]
+        write_mesh(tmp_path / f"cloud_{number:03d}.ply", Mesh(points, np.zeros((0, 3), int), normals))
+    words = ["track", tmp_path / "limb.npz", tmp_path / "cloud_*.ply", "-o"]
+    assert run_program(*words, tmp_path / "one", "--workers", "1")[0] == 0
+    two = (*words, tmp_path / "two", "--workers", "2", "--chunks", "2", "--overlap", "30")
+    assert run_program(*two, before=STOP_WHILE_JOINING)[0] == 130
+    code, out = run_program(*two, "--resume")
+    assert code == 0
+    assert "2 chunks on 2 workers" in out
+    first, second = (load_motion(tmp_path / name / "motion.npz") for name in ("one", "two"))
+    assert first.num_frames == second.num_frames == FRAMES
+    for number in range(FRAMES):
+        assert np.abs(joints(first[number]) - joints(second[number])).max() < 1e-4
+    report = json.loads((tmp_path / "two" / "chunks.json").read_text())
+    assert [boundary["joined"] for boundary in report["boundaries"]] == [True]
+    assert not (tmp_path / "two" / "chunks").exists()
