@@ -122,7 +122,8 @@ def _nearest_in_reach(
         block, tile = jnp.minimum(pair // num_tiles, parts.num_blocks - 1), pair % num_tiles
         squared, slot = _without_fusion(_nearest_in_blocks, tiles[tile], blocks[block])
         row = jnp.where(pair < total, parts_of_blocks[block] * num_tiles + tile, rows)
-        return _keep_nearest(*found, row, squared, block[:, None] * BLOCK + slot)
+        best, place = found
+        return _keep_nearest(best, place, row, squared, block[:, None] * BLOCK + slot)
 
     start = jnp.full((rows, TILE), jnp.inf, tiles.dtype), jnp.zeros((rows, TILE), jnp.int32)
     return lax.fori_loop(0, (jnp.sum(chosen) + CHUNK - 1) // CHUNK, step, start)
