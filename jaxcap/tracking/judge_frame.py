@@ -186,7 +186,7 @@ def _compare(
 
 
 def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> TrackedFrame:
-    """Determine the start of the next frame, rounded: the last trusted pose, `previous`, if the body is not in the
+    """Determine the start of the next frame: the last trusted pose, `previous`, if the body is not in the
     cloud.
     """
     searches = frame.searches.advance(frame.verdict == "good")
@@ -197,10 +197,9 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
             state = start_state(with_clothes(tracker, state.estimate.clothes), previous, FIRST_SIGMA)
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
+    state = round_state(state, tracker.rounding) if tracker.rounding else state
     return eqx.tree_at(
-        lambda f: (f.pose, f.trusted, f.state, f.searches),
-        frame,
-        (pose, trusted, round_state(state), searches),
+        lambda f: (f.pose, f.trusted, f.state, f.searches), frame, (pose, trusted, state, searches)
     )
 
 

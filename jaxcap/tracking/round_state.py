@@ -12,14 +12,11 @@ import jax.numpy as jnp
 from ..geometry import rotation
 from .track_frame import TrackState
 
-#: step of the grid of quaternions, metres and radians: hundredths of a millimetre at the end of a limb
-STEP = 2.0**-15
-
 
 @eqx.filter_jit
-def round_state(state: TrackState) -> TrackState:
-    """Round all numbers of a state to multiples of `STEP`, with unit quaternions."""
-    rounded = jax.tree.map(lambda leaf: STEP * jnp.round(leaf / STEP), state)
+def round_state(state: TrackState, step: float) -> TrackState:
+    """Round all numbers of a state to multiples of a step, with unit quaternions."""
+    rounded = jax.tree.map(lambda leaf: step * jnp.round(leaf / step), state)
     return eqx.tree_at(
         lambda s: s.estimate.pose.rotations, rounded, rotation.normalise(rounded.estimate.pose.rotations)
     )
