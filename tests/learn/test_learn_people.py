@@ -13,7 +13,7 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.people.check_people import check_people, find_people_by_size
+from jaxcap.learn.people.check_people import check_people, find_far_joints, find_people_by_size
 from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
 from jaxcap.learn.people.person import Person, initialise_person
 from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
@@ -147,6 +147,17 @@ def test_a_linear_shape_space_is_recovered_with_its_derivatives(rng):
     at, step = jnp.array([0.3, -0.7]), 1e-5
     numeric = [(loss(at.at[k].add(step)) - loss(at.at[k].add(-step))) / (2 * step) for k in range(2)]
     np.testing.assert_allclose(jax.grad(loss)(at), numeric, rtol=1e-6)
+
+
+def test_joints_far_from_the_surface_are_named():
+    bodies = [limb(), limb(1.1), limb(1.2), limb(1.05), limb(1.15, 0.07)]
+    space = make_shape_space(bodies)
+    assert find_far_joints(space.model, space.coefficients, "abcde") == []
+    moved = bodies[1].skeleton.centres.at[2, 0].add(0.12)
+    bodies[1] = eqx.tree_at(lambda b: b.skeleton.centres, bodies[1], moved)
+    space = make_shape_space(bodies)
+    (sentence,) = find_far_joints(space.model, space.coefficients, "abcde")
+    assert sentence.startswith("The meshes of b moved joints far") and "end (" in sentence
 
 
 def test_meshes_are_repeated_to_few_lengths(rng):

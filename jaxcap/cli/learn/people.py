@@ -19,7 +19,7 @@ from ...io.table import write_json
 from ...learn.anatomy.joint_evidence import describe_joints, joint_evidence
 from ...learn.learn_body import COARSE_PREFIX
 from ...learn.parts.check_parts import check_learned
-from ...learn.people.check_people import check_people
+from ...learn.people.check_people import check_people, find_far_joints
 from ...learn.people.learn_people import LearnedPeople, PeopleState, learn_people
 from ...observe.meshes import MeshSequence
 from ...report.scores import Scores
@@ -171,7 +171,8 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
         say(line)
     if not len(learned.left_right_pairs):
         say("no left and right joints were paired")
-    for message in check_learned(body, motion):
+    far = find_far_joints(learned.model, learned.coefficients, learned.names)
+    for message in [*check_learned(body, motion), *far]:
         warn(message)
 
 

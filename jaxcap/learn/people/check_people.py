@@ -6,10 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
+from ...body.body_model import BodyModel, shape_body
 from ...errors import InputError
 from ...geometry.mesh import mesh_edges
 from ...geometry.sampling import even_indices
 from ...observe.meshes import MeshSequence
+from ..anatomy.joint_evidence import MAX_SHIFT
 from ..check_meshes import check_meshes
 
 #: patches of a surface whose sizes are compared
@@ -113,3 +116,28 @@ def patch_sizes(
 
 def _numbered(name: str, meshes: MeshSequence) -> list[str]:
     return [f"mesh {number} of {name}" for number in range(len(meshes))]
+
+
+def find_far_joints(
+    model: BodyModel, coefficients: Float[np.ndarray, "N K"], names: Sequence[str]
+) -> list[str]:
+    """Return a sentence about each person with joints farther than `MAX_SHIFT` from where the surface has them.
+
+    That is where the joints of the mean are, relative to the surface around them (`regress_joints`).
+    """
+    regressor, skeleton = make_joint_regressor(model.template), model.template.skeleton
+    turning = [j for j, kind in enumerate(skeleton.kinds) if kind != "fixed" and skeleton.parents[j] >= 0]
+    messages = []
+    for name, row in zip(names, coefficients, strict=True):
+        body = shape_body(model, row.astype(model.template.vertices.dtype))
+        places = regress_joints(regressor, np.asarray(body.vertices, float))
+        away = np.linalg.norm(places - np.asarray(body.skeleton.centres, float), axis=1)
+        listed = ", ".join(
+            f"{skeleton.names[j]} ({1000 * away[j]:.0f} mm)" for j in turning if away[j] > MAX_SHIFT
+        )
+        if listed:
+            messages.append(
+                f"The meshes of {name} moved joints far from where the surface has them: {listed}; give meshes that rotate them "
+                "more, or --fix-joints."
+            )
+    return messages

@@ -44,10 +44,10 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
             person = rotate_at_rest(person, jax.tree.map(lambda leaf, at=number: leaf[at], turned))
         person = move_to_centre(person, jnp.mean(mean.vertices, 0))
         if not person.given.is_fixed:
-            places = regress_joints(regressor, np.asarray(person.body.vertices, float))
-            person = person._replace(
-                given=_replace_centres(person.given, jnp.asarray(places, mean.vertices.dtype))
+            places = jnp.asarray(
+                regress_joints(regressor, np.asarray(person.body.vertices, float)), mean.vertices.dtype
             )
+            person = person._replace(given=_replace_centres(person.given, places))
         aligned.append(person)
     return aligned
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ...adapt.shape.shape_space import learn_shape_space
 from ...body.body import Body
-from ...body.body_model import BodyModel, body_coefficients
+from ...body.body_model import BodyModel
 
 #: the name of the coefficients, as in SMPL's family, and of the family of learned models
 GROUP, FAMILY = "betas", "learned"
@@ -42,8 +42,7 @@ def make_shape_space(bodies: Sequence[Body], components: int | None = None) -> P
         groups=((GROUP, count),),
         family=FAMILY,
     )
-    own = np.stack([np.asarray(body_coefficients(model, body), float) for body in bodies])
-    return PeopleShapes(model, own, explained_variance(model, bodies))
+    return PeopleShapes(model, *principal_scores(model, bodies))
 
 
 def mean_body(bodies: Sequence[Body]) -> Body:
@@ -58,10 +57,14 @@ def mean_body(bodies: Sequence[Body]) -> Body:
     )
 
 
-def explained_variance(model: BodyModel, bodies: Sequence[Body]) -> Float[np.ndarray, "K"]:
-    """Compute the share of each component in the variance of joints and vertices over bodies."""
-    rows = np.stack([np.concatenate([body.skeleton.centres, body.vertices]) for body in bodies]).astype(float)
-    total = np.sum((rows - rows.mean(0)) ** 2) / (len(rows) - 1)
+def principal_scores(
+    model: BodyModel, bodies: Sequence[Body]
+) -> tuple[Float[np.ndarray, "N K"], Float[np.ndarray, "K"]]:
+    """Compute the coefficients of bodies in their principal components, and the share of each component in the variance."""
+    rows = np.stack([np.concatenate([body.skeleton.centres, body.vertices]).ravel() for body in bodies])
+    rows = rows.astype(float) - rows.astype(float).mean(0)
     modes = np.concatenate([model.modes.centres, model.modes.vertices], 1).astype(float)
-    # a component has a coefficient with a standard deviation of one
-    return np.sum(modes**2, (1, 2)) / total
+    modes = modes.reshape(len(modes), -1)
+    # components are orthogonal, and their lengths are the standard deviations
+    variances = np.sum(modes**2, 1)
+    return rows @ modes.T / variances, variances * (len(rows) - 1) / np.sum(rows**2)
