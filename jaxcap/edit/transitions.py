@@ -85,9 +85,9 @@ def find_loops(
     # the window includes the frame at which a loop begins, so it is one frame longer
     distances = transition_distances(skeleton, motion, motion, window + 1)
     length = np.arange(len(distances))[None] - np.arange(len(distances))[:, None]
-    return _best_transitions(
-        np.where((length >= min_length) & (length <= max_length), distances, np.inf), window, count
-    )
+    allowed = np.where((length >= min_length) & (length <= max_length), distances, np.inf)
+    # several cycles of a periodic motion are as similar as one: the shortest of loops that are equal to a micrometre
+    return _best_transitions(allowed, window, count, np.round(allowed, 6) + 1e-9 * length)
 
 
 def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,11 +99,14 @@ def _windows(skeleton: Skeleton, motion: Motion, window: int) -> tuple[np.ndarra
     return x - x.mean(1, keepdims=True), y, z - z.mean(1, keepdims=True)
 
 
-def _best_transitions(distances: np.ndarray, min_separation: int, count: int) -> list[Transition]:
-    distances, found = distances.copy(), []
-    while len(found) < count and np.isfinite(distances).any():
-        row, column = np.unravel_index(int(np.argmin(distances)), distances.shape)
+def _best_transitions(
+    distances: np.ndarray, min_separation: int, count: int, ranks: np.ndarray | None = None
+) -> list[Transition]:
+    """Select transitions in the order of `ranks`, by default of the distances."""
+    ranks, found = np.array(distances if ranks is None else ranks), []
+    while len(found) < count and np.isfinite(ranks).any():
+        row, column = np.unravel_index(int(np.argmin(ranks)), ranks.shape)
         found.append(Transition(int(row), int(column), float(distances[row, column])))
         near = [slice(max(0, int(i) - min_separation), int(i) + min_separation + 1) for i in (row, column)]
-        distances[near[0], near[1]] = np.inf
+        ranks[near[0], near[1]] = np.inf
     return found

@@ -68,7 +68,10 @@ def test_version(capsys, checkout):
             ["edit", "cut", "a", "-o", "b", "--seconds", "1", "x"],
             "jaxcap: --seconds is '1 x'; give 2 numbers.",
         ),
-        (["convert", "a.npz", "b.npz", "--as", "foo"], "jaxcap: --as is 'foo'; give amass, angles or body."),
+        (
+            ["convert", "a.npz", "b.npz", "--as", "foo"],
+            "jaxcap: --as is 'foo'; give amass, angles, body or smpl.",
+        ),
         (
             ["scan", "human", "m", "-o", "x", "--as", "foo"],
             "jaxcap: --as is 'foo'; give cloud, mesh or depth.",

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from ...arguments import checked
 from ...body.pose import Pose
 from ...energy.priors.reference_pose import tangent_deviations
 from ...observe import Scan
@@ -112,6 +113,7 @@ def has_baseline(frame: TrackedFrame) -> bool:
     return float(frame.baseline.frames) >= NUM_FIRST_FRAMES
 
 
+@checked
 def forgetful_tracker(tracker: Tracker) -> Tracker:
     """Return a tracker whose frames depend so little on the frames before them that runs from different poses become equal.
 

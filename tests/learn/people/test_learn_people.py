@@ -21,7 +21,7 @@ from jaxcap.learn.people.shape_space import make_shape_space
 from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
 from jaxcap.observe.meshes import MeshSequence
-from tests.learn.made_limb import RINGS, SIDES, limb, tube
+from tests.learn.people.made_limb import RINGS, SIDES, limb, tube
 
 MESHES = 4
 

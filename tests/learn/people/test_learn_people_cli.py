@@ -17,7 +17,7 @@ from jaxcap.errors import InputError
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.learn.people.learn_people import LearnedPeople
 from jaxcap.learn.people.shape_space import make_shape_space
-from tests.learn.made_limb import limb
+from tests.learn.people.made_limb import limb
 
 SIZES = {"anna": (1.0, 0.06), "ben": (1.2, 0.07), "carl": (1.1, 0.05)}
 
