@@ -7,7 +7,7 @@ A motion of CMU's, forwards and backwards again and again, is scanned on the emb
 boundary of two chunks nobody is in the clouds, which show scattered points only; around the second one the motion is three times as fast.
 `jaxcap track` runs with `--workers 1`, which is one run from the first frame to the last, with `--workers 2`, and with two workers of
 which one is killed (SIGKILL), and the whole program after that, and which is then resumed. The speed-up is that of the wall time; run it with
-nothing else beside. Clouds that are a period of the motion apart are one file on the disk.
+no other load. Clouds that are a period of the motion apart are one file on the disk.
 """
 
 import argparse

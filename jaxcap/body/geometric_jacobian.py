@@ -126,10 +126,7 @@ def project_velocities(
 
     With `n . (a x p) = a . (p x n)` it is one product of wrenches and twists.
     """
-    x, y, z = (points[:, None, i] for i in range(3))
-    nx, ny, nz = (directions[:, :, i] for i in range(3))
-    wrench = jnp.stack([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx, ny, nz], -1)
-    return wrench @ jnp.concatenate([rates.angular, rates.linear], 1).T
+    return wrenches_of(points, directions) @ jnp.concatenate([rates.angular, rates.linear], 1).T
 
 
 def composite_equations(

@@ -41,9 +41,9 @@ class SwingTwistSkin(AbstractSkin):
         weights, motions = self._signed_weights(split.twists)
         twisted = dual_quaternions.apply(weights @ motions, vertices)
         swings = self._blend_swings(split.swings)
-        beside = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
+        swung = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
-        return apply_small(r, beside) + t
+        return apply_small(r, swung) + t
 
     def _signed_weights(self, twists: Float[Array, "J 8"]) -> tuple[Float[Array, "V K"], Float[Array, "K 8"]]:
         """Compute signed weights of all joints' twists and, last, of the identity; and these motions."""
@@ -88,9 +88,9 @@ class SwingTwistSkin(AbstractSkin):
         blended = weights @ motions
         twisted = dual_quaternions.apply(blended, vertices)
         swings = self._blend_swings(split.swings)
-        beside = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
+        swung = apply_small(swings[:, :, :3], twisted) + swings[:, :, 3]
         r, t = transforms.rotations[self.bases], transforms.translations[self.bases]
-        posed = apply_small(r, beside) + t
+        posed = apply_small(r, swung) + t
         rows = (
             project_velocities(posed, directions, rates)
             * descendant_matrix(skeleton, rates)[self.bases][:, None]

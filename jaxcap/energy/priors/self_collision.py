@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ...arguments import check_fields, checked
 from ...body.body import Body, Posed, pose_body
+from ...body.geometric_jacobian import wrenches_of
 from ...body.people.anatomy import BODY_REGIONS
 from ...body.pose import rest_pose
 from ...body.skeleton import Skeleton
@@ -68,7 +69,7 @@ class SelfCollision(AbstractBoneEnergy):
             points = _limb_points(limb, posed)
             distance, slopes = soft_distance_slopes(limb.others, posed, points)
             inside = -distance - limb.allowed * posed.pose.scale > 0
-            wrenches = jnp.concatenate([jnp.cross(points[:, None], slopes), slopes], -1)
+            wrenches = wrenches_of(points, slopes)
             wrenches = jnp.where(inside[:, None, None], safe_sqrt(self.weight) * wrenches, 0.0)
             # products with membership matrices are faster on a CPU than scatters
             of_others = (limb.others.bones[:, None] == bones).astype(slopes.dtype)

@@ -136,7 +136,7 @@ def _keep_nearest(
     squared: Float[Array, "P 32"],
     slot: Int[Array, "P 32"],
 ) -> tuple[Float[Array, "R 32"], Int[Array, "R 32"]]:
-    """Replace the best of each row by nearer ones, of which several may belong to one row; the first of equal ones is kept.
+    """Keep the smallest squared distance of each row, and its slot; of several new ones for one row the first of equal ones.
 
     Rows beyond the last are dropped.
     """

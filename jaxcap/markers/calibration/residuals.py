@@ -80,9 +80,7 @@ def linearise_residuals(
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
     residual, slopes = _model_residuals(subject, rest_positions(subject, pose, transforms, positions))
-    back = jnp.swapaxes(_of_bones(transforms.rotations, subject), 1, 2) / pose.scale**2
-    # the bone moves and the observation is fixed, so it moves the opposite way in the bone's frame
-    directions = -back if _all_rigid(subject) else -slopes.local @ back
+    directions = _row_directions(subject, pose, transforms, slopes)
     by_pose = _residual_jacobian(subject, positions, directions, pose_jacobian(skeleton, pose, transforms))
     slots = np.array([6 * joint + axis for joint in joints for axis in range(3)], int)
     rates = select_parameters(joint_jacobian(skeleton, pose, transforms), slots)
@@ -110,8 +108,7 @@ def residual_equations(
     skeleton = subject.skeleton
     transforms = forward_kinematics(skeleton, pose)
     residual, slopes = _model_residuals(subject, rest_positions(subject, pose, transforms, positions))
-    back = jnp.swapaxes(_of_bones(transforms.rotations, subject), 1, 2) / pose.scale**2
-    directions = -back if _all_rigid(subject) else -slopes.local @ back
+    directions = _row_directions(subject, pose, transforms, slopes)
     # moments about the root, as those about a distant origin are differences of large numbers
     origin = joint_positions(skeleton, transforms)[0]
     near = Transforms(transforms.rotations, transforms.translations - origin)
@@ -119,6 +116,15 @@ def residual_equations(
     wrenches = wrenches_of(positions - origin, directions)
     weights = weigh(residual)
     return residual, *composite_equations(skeleton, rates, subject.bones, wrenches, residual, weights)
+
+
+def _row_directions(
+    subject: Subject, pose: Pose, transforms: Transforms, slopes: _ResidualDerivatives
+) -> Float[Array, "M 3 3"]:
+    """Compute the directions in the world along which a velocity of its bone changes the rows of each marker."""
+    back = jnp.swapaxes(_of_bones(transforms.rotations, subject), 1, 2) / pose.scale**2
+    # the bone moves and the observation is fixed, so it moves the opposite way in the bone's frame
+    return -back if _all_rigid(subject) else -slopes.local @ back
 
 
 def _residual_jacobian(
