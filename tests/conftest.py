@@ -47,12 +47,15 @@ SHARED = Path(os.environ.get("JAXCAP_SHARED") or CHECKOUT.parent / "shared")
 
 #: what a worker needs at most, and the size from which the cache is begun anew, in bytes
 WORKER_MEMORY, CACHE_SIZE = 4 << 30, 2 << 30
-#: flags of XLA that make compiling three to four times faster, and what tells whether they are known
-FAST_COMPILING = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+#: flags of XLA that nearly halve the time of compiling, and what tells whether they are known; with one thread LAPACK calls
+#: cannot wait for each other
+FAST_COMPILING = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_multi_thread_eigen=false"
 START_XLA = "import jax; jax.devices()"
 #: pieces of memory that a process may map, and those from which compiled functions are forgotten
 MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
+#: the memory of a process, in pages, and the bytes from which compiled functions are forgotten
+PAGES, MUCH_MEMORY = Path("/proc/self/statm"), 3 << 30
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -105,9 +108,13 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(autouse=True, scope="module")
 def _forget_compiled():
     """Forget compiled functions before they are too many: each is mapped into memory in several pieces, and a process
-    may map 65,530."""
+    may map 65,530. They also take memory, gigabytes after some hundred tests."""
     yield
-    if not MAPS.exists() or MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+    if (
+        not MAPS.exists()
+        or MAPS.read_bytes().count(b"\n") > MANY_MAPS
+        or int(PAGES.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MUCH_MEMORY
+    ):
         jax.clear_caches()
 
 

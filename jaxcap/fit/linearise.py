@@ -9,6 +9,7 @@ import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float, Int
 
+from ..batched_map import map_batches
 from ..body.body import Body, Posed, pose_body
 from ..body.geometric_jacobian import (
     concatenate_jacobians,
@@ -176,7 +177,7 @@ def point_jacobian(
         along = jnp.swapaxes(along, 1, 2).reshape(len(moved), -1)
         return sum(along[i, :, None] * moved[i] for i in range(len(moved)))
 
-    return jax.lax.map(of_place, (vertices, directions), batch_size=BATCH)
+    return map_batches(of_place, (vertices, directions), BATCH)
 
 
 def vertex_jacobian(posed: Posed, tangent: BodyTangent | None = None) -> Float[Array, "V 3 N"]:

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 from jaxtyping import Array, Bool, Float
 
 from ..arguments import checked
+from ..batched_map import map_batches
 from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from .abstract_limits import AbstractLimits, allowed
@@ -47,4 +47,4 @@ def nearest_frames(limits: AbstractLimits, skeleton: Skeleton, motion: Motion) -
 
 def map_frames(function: Callable[[Pose], Any], motion: Motion) -> Any:
     """Map a function of one pose over the frames of a motion."""
-    return jax.lax.map(function, motion.poses, batch_size=BATCH)
+    return map_batches(function, motion.poses, BATCH)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..arguments import checked
+from ..batched_map import map_batches
 from ..io.system.atomic import atomic_path
 from ..limits.implicit_surface import LimitSurface
 from ..limits.primitives import Primitives, radii, signed_distance
@@ -191,4 +192,4 @@ def _signed_distances(primitives: Primitives, points: np.ndarray) -> np.ndarray:
 
 @jax.jit
 def _map_signed_distance(primitives: Primitives, points):
-    return jax.lax.map(lambda place: signed_distance(primitives, place), points, batch_size=256)
+    return map_batches(lambda place: signed_distance(primitives, place), points, 256)

@@ -10,6 +10,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from ..arguments import checked
+from ..batched_map import map_batches
 from ..body.pose import Motion, Pose
 from ..errors import InputError
 from ..observe import Scan, stack_clouds
@@ -112,4 +113,4 @@ def _fit_batch(tracker: Tracker, starts: Pose, clouds: Cloud, sigma: Float[Array
         _, out = scan_track(tracker, start_state(tracker, start, sigma), stacked)
         return jax.tree.map(lambda leaf: leaf[0], out) if alone else out
 
-    return jax.lax.map(sequence, (starts, clouds), batch_size=batch_size)
+    return map_batches(sequence, (starts, clouds), batch_size)

@@ -9,8 +9,11 @@ from command_line import fails, runs
 
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion
+from jaxcap.body.skin import CorrectedSkin
+from jaxcap.cli import main
 from jaxcap.cli.learn import learn as verb
 from jaxcap.io.archives.npz import load_body, load_motion
+from jaxcap.learn.correctives import learn_correctives
 from jaxcap.learn.learn_body import Learned
 from tests.learn.test_correctives import COUNT, take
 from tests.learn.test_correctives import truth as truth
@@ -73,6 +76,19 @@ def test_correctives_are_written_printed_and_reported(truth, meshes, tmp_path, c
 def test_too_few_meshes_and_bones_without_parents_are_refused(meshes, tmp_path, capsys):
     out = tmp_path / "body.npz"
     said = fails(capsys, "learn", tmp_path / "few.npz", "-o", out, "--skeleton", "none", "--correctives")
-    assert "--correctives: there are 6 meshes; expected at least 8" in said
+    assert "--correctives needs at least 8 meshes besides those of --hold-out, and there are 6" in said
     said = fails(capsys, "learn", meshes, "-o", out, "--free-bones", "--correctives")
     assert "--correctives depend on joints, and --free-bones has none" in said
+
+
+def test_a_body_whose_meshes_hardly_bend_is_written_without_correctives(
+    meshes, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(learn_correctives, "MIN_ROTATION", 180.0)
+    out = tmp_path / "body.npz"
+    capsys.readouterr()
+    options = ("--skeleton", "none", "--correctives", "--hold-out", "4")
+    main(["learn", str(meshes), "-o", str(out), *options])
+    printed = capsys.readouterr().err
+    assert "--correctives: no joint rotates by more than" in printed and "The body has none." in printed
+    assert not isinstance(load_body(out).skin, CorrectedSkin)

@@ -9,6 +9,8 @@ from ...geometry.linear import low_rank_factors
 
 #: share of the mean square of a joint's values that is added to each of them, as those of hinges are dependent
 MIN_VARIANCE = 1e-4
+#: share of the product of the largest value and all directions below which a unit moves nothing in the poses
+MIN_UNIT = 1e-6
 
 
 class LowRankDirections(NamedTuple):
@@ -29,7 +31,8 @@ def factorise_by_joint(
     """Approximate the directions of each joint by at most `rank` units.
 
     Units are scaled so that the largest absolute value in the poses is one: their directions are then the displacements
-    at that value, metres. Joints without values other than zero, or without directions, have no units.
+    at that value, metres. Joints without values other than zero, or without directions, have no units, and units that move
+    nothing in the poses are left out.
 
     **Arguments:** `values` by which the directions are multiplied in the poses; `joints` are those of the values.
     """
@@ -45,6 +48,8 @@ def factorise_by_joint(
         metric = own.T @ own / len(own) + MIN_VARIANCE * variance * np.eye(len(columns))
         left, right = low_rank_factors(block, metric, rank)
         largest = np.abs(own @ right.T).max(0)
+        moves = largest * np.linalg.norm(left, axis=0) > MIN_UNIT * np.abs(own).max() * np.linalg.norm(block)
+        left, right, largest = left[:, moves], right[moves], largest[moves]
         layer = np.zeros((len(right), len(joints)))
         layer[:, columns] = right / largest[:, None]
         lefts.append((left * largest).reshape(len(directions), 3, -1))

@@ -39,7 +39,7 @@ from ..motions import load_skeleton
 from ..outputs import check_npz, check_parent, is_run_complete, make_folder
 from ..scoring import mesh_hashes, print_scores, score_motion
 from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
-from .correctives import add_correctives
+from .correctives import add_correctives, check_number_of_meshes
 from .input import read_pairs, skeleton_digest, split_held_out
 from .joints import evidence_of, say_joints
 from .people import PeopleRun, check_people_options, run_people
@@ -167,9 +167,11 @@ class Learn:
             raise InputError(
                 f"--hold-out {self.hold_out} leaves out none of {len(sequence)} meshes; give a lower number."
             )
+        check_number_of_meshes(len(train), self.correctives)
         for message in check_meshes(sequence, names):
             warn(message)
-        header = {**self.settings(), **mesh_hashes(sequence[train])}
+        # correctives are learned after the body
+        header = {**self.settings(), **mesh_hashes(sequence[train]), "correctives": False}
         file = self.skeleton_file()
         given = None if file is None else load_skeleton(file, self.unit)
         resumed = load_state(checkpoint_path, header, self.resume, self.overwrite)
@@ -179,7 +181,7 @@ class Learn:
         learned = self.learn(sequence[train], tree, checkpoint_path, header, resumed)
         plain, correctives = learned, None
         if self.correctives:
-            learned, correctives = add_correctives(learned, sequence[train])
+            learned, correctives = add_correctives(learned, sequence[train], self.terms)
         set_activity("writing the body and checking it")
         save_body(self.out, learned.body)
         save_motion(motion_path, learned.motion, learned.body.skeleton)
@@ -255,20 +257,9 @@ class Learn:
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
         names = (
-            "joints",
-            "alpha",
-            "skin",
-            "symmetry",
-            "pairs",
-            "fix_joints",
-            "free_bones",
-            "correctives",
-            "unit",
-            "rate",
-            "hold_out",
-            "limit_weight",
-            "floor",
-        )
+            "joints", "alpha", "skin", "symmetry", "pairs", "fix_joints", "free_bones", "correctives", "unit", "rate",
+            "hold_out", "limit_weight", "floor",
+        )  # fmt: skip
         file = self.skeleton_file()
         skeleton = self.skeleton_name() if file is None else skeleton_digest(file)
         skin = "lbs" if self.free_bones else self.skin

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from ...batch.dask_libraries import import_distributed
 from ...errors import InputError
-from ...tracking.chunks.division import AGREEING_FRAMES
+from ...tracking.chunks.division import AGREEING_FRAMES, OVERLAP
 from ..body_models import is_model_spec
 from ..console.options import check_ranges
 from .people import read_count
@@ -60,6 +61,10 @@ def check_options(track: Any) -> None:
         )
     if track.chunks is not None and not in_chunks:
         raise InputError("--chunks is for several workers; give --workers or --scheduler.")
+    if track.overlap != OVERLAP and not in_chunks:
+        raise InputError("--overlap is for several workers; give --workers or --scheduler.")
+    if in_chunks:
+        import_distributed()
     if in_chunks and track.people is not None:
         raise InputError("--workers and --scheduler are for one person; leave out --people.")
     if track.deviations and not track.fit_shape:

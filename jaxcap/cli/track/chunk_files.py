@@ -14,17 +14,19 @@ from ...io.archives.journal import Journal, create_journal, read_records, resume
 from ...io.lazy_frames import LazyFrames
 from ...io.system.run_lock import run_lock
 from ...observe.clouds import Cloud
+from ...tracking.chunks.division import name_ranges
 from ...tracking.chunks.join_chunks import Outcome
 from ...tracking.chunks.segments import AbstractSegment, last_frame
 from ...tracking.chunks.tasks import Task, TrackSettings, track_task
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.track_frame import Tracker
+from ..console.console import warn
 from ..console.errors import warnings_as_lines
 from ..console.record import record_output
 from ..console.timed import timed
 from .announce import make_announcer
 from .depth import announce_missing
-from .frame_records import pack, row_template, row_width, unpack
+from .frame_records import hash_cloud_name, pack, row_template, row_width, unpack
 
 #: number of rows that are read at once
 ROWS = 256
@@ -109,12 +111,23 @@ def _open_journal(run: ChunkedRun, task: Task, path: Path, width: int) -> Journa
     start = hashlib.sha256()
     for leaf in jax.tree.leaves(task.start):
         start.update(np.asarray(leaf, float).tobytes())
-    known = {"frames": [task.first, task.end], "start": start.hexdigest(), "stop": task.stop}
+    names = hashlib.sha256()
+    for name in run.clouds.names[task.first : task.end]:
+        names.update(np.float64(hash_cloud_name(name)).tobytes())
+    known = {
+        "frames": [task.first, task.end],
+        "start": start.hexdigest(),
+        "stop": task.stop,
+        "clouds": names.hexdigest(),
+    }
     header = {**run.header, **known, "tolerance": run.settings.tolerance}
     if path.is_file():
         try:
             return resume_journal(path, header, width)
         except InputError:
-            # of another start, as the frames before it have changed
+            # of another start or other clouds, as the sequence has changed
+            warn(
+                f"frames {name_ranges([(task.first, task.end)])} are tracked again, as what they depend on has changed"
+            )
             path.unlink()
     return create_journal(path, header, width)

@@ -18,8 +18,8 @@ from ...errors import InputError
 from ...io.archives.journal import Journal, count_records
 from ...io.table import write_json
 from ...tracking.chunks.agreement import is_unsure
-from ...tracking.chunks.division import Chunk, count_chunks, divide_frames, name_ranges
-from ...tracking.chunks.join_chunks import Boundary, JoinedChunks, Outcome, join_chunks
+from ...tracking.chunks.division import SHORT, Chunk, count_chunks, divide_frames, name_ranges
+from ...tracking.chunks.join_chunks import REPEATED, Boundary, JoinedChunks, Outcome, join_chunks
 from ...tracking.chunks.tasks import Task
 from ...tracking.chunks.track_chunks import count_workers, outcome_of
 from ...tracking.judge_frame import TrackedFrame
@@ -52,20 +52,21 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
     **Raises:** `InputError` if frames could not be tracked. All others are kept in the folder of the run, for --resume.
     """
     count, plan = len(run.clouds), run.folder / PLAN
-    if journal.count >= count and not plan.is_file():
+    if journal.count > count or (journal.count == count and not plan.is_file()):
         return
-    run.folder.mkdir(exist_ok=True)
     set_activity("starting the workers")
     memory = job_memory(["track"])
-    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=count)
+    jobs = options.chunks or max((count - journal.count) // (SHORT * options.overlap), 1)
+    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs)
     try:
         with opened as client:
+            run.folder.mkdir(exist_ok=True)
             client.register_worker_callbacks(prepare_worker)
             workers = count_workers(client)
             chunks = find_division(plan, count, workers, options, journal.count)
             first = chunks[0].first
             say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
-            with watch_frames(run.folder, first, count):
+            with watch_frames(run.folder, chunks):
                 joined = join_chunks(
                     run.tracker.body.skeleton,
                     chunks,
@@ -93,18 +94,36 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
 
 
 def find_division(path: Path, count: int, workers: int, options: ChunkOptions, num_done: int) -> list[Chunk]:
-    """Divide the frames from `num_done` on into chunks, and write the division to a file; a stopped run of as many frames has its own."""
+    """Divide the frames from `num_done` on into chunks, and write the division to a file; continue that of a stopped run.
+
+    If the sequence has become longer or shorter since, chunks that are still in it stay, and others are added.
+    """
+    chunks = _stored_division(path, count, num_done)
+    begin = chunks[-1].end if chunks else num_done
+    if begin == count:
+        return chunks
+    left = count - begin
+    chosen = None if chunks else options.chunks
+    number = chosen or count_chunks(left, workers, options.overlap)
+    # what is left of a stopped run may be short
+    most = max(left // options.overlap, 1) if begin else number
+    added = divide_frames(left, min(number, most), options.overlap, begin)
+    if chunks:
+        added[0] = added[0]._replace(first=max(begin - options.overlap, chunks[-1].begin))
+    chunks += added
+    write_json(path, {"chunks": [list(chunk) for chunk in chunks]})
+    return chunks
+
+
+def _stored_division(path: Path, count: int, num_done: int) -> list[Chunk]:
+    """Read the chunks of a stopped run that end within `count` frames; none if they do not follow those that are done."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         stored = json.loads(path.read_text())
         chunks = [Chunk(*map(int, chunk)) for chunk in stored["chunks"]]
         # some rows may have been joined when it was stopped
-        if chunks[-1].end == count and chunks[0].first <= num_done:
-            return chunks
-    left = count - num_done
-    number = options.chunks or count_chunks(left, workers, options.overlap)
-    divided = divide_frames(left, number, options.overlap, num_done)
-    write_json(path, {"chunks": [list(chunk) for chunk in divided]})
-    return divided
+        if chunks[0].first <= num_done:
+            return [chunk for chunk in chunks if chunk.end <= count]
+    return []
 
 
 def _frame_before(run: ChunkedRun, journal: Journal, number: int) -> TrackedFrame | None:
@@ -169,24 +188,25 @@ def _describe(boundaries: Sequence[Boundary], unsure: Sequence[int]) -> None:
 
 
 @contextlib.contextmanager
-def watch_frames(folder: Path, first: int, count: int) -> Iterator[None]:
-    """Report the number of tracked frames in a folder of journals during a block."""
-    stop = threading.Event()
+def watch_frames(folder: Path, chunks: Sequence[Chunk]) -> Iterator[None]:
+    """Report the number of tracked frames in a folder of journals during a block: those of all chunks, with their overlaps."""
+    stop, count = threading.Event(), sum(chunk.end - chunk.first for chunk in chunks)
 
     def watch(move: Callable[..., None]) -> None:
         start, printed, begun = time.monotonic(), time.monotonic(), None
         while not stop.wait(LOOK_SECONDS):
-            done = min(_count_frames(folder), count - first)
-            begun = done if begun is None else begun
-            rate = (done - begun) / (time.monotonic() - start)
-            move(first + done, f"{rate:.1f} frames/s")
+            repeated = _count_frames(folder, f"{REPEATED}*")
+            done = _count_frames(folder) - repeated
+            begun = done + repeated if begun is None else begun
+            text = f"{(done + repeated - begun) / (time.monotonic() - start):.1f} frames/s"
+            if repeated:
+                text += f", {pluralise(repeated, 'frame')} tracked again"
+            move(min(done, count), text)
             if not has_terminal() and time.monotonic() - printed > LINE_SECONDS:
-                report_progress(f"tracking: {first + done} of {count} frames, {rate:.1f} frames/s")
+                report_progress(f"tracking: {min(done, count)} of {count} frames of all chunks, {text}")
                 printed = time.monotonic()
 
-    shown = (
-        progress_bar("tracking", count, first) if has_terminal() else contextlib.nullcontext(lambda *_: None)
-    )
+    shown = progress_bar("tracking", count, 0) if has_terminal() else contextlib.nullcontext(lambda *_: None)
     with shown as move:
         thread = threading.Thread(target=watch, args=(move,), daemon=True, name="tracked frames")
         thread.start()
@@ -197,10 +217,10 @@ def watch_frames(folder: Path, first: int, count: int) -> Iterator[None]:
             thread.join()
 
 
-def _count_frames(folder: Path) -> int:
+def _count_frames(folder: Path, pattern: str = "*") -> int:
     """Count the frames in the journals of a folder."""
     found = 0
-    for path in folder.iterdir():
+    for path in folder.glob(pattern):
         with contextlib.suppress(InputError, OSError):
             found += count_records(path) if path.name != PLAN else 0
     return found

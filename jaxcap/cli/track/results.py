@@ -12,7 +12,7 @@ import numpy as np
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ...io.archives.journal import Journal, create_journal, resume_journal
+from ...io.archives.journal import Journal, count_records, create_journal, resume_journal
 from ...io.archives.npz import save_motion
 from ...io.skeletons.bvh import write_bvh
 from ...io.table import write_csv, write_json
@@ -29,7 +29,7 @@ PERSON = "person.npz"
 PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 #: of a run in chunks: the folder of the journals of all tasks, and how the chunks were joined
-CHUNKS, REPORT = "chunks", "chunks.json"
+CHUNKS, REPORT = ".jaxcap-chunks", "chunks.json"
 #: the parameters of a body model in AMASS's format
 PARAMETERS = "parameters.npz"
 
@@ -47,6 +47,11 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resu
         for name in (*FILES, PARAMETERS, PERSON)
     ]
     there = [name for name in (*FILES, PARAMETERS, *of_people, PERSON, journal) if (folder / name).exists()]
+    is_empty = there == [journal] and not (folder / CHUNKS).exists() and not _has_frames(folder / journal)
+    if is_empty and not resume:
+        # a run that ended before its first frame has nothing to keep
+        (folder / journal).unlink()
+        there = []
     # all that a run writes before its first frame is done
     begun = [name for name in there if Path(name).name in (PERSON, journal)]
     if there and not (resume or overwrite):
@@ -70,6 +75,14 @@ def check_folder(folder: Path, journal: str, resume: bool, overwrite: bool, resu
             if own.is_dir() and not any(own.iterdir()):
                 own.rmdir()
     return folder / journal
+
+
+def _has_frames(journal: Path) -> bool:
+    """Test if a journal may hold frames; one that cannot be read may."""
+    try:
+        return count_records(journal) > 0
+    except (InputError, OSError):
+        return True
 
 
 def person_folder(folder: Path, number: int) -> Path:

@@ -1,6 +1,7 @@
 """`jaxcap track`: fit a body to a sequence of clouds."""
 
 import dataclasses
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +21,7 @@ from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
-from ...tracking.chunks.division import OVERLAP
+from ...tracking.chunks.division import OVERLAP, divide_frames
 from ...tracking.chunks.tasks import TrackSettings, forgetful_tracker
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.judge_frame import TrackedFrame
@@ -185,6 +186,10 @@ class Track:
 
     def run(self) -> None:
         check_options(self)
+        if self.scheduler is not None:
+            # workers have other working folders
+            for name in ("clouds", "depth", "masks", "empty"):
+                setattr(self, name, tuple(map(os.path.abspath, getattr(self, name))))
         body, limits = load_body(
             self.body, self.skl, self.vj, self.limits, vertices=self.vertices, unit=self.unit, up=self.up
         )
@@ -196,6 +201,8 @@ class Track:
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
         check_some_person(clouds, begun)
+        if self.chunks is not None:
+            divide_frames(len(clouds), self.chunks, self.overlap)
         make_writable(self.out)
         print_rate(rate)
         for doubt in doubts:

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ...batched_map import map_batches
 from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ...fit.linear_solvers.dense import DenseMatrix
@@ -85,7 +86,7 @@ def solve_directions(
         return equations.spread(vertex, _penalised(matrix, strength).solve(side))
 
     with jax.default_matmul_precision("highest"):
-        return jax.lax.map(solve, jnp.arange(len(equations.columns)), batch_size=BATCH)
+        return map_batches(solve, jnp.arange(len(equations.columns)), BATCH)
 
 
 @eqx.filter_jit
@@ -105,7 +106,7 @@ def solve_left_out(
         return jax.vmap(of_fold)(kept)
 
     with jax.default_matmul_precision("highest"):
-        return jax.lax.map(solve, jnp.arange(len(equations.columns)), batch_size=BATCH // 4)
+        return map_batches(solve, jnp.arange(len(equations.columns)), BATCH // 4)
 
 
 def _penalised(matrix: Float[Array, "M M"], strength: Float[Array, ""]) -> DenseMatrix:

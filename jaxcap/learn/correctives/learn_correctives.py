@@ -4,9 +4,10 @@ import logging
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ...arguments import checked
 from ...body.body import Body, take_vertices
@@ -14,6 +15,7 @@ from ...body.pose import Motion, Pose
 from ...body.skin import CorrectedSkin, RotationMatrixFeatures
 from ...body.skin.corrected import corrective_units
 from ...body.skin.low_rank import factorise_by_joint
+from ...energy.check_energies import UserTerms
 from ...errors import InputError
 from ...fit.fit_meshes import check_mesh_sequence, fit_meshes
 from ...observe.meshes import MeshSequence
@@ -63,7 +65,9 @@ class LearnedCorrectives(NamedTuple):
 
 
 @checked
-def learn_correctives(body: Body, motion: Motion, meshes: MeshSequence) -> LearnedCorrectives:
+def learn_correctives(
+    body: Body, motion: Motion, meshes: MeshSequence, terms: UserTerms = ()
+) -> LearnedCorrectives:
     """Learn displacements of the surface at rest that depend on the pose, for a body in the poses of its meshes.
 
     The displacement of a vertex is linear in the entries of `R_j - I` for the joints near it: those of the bones that
@@ -72,10 +76,15 @@ def learn_correctives(body: Body, motion: Motion, meshes: MeshSequence) -> Learn
     the fit, fold by fold; each fold has successive meshes. If correctives do not lower this error by more than one
     standard error, the body is returned unchanged. The shape at rest and the poses are fitted again with the correctives.
 
-    **Arguments:** `motion` are the poses of the body in the meshes, such as those of `learn_body`.
+    **Arguments:** `motion` are the poses of the body in the meshes, such as those of `learn_body`; `terms` are energies of the
+    posed body, as of `fit_meshes`, that also hold where the poses are fitted again.
+
+    The shape at rest is then that of the least squared distances, without the smoothness of `learn_body`. A pose that
+    cannot be fitted again stays.
 
     **Raises:** `InputError` if there are fewer than `MIN_MESHES` meshes, if no joint rotates by `MIN_ROTATION` degrees, if
-    the body has correctives already or bones without parents, or if meshes, poses and body do not fit each other.
+    the body has correctives already or bones without parents, if meshes, poses and body do not fit each other, or if a number
+    is not finite.
     """
     _check(body, motion, meshes)
     targets = meshes.vertices.astype(body.vertices.dtype)
@@ -89,10 +98,16 @@ def learn_correctives(body: Body, motion: Motion, meshes: MeshSequence) -> Learn
         return LearnedCorrectives(body, motion, choice, nothing)
     _LOG.info("correctives: poses")
     some = sample_vertices(labels, min(POSE_VERTICES, len(labels)))
-    sampled = take_vertices(body, jnp.asarray(some))
-    sampled = fit_correctives(sampled, motion.poses, targets[:, some], choice.strength, choice.rank)
-    registered = MeshSequence(targets[:, some], sampled.faces, meshes.rate)
-    motion = fit_meshes(sampled, registered, start=motion.poses).motion
+    if terms:
+        # terms need all vertices
+        corrected = fit_correctives(body, motion.poses, targets, choice.strength, choice.rank)
+        fit = fit_meshes(corrected, meshes, start=motion.poses, vertices=some, terms=terms)
+    else:
+        sampled = take_vertices(body, jnp.asarray(some))
+        sampled = fit_correctives(sampled, motion.poses, targets[:, some], choice.strength, choice.rank)
+        registered = MeshSequence(targets[:, some], sampled.faces, meshes.rate)
+        fit = fit_meshes(sampled, registered, start=motion.poses)
+    motion = Motion(_where(fit.converged, fit.motion.poses, motion.poses), motion.rate)
     _LOG.info("correctives: displacements")
     body = fit_correctives(body, motion.poses, targets, choice.strength, choice.rank)
     return LearnedCorrectives(body, motion, choice, measure_correctives(body, motion))
@@ -114,6 +129,13 @@ def fit_correctives(
     layer = jnp.asarray(found.layer @ basis.rows, dtype)
     skin = CorrectedSkin(body.skin, FEATURES, jnp.asarray(found.directions, dtype), layer, rectified=False)
     return eqx.tree_at(lambda b: (b.vertices, b.skin), body, (body.vertices + shift, skin))
+
+
+def _where(use: Bool[Array, "F"], poses: Pose, others: Pose) -> Pose:
+    """Choose between two poses for each frame."""
+    return jax.tree.map(
+        lambda one, other: jnp.where(use.reshape(-1, *[1] * (one.ndim - 1)), one, other), poses, others
+    )
 
 
 @checked
@@ -177,6 +199,14 @@ def _check(body: Body, motion: Motion, meshes: MeshSequence) -> None:
             f"learn_correctives: there are {len(meshes)} meshes; expected at least {MIN_MESHES}, as some poses are left out to "
             "measure the gain."
         )
+    for name, part in {"meshes": meshes.vertices, "poses": motion.poses}.items():
+        leaves = [np.asarray(leaf).reshape(len(meshes), -1) for leaf in jax.tree.leaves(part)]
+        wrong = ~np.isfinite(np.concatenate(leaves, 1)).all(1)
+        if wrong.any():
+            raise InputError(
+                f"learn_correctives: the {name} {np.flatnonzero(wrong)[:5].tolist()} hold numbers that are not finite; leave these "
+                "out."
+            )
     turned = largest_rotations(np.asarray(motion.poses.rotations, float))[np.array(parents) >= 0]
     if not turned.max(initial=0.0) >= MIN_ROTATION:
         raise InputError(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
+from ...batched_map import map_batches
 from ...body.body import pose_body
 from ...body.pose import Pose
 from ...body.retraction import retract
@@ -102,7 +103,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
 
     def value(self, y):
         return self._prior_value(y) + jnp.sum(
-            jax.lax.map(self._frame_cost(y), self._frame_inputs(y), batch_size=BATCH_SIZE)
+            map_batches(self._frame_cost(y), self._frame_inputs(y), BATCH_SIZE)
         )
 
     def retract(self, y, d: Unknowns):
@@ -148,7 +149,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             return jax.tree.map(lambda new, old: jnp.where(better, new, old), moved, pose)
 
         frames = self._frame_inputs(y)
-        poses = jax.lax.map(lambda x: improve(*x), (frames, steps), batch_size=BATCH_SIZE)
+        poses = map_batches(lambda x: improve(*x), (frames, steps), BATCH_SIZE)
         return CalibrationEstimate(poses, y.shared, y.slides)
 
     def shared_covariance(self, y: CalibrationEstimate) -> Float[Array, "S S"]:
@@ -184,7 +185,7 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
                 matrix, side = matrix + own_matrix, side + own_side
             return matrix, side
 
-        return jax.lax.map(of_frame, self._frame_inputs(y), batch_size=BATCH_SIZE)
+        return map_batches(of_frame, self._frame_inputs(y), BATCH_SIZE)
 
     def normal_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
         """Sum `|r|^2 / 2`, `J^T r` and `J^T J` over batches of frames."""

@@ -1,10 +1,10 @@
 """The markers' standard deviations from the residuals of a fit."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ...batched_map import map_batches
 from ...fit.linear_solvers.cholesky import factorise
 from ..robust import robust_kernel
 from .calibration_problem import BATCH_SIZE, RIDGE, CalibrationEstimate, CalibrationProblem, apply_sliding
@@ -43,7 +43,7 @@ def marker_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> Fl
         return weight * slopes * squared, weight * left
 
     frames = y.poses, problem.positions, used, problem.skin_features, problem.frame_weights
-    squares, left = (jnp.sum(each, 0) for each in jax.lax.map(of_frame, frames, batch_size=BATCH_SIZE))
+    squares, left = (jnp.sum(each, 0) for each in map_batches(of_frame, frames, BATCH_SIZE))
     left = jnp.maximum(left - 3.0, 0.0)
     common = jnp.sum(squares) / jnp.maximum(jnp.sum(left), 1.0)
     variance = jnp.clip(

@@ -22,6 +22,9 @@ from .tasks import Task, begin_chunk
 
 _LOG = logging.getLogger(__name__)
 
+#: beginning of the names of tasks that track frames again
+REPEATED = "again_"
+
 
 class Outcome(NamedTuple):
     """The frames of a task, up to the first one that could not be tracked, and the sentence of the error; it has none if all are there."""
@@ -195,7 +198,7 @@ def _repeat(state: _State, run: RunTasks, numbers: Sequence[int]) -> None:
         chunk, before = state.chunks[number], state.frames[number - 1]
         assert before is not None
         # the same chunk may be tracked again for each change of the one before
-        name = f"again_{number}_{state.versions[number - 1]}"
+        name = f"{REPEATED}{number}_{state.versions[number - 1]}"
         tasks.append(Task(name, chunk.begin, chunk.end, last_frame(before), "agreed", state.frames[number]))
     versions = [state.versions[number - 1] for number in numbers]
     for number, version, (segment, error) in zip(numbers, versions, _run_all(run, tasks), strict=True):

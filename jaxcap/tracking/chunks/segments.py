@@ -32,7 +32,11 @@ class StackedFrames(AbstractSegment):
         self.first, self.end = first, first + len(frames)
         # the types of the leaves, of which some are numbers of Python
         self._like = frames[0] if frames else None
-        self._stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *frames)
+        self._stacked = (
+            jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *frames)
+            if frames
+            else None
+        )
 
     def frames(self, first: int, end: int) -> Iterator[TrackedFrame]:
         def leaf_of(like, stacked, row):

@@ -72,7 +72,8 @@ def track_chunks(
     `read_clouds` returns, loads them on the workers, which then need the files at the same paths.
 
     A chunk with a cloud that cannot be tracked does not stop the others: its frames are None from there on, and it is in
-    `failures`. The frames of a chunk after it are not `joined`.
+    `failures`. If the cloud is among the `overlap` frames before a chunk, all frames of this chunk are None, too. The frames of a
+    chunk after it are not `joined`. All frames are held in memory.
 
     The tracker is made by `forgetful_tracker`, with more iterations than usual, and so should be that of a run to compare with: with the usual
     settings runs that begin at different poses never become equal.
@@ -86,11 +87,13 @@ def track_chunks(
     sequence = CloudFrames(clouds)
     if not len(sequence):
         return ChunkedFrames([], (), (), ())
+    if chunks is not None:
+        divide_frames(len(sequence), chunks, overlap)
     room = first_room(sequence) if planes is None else planes
     tracker = forgetful_tracker(tracker)
     settings = TrackSettings(search, sigma, up, tuple(room), tolerance)
     with contextlib.nullcontext(client) if client is not None else open_cluster() as opened:
-        number = chunks or count_chunks(len(sequence), count_workers(opened), overlap)
+        number = count_chunks(len(sequence), count_workers(opened), overlap) if chunks is None else chunks
         divided = divide_frames(len(sequence), number, overlap, first)
         run = run_on(opened, partial(_track, tracker, settings), partial(_with_clouds, clouds, first))
         joined = join_chunks(tracker.body.skeleton, divided, run, start, tolerance)

@@ -76,6 +76,10 @@ def test_workers_track_the_poses_of_one_run(clouds, alone):
 def test_wrong_arguments_are_refused_before_a_cluster_is_started(clouds):
     with pytest.raises(InputError, match="overlap of chunks is 3 frames"):
         track_chunks(TRACKER, clouds, overlap=3)
+    with pytest.raises(InputError, match="number of chunks is 0"):
+        track_chunks(TRACKER, clouds, chunks=0)
+    with pytest.raises(InputError, match="give fewer chunks"):
+        track_chunks(TRACKER, clouds, chunks=50)
     with pytest.raises(InputError, match="tolerance"):
         track_chunks(TRACKER, clouds, tolerance=0.0)
 
@@ -174,8 +178,30 @@ def test_a_stopped_run_keeps_its_division(tmp_path):
     first = find_division(path, 100, 1, ChunkOptions(None, None, 3, 10), 0)
     # also while its rows were being joined
     assert find_division(path, 100, 1, ChunkOptions(None, None, 5, 20), 40) == first
-    # of other frames
-    assert len(find_division(path, 200, 1, ChunkOptions(None, None, 5, 20), 0)) == 5
+    # clouds were added, and removed
+    longer = find_division(path, 150, 1, ChunkOptions(None, None, None, 10), 0)
+    assert longer == [*first, Chunk(90, 100, 150)]
+    assert find_division(path, 90, 1, ChunkOptions(None, None, None, 10), 0) == [
+        *first[:2],
+        Chunk(57, 67, 90),
+    ]
+    # what is left is shorter than the given number of chunks allows
+    assert find_division(tmp_path / "other.json", 35, 1, ChunkOptions(None, None, 5, 10), 10) == [
+        Chunk(10, 10, 22),
+        Chunk(12, 22, 35),
+    ]
+
+
+def test_a_journal_of_other_clouds_is_not_used(clouds, tmp_path, capsys):
+    run, task = saved_run(tmp_path, clouds), Task("chunk_0", 0, 3, pose_of(0))
+    run_saved_task(run, task)
+    names = ["0.ply", "2.ply", "3.ply"]
+    other = ChunkedRun(**{**vars(run), "clouds": LazyFrames(names, lambda k: clouds[(0, 2, 3)[k]])})
+    saved = run_saved_task(other, task)
+    assert "frames 0 to 2 are tracked again" in saved.messages[0]
+    rows = next(saved.outcome.segment.rows(0, 3))
+    assert rows[:, CLOUD_AT].tolist() == [hash_cloud_name(name) for name in names]
+    assert run_saved_task(other, task).messages == ()
 
 
 @pytest.mark.parametrize(
@@ -186,6 +212,7 @@ def test_a_stopped_run_keeps_its_division(tmp_path):
         ({"workers": 2, "people": "2"}, "for one person"),
         ({"workers": 0}, "--workers is 0"),
         ({"workers": 2, "overlap": 5}, "--overlap is 5; it must be above 5"),
+        ({"overlap": 30}, "--overlap is for several workers"),
     ],
 )
 def test_options_of_chunks_are_checked(options, words, tmp_path):

@@ -10,6 +10,7 @@ from jaxcap.errors import InputError
 from jaxcap.observe.clouds import make_cloud, missing_cloud
 from jaxcap.tracking.chunks.division import count_chunks, divide_frames, name_ranges
 from jaxcap.tracking.chunks.join_chunks import join_chunks
+from jaxcap.tracking.chunks.segments import StackedFrames
 from jaxcap.tracking.chunks.tasks import TrackSettings
 from jaxcap.tracking.track import track_frames
 
@@ -119,3 +120,8 @@ def test_a_cloud_that_cannot_be_tracked_fails_its_chunk_alone(clouds):
     first, second = joined.chunks
     assert first is not None and first.end == 40
     assert second is not None and second.end == 50
+
+
+def test_frames_that_are_none_are_a_segment():
+    nothing = StackedFrames(4, [])
+    assert (nothing.first, nothing.end, list(nothing.frames(4, 4))) == (4, 4, [])
