@@ -1,13 +1,18 @@
 """Mistakes in the command line of a batch and in lists of jobs: what the message names, and what it advises."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 from batch_inputs import write_takes
+from command_line import fails, runs
 
+from jaxcap.cli.batch.batch import Batch
 from jaxcap.cli.batch.job_lists import label_of, list_jobs
-from jaxcap.cli.batch.jobs import make_jobs
+from jaxcap.cli.batch.jobs import BATCH_OPTIONS, make_jobs
 from jaxcap.errors import InputError
+
+pytest.importorskip("distributed")
 
 CUT = ("edit", "cut", "{input}", "-o", "out/{stem}.bvh", "--frames", "0", "3")
 PATTERN = "takes/{person}/*.bvh"
@@ -17,6 +22,47 @@ PATTERN = "takes/{person}/*.bvh"
 def takes(tmp_path, monkeypatch):
     monkeypatch.chdir(write_takes(tmp_path))
     return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "sentences"),
+    [
+        # the verb's -o and options would be those of the batch
+        (
+            (PATTERN, "edit", "mirror", "{input}", "-o", "o/{stem}.bvh"),
+            ["`--` is missing", "JOBS -- edit ..."],
+        ),
+        ((PATTERN, "--list", *CUT), ["`--` is missing before the verb 'edit'"]),
+        ((PATTERN, "edti", "cut", "{input}"), ["'edti' is not an option of the batch", "after `--`"]),
+        ((PATTERN, "-o", "o/{stem}.bvh", "--", *CUT), ["o/{stem}.bvh: the table", "after `--`"]),
+        # the shell has replaced a pattern
+        (("takes/anna/t1.bvh", "takes/anna/t10.bvh", "--", *CUT), ["2 paths", "quotation marks"]),
+        (("takes/anna/t1.bvh", "takes/anna/t10.bvh", "--list", "--", *CUT), ["2 paths", "quotation marks"]),
+        (("a.csv", "--", "info", "{input}"), ["a.csv:1: there is no column 'input'", "quotation marks"]),
+        (("none.csv", "--", *CUT), ["none.csv: there is no such file"]),
+        (("takes/none", "--", *CUT), ["takes/none: there is no such file or folder"]),
+        # options of the batch among those of a verb
+        ((PATTERN, "--", "info", "{input}", "--list"), ["--list is an option of the batch", "before `--`"]),
+        ((PATTERN, "--", *CUT, "--workers=2"), ["--workers is an option of the batch", "before `--`"]),
+        ((PATTERN, "--", "--workers", "2", *CUT), ["--workers is an option of the batch", "before `--`"]),
+        ((PATTERN, "--", "edit"), ["`jaxcap edit` is a group of verbs"]),
+        ((PATTERN, "--", "info", "--help"), ["--help is not an option of a job"]),
+        # a command too many
+        (("a.toml", "--", *CUT), ["a.toml: this list has commands", "leave one of them out"]),
+    ],
+)
+def test_mistakes_on_the_command_line(takes, capsys, words, sentences):
+    Path("a.csv").write_text("LKNE.x,LKNE.y,LKNE.z\n1,2\n")
+    Path("a.toml").write_text("command = 'info {input}'\ninputs = 'takes/{person}/*.bvh'\n")
+    line = fails(capsys, "batch", *words)
+    assert all(sentence in line for sentence in sentences), line
+    assert line.endswith((".", "..."))
+
+
+def test_options_of_a_batch():
+    """`-o` is one of most verbs, too."""
+    names = {f"--{each.name}" for each in dataclasses.fields(Batch)}
+    assert names - {"--jobs", "--command", "--out"} == set(BATCH_OPTIONS)
 
 
 def test_a_verb_with_an_option_of_the_batch_keeps_it(takes):
@@ -83,3 +129,9 @@ def test_what_distinguishes_outputs(takes, source, out, advice):
         make_jobs(list_jobs(source, ("edit", "mirror", "a.bvh", "--out", out)))
     assert advice in error.value.message
     assert "{stem}" not in error.value.message
+
+
+def test_a_verb_after_two_dashes_is_not_one_of_the_batch(takes, capsys):
+    """A folder with the name of a verb is an input."""
+    Path("takes").rename("scan")
+    assert runs(capsys, "batch", "--list", "scan", "--", "info", "{input}") == "scan: jaxcap info scan\n"
