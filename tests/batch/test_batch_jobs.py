@@ -118,7 +118,7 @@ def test_memory_of_verbs_with_many_scans():
     [
         ("takes/{person}/*.c3d", CUT, "no file or folder matches this pattern"),
         ("takes/{input}.bvh", CUT, "the name 'input' is that of the file itself"),
-        ("takes/{person}/{take}.bvh", (), "has no command; give one after `--`"),
+        ("takes/{person}/{take}.bvh", (), "takes/{person}/{take}.bvh: there is no verb; give one after `--`"),
         ("takes/{person}/{take}.bvh", ("edit", "dance", "{input}"), "there is no 'jaxcap edit dance'"),
         ("takes/{person}/{take}.bvh", ("{take}", "{input}"), "a batch has one verb"),
         ("takes/{person}/{take}.bvh", ("view", "{input}"), "`jaxcap view` cannot run in a batch"),

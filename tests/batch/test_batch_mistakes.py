@@ -81,7 +81,7 @@ def test_a_verb_with_an_option_of_the_batch_keeps_it(takes):
         ("a.csv", 'a,b\n1,2\n"3,4\n5,6\n', CUT[:2], "a.csv:3: this row is not one of a table"),
         ("a.csv", "a,b\nanna,1\nben,\n", ("info", "{a}/{b}.bvh"), "a.csv:3: the value of '{b}' is empty"),
         ("a.csv", "a,b,a\n1,2,3\n", ("info", "{a}"), "a.csv:1: two columns are named 'a'"),
-        ("a.csv", "a,b\n1,2\n", (), "a.csv:2: this job has no command; give one after `--`: jaxcap batch a.csv -- VERB {a} ..."),
+        ("a.csv", "a,b\n1,2\n", (), "a.csv:2: there is no verb; give one after `--`: jaxcap batch a.csv -- VERB {a} ..."),
         ("a.csv", "a,b\n", ("info", "{a}"), "a.csv: there are no jobs in this table"),
         ("a.csv", "first\n0\nx\n", (*CUT[:2], "a.bvh", "-o", "{first}.bvh", "--frames", "{first}", "3"), "a.csv:3: --frames is 'x 3'"),
         ("a.csv", "a\nt1\n", ("edit", "gaze", "{a}.bvh", "-o", "{a}o.bvh"), "a.csv:2: Give either --target or --direction"),
@@ -129,6 +129,29 @@ def test_what_distinguishes_outputs(takes, source, out, advice):
         make_jobs(list_jobs(source, ("edit", "mirror", "a.bvh", "--out", out)))
     assert advice in error.value.message
     assert "{stem}" not in error.value.message
+
+
+@pytest.mark.parametrize(
+    ("pattern", "out", "matches"),
+    [
+        ("takes/anna/*.bvh", "takes/anna/{stem}_cut.bvh", True),
+        ("takes/anna/{take}.bvh", "./takes/ben/../anna/{take}_cut.bvh", True),
+        ("**/*.bvh", "out/{folder}/{stem}.bvh", True),
+        ("takes/anna/*.bvh", "takes/anna/{stem}.npz", False),
+        # in place
+        ("takes/anna/*.bvh", "{input}", False),
+    ],
+)
+def test_outputs_do_not_become_inputs(takes, pattern, out, matches):
+    """Otherwise the same command would find more jobs each time."""
+    listed = list_jobs(pattern, ("edit", "cut", "{input}", "-o", out, "--frames", "0", "3"))
+    if not matches:
+        assert len(make_jobs(listed)) == len(listed)
+        return
+    for each in (pattern, str(takes / pattern)):
+        listed = list_jobs(each, listed[0].template)
+        with pytest.raises(InputError, match="this output matches the pattern"):
+            make_jobs(listed)
 
 
 def test_a_verb_after_two_dashes_is_not_one_of_the_batch(takes, capsys):

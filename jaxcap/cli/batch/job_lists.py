@@ -29,6 +29,8 @@ class ListedJob(NamedTuple):
     where: str
     #: where the command is written, `path` or `path:line`; empty for the command line
     command_where: str = ""
+    #: pattern that the input matches; empty for a job that is listed itself
+    pattern: str = ""
 
 
 def list_jobs(source: str, command: Sequence[str]) -> list[ListedJob]:
@@ -42,12 +44,13 @@ def list_jobs(source: str, command: Sequence[str]) -> list[ListedJob]:
     elif _is_table(source):
         jobs = _table_jobs(source, command)
     else:
-        jobs = [ListedJob(command, values, values[INPUT]) for values in match_pattern(source)]
+        found = match_pattern(source)
+        jobs = [ListedJob(command, values, values[INPUT], pattern=source) for values in found]
     for job in jobs:
         if not job.template:
             raise InputError(
-                f"{job.where}: this job has no command; give one after `--`: jaxcap batch {shlex.quote(source)} -- VERB "
-                f"{{{next(iter(job.values), 'name')}}} ..."
+                f"{source if job.pattern else job.where}: there is no verb; give one after `--`: jaxcap batch "
+                f"{shlex.quote(source)} -- VERB {{{INPUT if job.pattern else next(iter(job.values), 'name')}}} ..."
             )
     if command and all(job.template != command for job in jobs):
         raise InputError(
@@ -89,7 +92,7 @@ def _toml_jobs(path: str, command: tuple[str, ...]) -> list[ListedJob]:
             f"{path}: there are no jobs in this file; write patterns as '{INPUTS}', or [[jobs]] for each job."
         )
     jobs = [
-        ListedJob(template, values, f"{path}: {values[INPUT]}", source)
+        ListedJob(template, values, f"{path}: {values[INPUT]}", source, pattern)
         for pattern in patterns
         for values in match_pattern(pattern)
     ]

@@ -17,7 +17,7 @@ from ..console.record import record_output
 from ..console.verbs import Verb, find_verb, parse_command
 from .file_fields import output_paths, replace_outputs, replace_texts
 from .job_lists import ListedJob, label_of
-from .patterns import INPUT, NAMED, fill
+from .patterns import INPUT, NAMED, fill, matches_pattern
 from .urls import folders_of, is_url, place_of
 
 #: verbs that a person uses while they run, and this one
@@ -76,6 +76,7 @@ def make_jobs(listed: Sequence[ListedJob]) -> list[Job]:
         jobs.append(Job(key, label_of(one), dict(one.values), words, name, command, urls))
     _check_options(jobs, listed)
     _check_outputs_differ(jobs, listed)
+    _check_no_new_inputs(jobs, listed)
     return jobs
 
 
@@ -184,6 +185,20 @@ def _check_outputs_differ(jobs: Sequence[Job], listed: Sequence[ListedJob]) -> N
                 raise InputError(
                     f"{place}: the job {listed[number].where} writes this within {folder}, the output of the job "
                     f"{listed[other].where}; give them separate folders."
+                )
+
+
+def _check_no_new_inputs(jobs: Sequence[Job], listed: Sequence[ListedJob]) -> None:
+    """Check that no output would be an input when the same batch continues. Raises `InputError`."""
+    patterns = dict.fromkeys(one.pattern for one in listed if one.pattern)
+    inputs = {place_of(one.values[INPUT]) for one in listed if one.pattern}
+    for job in jobs:
+        for output in job.outputs():
+            pattern = next((each for each in patterns if matches_pattern(each, output)), None)
+            if pattern is not None and place_of(output) not in inputs:
+                raise InputError(
+                    f"{output}: this output matches the pattern {pattern}, so it would be an input of the same batch when it "
+                    "continues; write outputs to a folder, or with an ending, that the pattern does not match."
                 )
 
 

@@ -1,6 +1,7 @@
 """Patterns with named parts, such as `takes/{subject}/{take}.c3d`, and the files that match them."""
 
 import glob
+import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
@@ -35,6 +36,13 @@ def match_pattern(pattern: str) -> list[dict[str, str]]:
     if not found:
         raise InputError(f"{pattern}: no file or folder matches this pattern; check the path and the names.")
     return found
+
+
+def matches_pattern(pattern: str, output: str) -> bool:
+    """Test if the path or URL of an output matches a pattern of inputs."""
+    if not is_url(output):
+        output = os.path.abspath(output) if os.path.isabs(pattern) else os.path.relpath(output)
+    return _values(pattern, output) is not None
 
 
 def is_pattern(text: str) -> bool:
