@@ -7,9 +7,11 @@ import pytest
 from batch_inputs import write_takes
 from command_line import fails, runs
 
-from jaxcap.cli.batch.batch import Batch
+from jaxcap.cli import main
+from jaxcap.cli.batch.batch import Batch, report
 from jaxcap.cli.batch.job_lists import label_of, list_jobs
 from jaxcap.cli.batch.jobs import BATCH_OPTIONS, make_jobs
+from jaxcap.cli.batch.results import ResultTable
 from jaxcap.errors import InputError
 
 pytest.importorskip("distributed")
@@ -158,3 +160,19 @@ def test_a_verb_after_two_dashes_is_not_one_of_the_batch(takes, capsys):
     """A folder with the name of a verb is an input."""
     Path("takes").rename("scan")
     assert runs(capsys, "batch", "--list", "scan", "--", "info", "{input}") == "scan: jaxcap info scan\n"
+
+
+@pytest.mark.parametrize(("pattern", "words"), [("takes/anna/t1.bvh", "1 of 1 job is done"), ("takes/anna/*", "2 of 2 jobs are done")])  # fmt: skip
+def test_the_last_line_counts_jobs(takes, capsys, pattern, words):
+    jobs = make_jobs(list_jobs(pattern, ("info", "{input}")))
+    table = ResultTable(takes / "batch.jsonl")
+    for job in jobs:
+        table.append({"key": job.key, "job": job.label, "status": "done"})
+    report(jobs, table, already=0)
+    assert words in capsys.readouterr().out
+
+
+def test_the_help_shows_where_the_verb_is_written(capsys):
+    with pytest.raises(SystemExit):
+        main(["batch", "--help"])
+    assert capsys.readouterr().out.startswith("usage: jaxcap batch [-h] [OPTIONS] JOBS [-- VERB...]\n")

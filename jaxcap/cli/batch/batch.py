@@ -54,7 +54,7 @@ class Batch:
     """A quoted pattern of files or folders with named parts, such as "takes/{subject}/{take}.c3d"; or a list of jobs, .toml or
     .csv. The names `input`, `stem` and `folder` are given by every pattern."""
     command: tyro.conf.Positional[
-        Annotated[tuple[str, ...], arg(metavar="VERB...", help_behavior_hint="")]
+        Annotated[tuple[str, ...], arg(metavar="[-- VERB...]", help_behavior_hint="")]
     ] = ()
     """The verb and its options after `--`. It may be in the list of jobs instead."""
     out: Annotated[OptionalFile, arg(aliases=("-o",), metavar="TABLE")] = None
@@ -83,8 +83,8 @@ class Batch:
         verb = next((word for word in words if word in JAXCAP.verbs), None)
         if verb is not None and not {"-h", "--help"} & set(words):
             raise InputError(
-                f"`--` is missing before the verb '{verb}'; write jaxcap batch JOBS -- {verb} ..., with options of the batch "
-                "before `--`, and those of the verb after it."
+                f"`--` is missing before the verb '{verb}'; write `--` between the options of the batch and the verb: "
+                f"jaxcap batch JOBS -- {verb} ..."
             )
         return words, ()
 
@@ -223,8 +223,9 @@ def report(jobs: Sequence[Job], table: ResultTable, already: int) -> None:
     written = [str(table.path), *([str(path)] if write_parquet(path, table.rows.values()) else [])]
     failed = [row for row in rows if row["status"] == FAILED]
     before = f", {already} of them before" if already else ""
+    verb = "is" if len(rows) == 1 else "are"
     say(
-        f"{len(rows) - len(failed)} of {pluralise(len(rows), 'job')} are done{before}: {' and '.join(written)}"
+        f"{len(rows) - len(failed)} of {pluralise(len(rows), 'job')} {verb} done{before}: {' and '.join(written)}"
     )
     if failed:
         raise InputError(

@@ -24,6 +24,8 @@ from .urls import folders_of, is_url, place_of
 INTERACTIVE = ("view", "ik", "live", "batch")
 #: options of the batch that some verbs do not have
 BATCH_OPTIONS = ("--workers", "--memory", "--scheduler", "--slurm", "--list", "--overwrite")
+#: number of names that a message advises
+MAX_ADVISED = 3
 
 
 class Job(NamedTuple):
@@ -219,7 +221,7 @@ def _distinction(one: ListedJob, other: ListedJob, output: str) -> str:
         return f"give '{lost[0]}' values that are different paths"
     # the whole path is a name for an output only where nothing else differs
     free = [name for name in differing if name != INPUT] or differing
-    names = " or ".join(f"{{{name}}}" for name in free)
+    names = " or ".join(f"{{{name}}}" for name in free[:MAX_ADVISED])
     return f"put {names} into its path, where these jobs differ"
 
 
