@@ -1,6 +1,5 @@
 """What pages show is what happens: their Python runs, and their commands are the command line's."""
 
-
 import numpy as np
 import pytest
 import tyro
