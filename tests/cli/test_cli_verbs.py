@@ -59,6 +59,10 @@ def test_version(capsys, checkout):
         (["track", "human", "x", "-o", "y", "--first", "1.5"], "jaxcap: --first is '1.5'; give an integer."),
         (["track", "human", "x", "-o", "y", "--first"], "jaxcap: --first lacks a value; give an integer."),
         (["track", "human", "x", "-o"], "jaxcap: --out lacks a value; give one."),
+        (
+            ["convert", "a.csv", "-o", "b.c3d"],
+            "jaxcap: missing from jaxcap convert: TARGET, which is written without an option such as -o; ",
+        ),
         (["ik", "human", "--port", "x 'y\" z"], "jaxcap: --port is 'x 'y\" z'; give an integer."),
         (
             ["adapt", "human", "x", "-o", "y", "--shape-weight", "1", "b"],

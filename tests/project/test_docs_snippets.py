@@ -1,7 +1,5 @@
 """What pages show is what happens: their Python runs, and their commands are the command line's."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import tyro
@@ -80,7 +78,8 @@ def test_commands_of_a_page_are_those_of_the_command_line(page, monkeypatch, cap
     def parse(*arguments, **options):
         command = real(*arguments, **options)
         parsed.append(type(command).__name__.lower())
-        return SimpleNamespace(run=lambda: None)
+        monkeypatch.setattr(type(command), "run", lambda _: None)
+        return command
 
     monkeypatch.setattr(tyro, "cli", parse)
     for words in commands_of(page):

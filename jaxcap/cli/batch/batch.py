@@ -4,7 +4,7 @@ import contextlib
 import os
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +19,7 @@ from ...errors import InputError
 from ...io.system.run_lock import run_lock
 from ..console.console import pluralise, progress, say, warn
 from ..console.errors import error_sentence
+from ..console.groups import JAXCAP
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalCount, OptionalFile, arg
 from ..outputs import check_parent, make_folder
@@ -31,7 +32,7 @@ from .finished import (
     owned_outputs,
 )
 from .job_lists import ListedJob, list_jobs
-from .jobs import Job, make_jobs
+from .jobs import Job, make_jobs, value_of
 from .memory import job_memory
 from .prepare import prepare_worker
 from .results import ResultTable, Row, receipts_folder, write_parquet
@@ -53,7 +54,7 @@ class Batch:
     """A quoted pattern of files or folders with named parts, such as "takes/{subject}/{take}.c3d"; or a list of jobs, .toml or
     .csv. The names `input`, `stem` and `folder` are given by every pattern."""
     command: tyro.conf.Positional[
-        Annotated[tuple[str, ...], arg(metavar="VERB...", help_behavior_hint="")]
+        Annotated[tuple[str, ...], arg(metavar="[-- VERB...]", help_behavior_hint="")]
     ] = ()
     """The verb and its options after `--`. It may be in the list of jobs instead."""
     out: Annotated[OptionalFile, arg(aliases=("-o",), metavar="TABLE")] = None
@@ -72,11 +73,46 @@ class Batch:
     overwrite: Flag = False
     """Do all jobs, also those that are done, and replace their outputs."""
 
+    @staticmethod
+    def split_words(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Split arguments at `--` into those of the batch and the command of its jobs. Raises `InputError` if it is missing."""
+        words = tuple(words)
+        if "--" in words:
+            end = words.index("--")
+            return words[:end], words[end + 1 :]
+        verb = next((word for word in words if word in JAXCAP.verbs), None)
+        if verb is not None and not {"-h", "--help"} & set(words):
+            raise InputError(
+                f"`--` is missing before the verb '{verb}'; write `--` between the options of the batch and the verb: "
+                f"jaxcap batch JOBS -- {verb} ..."
+            )
+        return words, ()
+
+    def with_command(self, command: tuple[str, ...]) -> "Batch":
+        """Return this batch with the words after `--` as its command. Raises `InputError` if there are others before."""
+        others = self.command
+        if others and Path(others[0]).exists():
+            raise InputError(
+                f"{self.jobs} and {others[0]}: JOBS is one pattern, and there are {1 + len(others)} paths; put the pattern into "
+                "quotation marks, so that the shell does not replace it by the files."
+            )
+        if others:
+            raise InputError(
+                f"'{others[0]}' is not an option of the batch; write the verb and its options after `--`: jaxcap batch JOBS -- "
+                "VERB ..."
+            )
+        return replace(self, command=command)
+
     def run(self) -> None:
         import_distributed()
         slurm = self.slurm_options()
         if self.memory is not None and not self.memory > 0:
             raise InputError(f"--memory is {self.memory:g}; it must be above 0 GiB.")
+        if self.out is not None and self.out.suffix.lower() != ".jsonl":
+            raise InputError(
+                f"{self.out}: the table of results is written as .jsonl; give -o a name that ends in .jsonl, and write the "
+                "output of the jobs after `--` and the verb."
+            )
         set_activity("listing the jobs")
         listed = list_jobs(self.jobs, self.command)
         set_activity("checking the options of all jobs")
@@ -86,10 +122,6 @@ class Batch:
                 say(f"{job.label}: jaxcap {shlex.join(job.words)}")
             return
         path = self.out or default_table(self.jobs, listed, jobs)
-        if path.suffix.lower() != ".jsonl":
-            raise InputError(
-                f"{path}: the table of results is written as .jsonl; give a name that ends in .jsonl."
-            )
         check_folders(jobs)
         check_parent(path)
         with run_lock(path):
@@ -191,8 +223,9 @@ def report(jobs: Sequence[Job], table: ResultTable, already: int) -> None:
     written = [str(table.path), *([str(path)] if write_parquet(path, table.rows.values()) else [])]
     failed = [row for row in rows if row["status"] == FAILED]
     before = f", {already} of them before" if already else ""
+    verb = "is" if len(rows) == 1 else "are"
     say(
-        f"{len(rows) - len(failed)} of {pluralise(len(rows), 'job')} are done{before}: {' and '.join(written)}"
+        f"{len(rows) - len(failed)} of {pluralise(len(rows), 'job')} {verb} done{before}: {' and '.join(written)}"
     )
     if failed:
         raise InputError(
@@ -213,7 +246,7 @@ def default_table(source: str, listed: Sequence[ListedJob], jobs: Sequence[Job])
     outputs = [output for output in jobs[0].outputs() if not is_url(output)]
     for word, filled in zip(listed[0].template, jobs[0].words, strict=True):
         # also in a word such as --out=out/{stem}.bvh
-        value = filled.partition("=")[2] if filled.startswith("--") else filled
+        value = value_of(filled)
         if str(Path(value)) in outputs[:1]:
             folder = word[len(filled) - len(value) :].partition("{")[0].rpartition("/")[0]
             return Path(folder or ".") / "batch.jsonl"

@@ -1,6 +1,7 @@
 """Patterns with named parts, such as `takes/{subject}/{take}.c3d`, and the files that match them."""
 
 import glob
+import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
@@ -30,21 +31,33 @@ def match_pattern(pattern: str) -> list[dict[str, str]]:
                 f"{pattern}: the name '{name}' is that of the file itself; give this part another name."
             )
     found = [values for path in _candidates(pattern) if (values := _values(pattern, path)) is not None]
+    if not found and not is_pattern(pattern):
+        raise InputError(f"{pattern}: there is no such file or folder; check the path.")
     if not found:
-        raise InputError(
-            f"{pattern}: no file or folder matches this pattern; check the path, and quote the pattern for your shell."
-        )
+        raise InputError(f"{pattern}: no file or folder matches this pattern; check the path and the names.")
     return found
 
 
+def matches_pattern(pattern: str, output: str) -> bool:
+    """Test if the path or URL of an output matches a pattern of inputs."""
+    if not is_url(output):
+        output = os.path.abspath(output) if os.path.isabs(pattern) else os.path.relpath(output)
+    return _values(pattern, output) is not None
+
+
+def is_pattern(text: str) -> bool:
+    """Test if a text has named parts or wildcards, or is a URL; otherwise it names one file or folder."""
+    return is_url(text) or NAMED.search(text) is not None or glob.has_magic(text)
+
+
 def fill(template: str, values: Mapping[str, str]) -> str:
-    """Replace the named parts of a text by their values. Raises `InputError` if a name has no value."""
+    """Replace the named parts of a text by their values. Raises `InputError` if a name has no value, or an empty one."""
 
     def value_of(match: re.Match) -> str:
         if match[1] not in values:
-            raise InputError(
-                f"{template}: '{match[0]}' has no value; the names are {', '.join(values) or 'none'}."
-            )
+            raise InputError(f"'{match[0]}' has no value; the names are {', '.join(values) or 'none'}.")
+        if not values[match[1]]:
+            raise InputError(f"the value of '{match[0]}' is empty; write one.")
         return values[match[1]]
 
     return NAMED.sub(value_of, template)

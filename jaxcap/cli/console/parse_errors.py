@@ -36,6 +36,12 @@ def parse_error_sentence(verb: type, prog: str, box: str) -> str:
         option, problem = found["option"], f"is '{_value_text(found['literal'])}'"
     elif found := _MISSING_VALUE.search(rows):
         option, problem = found["option"], "lacks a value"
+        if not option.startswith("-"):
+            # of a positional argument, before a word that is taken for an option
+            return (
+                f"missing from {prog}: {option.upper()}, which is written without an option such as -o; '{prog} --help' lists the "
+                "options."
+            )
     else:
         return error_box_sentence(box, prog)
     # of several names, such as `-o/--out`, the last one is the longest

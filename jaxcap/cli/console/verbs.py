@@ -87,7 +87,10 @@ def help_of(group: VerbGroup, prog: str) -> str:
 
 
 def parse_command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool = True) -> Any:
-    """Parse arguments to an instance of a verb; print its help if it is asked for. Raises `InputError` if they are wrong."""
+    """Parse arguments to an instance of a verb; print its help if it is asked for. Raises `InputError` if they are wrong.
+
+    A class that runs another verb separates the words of that verb, by `split_words`, and takes them by `with_command`.
+    """
     with exit_on_interrupt():
         from .compiled import prepare_jax
 
@@ -95,17 +98,20 @@ def parse_command(verb: Verb, prog: str, words: Sequence[str], use_cache: bool =
         import tyro
 
         made = verb.load()
-    if {"-h", "--help"} & set(words):
+    runs_another = hasattr(made, "split_words")
+    own, command = made.split_words(words) if runs_another else (words, ())
+    if {"-h", "--help"} & set(own):
         sys.stdout.write(verb_help(made, prog))
         raise SystemExit(0)
     said = io.StringIO()
     try:
         with wide_terminal(), contextlib.redirect_stderr(said):
-            return tyro.cli(made, prog=prog, args=words, config=(tyro.conf.FlagCreatePairsOff,))
+            found = tyro.cli(made, prog=prog, args=own, config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit as stop:
         if not stop.code:
             raise
         raise InputError(parse_error_sentence(made, prog, said.getvalue())) from None
+    return found.with_command(command) if runs_another else found
 
 
 def _meant(word: str, verbs: Iterable[str]) -> str:
