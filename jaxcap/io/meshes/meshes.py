@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ...arguments import checked
 from ...errors import InputError
+from ...geometry.mesh import count_other_triangles
 from ...observe.meshes import MeshSequence
 from ...units import unit_scale
 from ..archives.archive import array_names, load_arrays
@@ -211,18 +212,10 @@ def _check_same_topology(path: Path, file: _File, first: Path, reference: _File)
             f"{path}: this mesh has {counts[0][0]} vertices and {counts[0][1]} triangles, and {first} has "
             f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology; {_REGISTER}."
         )
-    if (file.faces == reference.faces).all():
-        return
     # a file may list the same triangles in another order, or start each at another corner
-    rows = [set(map(tuple, _rotate_corners(f.faces).tolist())) for f in (file, reference)]
-    if rows[0] != rows[1]:
+    other = count_other_triangles(file.faces, reference.faces)
+    if other:
         raise InputError(
-            f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
+            f"{path}: {other} of its {counts[0][1]} triangles connect other vertices than in {first}; "
             f"registered meshes have one topology and one vertex order; {_REGISTER}."
         )
-
-
-def _rotate_corners(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
-    """Rotate the corners of each triangle so that its smallest index comes first."""
-    start = faces.argmin(1)[:, None]
-    return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)

@@ -25,7 +25,7 @@ from ..initialise import SkinName
 from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS, MIN_DECREASE, learn_body
 from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
-from .check_people import check_people
+from .check_people import check_people, find_moving
 from .person import Person, initialise_person
 from .rest_alignment import align_rest_poses
 from .rounds import (
@@ -105,17 +105,17 @@ def learn_people(
     then those of the surface, if another one has several. `components`, the number of coefficients, at most one less than
     people, which is the default. The others as of `learn_body`; a `Skeleton` is in the pose of the first mesh of the first person.
 
-    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does; for fewer than two people, for meshes of
-    several topologies, if no person has two meshes, and for meshes of several people under one name.
+    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does, and `InputError` as `check_people` does.
     """
     check_at_least(
         "learn_people", 1, rounds=rounds, **({} if components is None else {"components": components})
     )
     for message in check_people(people):
         _LOG.warning(message)
+    moving = find_moving(list(people.values()))
     names, sequences = tuple(people), [repeat_meshes(sequence) for sequence in people.values()]
     counts = [len(sequence) for sequence in people.values()]
-    first, start = _choose_reference(list(people.values()), skeleton, joints, symmetry, names)
+    first, start = _choose_reference(list(people.values()), moving, skeleton, joints, symmetry, names)
     _LOG.info("learning a first body from %d meshes of %s", counts[first], names[first])
     learned = learn_body(
         sequences[first],
@@ -165,6 +165,7 @@ def repeat_meshes(sequence: MeshSequence) -> MeshSequence:
 
 def _choose_reference(
     people: Sequence[MeshSequence],
+    moving: Sequence[int],
     skeleton: Skeleton | SkeletonName,
     joints: int | None,
     symmetry: bool | np.ndarray,
@@ -172,17 +173,23 @@ def _choose_reference(
 ) -> tuple[int, Skeleton | PlacedPerson | None]:
     """Choose the person with whom learning begins, and its skeleton; None for a free search.
 
-    It is the person with the most meshes, or of the three with the most the first one in whose meshes a person is recognised.
+    It is the person with the most meshes among those who move, or of the three with the most the first one in whose meshes a
+    person is recognised.
     """
     if isinstance(skeleton, Skeleton):
+        if 0 not in moving:
+            raise InputError(
+                f"The skeleton is that of the first person, and the meshes of {names[0]} show no motion; give a person with several "
+                f"poses first, such as {names[moving[0]]}, with the skeleton in that person's first mesh."
+            )
         return 0, skeleton
-    order = sorted(range(len(people)), key=lambda number: -len(people[number]))
+    order = sorted(moving, key=lambda number: -len(people[number]))
     free = joints is not None or not isinstance(symmetry, bool)
     if skeleton == "none" or (skeleton == "automatic" and free):
         return order[0], None
     if joints is not None:
         raise ValueError("The human skeleton has its own joints; omit `joints`.")
-    several = [number for number in order if len(people[number]) > 1][:MAX_TRIED]
+    several = order[:MAX_TRIED]
     for number in several:
         placed, sentence = choose_skeleton(
             people[number], "automatic", _mesh_names(names[number], people[number])

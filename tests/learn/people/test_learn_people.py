@@ -13,7 +13,12 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.people.check_people import check_people, find_far_joints, find_people_by_size
+from jaxcap.learn.people.check_people import (
+    check_people,
+    find_far_joints,
+    find_moving,
+    find_people_by_size,
+)
 from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
 from jaxcap.learn.people.person import Person, initialise_person
 from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
@@ -194,11 +199,39 @@ def test_people_from_whom_nothing_can_be_learned_are_refused(rng):
         check_people({"anna": anna, "ben": other})
     with pytest.raises(InputError, match="connect other vertices"):
         check_people({"anna": anna, "ben": MeshSequence(ben.vertices, ben.faces[:, ::-1])})
+    # the same triangles in another order, and from another corner on
+    assert check_people({"anna": anna, "ben": MeshSequence(ben.vertices, ben.faces[::-1, [1, 2, 0]])}) == []
     both = MeshSequence(jnp.concatenate([anna.vertices, ben.vertices[:2]]), anna.faces)
-    with pytest.raises(
-        InputError, match="the meshes of both show several people: mesh 4 of both, mesh 5 of both and mesh 0"
-    ):
-        check_people({"both": both, "ben": ben})
+    (sentence,) = check_people({"both": both, "ben": ben})
+    assert "meshes of both may show several people: mesh 4 of both, mesh 5 of both and mesh 0" in sentence
+
+
+def test_motion_is_that_of_each_person(rng):
+    """Different people always differ in shape: this is no motion."""
+    anna, ben = people_meshes(rng, anna=(1.0, 0.06), ben=(1.2, 0.07)).values()
+    still = [each[np.zeros(3, int)] for each in (anna, ben)]
+    with pytest.raises(InputError, match="of each person differ by a rigid motion only"):
+        check_people({"anna": still[0], "ben": still[1]})
+    with pytest.raises(InputError, match="of each person differ by a rigid motion only"):
+        check_people({"anna": still[0], "ben": ben[:1]})
+    (sentence,) = check_people({"anna": still[0], "ben": ben})
+    assert sentence.startswith("The 3 meshes of anna differ by a rigid motion only")
+    assert find_moving([still[0], ben]) == [1]
+    skeleton = limb().skeleton
+    with pytest.raises(InputError, match="the meshes of anna show no motion; .* such as ben"):
+        jc.learn.learn_people({"anna": still[0], "ben": ben}, skeleton=skeleton)
+
+
+def test_children_and_adults_are_people_of_one_body(rng):
+    adult, other, kid = people_meshes(rng, a=(1.8, 0.12), b=(1.7, 0.1), c=(0.7, 0.045)).values()
+    (sentence,) = check_people({"adult": adult, "other": other, "kid": kid})
+    assert sentence.startswith("kid is 0.4") and "check the unit" in sentence
+    inches = MeshSequence(kid.vertices / 0.0254, kid.faces)
+    with pytest.raises(InputError, match="mesh 0 of kid is .* times as large as the others; .* one unit"):
+        check_people({"adult": adult, "other": other, "kid": inches})
+    mixed = MeshSequence(kid.vertices.at[1].multiply(2.54), kid.faces)
+    with pytest.raises(InputError, match="mesh 1 of kid is 2.5.* times as large as the others"):
+        check_people({"adult": adult, "other": other, "kid": mixed})
 
 
 def test_people_are_distinguished_by_the_sizes_of_their_surface():
