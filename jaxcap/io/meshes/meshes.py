@@ -60,26 +60,53 @@ def read_meshes(
     return read_named_meshes(paths, unit, rate).sequence
 
 
-@reader_of("registered meshes")
 def read_named_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> NamedMeshes:
     """Read registered meshes as `read_meshes` does, with their names for messages."""
+    return _read_groups(paths, [[paths] if isinstance(paths, str | Path) else list(paths)], unit, rate)[0]
+
+
+def read_mesh_groups(
+    groups: Sequence[Sequence[str | Path]], unit: str | float = "m", rate: float | None = None
+) -> list[NamedMeshes]:
+    """Read groups of registered meshes in one topology, such as those of several people; each has the rate of its own files.
+
+    **Arguments:** `groups`, the sources of each, as `paths` of `read_meshes`.
+
+    **Raises:** `InputError` as `read_meshes` does, and if the topology of a file is not that of the first file of all.
+    """
+    return _read_groups("the meshes", groups, unit, rate)
+
+
+@reader_of("registered meshes")
+def _read_groups(
+    _where: str | Path | Sequence[str | Path],
+    groups: Sequence[Sequence[str | Path]],
+    unit: str | float,
+    rate: float | None,
+) -> list[NamedMeshes]:
     metres = unit_scale(unit)
-    sources = [paths] if isinstance(paths, str | Path) else list(paths)
-    if not sources:
+    if not all(groups):
         raise InputError("No meshes were given; give files, a folder or an .npz.")
     found = [
-        path for source in sources for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",))
+        [path for source in group for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",))]
+        for group in groups
     ]
-    files = [_read(path) for path in found]
-    for path, file in zip(found[1:], files[1:], strict=True):
-        _check_same_topology(path, file, found[0], files[0])
+    read = [[_read(path) for path in paths] for paths in found]
+    for paths, files in zip(found, read, strict=True):
+        for path, file in zip(paths, files, strict=True):
+            _check_same_topology(path, file, found[0][0], read[0][0])
+    return [_concatenate(files, metres, read[0][0].faces, rate) for files in read]
+
+
+def _concatenate(
+    files: Sequence[_File], metres: float, faces: Int[np.ndarray, "T 3"], rate: float | None
+) -> NamedMeshes:
     rates = [file.rate for file in files if file.rate is not None]
     names = tuple(name for file in files for name in file.names)
     vertices = metres * np.concatenate([file.vertices for file in files])
-    sequence = MeshSequence(vertices, files[0].faces, rate or (rates[0] if rates else 30.0))
-    return NamedMeshes(sequence, names)
+    return NamedMeshes(MeshSequence(vertices, faces, rate or (rates[0] if rates else 30.0)), names)
 
 
 @checked
