@@ -36,7 +36,7 @@ from .rounds import (
     make_mesh_metric,
     total_value,
 )
-from .shape_space import make_shape_space
+from .shape_space import make_shape_space, refit_poses
 
 _LOG = logging.getLogger(__name__)
 
@@ -64,13 +64,13 @@ class LearnedPeople(NamedTuple):
     #: in the order of the rows of `coefficients`
     names: tuple[str, ...]
     coefficients: Float[np.ndarray, "N K"]
-    #: the poses of each person's meshes
+    #: the poses of each person's meshes, of the body of the coefficients
     motions: tuple[Motion, ...]
     #: share of each component in the variance of joints and vertices at rest
     explained: Float[np.ndarray, "K"]
     #: pairs of left and right joints
     left_right_pairs: Int[np.ndarray, "P 2"]
-    #: (step, Q) after every round, Q in squared metres; it never rises on one mesh
+    #: (step, Q) after every round, Q in squared metres; it never rises between a "start" and the next one
     history: tuple[tuple[str, float], ...]
     #: where learning began with the joints of the mean shape; None if they were found from the motion
     given: GivenCentres | None = None
@@ -144,6 +144,9 @@ def learn_people(
         Motion(take_poses(person.poses, np.arange(count)), sequence.rate)
         for person, count, sequence in zip(found.people, counts, sequences, strict=True)
     )
+    if components is not None and components < len(people) - 1:
+        _LOG.info("fitting the poses to the people of %d coefficients", components)
+        motions = refit_poses(space, motions, list(people.values()))
     return LearnedPeople(
         space.model,
         names,

@@ -1,5 +1,6 @@
 """One rest pose of several people: the rotations of bones at rest, which joints' motions hardly determine, are made alike."""
 
+import logging
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -19,6 +20,8 @@ from ..weights.rest_vertices import fit_rest_vertices
 from .person import Person, onto_middle
 from .shape_space import mean_body
 
+_LOG = logging.getLogger(__name__)
+
 #: kinds of joints that can rest in any pose
 FREE_KINDS = ("free", "ball", "fixed")
 
@@ -29,18 +32,29 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
     A body may rest in any pose, which its poses make up for. Differences of rest poses would count as differences of shape. The
     rotation of a bone is that which best aligns its vertices, each group centred, with those of the mean, so that sizes and
     lengths do not count (`procrustes_poses`; SMPL also normalises the pose before principal components). Poses change so that
-    bones are where they were; vertices at rest are solved for again. Joints with fewer axes than three keep their rest pose.
+    bones are where they were; vertices at rest are solved for again. If a joint has fewer axes than three, all people keep their
+    rest poses, which a message says: another rest pose would rotate its axes.
 
     The prior of each person's joints becomes that of the surface around the joints of the mean, which all people determine.
     """
     mean = mean_body([person.body for person in people])
     regressor = make_joint_regressor(mean)
-    can_rotate = all(kind in FREE_KINDS for kind in mean.skeleton.kinds)
+    bound = [
+        name
+        for name, kind in zip(mean.skeleton.names, mean.skeleton.kinds, strict=True)
+        if kind not in FREE_KINDS
+    ]
+    if bound:
+        _LOG.warning(
+            "Rest poses are not aligned, as joints have fewer axes than three (%s): differences of pose at rest count as differences "
+            "of shape; give people whose first meshes are in one pose, or a skeleton with ball joints.",
+            ", ".join(bound),
+        )
     shapes = MeshSequence(jnp.stack([person.body.vertices for person in people]), mean.faces)
     turned = procrustes_poses(mean, shapes)
     aligned = []
     for number, person in enumerate(people):
-        if can_rotate:
+        if not bound:
             person = rotate_at_rest(person, jax.tree.map(lambda leaf, at=number: leaf[at], turned))
         person = move_to_centre(person, jnp.mean(mean.vertices, 0))
         if not person.given.is_fixed:

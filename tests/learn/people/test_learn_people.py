@@ -10,7 +10,7 @@ from helpers import random_pose
 import jaxcap as jc
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor
 from jaxcap.body.body import posed_vertices
-from jaxcap.body.pose import stack_poses
+from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.people.check_people import (
@@ -22,7 +22,7 @@ from jaxcap.learn.people.check_people import (
 from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
 from jaxcap.learn.people.person import Person, initialise_person
 from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
-from jaxcap.learn.people.shape_space import make_shape_space
+from jaxcap.learn.people.shape_space import make_shape_space, person_body, refit_poses
 from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
 from jaxcap.observe.meshes import MeshSequence
@@ -152,6 +152,37 @@ def test_a_linear_shape_space_is_recovered_with_its_derivatives(rng):
     at, step = jnp.array([0.3, -0.7]), 1e-5
     numeric = [(loss(at.at[k].add(step)) - loss(at.at[k].add(-step))) / (2 * step) for k in range(2)]
     np.testing.assert_allclose(jax.grad(loss)(at), numeric, rtol=1e-6)
+
+
+def test_poses_are_those_of_the_bodies_of_few_components(rng):
+    # one coefficient for the radius leaves none for the length
+    bodies = [limb(), limb(1.0, 0.2), limb(1.1, 0.13)]
+    poses = [poses_of(body, rng, 2) for body in bodies]
+    meshes = [MeshSequence(posed_vertices(b, p), b.faces) for b, p in zip(bodies, poses, strict=True)]
+    space = make_shape_space(bodies, 1)
+    motions = refit_poses(space, [Motion(p, 30.0) for p in poses], meshes)
+    before, after = (
+        [
+            float(jnp.mean((posed_vertices(person_body(space.model, row), p) - m.vertices) ** 2))
+            for row, p, m in zip(space.coefficients, each, meshes, strict=True)
+        ]
+        for each in (poses, [motion.poses for motion in motions])
+    )
+    assert all(new <= old for old, new in zip(before, after, strict=True))
+    assert sum(after) < 0.8 * sum(before)
+
+
+def test_rest_poses_that_stay_are_said(rng, caplog):
+    body = limb(skin="rigid")
+    hinge = jc.make_skeleton(
+        body.skeleton.names, body.skeleton.parents, ["free", "ball", "revolute"], body.skeleton.centres
+    )
+    body = eqx.tree_at(lambda b: b.skeleton, body, hinge)
+    poses = poses_of(body, rng, 2)
+    person = Person(body, poses, posed_vertices(body, poses), given_of(body), 1e-3)
+    with caplog.at_level("WARNING"):
+        align_rest_poses([person, person])
+    assert "Rest poses are not aligned" in caplog.text and "(end)" in caplog.text
 
 
 def test_joints_far_from_the_surface_are_named():
