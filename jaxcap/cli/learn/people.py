@@ -19,6 +19,7 @@ from ...learn.learn_body import COARSE_PREFIX
 from ...learn.parts.check_parts import check_learned
 from ...learn.people.check_people import check_people, find_far_joints
 from ...learn.people.learn_people import LearnedPeople, PeopleState, learn_people
+from ...learn.people.rest_alignment import check_rest_alignment
 from ...learn.people.shape_space import person_body
 from ...observe.meshes import MeshSequence
 from ...report.scores import Scores
@@ -195,7 +196,7 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
     if not len(learned.left_right_pairs):
         say("no left and right joints were paired")
     far = find_far_joints(learned.model, learned.coefficients, learned.names)
-    for message in [*check_learned(body, motion), *far]:
+    for message in [*check_rest_alignment(body.skeleton), *check_learned(body, motion), *far]:
         warn(message)
 
 

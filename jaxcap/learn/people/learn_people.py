@@ -26,8 +26,8 @@ from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS
 from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 from .check_people import check_people, find_moving
-from .person import Person, initialise_person
-from .rest_alignment import align_rest_poses
+from .person import Person, initialise_person, repeat_meshes, repeated_rows
+from .rest_alignment import align_rest_poses, check_rest_alignment
 from .rounds import (
     MeshMetric,
     evaluate,
@@ -44,8 +44,6 @@ _LOG = logging.getLogger(__name__)
 REFERENCE_ROUNDS = 8
 #: the most people in whose meshes a person's skeleton is placed
 MAX_TRIED = 3
-#: numbers of meshes for which functions are compiled: meshes of a person are repeated up to the next one
-LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 
 
 class PeopleState(NamedTuple):
@@ -113,10 +111,9 @@ def learn_people(
     for message in check_people(people):
         _LOG.warning(message)
     moving = find_moving(list(people.values()))
-    names, sequences = tuple(people), [repeat_meshes(sequence) for sequence in people.values()]
-    counts = [len(sequence) for sequence in people.values()]
-    first, start = _choose_reference(list(people.values()), moving, skeleton, joints, symmetry, names)
-    _LOG.info("learning a first body from %d meshes of %s", counts[first], names[first])
+    names, sequences = tuple(people), list(people.values())
+    first, start = _choose_reference(sequences, moving, skeleton, joints, symmetry, names)
+    _LOG.info("learning a first body from %d meshes of %s", len(sequences[first]), names[first])
     learned = learn_body(
         sequences[first],
         joints=joints,
@@ -127,6 +124,8 @@ def learn_people(
         fix_joints=fix_joints,
         rounds=min(rounds, REFERENCE_ROUNDS),
     )
+    for message in check_rest_alignment(learned.body.skeleton):
+        _LOG.warning(message)
     pairs, given = learned.left_right_pairs, _reference_centres(learned, fix_joints)
     regressor = make_joint_regressor(learned.body)
     state: list[Person] = []
@@ -138,15 +137,16 @@ def learn_people(
         state.append(
             initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
         )
-    found = _improve_all(PeopleState(tuple(state), (), 0), sequences, alpha, pairs, joints, rounds, on_round)
+    repeated = tuple(repeat_meshes(person) for person in state)
+    found = _improve_all(PeopleState(repeated, (), 0), sequences, alpha, pairs, joints, rounds, on_round)
     space = make_shape_space([person.body for person in found.people], components)
     motions = tuple(
-        Motion(take_poses(person.poses, np.arange(count)), sequence.rate)
-        for person, count, sequence in zip(found.people, counts, sequences, strict=True)
+        Motion(take_poses(person.poses, np.arange(len(sequence))), sequence.rate)
+        for person, sequence in zip(found.people, sequences, strict=True)
     )
     if components is not None and components < len(people) - 1:
         _LOG.info("fitting the poses to the people of %d coefficients", components)
-        motions = refit_poses(space, motions, list(people.values()))
+        motions = refit_poses(space, motions, sequences)
     return LearnedPeople(
         space.model,
         names,
@@ -157,13 +157,6 @@ def learn_people(
         found.history,
         None if learned.given is None else _mean_given(found.people),
     )
-
-
-def repeat_meshes(sequence: MeshSequence) -> MeshSequence:
-    """Append the first meshes of a person until their number is one of `LENGTHS`, for which functions are compiled."""
-    count = len(sequence)
-    length = next((length for length in LENGTHS if length >= count), count)
-    return sequence if length == count else sequence[np.arange(length) % count]
 
 
 def _choose_reference(
@@ -285,8 +278,9 @@ def _take_kept(person: Person, coarse: DecimatedMeshes) -> Person:
 def _give_all(person: Person, sequence: MeshSequence, coarse: DecimatedMeshes) -> Person:
     """Give a person all vertices: each with the weights of the nearest kept one, and its best position at rest."""
     body = take_vertices(person.body, jnp.asarray(coarse.nearest), sequence.faces)
-    rest = fit_rest_vertices(body, person.poses, sequence.vertices)
-    return person._replace(body=eqx.tree_at(lambda b: b.vertices, body, rest), targets=sequence.vertices)
+    targets = sequence.vertices[repeated_rows(len(sequence))]
+    rest = fit_rest_vertices(body, person.poses, targets, person.frame_weights)
+    return person._replace(body=eqx.tree_at(lambda b: b.vertices, body, rest), targets=targets)
 
 
 def _mean_given(people: Sequence[Person]) -> GivenCentres:

@@ -1,6 +1,5 @@
 """One rest pose of several people: the rotations of bones at rest, which joints' motions hardly determine, are made alike."""
 
-import logging
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
+from ...body.skeleton import Skeleton
 from ...fit.fit_meshes import procrustes_poses
 from ...geometry import rotation
 from ...observe.meshes import MeshSequence
@@ -19,8 +19,6 @@ from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 from .person import Person, onto_middle
 from .shape_space import mean_body
-
-_LOG = logging.getLogger(__name__)
 
 #: kinds of joints that can rest in any pose
 FREE_KINDS = ("free", "ball", "fixed")
@@ -39,22 +37,12 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
     """
     mean = mean_body([person.body for person in people])
     regressor = make_joint_regressor(mean)
-    bound = [
-        name
-        for name, kind in zip(mean.skeleton.names, mean.skeleton.kinds, strict=True)
-        if kind not in FREE_KINDS
-    ]
-    if bound:
-        _LOG.warning(
-            "Rest poses are not aligned, as joints have fewer axes than three (%s): differences of pose at rest count as differences "
-            "of shape; give people whose first meshes are in one pose, or a skeleton with ball joints.",
-            ", ".join(bound),
-        )
+    can_rotate = not check_rest_alignment(mean.skeleton)
     shapes = MeshSequence(jnp.stack([person.body.vertices for person in people]), mean.faces)
     turned = procrustes_poses(mean, shapes)
     aligned = []
     for number, person in enumerate(people):
-        if not bound:
+        if can_rotate:
             person = rotate_at_rest(person, jax.tree.map(lambda leaf, at=number: leaf[at], turned))
         person = move_to_centre(person, jnp.mean(mean.vertices, 0))
         if not person.given.is_fixed:
@@ -64,6 +52,19 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
             person = person._replace(given=_replace_centres(person.given, places))
         aligned.append(person)
     return aligned
+
+
+def check_rest_alignment(skeleton: Skeleton) -> list[str]:
+    """Return a sentence if joints of a skeleton cannot rest in any pose, so that rest poses are not aligned."""
+    bound = [
+        name for name, kind in zip(skeleton.names, skeleton.kinds, strict=True) if kind not in FREE_KINDS
+    ]
+    if not bound:
+        return []
+    return [
+        f"Rest poses of people are not aligned, as joints have fewer axes than three ({', '.join(bound)}): differences of the pose at "
+        "rest count as differences of shape; give a skeleton with ball joints."
+    ]
 
 
 def rotate_at_rest(person: Person, pose: Pose) -> Person:
@@ -92,7 +93,9 @@ def rotate_at_rest(person: Person, pose: Pose) -> Person:
     own = moved + rotation.rotate(carry, given.centres - skeleton.centres)
     body = eqx.tree_at(lambda b: b.skeleton.centres, person.body, moved)
     poses = Pose(person.poses.translations, local, person.poses.scale)
-    body = eqx.tree_at(lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets))
+    body = eqx.tree_at(
+        lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets, person.frame_weights)
+    )
     return person._replace(body=body, poses=poses, given=GivenCentres(own, given.is_fixed, normals))
 
 

@@ -12,19 +12,20 @@ from jaxcap.adapt.shape.joint_regressor import make_joint_regressor
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.errors import InputError
-from jaxcap.geometry.laplacian import make_conformance
+from jaxcap.geometry.laplacian import energy, make_conformance
 from jaxcap.learn.people.check_people import (
     check_people,
     find_far_joints,
     find_moving,
     find_people_by_size,
 )
-from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
-from jaxcap.learn.people.person import Person, initialise_person
-from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
+from jaxcap.learn.people.person import LENGTHS, Person, initialise_person, repeat_meshes, repeated_rows
+from jaxcap.learn.people.rest_alignment import align_rest_poses, check_rest_alignment, rotate_at_rest
+from jaxcap.learn.people.rounds import evaluate, improve_people, make_mesh_metric
 from jaxcap.learn.people.shape_space import make_shape_space, person_body, refit_poses
 from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
+from jaxcap.learn.weights.rest_vertices import fit_rest_vertices
 from jaxcap.observe.meshes import MeshSequence
 from tests.learn.people.made_limb import RINGS, SIDES, limb, tube
 
@@ -172,17 +173,13 @@ def test_poses_are_those_of_the_bodies_of_few_components(rng):
     assert sum(after) < 0.8 * sum(before)
 
 
-def test_rest_poses_that_stay_are_said(rng, caplog):
-    body = limb(skin="rigid")
-    hinge = jc.make_skeleton(
-        body.skeleton.names, body.skeleton.parents, ["free", "ball", "revolute"], body.skeleton.centres
-    )
-    body = eqx.tree_at(lambda b: b.skeleton, body, hinge)
-    poses = poses_of(body, rng, 2)
-    person = Person(body, poses, posed_vertices(body, poses), given_of(body), 1e-3)
-    with caplog.at_level("WARNING"):
-        align_rest_poses([person, person])
-    assert "Rest poses are not aligned" in caplog.text and "(end)" in caplog.text
+def test_rest_poses_that_stay_are_said():
+    body = limb()
+    assert check_rest_alignment(body.skeleton) == []
+    kinds = ["free", "ball", "revolute"]
+    hinge = jc.make_skeleton(body.skeleton.names, body.skeleton.parents, kinds, body.skeleton.centres)
+    (sentence,) = check_rest_alignment(hinge)
+    assert sentence.startswith("Rest poses of people are not aligned") and "(end)" in sentence
 
 
 def test_joints_far_from_the_surface_are_named():
@@ -196,13 +193,36 @@ def test_joints_far_from_the_surface_are_named():
     assert sentence.startswith("The meshes of b moved joints far") and "end (" in sentence
 
 
-def test_meshes_are_repeated_to_few_lengths(rng):
-    faces = tube()[1]
+def test_meshes_are_repeated_to_few_lengths():
     for count in (1, 5, 9, 70):
-        meshes = MeshSequence(rng.normal(size=(count, RINGS * SIDES, 3)), faces)
-        found = repeat_meshes(meshes)
-        assert len(found) == count or len(found) in LENGTHS
-        np.testing.assert_array_equal(found.vertices[count:], meshes.vertices[: len(found) - count])
+        rows = repeated_rows(count)
+        assert len(rows) == count or len(rows) in LENGTHS
+        np.testing.assert_array_equal(rows, np.arange(len(rows)) % count)
+
+
+def test_repeated_meshes_do_not_count(rng):
+    """Q is that of the meshes of each person, and no step depends on repeated ones."""
+    true, body = limb(1.1), limb(skin="start")
+    poses = poses_of(true, rng, 5)
+    targets = posed_vertices(true, poses)
+    metric = make_mesh_metric(np.asarray(body.faces), len(body.vertices), 1.0)
+    person = repeat_meshes(Person(body, poses, targets, given_of(body), 1e-3))
+    assert len(person.targets) == 6 and person.num_meshes == 5
+    errors = targets - posed_vertices(body, poses)
+    value = sum(float(energy(metric.metric, error)) for error in errors)
+    np.testing.assert_allclose(evaluate(person, metric).value, value, rtol=1e-9)
+    # any mesh and pose in place of the repeated ones
+    others = jax.tree.map(lambda leaf: leaf.at[5].set(leaf[2]), person.poses)
+    changed = person._replace(poses=others, targets=person.targets.at[5].add(0.3))
+    none = np.zeros((0, 2), int)
+    found, again = (improve_people([evaluate(p, metric)], metric, none, False)[0] for p in (person, changed))
+    assert found.value < 0.5 * value
+    np.testing.assert_allclose(again.value, found.value, rtol=1e-6)
+    np.testing.assert_allclose(again.body.vertices, found.body.vertices, atol=1e-7)
+    np.testing.assert_allclose(again.body.skeleton.centres, found.body.skeleton.centres, atol=1e-7)
+    np.testing.assert_array_equal(again.poses.rotations[5], others.rotations[5])
+    rest = [fit_rest_vertices(p.body, p.poses, p.targets, p.frame_weights) for p in (person, changed)]
+    np.testing.assert_allclose(*rest, atol=1e-12)
 
 
 def people_meshes(rng, **people: tuple[float, float]) -> dict[str, MeshSequence]:
