@@ -69,6 +69,20 @@ def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3
     return np.bincount(faces.reshape(-1), np.repeat(thirds, 3), len(vertices)).astype(float)
 
 
+def count_other_triangles(faces: Int[np.ndarray, "F 3"], reference: Int[np.ndarray, "F 3"]) -> int:
+    """Count the triangles that connect other vertices than those of a reference, in any order and from any corner on."""
+    if np.array_equal(faces, reference):
+        return 0
+    rows, others = (set(map(tuple, _rotate_corners(each).tolist())) for each in (faces, reference))
+    return len(rows - others)
+
+
+def _rotate_corners(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "F 3"]:
+    """Rotate the corners of each triangle so that its smallest index comes first."""
+    start = faces.argmin(1)[:, None]
+    return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)
+
+
 def triangle_sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "S 2"]:
     """List the three directed sides of every triangle: all first ones, then all second, then all third."""
     faces = np.asarray(faces)

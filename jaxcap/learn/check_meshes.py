@@ -18,6 +18,8 @@ from ..units import BODY_SIZE, likely_units
 POSSIBLE_SIZE = (0.02, 30.0)
 #: poses change the size of a body by less than this factor, a wrong unit by more
 MAX_POSE_RATIO = 2.0
+#: two people of any age differ in size by less than this factor, and two units by more
+MAX_PERSON_RATIO = 5.0
 #: an edge whose length differs by more than this factor is taken to join other vertices
 STRETCH = 2.5
 #: two meshes where more than this share of the edges differs have different vertex orders
@@ -45,18 +47,21 @@ class _Group(NamedTuple):
     size: float
 
 
-def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> list[str]:
+def check_meshes(
+    sequence: MeshSequence, names: Sequence[str] | None = None, owners: Int[np.ndarray, "F"] | None = None
+) -> list[str]:
     """Check that a body can be learned from registered meshes.
 
     Returns warnings, one sentence each, about properties that may be intended: disconnected pieces, edges of
     more than two triangles, duplicate vertices, triangles without area, single torn vertices, an unusual
     size, triangles that face inwards, two subjects.
 
-    **Arguments:** `names` are the names of the meshes in messages.
+    **Arguments:** `names` are the names of the meshes in messages; `owners`, the number of the person of each mesh, if there are
+    several people: sizes are compared, and motion is expected, among the meshes of one person.
 
     **Raises:** `InputError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, vertices of no triangle, meshes with another vertex order or unit than the others (detected by
-    edge lengths), meshes that are mirrored, meshes that differ by a rigid motion only, a surface that is disconnected because of
+    edge lengths), meshes that are mirrored, meshes that differ by a rigid motion only (of several people: those of each), a surface that is disconnected because of
     duplicate vertices, an impossible size.
     """
     vertices, faces = np.asarray(sequence.vertices, float), np.asarray(sequence.faces)
@@ -73,16 +78,25 @@ def check_meshes(sequence: MeshSequence, names: Sequence[str] | None = None) -> 
     _check_arrays(vertices, faces, called)
     edges = mesh_edges(faces)
     _check_order(vertices, edges, called)
+    own = [np.arange(len(vertices))] if owners is None else [np.flatnonzero(owners == n) for n in set(owners)]
+    _check_unit(vertices, edges, called, np.array([rows[0] for rows in own]), MAX_PERSON_RATIO)
+    for rows in own:
+        _check_unit(vertices, edges, called, rows, MAX_POSE_RATIO)
     inward = _check_orientation(vertices, faces, called)
     extent = float(np.median(np.ptp(vertices, axis=1).max(1)))
-    return [
+    messages = [
         *_size(extent),
         *inward,
         *_check_displaced_vertices(vertices, edges, called),
         *_surface(vertices, faces, edges, extent),
         *_check_subjects(vertices, edges, extent),
-        *_motion(vertices, extent),
     ]
+    if not any(shows_motion(vertices[rows]) for rows in own):
+        raise InputError(
+            f"The meshes {'of each person ' if len(own) > 1 else ''}differ by a rigid motion only; expected several poses; give "
+            "meshes in poses that move every joint."
+        )
+    return messages
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray, names: list[str]) -> None:
@@ -118,14 +132,12 @@ def _lengths(vertices: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "F E"
 
 
 def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> None:
-    """Check that all meshes share one vertex order and one unit.
+    """Check that all meshes share one vertex order.
 
     Meshes are grouped by their edge lengths, and all must be in one group. The poses of a body stretch few of
     its edges; another vertex order changes edges everywhere.
     """
-    few = edges[np.random.default_rng(0).permutation(len(edges))[:EDGES]]
-    lengths = _lengths(vertices, few)
-    logs = np.log(np.maximum(lengths, 1e-9 * lengths.max()))
+    logs = _edge_logs(vertices, edges)
     sizes = np.log(np.sqrt(vertices.var(1).sum(1)))
     groups: list[_Group] = []
     for frame, (row, size) in enumerate(zip(logs, sizes, strict=True)):
@@ -144,13 +156,34 @@ def _check_order(vertices: np.ndarray, edges: np.ndarray, names: list[str]) -> N
             f"{many}: edge lengths differ by more than a factor of {STRETCH:g} across the mesh; expected "
             "registered meshes with one vertex order; register them by `jaxcap register`."
         )
-    factors = np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
-    wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(MAX_POSE_RATIO))
+
+
+def _check_unit(
+    vertices: np.ndarray, edges: np.ndarray, names: list[str], rows: Int[np.ndarray, "M"], most: float
+) -> None:
+    """Check that some meshes of one vertex order share one unit: their sizes differ by at most a factor."""
+    factors = relative_sizes(vertices[rows], edges)
+    wrong = np.flatnonzero(np.abs(np.log(factors)) > np.log(most))
     if wrong.size:
         raise InputError(
-            f"{_listed(wrong.tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} "
+            f"{_listed(rows[wrong].tolist(), names)} {'is' if wrong.size == 1 else 'are'} {factors[wrong[0]]:.4g} "
             "times as large as the others; give all meshes in one unit."
         )
+
+
+def relative_sizes(
+    vertices: Float[np.ndarray, "F V 3"], edges: Int[np.ndarray, "E 2"]
+) -> Float[np.ndarray, "F"]:
+    """Compute the size of each mesh relative to the median of all, by the lengths of some edges."""
+    logs = _edge_logs(vertices, edges)
+    return np.exp(np.median(logs - np.median(logs, axis=0), axis=1))
+
+
+def _edge_logs(vertices: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "F E"]:
+    """Compute the logarithms of the lengths of some edges."""
+    few = edges[np.random.default_rng(0).permutation(len(edges))[:EDGES]]
+    lengths = _lengths(vertices, few)
+    return np.log(np.maximum(lengths, 1e-9 * lengths.max()))
 
 
 def _disagreement(ratios: Float[np.ndarray, "E"], growth: float) -> float:
@@ -284,16 +317,11 @@ def _surface(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray, extent:
     return messages
 
 
-def _motion(vertices: np.ndarray, extent: float) -> list[str]:
-    """Raise an error if the distances between some sampled vertices are constant (rigid motion only)."""
+def shows_motion(vertices: Float[np.ndarray, "F V 3"]) -> bool:
+    """Test if distances between some sampled vertices change, so that meshes differ by more than a rigid motion."""
     few = vertices[:, even_indices(vertices.shape[1], 60)]
     distances = np.linalg.norm(few[:, :, None] - few[:, None], axis=3)
-    if np.ptp(distances, axis=0).max() < 1e-4 * extent:
-        raise InputError(
-            "The meshes differ by a rigid motion only; expected several poses; give meshes in poses that "
-            "move every joint."
-        )
-    return []
+    return bool(np.ptp(distances, axis=0).max() >= 1e-4 * np.ptp(vertices, axis=1).max())
 
 
 def _find_duplicates(vertices: np.ndarray, near: float) -> Int[np.ndarray, "V"]:

@@ -18,19 +18,22 @@ def objective(
     targets: Float[Array, "F V 3"],
     metric: Conformance,
     terms: AbstractEnergy | None = None,
+    frame_weights: Float[Array, "F"] | None = None,
 ) -> Float[Array, ""]:
     """Evaluate `Q = sum |x - T(v)|^2 + alpha |L(x - T(v))|^2` over all meshes (Adaptation, eq. 3.19).
 
-    Energies `terms` of the posed body add their sums of squares.
+    Energies `terms` of the posed body add their sums of squares. `frame_weights` are factors of the distances of each mesh, one
+    where not given.
     """
 
     def of_frame(frame):
-        pose, target = frame
+        pose, target, weight = frame
         posed = pose_body(body, pose)
-        value = energy(metric, target - posed.vertices)
+        value = weight * energy(metric, target - posed.vertices)
         if terms is None:
             return value
         r = terms.residual(posed)
         return value + r @ r
 
-    return jnp.sum(jax.lax.map(of_frame, (poses, targets)))
+    weights = jnp.ones(len(targets), targets.dtype) if frame_weights is None else frame_weights
+    return jnp.sum(jax.lax.map(of_frame, (poses, targets, weights)))

@@ -42,7 +42,7 @@ from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .correctives import add_correctives, check_number_of_meshes
 from .input import read_pairs, skeleton_digest, split_held_out
 from .joints import evidence_of, say_joints
-from .people import PeopleRun, check_people_options, run_people
+from .people import PeopleRun, check_people_options, check_people_skeleton, run_people
 from .people_input import names_people
 from .state import load_state, make_checkpoint
 
@@ -57,7 +57,8 @@ class Learn:
     meshes. All meshes have the same vertices, in the same order. With --people they are of several people, and the result is a
     body model with shape coefficients.
 
-    An interrupted run continues with --resume. The result is the same as without the interruption."""
+    An interrupted run of one actor continues with --resume. The result is the same as without the interruption. With --people an
+    interrupted run begins anew."""
 
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with the arrays `vertices` (F, V, 3), for F meshes of V
@@ -116,7 +117,7 @@ class Learn:
     report: OptionalFolder = None
     """Output folder for report.json and pictures."""
     resume: Flag = False
-    """Continue an interrupted run."""
+    """Continue an interrupted run; not with --people."""
     overwrite: Flag = False
     """Replace the body and its motion if they exist."""
 
@@ -143,12 +144,15 @@ class Learn:
         for_one = {
             "--resume": self.resume,
             "--free-bones": self.free_bones,
+            "--correctives": self.correctives,
             "--limits": self.limits is not None,
             "--floor": self.floor is not None,
         }
         check_people_options(for_one, self.components)
         file = self.skeleton_file()
         given = None if file is None else load_skeleton(file, self.unit)
+        if given is not None:
+            check_people_skeleton(str(file), given)
         own = ("components", "joints", "skin", "alpha", "fix_joints", "rounds")
         learning = {
             **{name: getattr(self, name) for name in own},

@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from ...body.body import Body
-from ...body.body_model import BodyModel, shape_body
 from ...body.pose import Motion, concatenate_poses
+from ...body.skeleton import KINDS, Skeleton
 from ...errors import InputError
 from ...fit.fit_meshes import fit_meshes
 from ...io.body_models.learned import save_body_model
@@ -21,8 +19,11 @@ from ...learn.learn_body import COARSE_PREFIX
 from ...learn.parts.check_parts import check_learned
 from ...learn.people.check_people import check_people, find_far_joints
 from ...learn.people.learn_people import LearnedPeople, PeopleState, learn_people
+from ...learn.people.rest_alignment import check_rest_alignment
+from ...learn.people.shape_space import person_body
 from ...observe.meshes import MeshSequence
 from ...report.scores import Scores
+from ..body_models import stated_gender
 from ..console.console import pluralise, print_table, say, warn
 from ..console.heartbeat import set_activity
 from ..console.rounds import RoundProgress
@@ -62,7 +63,10 @@ def run_people(run: PeopleRun) -> None:
         for path in paths.values():
             check_npz(path, run.overwrite)
         train, held = split_people(people, names, run.hold_out)
-        for message in check_people(train[0], train[1]):
+        for message in [
+            *check_people(train[0], train[1]),
+            *check_components(run.learning["components"], len(people)),
+        ]:
             warn(message)
         if run.report is not None:
             make_folder(run.report)
@@ -83,6 +87,35 @@ def check_people_options(given: Mapping[str, bool], components: int | None) -> N
             raise InputError(f"{name} is for the meshes of one person; leave it out.")
     if components is not None and components < 1:
         raise InputError(f"--components is {components}; it must be at least 1.")
+
+
+def check_components(components: int | None, count: int) -> list[str]:
+    """Return a sentence if more coefficients are asked for than several people can have."""
+    if components is None or components < count:
+        return []
+    return [
+        f"--components is {components}, and {count} people have {count - 1} at most; give meshes of more people for more"
+    ]
+
+
+def check_people_skeleton(file: str, skeleton: Skeleton) -> None:
+    """Check that motions of a skeleton can be written in AMASS's format: one root, and no other joint that moves along an axis.
+
+    **Raises:** `InputError`.
+    """
+    roots = [name for name, parent in zip(skeleton.names, skeleton.parents, strict=True) if parent < 0]
+    moving = [
+        name
+        for name, kind, parent in zip(skeleton.names, skeleton.kinds, skeleton.parents, strict=True)
+        if parent >= 0 and KINDS[kind][0]
+    ]
+    found = f"{len(roots)} roots, {', '.join(roots)}" if len(roots) > 1 else None
+    found = f"joints that are translated, {', '.join(moving)}" if moving else found
+    if found:
+        raise InputError(
+            f"{file}: this skeleton has {found}, and the poses of several people are written in AMASS's format, which has one root and "
+            "rotations of the other joints; give another skeleton, or learn each person without --people."
+        )
 
 
 def motion_paths(out: Path, motion: Path | None, names: Sequence[str]) -> dict[str, Path]:
@@ -135,14 +168,10 @@ def learn_all(run: PeopleRun, people: Mapping[str, MeshSequence]) -> LearnedPeop
 def write_all(out: Path, paths: Mapping[str, Path], learned: LearnedPeople) -> None:
     """Write the model, and the coefficients and poses of each person in AMASS's format."""
     save_body_model(out, learned.model, dict(zip(learned.names, learned.coefficients, strict=True)))
+    gender = stated_gender(str(out)) or "neutral"
     for name, row, motion in zip(learned.names, learned.coefficients, learned.motions, strict=True):
         body = person_body(learned.model, row)
-        write_amass(paths[name], body.skeleton, motion, {learned.model.groups[0][0]: row}, up="y")
-
-
-def person_body(model: BodyModel, coefficients: np.ndarray) -> Body:
-    """Make the body of a person from the coefficients."""
-    return shape_body(model, jnp.asarray(coefficients, model.template_coefficients.dtype))
+        write_amass(paths[name], body.skeleton, motion, {learned.model.groups[0][0]: row}, gender, up="y")
 
 
 def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) -> None:
@@ -159,11 +188,6 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
         f"{pluralise(len(shares), 'coefficient')} explain {100 * shares.sum():.1f} % of the variance of "
         f"{pluralise(len(learned.names), 'person', 'people')} at rest; the first {len(shares[:MAX_LISTED])}: {listed} %"
     )
-    asked = run.learning["components"]
-    if asked is not None and asked > len(shares):
-        warn(
-            f"--components is {asked}, and {len(learned.names)} people have {len(shares)} at most; give meshes of more people for more"
-        )
     motion = Motion(concatenate_poses([motion.poses for motion in learned.motions]), learned.motions[0].rate)
     evidence = joint_evidence(body.skeleton, motion, learned.left_right_pairs, learned.given)
     say("joints of the mean of the people, and their rotations over all meshes:")
@@ -172,7 +196,7 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
     if not len(learned.left_right_pairs):
         say("no left and right joints were paired")
     far = find_far_joints(learned.model, learned.coefficients, learned.names)
-    for message in [*check_learned(body, motion), *far]:
+    for message in [*check_rest_alignment(body.skeleton), *check_learned(body, motion), *far]:
         warn(message)
 
 

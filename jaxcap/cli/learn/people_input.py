@@ -4,11 +4,10 @@ import glob
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ...errors import InputError
-from ...io.meshes.meshes import read_named_meshes
-from ...io.system.paths import find_files
+from ...io.meshes.mesh import SUFFIXES
+from ...io.meshes.meshes import read_mesh_groups
+from ...io.system.paths import find_files, natural_sort_key
 from ...observe.meshes import MeshSequence
 from ..batch.patterns import FOLDER, INPUT, NAMED, STEM, match_pattern
 
@@ -47,16 +46,28 @@ def _persons_of(source: str) -> list[tuple[str, str, str]]:
     if names_people([source]):
         return _persons_of_pattern(source)
     if glob.has_magic(source) and not Path(source).exists():
-        matches = [Path(path) for path in sorted(glob.glob(source))]
-        folders = [path for path in matches if path.is_dir()]
-        if folders:
-            return [row for folder in folders for row in _persons_of(str(folder))]
+        matches = sorted(map(Path, glob.glob(source)), key=natural_sort_key)
+        if any(path.is_dir() for path in matches):
+            return [row for path in matches for row in _persons_of(str(path))]
+    _check_no_subfolders(Path(source))
     rows = []
     for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",)):
         alone = path.suffix.lower() == ".npz"
         name = path.stem if alone else path.absolute().parent.name
         rows.append((name, str(path) if alone else str(path.parent), str(path)))
     return rows
+
+
+def _check_no_subfolders(folder: Path) -> None:
+    """Check that a folder, which is one person, has no folders with meshes, which would be others. Raises `InputError`."""
+    inner = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    suffixes = (*SUFFIXES, ".npz")
+    found = [file for path in inner for file in path.iterdir() if file.suffix.lower() in suffixes]
+    if found:
+        raise InputError(
+            f"{folder}: this folder is one person, and contains folders with meshes, such as {found[0].parent}; if each of them is a "
+            f'person, give "{folder}/*" or "{folder}/{{subject}}/*{found[0].suffix}", and else "{folder}/*{found[0].suffix}".'
+        )
 
 
 def _persons_of_pattern(pattern: str) -> list[tuple[str, str, str]]:
@@ -79,17 +90,16 @@ def read_people(
 ) -> tuple[dict[str, MeshSequence], dict[str, tuple[str, ...]]]:
     """Read the meshes of each person, and the names of the meshes. Raises `InputError`, for several topologies, too."""
     people = find_people(sources)
-    # at once, so that messages name the files of two topologies
-    whole, names = read_named_meshes([file for files in people.values() for file in files], unit, rate)
-    rows = {
-        name: [k for k, mesh in enumerate(names) if _is_of(mesh, files)] for name, files in people.items()
-    }
+    if len(people) == 1:
+        (name, files), *_ = people.items()
+        suffix = Path(files[0]).suffix
+        raise InputError(
+            f"{sources[0]}: there is one person, {name}, in the meshes, and a shape space is of several; the mesh files of a folder are "
+            "one person. Give a folder or an .npz for each; if names of files state the person, give a pattern with this part, such as "
+            f'"{Path(files[0]).parent}/{{subject}}_*{suffix}"; or learn one body, without --people.'
+        )
+    groups = read_mesh_groups(list(people.values()), unit, rate)
     return (
-        {name: whole[np.array(own)] for name, own in rows.items()},
-        {name: tuple(names[row] for row in own) for name, own in rows.items()},
+        {name: group.sequence for name, group in zip(people, groups, strict=True)},
+        {name: group.names for name, group in zip(people, groups, strict=True)},
     )
-
-
-def _is_of(mesh: str, files: Sequence[str]) -> bool:
-    """Test if a mesh is one of some files, by its name: that of the file, with its number for a mesh of an archive."""
-    return mesh.rpartition("[")[0] in files or mesh in files

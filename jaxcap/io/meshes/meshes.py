@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ...arguments import checked
 from ...errors import InputError
+from ...geometry.mesh import count_other_triangles
 from ...observe.meshes import MeshSequence
 from ...units import unit_scale
 from ..archives.archive import array_names, load_arrays
@@ -59,26 +60,53 @@ def read_meshes(
     return read_named_meshes(paths, unit, rate).sequence
 
 
-@reader_of("registered meshes")
 def read_named_meshes(
     paths: str | Path | Sequence[str | Path], unit: str | float = "m", rate: float | None = None
 ) -> NamedMeshes:
     """Read registered meshes as `read_meshes` does, with their names for messages."""
+    return _read_groups(paths, [[paths] if isinstance(paths, str | Path) else list(paths)], unit, rate)[0]
+
+
+def read_mesh_groups(
+    groups: Sequence[Sequence[str | Path]], unit: str | float = "m", rate: float | None = None
+) -> list[NamedMeshes]:
+    """Read groups of registered meshes in one topology, such as those of several people; each has the rate of its own files.
+
+    **Arguments:** `groups`, the sources of each, as `paths` of `read_meshes`.
+
+    **Raises:** `InputError` as `read_meshes` does, and if the topology of a file is not that of the first file of all.
+    """
+    return _read_groups("the meshes", groups, unit, rate)
+
+
+@reader_of("registered meshes")
+def _read_groups(
+    _where: str | Path | Sequence[str | Path],
+    groups: Sequence[Sequence[str | Path]],
+    unit: str | float,
+    rate: float | None,
+) -> list[NamedMeshes]:
     metres = unit_scale(unit)
-    sources = [paths] if isinstance(paths, str | Path) else list(paths)
-    if not sources:
+    if not all(groups):
         raise InputError("No meshes were given; give files, a folder or an .npz.")
     found = [
-        path for source in sources for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",))
+        [path for source in group for path in find_files(source, check_gaps=False, extra_suffixes=(".npz",))]
+        for group in groups
     ]
-    files = [_read(path) for path in found]
-    for path, file in zip(found[1:], files[1:], strict=True):
-        _check_same_topology(path, file, found[0], files[0])
+    read = [[_read(path) for path in paths] for paths in found]
+    for paths, files in zip(found, read, strict=True):
+        for path, file in zip(paths, files, strict=True):
+            _check_same_topology(path, file, found[0][0], read[0][0])
+    return [_concatenate(files, metres, read[0][0].faces, rate) for files in read]
+
+
+def _concatenate(
+    files: Sequence[_File], metres: float, faces: Int[np.ndarray, "T 3"], rate: float | None
+) -> NamedMeshes:
     rates = [file.rate for file in files if file.rate is not None]
     names = tuple(name for file in files for name in file.names)
     vertices = metres * np.concatenate([file.vertices for file in files])
-    sequence = MeshSequence(vertices, files[0].faces, rate or (rates[0] if rates else 30.0))
-    return NamedMeshes(sequence, names)
+    return NamedMeshes(MeshSequence(vertices, faces, rate or (rates[0] if rates else 30.0)), names)
 
 
 @checked
@@ -211,18 +239,10 @@ def _check_same_topology(path: Path, file: _File, first: Path, reference: _File)
             f"{path}: this mesh has {counts[0][0]} vertices and {counts[0][1]} triangles, and {first} has "
             f"{counts[1][0]} and {counts[1][1]}; registered meshes have one topology; {_REGISTER}."
         )
-    if (file.faces == reference.faces).all():
-        return
     # a file may list the same triangles in another order, or start each at another corner
-    rows = [set(map(tuple, _rotate_corners(f.faces).tolist())) for f in (file, reference)]
-    if rows[0] != rows[1]:
+    other = count_other_triangles(file.faces, reference.faces)
+    if other:
         raise InputError(
-            f"{path}: {len(rows[0] - rows[1])} of its {counts[0][1]} triangles connect other vertices than in {first}; "
+            f"{path}: {other} of its {counts[0][1]} triangles connect other vertices than in {first}; "
             f"registered meshes have one topology and one vertex order; {_REGISTER}."
         )
-
-
-def _rotate_corners(faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"]:
-    """Rotate the corners of each triangle so that its smallest index comes first."""
-    start = faces.argmin(1)[:, None]
-    return np.take_along_axis(faces, (start + np.arange(3)) % 3, 1)

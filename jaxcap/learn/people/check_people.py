@@ -9,11 +9,11 @@ from scipy.spatial import KDTree
 from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from ...body.body_model import BodyModel, shape_body
 from ...errors import InputError
-from ...geometry.mesh import mesh_edges
+from ...geometry.mesh import count_other_triangles, mesh_edges
 from ...geometry.sampling import even_indices
 from ...observe.meshes import MeshSequence
 from ..anatomy.joint_evidence import MAX_SHIFT
-from ..check_meshes import check_meshes
+from ..check_meshes import MAX_POSE_RATIO, check_meshes, relative_sizes, shows_motion
 
 #: patches of a surface whose sizes are compared
 NUM_PATCHES = 64
@@ -26,10 +26,13 @@ def check_people(
 ) -> list[str]:
     """Check that one body can be learned from the meshes of several people; return warnings as `check_meshes` does.
 
+    There are also warnings of people whose meshes differ by a rigid motion only, of people of very different sizes, and of names
+    that seem to have meshes of several people.
+
     **Arguments:** `names` of the meshes of each person, for messages.
 
     **Raises:** `InputError` as `check_meshes` does, for fewer than two people, for meshes of several topologies, if no person
-    has two meshes, and for meshes of several people under one name.
+    has meshes in two poses, and for people in different units.
     """
     if len(people) < 2:
         who = f"one person, {next(iter(people))}," if people else "no person"
@@ -45,24 +48,31 @@ def check_people(
             f"learn_people: each of the {len(people)} people has one mesh, which shows no motion; give several meshes, in poses that "
             "move every joint, of at least one of them."
         )
-    called = [
-        each
+    called = {
+        name: _numbered(name, meshes) if names is None else list(names[name])
         for name, meshes in people.items()
-        for each in (_numbered(name, meshes) if names is None else names[name])
-    ]
+    }
     whole = MeshSequence(
         np.concatenate([np.asarray(meshes.vertices) for meshes in people.values()]), people[first].faces
     )
-    messages = check_meshes(whole, called)
+    owners = np.repeat(np.arange(len(people)), [len(meshes) for meshes in people.values()])
+    messages = check_meshes(whole, [mesh for own in called.values() for mesh in own], owners)
+    messages += _compare_sizes(people)
     for name, meshes in people.items():
-        own = _numbered(name, meshes) if names is None else list(names[name])
-        _check_one_person(name, meshes, own)
+        messages += [*_check_one_person(name, meshes, called[name]), *_check_motion(name, meshes)]
     return messages
+
+
+def find_moving(people: Sequence[MeshSequence]) -> list[int]:
+    """List the people whose meshes differ by more than a rigid motion."""
+    return [n for n, meshes in enumerate(people) if shows_motion(np.asarray(meshes.vertices, float))]
 
 
 def _check_topology(name: str, meshes: MeshSequence, first: str, others: MeshSequence) -> None:
     counts = [(each.vertices.shape[1], len(each.faces)) for each in (meshes, others)]
-    same = counts[0] == counts[1] and np.array_equal(np.asarray(meshes.faces), np.asarray(others.faces))
+    same = counts[0] == counts[1] and not count_other_triangles(
+        np.asarray(meshes.faces), np.asarray(others.faces)
+    )
     if not same:
         raise InputError(
             f"learn_people: the meshes of {name} have {counts[0][0]} vertices and {counts[0][1]} triangles, and those of {first} "
@@ -71,15 +81,36 @@ def _check_topology(name: str, meshes: MeshSequence, first: str, others: MeshSeq
         )
 
 
-def _check_one_person(name: str, meshes: MeshSequence, names: Sequence[str]) -> None:
+def _compare_sizes(people: Mapping[str, MeshSequence]) -> list[str]:
+    """Compare the first mesh of each person with the median of all people."""
+    shapes = np.stack([np.asarray(meshes.vertices[0], float) for meshes in people.values()])
+    factors = relative_sizes(shapes, mesh_edges(np.asarray(next(iter(people.values())).faces)))
+    return [
+        f"{name} is {factor:.3g} times as large as the median of the people; check the unit of these meshes."
+        for name, factor in zip(people, factors, strict=True)
+        if abs(np.log(factor)) > np.log(MAX_POSE_RATIO)
+    ]
+
+
+def _check_one_person(name: str, meshes: MeshSequence, names: Sequence[str]) -> list[str]:
     groups = find_people_by_size(np.asarray(meshes.vertices, float), np.asarray(meshes.faces))
-    if len(groups) > 1:
-        few, usual = [str(names[mesh]) for mesh in groups[-1].tolist()], names[int(groups[0][0])]
-        listed = ", ".join(few[:3]) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
-        raise InputError(
-            f"learn_people: the meshes of {name} show several people: {listed} and {usual} differ by more than {MIN_GAP:.0%} in the "
-            "size of most parts of the surface, which poses hardly change; give each person its own folder or file."
-        )
+    if len(groups) == 1:
+        return []
+    few, usual = [str(names[mesh]) for mesh in groups[-1].tolist()], names[int(groups[0][0])]
+    listed = ", ".join(few[:3]) + (f" and {len(few) - 3} more" if len(few) > 3 else "")
+    return [
+        f"The meshes of {name} may show several people: {listed} and {usual} differ by more than {MIN_GAP:.0%} in the "
+        "size of most parts of the surface, which poses hardly change; give each person its own folder or file."
+    ]
+
+
+def _check_motion(name: str, meshes: MeshSequence) -> list[str]:
+    if len(meshes) < 2 or find_moving([meshes]):
+        return []
+    return [
+        f"The {len(meshes)} meshes of {name} differ by a rigid motion only, and show no more than one mesh: the joints of this person "
+        "are where the surface has them."
+    ]
 
 
 def find_people_by_size(
@@ -138,6 +169,6 @@ def find_far_joints(
         if listed:
             messages.append(
                 f"The meshes of {name} moved joints far from where the surface has them: {listed}; give meshes that rotate them "
-                "more, or --fix-joints."
+                "more, or `--skeleton human --fix-joints`."
             )
     return messages

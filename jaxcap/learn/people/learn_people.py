@@ -25,9 +25,9 @@ from ..initialise import SkinName
 from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS, MIN_DECREASE, learn_body
 from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
-from .check_people import check_people
-from .person import Person, initialise_person
-from .rest_alignment import align_rest_poses
+from .check_people import check_people, find_moving
+from .person import Person, initialise_person, repeat_meshes, repeated_rows
+from .rest_alignment import align_rest_poses, check_rest_alignment
 from .rounds import (
     MeshMetric,
     evaluate,
@@ -36,7 +36,7 @@ from .rounds import (
     make_mesh_metric,
     total_value,
 )
-from .shape_space import make_shape_space
+from .shape_space import make_shape_space, refit_poses
 
 _LOG = logging.getLogger(__name__)
 
@@ -44,8 +44,6 @@ _LOG = logging.getLogger(__name__)
 REFERENCE_ROUNDS = 8
 #: the most people in whose meshes a person's skeleton is placed
 MAX_TRIED = 3
-#: numbers of meshes for which functions are compiled: meshes of a person are repeated up to the next one
-LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 
 
 class PeopleState(NamedTuple):
@@ -64,13 +62,13 @@ class LearnedPeople(NamedTuple):
     #: in the order of the rows of `coefficients`
     names: tuple[str, ...]
     coefficients: Float[np.ndarray, "N K"]
-    #: the poses of each person's meshes
+    #: the poses of each person's meshes, of the body of the coefficients
     motions: tuple[Motion, ...]
     #: share of each component in the variance of joints and vertices at rest
     explained: Float[np.ndarray, "K"]
     #: pairs of left and right joints
     left_right_pairs: Int[np.ndarray, "P 2"]
-    #: (step, Q) after every round, Q in squared metres; it never rises on one mesh
+    #: (step, Q) after every round, Q in squared metres; it never rises between a "start" and the next one
     history: tuple[tuple[str, float], ...]
     #: where learning began with the joints of the mean shape; None if they were found from the motion
     given: GivenCentres | None = None
@@ -105,18 +103,17 @@ def learn_people(
     then those of the surface, if another one has several. `components`, the number of coefficients, at most one less than
     people, which is the default. The others as of `learn_body`; a `Skeleton` is in the pose of the first mesh of the first person.
 
-    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does; for fewer than two people, for meshes of
-    several topologies, if no person has two meshes, and for meshes of several people under one name.
+    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does, and `InputError` as `check_people` does.
     """
     check_at_least(
         "learn_people", 1, rounds=rounds, **({} if components is None else {"components": components})
     )
     for message in check_people(people):
         _LOG.warning(message)
-    names, sequences = tuple(people), [repeat_meshes(sequence) for sequence in people.values()]
-    counts = [len(sequence) for sequence in people.values()]
-    first, start = _choose_reference(list(people.values()), skeleton, joints, symmetry, names)
-    _LOG.info("learning a first body from %d meshes of %s", counts[first], names[first])
+    moving = find_moving(list(people.values()))
+    names, sequences = tuple(people), list(people.values())
+    first, start = _choose_reference(sequences, moving, skeleton, joints, symmetry, names)
+    _LOG.info("learning a first body from %d meshes of %s", len(sequences[first]), names[first])
     learned = learn_body(
         sequences[first],
         joints=joints,
@@ -127,6 +124,8 @@ def learn_people(
         fix_joints=fix_joints,
         rounds=min(rounds, REFERENCE_ROUNDS),
     )
+    for message in check_rest_alignment(learned.body.skeleton):
+        _LOG.warning(message)
     pairs, given = learned.left_right_pairs, _reference_centres(learned, fix_joints)
     regressor = make_joint_regressor(learned.body)
     state: list[Person] = []
@@ -138,12 +137,16 @@ def learn_people(
         state.append(
             initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
         )
-    found = _improve_all(PeopleState(tuple(state), (), 0), sequences, alpha, pairs, joints, rounds, on_round)
+    repeated = tuple(repeat_meshes(person) for person in state)
+    found = _improve_all(PeopleState(repeated, (), 0), sequences, alpha, pairs, joints, rounds, on_round)
     space = make_shape_space([person.body for person in found.people], components)
     motions = tuple(
-        Motion(take_poses(person.poses, np.arange(count)), sequence.rate)
-        for person, count, sequence in zip(found.people, counts, sequences, strict=True)
+        Motion(take_poses(person.poses, np.arange(len(sequence))), sequence.rate)
+        for person, sequence in zip(found.people, sequences, strict=True)
     )
+    if components is not None and components < len(people) - 1:
+        _LOG.info("fitting the poses to the people of %d coefficients", components)
+        motions = refit_poses(space, motions, sequences)
     return LearnedPeople(
         space.model,
         names,
@@ -156,15 +159,9 @@ def learn_people(
     )
 
 
-def repeat_meshes(sequence: MeshSequence) -> MeshSequence:
-    """Append the first meshes of a person until their number is one of `LENGTHS`, for which functions are compiled."""
-    count = len(sequence)
-    length = next((length for length in LENGTHS if length >= count), count)
-    return sequence if length == count else sequence[np.arange(length) % count]
-
-
 def _choose_reference(
     people: Sequence[MeshSequence],
+    moving: Sequence[int],
     skeleton: Skeleton | SkeletonName,
     joints: int | None,
     symmetry: bool | np.ndarray,
@@ -172,17 +169,23 @@ def _choose_reference(
 ) -> tuple[int, Skeleton | PlacedPerson | None]:
     """Choose the person with whom learning begins, and its skeleton; None for a free search.
 
-    It is the person with the most meshes, or of the three with the most the first one in whose meshes a person is recognised.
+    It is the person with the most meshes among those who move, or of the three with the most the first one in whose meshes a
+    person is recognised.
     """
     if isinstance(skeleton, Skeleton):
+        if 0 not in moving:
+            raise InputError(
+                f"The skeleton is that of the first person, and the meshes of {names[0]} show no motion; give a person with several "
+                f"poses first, such as {names[moving[0]]}, with the skeleton in that person's first mesh."
+            )
         return 0, skeleton
-    order = sorted(range(len(people)), key=lambda number: -len(people[number]))
+    order = sorted(moving, key=lambda number: -len(people[number]))
     free = joints is not None or not isinstance(symmetry, bool)
     if skeleton == "none" or (skeleton == "automatic" and free):
         return order[0], None
     if joints is not None:
         raise ValueError("The human skeleton has its own joints; omit `joints`.")
-    several = [number for number in order if len(people[number]) > 1][:MAX_TRIED]
+    several = order[:MAX_TRIED]
     for number in several:
         placed, sentence = choose_skeleton(
             people[number], "automatic", _mesh_names(names[number], people[number])
@@ -275,8 +278,9 @@ def _take_kept(person: Person, coarse: DecimatedMeshes) -> Person:
 def _give_all(person: Person, sequence: MeshSequence, coarse: DecimatedMeshes) -> Person:
     """Give a person all vertices: each with the weights of the nearest kept one, and its best position at rest."""
     body = take_vertices(person.body, jnp.asarray(coarse.nearest), sequence.faces)
-    rest = fit_rest_vertices(body, person.poses, sequence.vertices)
-    return person._replace(body=eqx.tree_at(lambda b: b.vertices, body, rest), targets=sequence.vertices)
+    targets = sequence.vertices[repeated_rows(len(sequence))]
+    rest = fit_rest_vertices(body, person.poses, targets, person.frame_weights)
+    return person._replace(body=eqx.tree_at(lambda b: b.vertices, body, rest), targets=targets)
 
 
 def _mean_given(people: Sequence[Person]) -> GivenCentres:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from ...adapt.shape.joint_regressor import JointRegressor, regress_joints
 from ...body.body import Body, posed_vertices
 from ...body.kinematics import forward_kinematics
-from ...body.pose import Pose, shift_roots
+from ...body.pose import Pose, shift_roots, take_poses
 from ...body.symmetry import symmetrise
 from ...fit.fit_meshes import procrustes_poses
 from ...observe.meshes import MeshSequence
@@ -25,6 +25,10 @@ MAX_BEND = 0.35
 NUM_ALTERNATIONS = 3
 
 
+#: numbers of meshes for which functions are compiled
+LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+
+
 class Person(NamedTuple):
     """The shared body in the shape of one person, with the person's meshes and their poses."""
 
@@ -36,6 +40,32 @@ class Person(NamedTuple):
     damping: float
     #: Q of this person's meshes, squared metres
     value: float = np.inf
+    #: one for the meshes of the person, and zero for repeated ones (`repeat_meshes`), which follow; None without repeated ones
+    frame_weights: Float[Array, "F"] | None = None
+
+    @property
+    def num_meshes(self) -> int:
+        """The number of meshes without repeated ones."""
+        return len(self.targets) if self.frame_weights is None else int(np.sum(self.frame_weights))
+
+
+def repeat_meshes(person: Person) -> Person:
+    """Append the first meshes of a person, with weight zero, until their number is one of `LENGTHS`.
+
+    Functions are compiled for each number of meshes.
+    """
+    count = len(person.targets)
+    rows = repeated_rows(count)
+    return person._replace(
+        poses=take_poses(person.poses, rows),
+        targets=person.targets[rows],
+        frame_weights=jnp.asarray(np.arange(len(rows)) < count, person.targets.dtype),
+    )
+
+
+def repeated_rows(count: int) -> Int[np.ndarray, "F"]:
+    """Number the meshes of a person from 0, and again from 0 until there are as many as one of `LENGTHS`."""
+    return np.arange(next((length for length in LENGTHS if length >= count), count)) % count
 
 
 def initialise_person(

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
+from ...body.skeleton import Skeleton
 from ...fit.fit_meshes import procrustes_poses
 from ...geometry import rotation
 from ...observe.meshes import MeshSequence
@@ -29,13 +30,14 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
     A body may rest in any pose, which its poses make up for. Differences of rest poses would count as differences of shape. The
     rotation of a bone is that which best aligns its vertices, each group centred, with those of the mean, so that sizes and
     lengths do not count (`procrustes_poses`; SMPL also normalises the pose before principal components). Poses change so that
-    bones are where they were; vertices at rest are solved for again. Joints with fewer axes than three keep their rest pose.
+    bones are where they were; vertices at rest are solved for again. If a joint has fewer axes than three, all people keep their
+    rest poses, which a message says: another rest pose would rotate its axes.
 
     The prior of each person's joints becomes that of the surface around the joints of the mean, which all people determine.
     """
     mean = mean_body([person.body for person in people])
     regressor = make_joint_regressor(mean)
-    can_rotate = all(kind in FREE_KINDS for kind in mean.skeleton.kinds)
+    can_rotate = not check_rest_alignment(mean.skeleton)
     shapes = MeshSequence(jnp.stack([person.body.vertices for person in people]), mean.faces)
     turned = procrustes_poses(mean, shapes)
     aligned = []
@@ -50,6 +52,19 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
             person = person._replace(given=_replace_centres(person.given, places))
         aligned.append(person)
     return aligned
+
+
+def check_rest_alignment(skeleton: Skeleton) -> list[str]:
+    """Return a sentence if joints of a skeleton cannot rest in any pose, so that rest poses are not aligned."""
+    bound = [
+        name for name, kind in zip(skeleton.names, skeleton.kinds, strict=True) if kind not in FREE_KINDS
+    ]
+    if not bound:
+        return []
+    return [
+        f"Rest poses of people are not aligned, as joints have fewer axes than three ({', '.join(bound)}): differences of the pose at "
+        "rest count as differences of shape; give a skeleton with ball joints."
+    ]
 
 
 def rotate_at_rest(person: Person, pose: Pose) -> Person:
@@ -78,7 +93,9 @@ def rotate_at_rest(person: Person, pose: Pose) -> Person:
     own = moved + rotation.rotate(carry, given.centres - skeleton.centres)
     body = eqx.tree_at(lambda b: b.skeleton.centres, person.body, moved)
     poses = Pose(person.poses.translations, local, person.poses.scale)
-    body = eqx.tree_at(lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets))
+    body = eqx.tree_at(
+        lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets, person.frame_weights)
+    )
     return person._replace(body=body, poses=poses, given=GivenCentres(own, given.is_fixed, normals))
 
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Int
 
+from ...body.pose import take_poses
 from ...compiled import forget_many_compiled
 from ...geometry.laplacian import Conformance, make_conformance
 from ..objective import objective
@@ -42,7 +43,9 @@ def total_value(people: Sequence[Person]) -> float:
 
 def evaluate(person: Person, mesh: MeshMetric) -> Person:
     """Evaluate Q of a person."""
-    value = float(objective(person.body, person.poses, person.targets, mesh.metric))
+    value = float(
+        objective(person.body, person.poses, person.targets, mesh.metric, frame_weights=person.frame_weights)
+    )
     return person._replace(value=value)
 
 
@@ -66,7 +69,7 @@ def improve_people(
 def improve_weights_of(people: Sequence[Person], mesh: MeshMetric, is_first: bool) -> list[Person]:
     """Improve the shared skinning weights."""
     skin = improve_shared_weights(
-        [PosedMeshes(person.body, person.poses, person.targets) for person in people],
+        [_own_meshes(person) for person in people],
         mesh.metric,
         sweeps=FIRST_SWEEPS if is_first else SWEEPS,
         coarse=is_first,
@@ -78,9 +81,17 @@ def improve_weights_of(people: Sequence[Person], mesh: MeshMetric, is_first: boo
     return better if total_value(better) <= total_value(people) else list(people)
 
 
+def _own_meshes(person: Person) -> PosedMeshes:
+    """Take the meshes of a person without repeated ones."""
+    rows = np.arange(person.num_meshes)
+    return PosedMeshes(person.body, take_poses(person.poses, rows), person.targets[rows])
+
+
 def improve_rest_of(person: Person, mesh: MeshMetric) -> Person:
     """Improve the rest vertices of a person."""
-    rest = solve_rest_vertices(person.body, person.poses, person.targets, mesh.metric)
+    rest = solve_rest_vertices(
+        person.body, person.poses, person.targets, mesh.metric, frame_weights=person.frame_weights
+    )
     better = evaluate(person._replace(body=eqx.tree_at(lambda b: b.vertices, person.body, rest)), mesh)
     return better if better.value <= person.value else person
 
@@ -98,5 +109,6 @@ def improve_joints_of(person: Person, mesh: MeshMetric, pairs: Int[np.ndarray, "
         person.value,
         given_centres=person.given,
         free_orientations=False,
+        frame_weights=person.frame_weights,
     )
     return person._replace(body=found.body, poses=found.poses, damping=found.damping, value=found.value)

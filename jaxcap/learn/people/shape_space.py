@@ -10,7 +10,10 @@ from jaxtyping import Float
 
 from ...adapt.shape.shape_space import learn_shape_space
 from ...body.body import Body
-from ...body.body_model import BodyModel
+from ...body.body_model import BodyModel, shape_body
+from ...body.pose import Motion
+from ...fit.fit_meshes import fit_meshes
+from ...observe.meshes import MeshSequence
 
 #: the name of the coefficients, as in SMPL's family, and of the family of learned models
 GROUP, FAMILY = "betas", "learned"
@@ -54,6 +57,21 @@ def mean_body(bodies: Sequence[Body]) -> Body:
             jnp.mean(jnp.stack([body.skeleton.centres for body in bodies]), 0),
             jnp.mean(jnp.stack([body.vertices for body in bodies]), 0),
         ),
+    )
+
+
+def person_body(model: BodyModel, coefficients: Float[np.ndarray, "K"]) -> Body:
+    """Make the body of a person from the coefficients."""
+    return shape_body(model, jnp.asarray(coefficients, model.template_coefficients.dtype))
+
+
+def refit_poses(
+    space: PeopleShapes, motions: Sequence[Motion], people: Sequence[MeshSequence]
+) -> tuple[Motion, ...]:
+    """Fit the poses of people to their meshes again, for bodies that fewer components than people have changed."""
+    return tuple(
+        fit_meshes(person_body(space.model, row), meshes, start=motion.poses).motion
+        for row, motion, meshes in zip(space.coefficients, motions, people, strict=True)
     )
 
 

@@ -60,13 +60,15 @@ class GivenCentres(NamedTuple):
     normals: Float[Array, "J 3"] | None = None
 
 
-def given_centre_prior(body: Body, poses: Pose, given: GivenCentres) -> JointCentrePrior:
+def given_centre_prior(
+    body: Body, poses: Pose, given: GivenCentres, frame_weights: Float[Array, "F"] | None = None
+) -> JointCentrePrior:
     """Build anchors at the joint centres of a given skeleton: a prior, or fixed centres.
 
     Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
     otherwise drift along the limb.
     """
-    information, values, axes = motion_information(poses)
+    information, values, axes = motion_information(poses, frame_weights)
     pull = given_pull(np.maximum(values, 0.0))
     weights = (
         np.full_like(information, FIXED_WEIGHT) * np.eye(3)
@@ -91,7 +93,13 @@ def _pull(information: Float[np.ndarray, "..."], least: float) -> Float[np.ndarr
     return least**2 / (information + least)
 
 
-def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance: float) -> JointCentrePrior:
+def boundary_centre_prior(
+    body: Body,
+    poses: Pose,
+    metric: Conformance,
+    variance: float,
+    frame_weights: Float[Array, "F"] | None = None,
+) -> JointCentrePrior:
     """Build anchors at the middle of the edges between the subtree of a joint and the rest of the body.
 
     A centre outside the sphere of 1.5 times the cut's radius is penalised even if its motion determines it.
@@ -110,7 +118,7 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
     squares = crossing @ np.sum(ends**2, 1) / np.maximum(count, 1) - np.sum(middles**2, 1)
     radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
-    information, values, axes = motion_information(poses)
+    information, values, axes = motion_information(poses, frame_weights)
     pull = _pull(np.maximum(values, 0.0), MIN_ROTATION)
     doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
@@ -122,12 +130,14 @@ def boundary_centre_prior(body: Body, poses: Pose, metric: Conformance, variance
 
 
 def motion_information(
-    poses: Pose,
+    poses: Pose, frame_weights: Float[Array, "F"] | None = None
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
-    """Compute the information of each joint's motion on its centre, with eigenvalues and axes."""
+    """Compute the information of each joint's motion on its centre, with eigenvalues and axes; weights as of `objective`."""
     # a constant rotation could also be part of the rest shape
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
-    deviations = turns - turns.mean(0)
-    information = np.einsum("fjab,fjac->jbc", deviations, deviations) / len(turns)
+    weights = np.ones(len(turns)) if frame_weights is None else np.asarray(frame_weights, float)
+    shares = weights / weights.sum()
+    deviations = turns - np.einsum("f,fjab->jab", shares, turns)
+    information = np.einsum("f,fjab,fjac->jbc", shares, deviations, deviations)
     values, axes = np.linalg.eigh(information)
     return information, values, axes

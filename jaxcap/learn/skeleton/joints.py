@@ -102,6 +102,8 @@ class JointProblem(AbstractProblem[JointState]):
     middle_planes: MiddlePlanes | None = None
     #: whether the orientations of joints are unknowns
     free_orientations: bool = eqx.field(static=True, default=True)
+    #: factors of the distances of each mesh
+    frame_weights: Float[Array, "F"] | None = None
 
     @property
     def slots(self) -> tuple[int, ...]:
@@ -124,7 +126,9 @@ class JointProblem(AbstractProblem[JointState]):
         return eqx.tree_at(lambda b: b.skeleton, body, joints)
 
     def value(self, y: JointState) -> Float[Array, ""]:
-        return 0.5 * objective(self.body_at(y), y.poses, self.targets, self.metric, self.terms)
+        return 0.5 * objective(
+            self.body_at(y), y.poses, self.targets, self.metric, self.terms, self.frame_weights
+        )
 
     def retract(self, y: JointState, d: Unknowns) -> JointState:
         joints = self.body_at(y, d[1]).skeleton
@@ -143,7 +147,9 @@ class JointProblem(AbstractProblem[JointState]):
 
     def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
-        arrow, side = normal_equations(body, y.poses, self.targets, self.metric, self.curvature, slots)
+        arrow, side = normal_equations(
+            body, y.poses, self.targets, self.metric, self.curvature, slots, self.frame_weights
+        )
         if self.centre_prior is not None:
             arrow, side = _add_centre_prior(
                 arrow, side, body.skeleton, self.centre_prior, slots, self.prior_strength
@@ -187,17 +193,19 @@ def improve_joints(
     given_centres: GivenCentres | None = None,
     terms: AbstractEnergy | None = None,
     free_orientations: bool = True,
+    frame_weights: Float[Array, "F"] | None = None,
 ) -> JointStep:
     """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
     Components of a centre that no motion determines follow the `given_centres` skeleton or else the cut between
     parts. If anchors that pull would raise Q, they only damp the motion of centres. Without `free_orientations`, joints keep
-    their orientations, which several bodies may share.
+    their orientations, which several bodies may share. `frame_weights` as of `objective`.
     """
+    size = targets.size if frame_weights is None else targets[0].size * float(jnp.sum(frame_weights))
     anchors = (
-        boundary_centre_prior(body, poses, metric, value / targets.size)
+        boundary_centre_prior(body, poses, metric, value / size, frame_weights)
         if given_centres is None
-        else given_centre_prior(body, poses, given_centres)
+        else given_centre_prior(body, poses, given_centres, frame_weights)
     )
     left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
     planes = None if given_centres is None else middle_planes(given_centres)
@@ -215,6 +223,7 @@ def improve_joints(
             left_right_pairs,
             planes,
             free_orientations,
+            frame_weights,
         )
         y, left, shares = _descend(problem, problem.start(poses), shares, steps)
         if float(left) < value:
@@ -269,17 +278,19 @@ def normal_equations(
     metric: Conformance,
     curvature: Curvature,
     slots: tuple[int, ...],
+    frame_weights: Float[Array, "F"] | None = None,
 ) -> tuple[BlockArrow, Unknowns]:
     """Assemble the block-arrow normal equations of Q over poses and joints, frame by frame.
 
-    The right-hand sides are exact; the matrices are summed over the vertices of `curvature`.
+    The right-hand sides are exact; the matrices are summed over the vertices of `curvature`. `frame_weights` as of `objective`; a
+    frame without weight keeps its own block, and its pose stays.
     """
     skeleton, count = body.skeleton, len(body.vertices)
     dofs, chosen = skeleton.num_dofs, np.array(slots, int)
     every = jnp.broadcast_to(jnp.eye(3, dtype=body.vertices.dtype), (count, 3, 3))
 
     def of_frame(frame):
-        pose, target = frame
+        pose, target, weight = frame
         transforms = forward_kinematics(skeleton, pose)
         rates = concatenate_jacobians(
             pose_jacobian(skeleton, pose, transforms),
@@ -290,9 +301,11 @@ def normal_equations(
         rough = laplacian_rows(curvature.laplacian, rows.reshape(count, -1)).reshape(-1, rows.shape[2])
         plain = rows[curvature.vertices].reshape(-1, rows.shape[2])
         gram = curvature.weight * (plain.T @ plain + metric.alpha * rough.T @ rough)
-        return gram[:dofs, :dofs], gram[:dofs, dofs:], gram[dofs:, dofs:], side
+        own = jnp.where(weight > 0, weight, 1.0) * gram[:dofs, :dofs]
+        return own, weight * gram[:dofs, dofs:], weight * gram[dofs:, dofs:], weight * side
 
-    frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, targets))
+    weights = jnp.ones(len(targets), targets.dtype) if frame_weights is None else frame_weights
+    frames, coupling, shared, sides = jax.lax.map(of_frame, (poses, targets, weights))
     arrow = BlockArrow(BlockBanded(frames[:, None]), coupling, jnp.sum(shared, 0))
     return arrow, (sides[:, :dofs], jnp.sum(sides[:, dofs:], 0))
 

@@ -25,6 +25,7 @@ def solve_rest_vertices(
     targets: Float[Array, "F V 3"],
     metric: Conformance,
     tolerance: float | Float[Array, ""] = 1e-3,
+    frame_weights: Float[Array, "F"] | None = None,
 ) -> Float[Array, "V 3"]:
     """Solve for the rest vertices, metres, starting from those of a body.
 
@@ -32,10 +33,10 @@ def solve_rest_vertices(
     equations are `sum_m B_m^T A B_m p = sum_m B_m^T A (x_m - t_m)`. The `B_m` are nearly rotations that
     neighbours share, so that `F A` approximates the matrix. With a polynomial of `A` as preconditioner, few
     products over all frames are needed. Every step of the conjugate gradients lowers Q, so that it is safe to
-    stop at `tolerance` of the gradient.
+    stop at `tolerance` of the gradient. `frame_weights` as of `objective`.
     """
-    slopes = rest_slopes(body, poses)
-    side = _pull(metric, slopes, targets - posed_vertices(body, poses))
+    slopes, errors = _weighted_equations(body, poses, targets, frame_weights)
+    side = _pull(metric, slopes, errors)
 
     def precondition(rest):
         # the eigenvalues of a uniform Laplacian are at most two
@@ -54,13 +55,29 @@ def solve_rest_vertices(
 
 
 @eqx.filter_jit
-def fit_rest_vertices(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Float[Array, "V 3"]:
-    """Solve for the rest position of each vertex independently, by least squares to its targets, metres."""
-    slopes = rest_slopes(body, poses)
-    errors = targets - posed_vertices(body, poses)
+def fit_rest_vertices(
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    frame_weights: Float[Array, "F"] | None = None,
+) -> Float[Array, "V 3"]:
+    """Solve for the rest position of each vertex independently, by least squares to its targets, metres; weights as of
+    `objective`."""
+    slopes, errors = _weighted_equations(body, poses, targets, frame_weights)
     normal = jnp.einsum("fvab,fvac->bcv", slopes, slopes)
     side = jnp.einsum("fvab,fva->bv", slopes, errors)
     return body.vertices + gauss_jordan_solve(normal, side[:, None])[:, 0].T
+
+
+def _weighted_equations(
+    body: Body, poses: Pose, targets: Float[Array, "F V 3"], frame_weights: Float[Array, "F"] | None
+) -> tuple[Float[Array, "F V 3 3"], Float[Array, "F V 3"]]:
+    """Compute the slopes and the errors of all frames, each times the square root of the frame's weight."""
+    slopes, errors = rest_slopes(body, poses), targets - posed_vertices(body, poses)
+    if frame_weights is None:
+        return slopes, errors
+    roots = jnp.sqrt(frame_weights)[:, None, None]
+    return slopes * roots[..., None], errors * roots
 
 
 def rest_slopes(body: Body, poses: Pose) -> Float[Array, "F V 3 3"]:

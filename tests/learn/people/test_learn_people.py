@@ -10,16 +10,22 @@ from helpers import random_pose
 import jaxcap as jc
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor
 from jaxcap.body.body import posed_vertices
-from jaxcap.body.pose import stack_poses
+from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.errors import InputError
-from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.people.check_people import check_people, find_far_joints, find_people_by_size
-from jaxcap.learn.people.learn_people import LENGTHS, repeat_meshes
-from jaxcap.learn.people.person import Person, initialise_person
-from jaxcap.learn.people.rest_alignment import align_rest_poses, rotate_at_rest
-from jaxcap.learn.people.shape_space import make_shape_space
+from jaxcap.geometry.laplacian import energy, make_conformance
+from jaxcap.learn.people.check_people import (
+    check_people,
+    find_far_joints,
+    find_moving,
+    find_people_by_size,
+)
+from jaxcap.learn.people.person import LENGTHS, Person, initialise_person, repeat_meshes, repeated_rows
+from jaxcap.learn.people.rest_alignment import align_rest_poses, check_rest_alignment, rotate_at_rest
+from jaxcap.learn.people.rounds import evaluate, improve_people, make_mesh_metric
+from jaxcap.learn.people.shape_space import make_shape_space, person_body, refit_poses
 from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
+from jaxcap.learn.weights.rest_vertices import fit_rest_vertices
 from jaxcap.observe.meshes import MeshSequence
 from tests.learn.people.made_limb import RINGS, SIDES, limb, tube
 
@@ -149,6 +155,33 @@ def test_a_linear_shape_space_is_recovered_with_its_derivatives(rng):
     np.testing.assert_allclose(jax.grad(loss)(at), numeric, rtol=1e-6)
 
 
+def test_poses_are_those_of_the_bodies_of_few_components(rng):
+    # one coefficient for the radius leaves none for the length
+    bodies = [limb(), limb(1.0, 0.2), limb(1.1, 0.13)]
+    poses = [poses_of(body, rng, 2) for body in bodies]
+    meshes = [MeshSequence(posed_vertices(b, p), b.faces) for b, p in zip(bodies, poses, strict=True)]
+    space = make_shape_space(bodies, 1)
+    motions = refit_poses(space, [Motion(p, 30.0) for p in poses], meshes)
+    before, after = (
+        [
+            float(jnp.mean((posed_vertices(person_body(space.model, row), p) - m.vertices) ** 2))
+            for row, p, m in zip(space.coefficients, each, meshes, strict=True)
+        ]
+        for each in (poses, [motion.poses for motion in motions])
+    )
+    assert all(new <= old for old, new in zip(before, after, strict=True))
+    assert sum(after) < 0.8 * sum(before)
+
+
+def test_rest_poses_that_stay_are_said():
+    body = limb()
+    assert check_rest_alignment(body.skeleton) == []
+    kinds = ["free", "ball", "revolute"]
+    hinge = jc.make_skeleton(body.skeleton.names, body.skeleton.parents, kinds, body.skeleton.centres)
+    (sentence,) = check_rest_alignment(hinge)
+    assert sentence.startswith("Rest poses of people are not aligned") and "(end)" in sentence
+
+
 def test_joints_far_from_the_surface_are_named():
     bodies = [limb(), limb(1.1), limb(1.2), limb(1.05), limb(1.15, 0.07)]
     space = make_shape_space(bodies)
@@ -160,13 +193,36 @@ def test_joints_far_from_the_surface_are_named():
     assert sentence.startswith("The meshes of b moved joints far") and "end (" in sentence
 
 
-def test_meshes_are_repeated_to_few_lengths(rng):
-    faces = tube()[1]
+def test_meshes_are_repeated_to_few_lengths():
     for count in (1, 5, 9, 70):
-        meshes = MeshSequence(rng.normal(size=(count, RINGS * SIDES, 3)), faces)
-        found = repeat_meshes(meshes)
-        assert len(found) == count or len(found) in LENGTHS
-        np.testing.assert_array_equal(found.vertices[count:], meshes.vertices[: len(found) - count])
+        rows = repeated_rows(count)
+        assert len(rows) == count or len(rows) in LENGTHS
+        np.testing.assert_array_equal(rows, np.arange(len(rows)) % count)
+
+
+def test_repeated_meshes_do_not_count(rng):
+    """Q is that of the meshes of each person, and no step depends on repeated ones."""
+    true, body = limb(1.1), limb(skin="start")
+    poses = poses_of(true, rng, 5)
+    targets = posed_vertices(true, poses)
+    metric = make_mesh_metric(np.asarray(body.faces), len(body.vertices), 1.0)
+    person = repeat_meshes(Person(body, poses, targets, given_of(body), 1e-3))
+    assert len(person.targets) == 6 and person.num_meshes == 5
+    errors = targets - posed_vertices(body, poses)
+    value = sum(float(energy(metric.metric, error)) for error in errors)
+    np.testing.assert_allclose(evaluate(person, metric).value, value, rtol=1e-9)
+    # any mesh and pose in place of the repeated ones
+    others = jax.tree.map(lambda leaf: leaf.at[5].set(leaf[2]), person.poses)
+    changed = person._replace(poses=others, targets=person.targets.at[5].add(0.3))
+    none = np.zeros((0, 2), int)
+    found, again = (improve_people([evaluate(p, metric)], metric, none, False)[0] for p in (person, changed))
+    assert found.value < 0.5 * value
+    np.testing.assert_allclose(again.value, found.value, rtol=1e-6)
+    np.testing.assert_allclose(again.body.vertices, found.body.vertices, atol=1e-7)
+    np.testing.assert_allclose(again.body.skeleton.centres, found.body.skeleton.centres, atol=1e-7)
+    np.testing.assert_array_equal(again.poses.rotations[5], others.rotations[5])
+    rest = [fit_rest_vertices(p.body, p.poses, p.targets, p.frame_weights) for p in (person, changed)]
+    np.testing.assert_allclose(*rest, atol=1e-12)
 
 
 def people_meshes(rng, **people: tuple[float, float]) -> dict[str, MeshSequence]:
@@ -194,11 +250,39 @@ def test_people_from_whom_nothing_can_be_learned_are_refused(rng):
         check_people({"anna": anna, "ben": other})
     with pytest.raises(InputError, match="connect other vertices"):
         check_people({"anna": anna, "ben": MeshSequence(ben.vertices, ben.faces[:, ::-1])})
+    # the same triangles in another order, and from another corner on
+    assert check_people({"anna": anna, "ben": MeshSequence(ben.vertices, ben.faces[::-1, [1, 2, 0]])}) == []
     both = MeshSequence(jnp.concatenate([anna.vertices, ben.vertices[:2]]), anna.faces)
-    with pytest.raises(
-        InputError, match="the meshes of both show several people: mesh 4 of both, mesh 5 of both and mesh 0"
-    ):
-        check_people({"both": both, "ben": ben})
+    (sentence,) = check_people({"both": both, "ben": ben})
+    assert "meshes of both may show several people: mesh 4 of both, mesh 5 of both and mesh 0" in sentence
+
+
+def test_motion_is_that_of_each_person(rng):
+    """Different people always differ in shape: this is no motion."""
+    anna, ben = people_meshes(rng, anna=(1.0, 0.06), ben=(1.2, 0.07)).values()
+    still = [each[np.zeros(3, int)] for each in (anna, ben)]
+    with pytest.raises(InputError, match="of each person differ by a rigid motion only"):
+        check_people({"anna": still[0], "ben": still[1]})
+    with pytest.raises(InputError, match="of each person differ by a rigid motion only"):
+        check_people({"anna": still[0], "ben": ben[:1]})
+    (sentence,) = check_people({"anna": still[0], "ben": ben})
+    assert sentence.startswith("The 3 meshes of anna differ by a rigid motion only")
+    assert find_moving([still[0], ben]) == [1]
+    skeleton = limb().skeleton
+    with pytest.raises(InputError, match="the meshes of anna show no motion; .* such as ben"):
+        jc.learn.learn_people({"anna": still[0], "ben": ben}, skeleton=skeleton)
+
+
+def test_children_and_adults_are_people_of_one_body(rng):
+    adult, other, kid = people_meshes(rng, a=(1.8, 0.12), b=(1.7, 0.1), c=(0.7, 0.045)).values()
+    (sentence,) = check_people({"adult": adult, "other": other, "kid": kid})
+    assert sentence.startswith("kid is 0.4") and "check the unit" in sentence
+    inches = MeshSequence(kid.vertices / 0.0254, kid.faces)
+    with pytest.raises(InputError, match="mesh 0 of kid is .* times as large as the others; .* one unit"):
+        check_people({"adult": adult, "other": other, "kid": inches})
+    mixed = MeshSequence(kid.vertices.at[1].multiply(2.54), kid.faces)
+    with pytest.raises(InputError, match="mesh 1 of kid is 2.5.* times as large as the others"):
+        check_people({"adult": adult, "other": other, "kid": mixed})
 
 
 def test_people_are_distinguished_by_the_sizes_of_their_surface():

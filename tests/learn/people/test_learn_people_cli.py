@@ -2,6 +2,7 @@
 
 import json
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses, take_poses
 from jaxcap.cli.learn import people as verb
-from jaxcap.cli.learn.people_input import find_people, names_people
+from jaxcap.cli.learn.people_input import find_people, names_people, read_people
 from jaxcap.errors import InputError
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.learn.people.learn_people import LearnedPeople
@@ -74,7 +75,8 @@ def test_folders_archives_and_named_parts_are_people(scene, monkeypatch):
         ("ben", ["ben/0.ply", "ben/2.ply"]),
         ("anna", ["anna/1.ply"]),
     ]
-    assert set(find_people(["*n*"])) == {"anna", "ben"} or set(find_people(["[ab]*"])) == {"anna", "ben"}
+    assert set(find_people(["[ab]*"])) == {"anna", "ben"}
+    assert find_people(["[a-c]*"]) == find_people(["anna", "ben", "carl.npz"])
     assert find_people(["{subject}/*.ply"]) == find_people(["anna", "ben"])
     assert find_people(["{who}/{subject}.ply"]).keys() == {"0", "1", "2"}
     assert names_people(["{subject}/*.ply"]) and not names_people(["anna", "carl.npz"])
@@ -87,6 +89,29 @@ def test_folders_archives_and_named_parts_are_people(scene, monkeypatch):
     (folder / "more" / "anna.npz").write_bytes((folder / "carl.npz").read_bytes())
     with pytest.raises(InputError, match="two people are called anna, in anna and more/anna.npz"):
         find_people(["anna", "more/anna.npz"])
+
+
+def test_a_folder_of_folders_is_no_person(scene, capsys, tmp_path):
+    folder, _, _ = scene
+    message = fails(capsys, "learn", folder, "--people", "-o", tmp_path / "model.npz")
+    assert "contains folders with meshes" in message and f'"{folder}/{{subject}}/*.ply"' in message
+    message = fails(capsys, "learn", folder / "anna", "--people", "-o", tmp_path / "model.npz")
+    assert "there is one person, anna" in message and "{subject}_*.ply" in message
+
+
+def test_people_keep_all_their_meshes_and_their_rates(scene, tmp_path):
+    """Names of meshes are free, such as those of registered scans, and rates are those of each person's files."""
+    folder, bodies, poses = scene
+    sources, names = [str(folder / "anna")], ("scans.npz[0]", "[", "plain")
+    for name, rate in (("ben", 60.0), ("carl", 25.0)):
+        meshes = jc.MeshSequence(posed_vertices(bodies[name], poses[name]), bodies[name].faces, rate)
+        jc.io.save_meshes(tmp_path / f"{name}.npz", meshes, names)
+        sources.append(str(tmp_path / f"{name}.npz"))
+    people, called = read_people(sources, "m", None)
+    assert [len(meshes) for meshes in people.values()] == [3, 3, 3]
+    assert [meshes.rate for meshes in people.values()] == [30.0, 60.0, 25.0]
+    assert called["ben"][0].endswith("ben.npz[scans.npz[0]]") and len(called["ben"]) == 3
+    np.testing.assert_allclose(people["ben"].vertices, posed_vertices(bodies["ben"], poses["ben"]), atol=1e-6)
 
 
 def test_a_model_and_the_parameters_of_each_person_are_written(
@@ -131,7 +156,7 @@ def test_options_that_are_for_one_person_are_refused(scene, instant_learner, tmp
     folder, _, _ = scene
     monkeypatch.chdir(folder)
     out = tmp_path / "model.npz"
-    for extra in ("--resume", "--free-bones"):
+    for extra in ("--resume", "--free-bones", "--correctives"):
         assert f"{extra} is for the meshes of one person" in fails(
             capsys, "learn", "anna", "ben", "--people", extra, "-o", out
         )
@@ -153,6 +178,42 @@ def test_options_that_are_for_one_person_are_refused(scene, instant_learner, tmp
     assert not out.exists()
 
 
+def test_the_gender_of_a_model_is_that_of_its_people(scene, instant_learner, tmp_path, monkeypatch, capsys):
+    folder, _, _ = scene
+    monkeypatch.chdir(folder)
+    out, anna = tmp_path / "model_female.npz", tmp_path / "model_female-motion-anna.npz"
+    runs(capsys, "learn", "anna", "ben", "--people", "-o", out)
+    assert jc.io.read_amass_shape(anna)[1] == "female"
+
+
+def test_a_skeleton_whose_motions_cannot_be_written_is_refused_first(
+    scene, instant_learner, tmp_path, monkeypatch, capsys
+):
+    folder, bodies, _ = scene
+    monkeypatch.chdir(folder)
+    limbs = bodies["anna"].skeleton
+    for parents, kinds, words in (
+        ([-1, 0, -1], ["free", "ball", "free"], "2 roots, root, end"),
+        ([-1, 0, 1], ["free", "ball", "free"], "joints that are translated, end"),
+    ):
+        skeleton = jc.make_skeleton(limbs.names, parents, kinds, limbs.centres)
+        body = eqx.tree_at(lambda b: b.skeleton, bodies["anna"], skeleton)
+        jc.save_body(tmp_path / "body.npz", body)
+        message = fails(
+            capsys,
+            "learn",
+            "anna",
+            "ben",
+            "--people",
+            "--skeleton",
+            tmp_path / "body.npz",
+            "-o",
+            tmp_path / "m.npz",
+        )
+        assert words in message and "AMASS" in message
+    assert not instant_learner
+
+
 def test_every_person_is_scored_on_held_out_meshes(scene, instant_learner, tmp_path, monkeypatch, capsys):
     folder, _, _ = scene
     monkeypatch.chdir(folder)
@@ -161,3 +222,5 @@ def test_every_person_is_scored_on_held_out_meshes(scene, instant_learner, tmp_p
     )
     assert [len(meshes) for meshes in instant_learner["people"].values()] == [2, 2]
     assert "held out: surface" in printed and "1 coefficient explain" in printed
+    assert verb.check_components(None, 2) == verb.check_components(1, 2) == []
+    assert "--components is 2, and 2 people have 1 at most" in verb.check_components(2, 2)[0]
