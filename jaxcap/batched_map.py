@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 
-def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> Any:
-    """Map a function over the first axis of a tree of arrays, in batches of at most `batch_size` items.
+def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int | None = None) -> Any:
+    """Map a function over the first axis of a tree of arrays, in batches of at most `batch_size` items; None: one by one.
 
     `jax.lax.map(batch_size=)` computes the items that fill no batch in a second copy of the function after the loop. That compiles the
     function twice. If it has factorisations, both may run at the same time, and on a computer with two cores each then waits
@@ -16,7 +16,7 @@ def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> 
     Here the batches are of nearly equal sizes, and the last item is repeated to fill them.
     """
     count = len(jax.tree.leaves(items)[0])
-    if not count:
+    if not count or batch_size is None:
         return jax.lax.map(function, items)
     batches = -(-count // batch_size)
     size = -(-count // batches)
