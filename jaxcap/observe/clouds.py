@@ -175,7 +175,8 @@ class CloudFrames(Sequence[Cloud]):
     **Raises:** `InputError` where it is none of these.
     """
 
-    def __init__(self, frames: "Cloud | Sequence[Cloud | Scan]"):
+    # without the types of the items, as a check of them would load a frame
+    def __init__(self, frames: "Cloud | Sequence"):
         if isinstance(frames, Cloud) and frames.points.ndim != 3:
             raise InputError(
                 "`clouds` is a single cloud; expected a list of clouds, or one cloud stacked over frames "
