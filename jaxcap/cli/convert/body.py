@@ -7,6 +7,7 @@ from ...body.people.sample import sample_poses
 from ...body.pose import Motion
 from ...body.skin import CorrectedSkin
 from ...edit.linear_blend.convert import linear_motion, linear_targets, to_linear_blend
+from ...edit.linear_blend.correctives import MAX_UNITS
 from ...io.gltf.gltf import write_gltf
 from ...io.registry import write_body
 from ..console.console import say, warn
@@ -36,12 +37,18 @@ def write_linear_body(
         f"largest error {1000 * converted.error:.2g} mm, mean {1000 * converted.mean_error:.2g} mm, "
         f"over {count} {'sampled poses' if motion is None else 'frames'}"
     )
-    if converted.error > tolerance:
-        advice = (
-            "the displacements of the surface that depend on the pose are left out, as only .glb has them"
-            if isinstance(body.skin, CorrectedSkin) and targets is None
-            else "increase --influences"
+    if targets is not None and moving is None:
+        warn(
+            f"{target}: nothing moves the morph targets; the program that poses the body has to set their weights, or give --motion"
         )
+    if converted.error > tolerance:
+        advice = "increase --influences"
+        if isinstance(body.skin, CorrectedSkin) and targets is None:
+            advice = (
+                "the displacements of the surface that depend on the pose are left out, as only .glb has them"
+            )
+        elif targets is not None and len(targets.names) == MAX_UNITS:
+            advice = f"of the morph targets the {MAX_UNITS} with the largest displacements are kept"
         warn(
             f"{target}: {1000 * converted.error:.2g} mm, the largest error of a vertex, exceeds the tolerance of "
             f"{1000 * tolerance:.2g} mm; {advice}"

@@ -10,6 +10,9 @@ from helpers import chain_body, random_pose
 import jaxcap as jc
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.body.skin import CorrectedSkin, RotationMatrixFeatures
+from jaxcap.cli import main
+from jaxcap.cli.convert import body as verb
+from jaxcap.edit.linear_blend import correctives
 from jaxcap.io.archives.npz import load_body, save_body, save_motion
 from jaxcap.io.gltf.gltf import write_gltf
 from jaxcap.io.gltf.gltf_reader import read_gltf_body
@@ -78,6 +81,20 @@ def test_the_command_line_writes_targets_and_says_what_usd_loses(moving, tmp_pat
         1.0,
         atol=1e-6,
     )
+
+
+@pytest.mark.parametrize(
+    ("most", "words"), [(256, "nothing moves the morph targets"), (2, "the 2 with the largest")]
+)
+def test_targets_that_are_not_what_they_seem_have_a_warning(
+    moving, tmp_path, capsys, monkeypatch, most, words
+):
+    for module in (correctives, verb):
+        monkeypatch.setattr(module, "MAX_UNITS", most)
+    save_body(tmp_path / "body.npz", moving[0]["low rank"])
+    capsys.readouterr()
+    main(["convert", str(tmp_path / "body.npz"), str(tmp_path / "body.glb"), "--influences", "9"])
+    assert words in capsys.readouterr().err
 
 
 def test_targets_that_do_not_fit_are_refused(moving, tmp_path):
