@@ -52,7 +52,7 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
     **Raises:** `InputError` if frames could not be tracked. All others are kept in the folder of the run, for --resume.
     """
     count, plan = len(run.clouds), run.folder / PLAN
-    if journal.count > count or (journal.count == count and not plan.is_file()):
+    if journal.count >= count and not _stored_division(plan, count, journal.count):
         return
     set_activity("starting the workers")
     memory = job_memory(["track"])
