@@ -1,4 +1,4 @@
-"""A loop over batches of items, of which all have one shape."""
+"""A map over batches of equal size."""
 
 from collections.abc import Callable
 from typing import Any

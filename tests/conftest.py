@@ -47,8 +47,8 @@ SHARED = Path(os.environ.get("JAXCAP_SHARED") or CHECKOUT.parent / "shared")
 
 #: what a worker needs at most, and the size from which the cache is begun anew, in bytes
 WORKER_MEMORY, CACHE_SIZE = 4 << 30, 2 << 30
-#: flags of XLA that nearly halve the time of compiling, and what tells whether they are known; with one thread LAPACK calls
-#: cannot wait for each other
+#: XLA flags that nearly halve the compile time, and a program that fails if XLA does not know them; with one thread, LAPACK
+#: calls cannot wait for each other
 FAST_COMPILING = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_multi_thread_eigen=false"
 START_XLA = "import jax; jax.devices()"
 #: pieces of memory that a process may map, and those from which compiled functions are forgotten

@@ -11,7 +11,7 @@ import pytest
 
 from jaxcap.batched_map import map_batches
 
-#: batched factorisations in a loop, beside which nothing else may be factorised
+#: factorises matrices in batches, one batch at a time
 FACTORISE = """
 import jax, jax.numpy as jnp, numpy as np
 from jaxcap.batched_map import map_batches
