@@ -116,6 +116,20 @@ def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h 
     return np.minimum.reduce([rows[:, k::step] for k in range(step)])
 
 
+def take_pixels(camera: Camera, step: int) -> Camera:
+    """Return the camera of images with every `step`-th row and column of this one's, from the first."""
+    if step == 1:
+        return camera
+    return Camera(
+        camera.rotation,
+        camera.translation,
+        camera.focal / step,
+        camera.principal_point / step,
+        -(-camera.width // step),
+        -(-camera.height // step),
+    )
+
+
 def reduce_camera(camera: Camera, step: int) -> Camera:
     """Return the camera of images with blocks of `step` rows and columns as pixels."""
     if step == 1:

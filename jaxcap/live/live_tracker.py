@@ -20,6 +20,7 @@ from ..observe.clouds import Cloud, as_cloud
 from ..tracking.judge_frame import TrackedFrame
 from ..tracking.online import OnlineTracker
 from ..tracking.track_frame import Tracker, make_tracker
+from .load import Load
 from .mailbox import Mailbox
 from .statistics import LiveFrame, LiveStatistics, StatisticsCounter
 
@@ -29,6 +30,8 @@ JUDGE_EVERY = 2
 ITERATIONS, NUM_TESTED = 3, 500
 #: while the body is lost, the person is searched for in the whole image every so many frames
 SEARCH_EVERY = 15
+#: while many frames are dropped, every so-many-th row and column of the images is read
+REDUCED_STEP = 2
 #: a frame: depth images of all cameras in metres, a cloud, or a scan as read from a file
 Observation = Sequence[np.ndarray] | Cloud | Scan
 
@@ -73,6 +76,8 @@ def make_live_tracker(
 class LiveTracker:
     """Track frames as they arrive: the newest frame is tracked, and frames that a newer one overtakes are dropped.
 
+    While more than a tenth of the frames are dropped, only every second row and column of the images is read (`Load`).
+
     `push` returns at once. One thread makes the cloud of a frame while another tracks the previous frame. A search for a lost
     body runs next to them (`OnlineTracker`). Use it in a `with` statement, or call `close`.
 
@@ -98,7 +103,10 @@ class LiveTracker:
         self._online = OnlineTracker(
             tracker, start, search=search, sigma=float(sigma), up=up, judge_every=judge_every
         )
-        self._stream = CloudStream(list(cameras), num_points) if cameras else None
+        steps = (1, REDUCED_STEP) if cameras else ()
+        # of whole images, and of reduced ones
+        self._streams = [CloudStream(list(cameras), num_points, pixel_step=step) for step in steps]
+        self._load = Load()
         self.num_points, self.on_frame = num_points, on_frame
         #: the newest tracked frame
         self.newest: LiveFrame | None = None
@@ -154,10 +162,11 @@ class LiveTracker:
         **Raises:** `InputError` for a frame that cannot be tracked.
         """
         begin, tracker = time.perf_counter(), self._online.tracker
-        cloud = self._cloud(frame, "the first frame")
-        if self._stream is not None:
-            self._stream.warm_up()
-        self._online.warm_up(cloud)
+        if not isinstance(frame, (Cloud, Scan)):
+            for stream in self._streams:
+                stream.warm_up()
+                stream.make(list(frame), name="the first frame")
+        self._online.warm_up(self._cloud(frame, "the first frame"))
         np.asarray(posed_vertices(tracker.body, self._online.start))
         return time.perf_counter() - begin
 
@@ -165,7 +174,11 @@ class LiveTracker:
     def statistics(self) -> LiveStatistics:
         """Counts, rate and latency so far."""
         with self._lock:
-            return self._counts.summary()
+            return self._counts.summary()._replace(is_reduced=self._is_reduced)
+
+    @property
+    def _is_reduced(self) -> bool:
+        return bool(self._streams) and self._load.is_high
 
     @property
     def latencies(self) -> Float[np.ndarray, "N"]:
@@ -230,9 +243,10 @@ class LiveTracker:
             cloud = as_cloud(frame)
             few = int(np.count_nonzero(np.asarray(cloud.weights))) <= self.num_points
             return cloud if few else thin_cloud(cloud, self.num_points)
-        if self._stream is None:
+        if not self._streams:
             raise InputError(f"{name}: these are depth images, but no camera is known; give `cameras`.")
-        return self._stream.make(list(frame), self._surface, name)
+        stream = self._streams[1 if self._is_reduced else 0]
+        return stream.make(list(frame), self._surface, name)
 
     def _track(self) -> None:
         while (ready := self._ready.take()) is not None:
@@ -276,7 +290,9 @@ class LiveTracker:
         with self._idle:
             if latency is not None:
                 self._counts.add(latency)
+                self._counts.reduced += self._is_reduced
             self._counts.dropped += dropped
+            self._load.count(dropped)
             if failure:
                 self._counts.failed += 1
                 self._counts.last_failure = failure

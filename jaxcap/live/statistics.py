@@ -44,6 +44,10 @@ class LiveStatistics(NamedTuple):
     latency_p99: float
     #: the last failure, a sentence
     last_failure: str
+    #: only every second row and column of the images is read, as many frames were dropped
+    is_reduced: bool = False
+    #: number of frames that were tracked with reduced images
+    reduced: int = 0
 
     def sentence(self) -> str:
         """Format the statistics as one line."""
@@ -53,14 +57,16 @@ class LiveStatistics(NamedTuple):
             if self.tracked
             else "no frame yet"
         )
-        return f"{self.rate:.1f} frames per second, {latency}; {self.tracked} tracked, {self.dropped} dropped{failed}"
+        reduced = "; images are read at half their resolution" if self.is_reduced else ""
+        counts = f"{self.tracked} tracked, {self.dropped} dropped{failed}"
+        return f"{self.rate:.1f} frames per second, {latency}; {counts}{reduced}"
 
 
 class StatisticsCounter:
     """Counts of a live run; the caller excludes simultaneous calls."""
 
     def __init__(self) -> None:
-        self.tracked = self.dropped = self.failed = 0
+        self.tracked = self.dropped = self.failed = self.reduced = 0
         self.last_failure = ""
         self._latencies: deque[float] = deque(maxlen=MAX_LATENCIES)
         self._times: deque[float] = deque()
@@ -91,4 +97,5 @@ class StatisticsCounter:
             float(median),
             float(late),
             self.last_failure,
+            reduced=self.reduced,
         )

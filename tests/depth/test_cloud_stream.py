@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from test_depth import BODY, CAMERA, room
 
 from jaxcap.depth import cloud_of_depths, find_person
@@ -14,7 +15,9 @@ from jaxcap.depth.stream.follow_person import follow_person
 from jaxcap.depth.stream.pixel_surface import pixel_surface
 from jaxcap.depth.stream.thin import thin_points
 from jaxcap.errors import InputError
+from jaxcap.live.live_tracker import LiveTracker
 from jaxcap.metrics import scan_to_surface
+from jaxcap.tracking.track_frame import make_tracker
 
 WHOLE = ImageBox(slice(0, 120), slice(0, 160), 0.0, np.inf)
 
@@ -75,6 +78,37 @@ def test_clouds_have_one_size_and_the_weight_of_all_points():
     np.testing.assert_allclose(second.views[0].camera.focal, expected.camera.focal)
 
 
+def test_every_second_pixel_gives_the_same_surface():
+    depth, person = room()
+    vertices, faces = np.asarray(BODY.vertices, float), np.asarray(BODY.faces)
+    stream = CloudStream([CAMERA], 512, pixel_step=2)
+    cloud = stream.make([depth])
+    points = np.asarray(cloud.points)[np.asarray(cloud.weights) > 0]
+    assert np.quantile(scan_to_surface(points, vertices, faces), 0.9) < 0.01
+    assert 0.2 < len(points) / np.count_nonzero(person) < 0.3
+    # the rays of the kept pixels are those of the whole image
+    whole = measured_points(CAMERA, np.where(person, depth, 0.0))
+    apart = KDTree(whole).query(points)[0]
+    assert np.median(apart) < 1e-3
+    # floor and walls are looked for in the first image, also near a known surface
+    near = CloudStream([CAMERA], 512, pixel_step=2).make([depth], vertices)
+    np.testing.assert_array_equal(near.points, cloud.points)
+
+
+def test_a_live_run_reads_fewer_pixels_while_frames_are_dropped():
+    depth, _ = room()
+    with LiveTracker(make_tracker(BODY, partial=True), [CAMERA], search=False) as live:
+        assert not live.statistics.is_reduced
+        whole = live._cloud([depth], "a frame")
+        for _ in range(10):
+            live._finish(dropped=True)
+        assert live.statistics.is_reduced and "half their resolution" in live.statistics.sentence()
+        reduced = live._cloud([depth], "a frame")
+    # nothing is compiled for it
+    assert whole.points.shape == reduced.points.shape
+    assert float(reduced.weights.sum()) == pytest.approx(float(whole.weights.sum()) / 4, rel=0.1)
+
+
 def test_flat_surface_is_thinned_more_than_curved_surface(rng):
     """A wall and a sphere of the same density."""
     wall = np.stack(
@@ -107,3 +141,5 @@ def test_images_that_do_not_fit_are_refused():
         stream.make([depth, depth])
     with pytest.raises(InputError, match="the image has 159 x 120 pixels"):
         stream.make([depth[:, 1:]])
+    with pytest.raises(InputError, match="pixel_step"):
+        CloudStream([CAMERA], pixel_step=0)

@@ -15,6 +15,7 @@ from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.live.live_tracker import SEARCH_EVERY, LiveTracker
+from jaxcap.live.load import FIRST_PAUSE, LAST_PAUSE, WINDOW, Load
 from jaxcap.live.mailbox import Mailbox
 from jaxcap.observe.clouds import Cloud, make_cloud
 from jaxcap.tracking import advance, online
@@ -105,6 +106,35 @@ def test_of_a_burst_the_newest_is_tracked_and_dropped_frames_are_never_read():
     assert newest is not None and newest.number == 199
     assert statistics.tracked + statistics.dropped == 200
     assert len(read) == statistics.tracked < 150
+
+
+def test_images_are_reduced_while_frames_are_dropped_and_whole_ones_tried_again():
+    load = Load()
+    for _ in range(1000):
+        load.count(False)
+    # one dropped frame in twenty is no reason
+    for number in range(100):
+        load.count(number % WINDOW == 0)
+    assert not load.is_high
+    pauses = []
+    for _ in range(8):
+        while not load.is_high:
+            load.count(True)
+        frames = 0
+        while load.is_high:
+            load.count(False)
+            frames += 1
+        pauses.append(frames)
+    # each attempt that fails doubles the pause before the next
+    assert pauses == [min(FIRST_PAUSE * 2**number, LAST_PAUSE) for number in range(8)]
+    # one that lasts makes the pause short again
+    for _ in range(LAST_PAUSE):
+        load.count(False)
+    while not load.is_high:
+        load.count(True)
+    for _ in range(FIRST_PAUSE):
+        load.count(False)
+    assert not load.is_high
 
 
 def test_latency_counts_from_the_arrival():

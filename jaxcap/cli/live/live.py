@@ -154,6 +154,11 @@ class Live:
         summary = {"live": run.statistics._asdict()}
         write_results(self.out, tracker.body.skeleton, results, rate, names, summary)
         say(run.statistics.sentence())
+        if run.statistics.reduced:
+            warn(
+                f"{run.statistics.reduced} of {run.statistics.tracked} frames were tracked at half the resolution of the images, as "
+                "many frames were dropped; the computer is too slow for this rate, or other programs run."
+            )
         say(
             f"{pluralise(len(names), 'frame')} at {rate:g} frames per second: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"

@@ -10,12 +10,13 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from ...observe import DepthView
 from ...observe.clouds import Cloud, ordered_cloud, padded_size
+from ...value_checks import check_at_least
 from ..check_depths import check_image_size_of
 from ..clouds import GAP, VOXEL
 from ..fuse import average_in_voxels
 from ..person import check_found, search_person
 from ..shadows import fill_shadows
-from ..views import NUM_LEVELS, reduce_camera, view_images, view_step
+from ..views import NUM_LEVELS, reduce_camera, take_pixels, view_images, view_step
 from .fixed_camera import FixedCamera, ImageBox
 from .follow_person import follow_person
 from .pixel_surface import pixel_surface, warm_up_pixels
@@ -34,17 +35,27 @@ class CloudStream:
     an image near the last surface is read. The clouds are those of `cloud_of_depths`, thinned to `num_points`
     (`thin_points`).
 
-    **Arguments:** `voxel`, side of the cubes that keep one point each, metres.
+    **Arguments:** `voxel`, side of the cubes that keep one point each, metres; `pixel_step`: only every so-many-th row and column
+    of an image is read.
 
-    **Raises:** `InputError` for no cameras.
+    **Raises:** `InputError` for no cameras, or a `pixel_step` below one.
     """
 
     @checked
-    def __init__(self, cameras: Sequence[Camera], num_points: int = NUM_POINTS, voxel: float = VOXEL):
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        num_points: int = NUM_POINTS,
+        voxel: float = VOXEL,
+        pixel_step: int = 1,
+    ):
         if not cameras:
             raise InputError("There are no cameras; give one for each sequence of depth images.")
+        check_at_least("CloudStream", 1, pixel_step=pixel_step)
+        self._whole = list(cameras)
+        cameras = [take_pixels(camera, pixel_step) for camera in cameras]
         self.cameras = [FixedCamera(camera) for camera in cameras]
-        self.num_points, self.voxel = num_points, voxel
+        self.num_points, self.voxel, self.pixel_step = num_points, voxel, pixel_step
         self._views = [reduce_camera(camera, view_step(camera.height, camera.width)) for camera in cameras]
 
     def warm_up(self) -> None:
@@ -72,7 +83,8 @@ class CloudStream:
         points, normals, views = [], [], []
         for number, (fixed, depth) in enumerate(zip(self.cameras, depths, strict=True)):
             where = name if len(depths) == 1 else f"{name}, camera {number}"
-            check_image_size_of(fixed.camera, depth, "image", where)
+            check_image_size_of(self._whole[number], depth, "image", where)
+            depth = depth[:: self.pixel_step, :: self.pixel_step]
             box, person = self._person(fixed, depth, surface, where)
             # single precision is enough for pixels of one image, and faster
             here = depth[box.rows, box.columns].astype(np.float32)
@@ -98,8 +110,10 @@ class CloudStream:
         surface: Float[np.ndarray, "N 3"] | None,
         where: str,
     ) -> tuple[ImageBox, Bool[np.ndarray, "h w"]]:
-        """Follow the person near the last surface, or find it in the whole image."""
-        followed = None if surface is None else follow_person(fixed, depth, surface)
+        """Follow the person near the last surface, or find it in the whole image, always in the first one."""
+        followed = None
+        if surface is not None and fixed.is_searched:
+            followed = follow_person(fixed, depth, surface)
         if followed is not None:
             return followed
         found = check_found(search_person(fixed.camera, depth, where=where), where)

@@ -32,9 +32,12 @@ class FixedCamera:
         self.rays = camera_rays(camera)
         self._slopes = np.zeros((0, camera.height, camera.width), np.float32)
         self._offsets: list[float] = []
+        #: whether floor and walls were looked for
+        self.is_searched = False
 
     def set_planes(self, planes: Sequence[Plane]) -> None:
         """Remember the floor and the walls of the room."""
+        self.is_searched = True
         normals = [self.rotation @ plane.normal for plane in planes]
         self._slopes = np.array([self.rays @ normal for normal in normals], np.float32).reshape(
             -1, *self._slopes.shape[1:]
