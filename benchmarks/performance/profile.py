@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -77,8 +78,8 @@ def profile_import() -> dict[str, float]:
     return dict(sorted(found.items(), key=lambda item: -item[1])[: PACKAGES + 1])
 
 
-def profile_all(names: list[str], small: bool) -> dict[str, Any]:
-    """Profile stages, each in a process of its own."""
+def profile_all(names: list[str], small: bool, done: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
+    """Profile stages, each in a process of its own; `done` is called with the stages so far after each."""
     found = {}
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
@@ -90,6 +91,7 @@ def profile_all(names: list[str], small: bool) -> dict[str, Any]:
         progress(
             f"{name}: first run {row['first']:.1f} s, then {1000 * row['wall'] / row['count']:.1f} ms a {row['unit']}"
         )
+        done(found)
     return found
 
 
@@ -157,7 +159,6 @@ def draw(path: Path, stages: dict[str, Any]) -> None:
         axis.legend(frameon=False, fontsize=8)
     figure.tight_layout()
     canvas.print_png(path)
-    progress(f"picture: {path}")
 
 
 def main() -> None:
@@ -174,13 +175,15 @@ def main() -> None:
         return
     begin, machine = time.perf_counter(), measure_machine()
     imports = {} if options.no_import else profile_import()
-    stages = profile_all(options.stages, options.small)
-    table = tables(stages, imports, machine)
-    progress(table)
-    if options.output:
-        options.output.write_text(table)
-    if options.picture:
-        draw(options.picture, stages)
+
+    def write(stages: dict[str, Any]) -> None:
+        if options.output:
+            options.output.write_text(tables(stages, imports, machine))
+        if options.picture:
+            draw(options.picture, stages)
+
+    stages = profile_all(options.stages, options.small, write)
+    progress(tables(stages, imports, machine))
     figures: dict[str, Any] = {
         "bandwidth_gigabytes_per_second": machine.bandwidth / 1e9,
         "products_gigaflops": machine.flops / 1e9,
