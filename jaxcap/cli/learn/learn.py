@@ -57,8 +57,7 @@ class Learn:
     meshes. All meshes have the same vertices, in the same order. With --people they are of several people, and the result is a
     body model with shape coefficients.
 
-    An interrupted run of one actor continues with --resume. The result is the same as without the interruption. With --people an
-    interrupted run begins anew."""
+    An interrupted run continues with --resume. The result is the same as without the interruption."""
 
     meshes: MeshesSpec
     """Mesh files, a folder, a quoted glob, or an .npz with the arrays `vertices` (F, V, 3), for F meshes of V
@@ -117,7 +116,7 @@ class Learn:
     report: OptionalFolder = None
     """Output folder for report.json and pictures."""
     resume: Flag = False
-    """Continue an interrupted run; not with --people."""
+    """Continue an interrupted run."""
     overwrite: Flag = False
     """Replace the body and its motion if they exist."""
 
@@ -142,7 +141,6 @@ class Learn:
     def run_people(self) -> None:
         """Learn one body model from the meshes of several people."""
         for_one = {
-            "--resume": self.resume,
             "--free-bones": self.free_bones,
             "--correctives": self.correctives,
             "--limits": self.limits is not None,
@@ -160,7 +158,7 @@ class Learn:
             "skeleton": self.skeleton_name() if given is None else given,
         }
         files = (self.meshes, self.out, self.motion, self.report, self.unit, self.rate)
-        run_people(PeopleRun(*files, self.hold_out, self.overwrite, learning, self.settings()))
+        run_people(PeopleRun(*files, self.hold_out, self.resume, self.overwrite, learning, self.settings()))
 
     def learn_all(self, motion_path: Path, checkpoint_path: Path) -> None:
         """Read, learn, write and score, while the lock excludes other runs with the same output files."""

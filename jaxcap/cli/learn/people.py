@@ -1,5 +1,7 @@
 """`jaxcap learn --people`: one body model from the meshes of several people."""
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +12,7 @@ from ...body.pose import Motion, concatenate_poses
 from ...body.skeleton import KINDS, Skeleton
 from ...errors import InputError
 from ...fit.fit_meshes import fit_meshes
+from ...io.archives.checkpoint import save_checkpoint
 from ...io.body_models.learned import save_body_model
 from ...io.skeletons.amass import write_amass
 from ...io.system.run_lock import run_lock
@@ -27,10 +30,11 @@ from ..body_models import stated_gender
 from ..console.console import pluralise, print_table, say, warn
 from ..console.heartbeat import set_activity
 from ..console.rounds import RoundProgress
-from ..outputs import check_npz, check_parent, make_folder
-from ..scoring import score_motion
+from ..outputs import check_npz, check_parent, is_run_complete, make_folder
+from ..scoring import mesh_hashes, score_motion
 from .input import split_held_out
 from .people_input import read_people
+from .people_state import load_people_state, make_people_checkpoint
 
 #: components that a line lists
 MAX_LISTED = 5
@@ -46,6 +50,7 @@ class PeopleRun(NamedTuple):
     unit: str
     rate: float | None
     hold_out: int | None
+    resume: bool
     overwrite: bool
     learning: Mapping[str, Any]
     settings: Mapping[str, object]
@@ -58,19 +63,26 @@ def run_people(run: PeopleRun) -> None:
     paths = motion_paths(run.out, run.motion, tuple(people))
     for path in (run.out, *paths.values()):
         check_parent(path)
+    kept = run.out.with_name(f"{run.out.name}.partial")
     with run_lock(run.out):
-        check_npz(run.out, run.overwrite, "a body model")
+        # a run that was killed while it wrote its results resumes from its last round
+        if run.resume and is_run_complete((run.out, *paths.values()), kept):
+            return
+        replace = run.overwrite or (run.resume and kept.is_file())
+        check_npz(run.out, replace, "a body model")
         for path in paths.values():
-            check_npz(path, run.overwrite)
+            check_npz(path, replace)
         train, held = split_people(people, names, run.hold_out)
         for message in [
             *check_people(train[0], train[1]),
             *check_components(run.learning["components"], len(people)),
         ]:
             warn(message)
+        header = {**run.settings, **people_hashes(train[0])}
+        resumed = load_people_state(kept, header, run.resume, run.overwrite)
         if run.report is not None:
             make_folder(run.report)
-        learned = learn_all(run, train[0])
+        learned = learn_all(run, train[0], kept, header, resumed)
         set_activity("writing the body and checking it")
         write_all(run.out, paths, learned)
         describe(run, learned, paths)
@@ -78,6 +90,7 @@ def run_people(run: PeopleRun) -> None:
         print_people(scores)
         if run.report is not None:
             write_report(run.report, run.settings, learned, scores)
+        kept.unlink(missing_ok=True)
 
 
 def check_people_options(given: Mapping[str, bool], components: int | None) -> None:
@@ -145,24 +158,48 @@ def split_people(
     return train, held
 
 
-def learn_all(run: PeopleRun, people: Mapping[str, MeshSequence]) -> LearnedPeople:
-    """Run the learning loop with its progress."""
+def people_hashes(people: Mapping[str, MeshSequence]) -> dict[str, object]:
+    """Compute the hash of the meshes of all people, to detect changes."""
+    hashes = {name: mesh_hashes(meshes) for name, meshes in people.items()}
+    whole = hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
+    return {"meshes": whole, "precision": next(iter(hashes.values()))["precision"]}
+
+
+def learn_all(
+    run: PeopleRun,
+    people: Mapping[str, MeshSequence],
+    kept: Path,
+    header: Mapping[str, object],
+    resumed: PeopleState | None,
+) -> LearnedPeople:
+    """Run the learning loop with its progress, and a checkpoint after every round; Ctrl-C keeps the last one."""
+    done = 0 if resumed is None else resumed.round
+    rate = next(iter(people.values())).rate
     count = sum(len(meshes) for meshes in people.values())
     vertices = next(iter(people.values())).vertices.shape[1]
     say(
-        f"learning one body from {pluralise(len(people), 'person', 'people')}, {count} meshes of {vertices} vertices; a first body is "
-        "learned from one person"
+        f"learning one body from {pluralise(len(people), 'person', 'people')}, {count} meshes of {vertices} vertices; "
+        + (f"round {done} is complete" if done else "a first body is learned from one person")
     )
-    with RoundProgress(run.learning["rounds"]) as bar:
+    with RoundProgress(run.learning["rounds"], done) as bar:
 
         def on_round(state: PeopleState) -> None:
+            nonlocal done
+            save_checkpoint(kept, make_people_checkpoint(state, rate), header)
+            done = state.round
             step, value = state.history[-1]
             some = (
                 f" on {len(state.people[0].body.vertices)} vertices" if step.startswith(COARSE_PREFIX) else ""
             )
-            bar.update(state.round, f"Q {value:.5g} m²{some}")
+            bar.update(done, f"Q {value:.5g} m²{some}")
 
-        return learn_people(people, on_round=on_round, **run.learning)
+        try:
+            return learn_people(people, on_round=on_round, resume=resumed, **run.learning)
+        except KeyboardInterrupt:
+            message = (
+                f"round {done} is saved in {kept}; --resume continues" if done else "no round is complete"
+            )
+            raise KeyboardInterrupt(f"stopped; {message}") from None
 
 
 def write_all(out: Path, paths: Mapping[str, Path], learned: LearnedPeople) -> None:

@@ -54,14 +54,19 @@ def load_state(path: Path, header: dict[str, object], resume: bool, overwrite: b
 
     **Raises:** `InputError` if the checkpoint of another run exists, or that of this run without `resume` and `overwrite`.
     """
-    if resume:
-        # without a file the run was probably stopped before the end of its first round
-        return restore_state(load_checkpoint(path, header, STATE_ARRAYS), path) if path.is_file() else None
-    if path.exists() and not overwrite:
+    check_unfinished(path, resume, overwrite)
+    # without a file the run was probably stopped before the end of its first round
+    if not resume or not path.is_file():
+        return None
+    return restore_state(load_checkpoint(path, header, STATE_ARRAYS), path)
+
+
+def check_unfinished(path: Path, resume: bool, overwrite: bool) -> None:
+    """Check that a run may begin where the checkpoint `path` of another one may exist. Raises `InputError`."""
+    if path.exists() and not resume and not overwrite:
         raise InputError(
             f"{path}: an unfinished run exists; give --resume to continue it or --overwrite to begin anew."
         )
-    return None
 
 
 def given_arrays(given: GivenCentres | None) -> dict[str, np.ndarray]:

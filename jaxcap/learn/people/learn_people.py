@@ -42,17 +42,23 @@ _LOG = logging.getLogger(__name__)
 
 #: the most rounds of the body of the first person, with which learning begins
 REFERENCE_ROUNDS = 8
+#: the end of the name of the first step of a stage in the history
+START = "start"
 #: the most people in whose meshes a person's skeleton is placed
 MAX_TRIED = 3
 
 
 class PeopleState(NamedTuple):
-    """The state of learning from several people after a round."""
+    """The state of learning from several people after a round: with their meshes sufficient to resume."""
 
     people: tuple[Person, ...]
+    #: pairs of left and right joints whose bones stay equally long
+    left_right_pairs: Int[np.ndarray, "P 2"]
+    #: learning began with the joints of a given skeleton or of anatomy
+    has_given_joints: bool
     #: (step, Q), Q in squared metres, the sum over all people
-    history: tuple[tuple[str, float], ...]
-    round: int
+    history: tuple[tuple[str, float], ...] = ()
+    round: int = 0
 
 
 class LearnedPeople(NamedTuple):
@@ -87,6 +93,7 @@ def learn_people(
     fix_joints: bool = False,
     rounds: int = 30,
     on_round: Callable[[PeopleState], None] | None = None,
+    resume: PeopleState | None = None,
 ) -> LearnedPeople:
     """Learn one skeleton, one set of skinning weights and a shape space from registered meshes of several people.
 
@@ -101,44 +108,26 @@ def learn_people(
 
     **Arguments:** `people`, the meshes of each person by name, in one topology. A person may have a single mesh, whose joints are
     then those of the surface, if another one has several. `components`, the number of coefficients, at most one less than
-    people, which is the default. The others as of `learn_body`; a `Skeleton` is in the pose of the first mesh of the first person.
+    people, which is the default. `resume` continues from a state after a round, with the same result; the first body and its skeleton
+    are then those of the state. The others as of `learn_body`; a `Skeleton` is in the pose of the first mesh of the first person.
 
-    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does, and `InputError` as `check_people` does.
+    **Raises:** `ValueError` and `InputError` with one sentence as `learn_body` does, and `InputError` as `check_people` does, and for
+    a state of other people.
     """
     check_at_least(
         "learn_people", 1, rounds=rounds, **({} if components is None else {"components": components})
     )
     for message in check_people(people):
         _LOG.warning(message)
-    moving = find_moving(list(people.values()))
     names, sequences = tuple(people), list(people.values())
-    first, start = _choose_reference(sequences, moving, skeleton, joints, symmetry, names)
-    _LOG.info("learning a first body from %d meshes of %s", len(sequences[first]), names[first])
-    learned = learn_body(
-        sequences[first],
-        joints=joints,
-        skin=skin,
-        alpha=alpha,
-        symmetry=symmetry,
-        skeleton="none" if start is None else start,
-        fix_joints=fix_joints,
-        rounds=min(rounds, REFERENCE_ROUNDS),
-    )
-    for message in check_rest_alignment(learned.body.skeleton):
+    if resume is None:
+        state = _start(sequences, names, joints, skin, alpha, symmetry, skeleton, fix_joints, rounds)
+    else:
+        _check_state(resume, people)
+        state = resume
+    for message in check_rest_alignment(state.people[0].body.skeleton):
         _LOG.warning(message)
-    pairs, given = learned.left_right_pairs, _reference_centres(learned, fix_joints)
-    regressor = make_joint_regressor(learned.body)
-    state: list[Person] = []
-    for number, sequence in enumerate(sequences):
-        if number == first:
-            state.append(Person(learned.body, learned.motion.poses, sequence.vertices, given, FIRST_DAMPING))
-            continue
-        _LOG.info("giving the body the shape of %s", names[number])
-        state.append(
-            initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
-        )
-    repeated = tuple(repeat_meshes(person) for person in state)
-    found = _improve_all(PeopleState(repeated, (), 0), sequences, alpha, pairs, joints, rounds, on_round)
+    found = _improve_all(state, sequences, alpha, joints, rounds, on_round)
     space = make_shape_space([person.body for person in found.people], components)
     motions = tuple(
         Motion(take_poses(person.poses, np.arange(len(sequence))), sequence.rate)
@@ -153,10 +142,62 @@ def learn_people(
         space.coefficients,
         motions,
         space.explained,
-        pairs,
+        found.left_right_pairs,
         found.history,
-        None if learned.given is None else _mean_given(found.people),
+        _mean_given(found.people) if found.has_given_joints else None,
     )
+
+
+def _start(
+    sequences: Sequence[MeshSequence],
+    names: Sequence[str],
+    joints: int | None,
+    skin: SkinName,
+    alpha: float,
+    symmetry: bool | np.ndarray,
+    skeleton: Skeleton | SkeletonName,
+    fix_joints: bool,
+    rounds: int,
+) -> PeopleState:
+    """Learn a body from one person, and give it the shape of all others."""
+    moving = find_moving(sequences)
+    first, start = _choose_reference(sequences, moving, skeleton, joints, symmetry, names)
+    _LOG.info("learning a first body from %d meshes of %s", len(sequences[first]), names[first])
+    learned = learn_body(
+        sequences[first],
+        joints=joints,
+        skin=skin,
+        alpha=alpha,
+        symmetry=symmetry,
+        skeleton="none" if start is None else start,
+        fix_joints=fix_joints,
+        rounds=min(rounds, REFERENCE_ROUNDS),
+    )
+    pairs, given = learned.left_right_pairs, _reference_centres(learned, fix_joints)
+    regressor = make_joint_regressor(learned.body)
+    people: list[Person] = []
+    for number, sequence in enumerate(sequences):
+        if number == first:
+            people.append(Person(learned.body, learned.motion.poses, sequence.vertices, given, FIRST_DAMPING))
+            continue
+        _LOG.info("giving the body the shape of %s", names[number])
+        people.append(
+            initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
+        )
+    return PeopleState(
+        tuple(repeat_meshes(person) for person in people), np.asarray(pairs), learned.given is not None
+    )
+
+
+def _check_state(state: PeopleState, people: Mapping[str, MeshSequence]) -> None:
+    """Check that a state is one of these people. Raises `InputError`."""
+    here = [len(repeated_rows(len(sequence))) for sequence in people.values()]
+    there = [len(person.poses.rotations) for person in state.people]
+    if here != there:
+        raise InputError(
+            f"learn_people: `resume` has {len(there)} people with {', '.join(map(str, there))} meshes with repeated ones, but the "
+            f"meshes given are those of {len(here)} people with {', '.join(map(str, here))}; give the meshes with which the run began."
+        )
 
 
 def _choose_reference(
@@ -218,54 +259,74 @@ def _improve_all(
     state: PeopleState,
     sequences: Sequence[MeshSequence],
     alpha: float,
-    pairs: Int[np.ndarray, "P 2"],
     joints: int | None,
     rounds: int,
     on_round: Callable[[PeopleState], None] | None,
 ) -> PeopleState:
-    """Run rounds on a subset of the vertices, if there are many, align the rest poses, and run rounds on all."""
+    """Run rounds on a subset of the vertices, if there are many, align the rest poses, and run rounds on all.
+
+    The history shows which of both stages a state to resume from is in.
+    """
     faces = np.asarray(sequences[0].faces)
     everything = MeshSequence(jnp.concatenate([s.vertices[:1] for s in sequences]), faces)
     coarse = decimate_meshes(everything, num_coarse_vertices(joints))
     count, kept = len(coarse.nearest), len(coarse.kept)
     thin = make_mesh_metric(np.asarray(coarse.meshes.faces), kept, coarse_alpha(alpha, count, kept))
-    state = state._replace(people=tuple(_take_kept(person, coarse) for person in state.people))
     prefix = COARSE_PREFIX if kept < count else ""
-    state = _improve(state, thin, pairs, round(COARSE_SHARE * rounds), on_round, prefix)
-    if kept < count:
-        _LOG.info("transferring the body to all vertices")
-        grown = [_give_all(*each, coarse) for each in zip(state.people, sequences, strict=True)]
-        state = state._replace(people=tuple(grown))
-    state = state._replace(people=tuple(align_rest_poses(state.people)))
+    stage = sum(step.endswith(START) for step, _ in state.history)
+    if stage > 0:
+        given = zip(state.people, sequences, strict=True)
+        state = state._replace(people=tuple(_with_targets(*each, coarse) for each in given))
+    if stage < 2:
+        if stage == 0:
+            state = state._replace(people=tuple(_take_kept(person, coarse) for person in state.people))
+            state = _begin_stage(state, thin, prefix)
+        state = _improve(state, thin, round(COARSE_SHARE * rounds), on_round, prefix)
+        if kept < count:
+            _LOG.info("transferring the body to all vertices")
+            grown = [_give_all(*each, coarse) for each in zip(state.people, sequences, strict=True)]
+            state = state._replace(people=tuple(grown))
+        state = state._replace(people=tuple(align_rest_poses(state.people)))
     fine = thin if kept == count else make_mesh_metric(faces, count, alpha)
-    return _improve(state, fine, pairs, rounds, on_round, "")
+    if stage < 2:
+        state = _begin_stage(state, fine, "")
+    return _improve(state, fine, rounds, on_round, "")
+
+
+def _begin_stage(state: PeopleState, mesh: MeshMetric, prefix: str) -> PeopleState:
+    """Evaluate Q on a mesh; at the beginning of all, improve joints and poses first."""
+    people = [evaluate(person, mesh) for person in state.people]
+    for _ in range(FIRST_STEPS if state.round == 0 else 0):
+        people = [improve_joints_of(person, mesh, state.left_right_pairs) for person in people]
+    history = (*state.history, (prefix + START, total_value(people)))
+    return state._replace(people=tuple(people), history=history)
 
 
 def _improve(
     state: PeopleState,
     mesh: MeshMetric,
-    pairs: Int[np.ndarray, "P 2"],
     rounds: int,
     on_round: Callable[[PeopleState], None] | None,
     prefix: str,
 ) -> PeopleState:
     """Run rounds on one mesh until one lowers Q by little, or until the most rounds are reached."""
-    people = [evaluate(person, mesh) for person in state.people]
-    for _ in range(FIRST_STEPS if state.round == 0 else 0):
-        people = [improve_joints_of(person, mesh, pairs) for person in people]
-    state = PeopleState(tuple(people), (*state.history, (prefix + "start", total_value(people))), state.round)
-    is_first = True
     while state.round < rounds:
-        before = total_value(state.people)
-        people = improve_people(state.people, mesh, pairs, is_first)
-        value = total_value(people)
-        state = PeopleState(tuple(people), (*state.history, (prefix + "round", value)), state.round + 1)
+        values = _stage_values(state)
+        # the first round on a mesh is followed by another one
+        if len(values) > 2 and values[-1] > (1 - MIN_DECREASE) * values[-2]:
+            break
+        people = improve_people(state.people, mesh, state.left_right_pairs, len(values) == 1)
+        history = (*state.history, (prefix + "round", total_value(people)))
+        state = state._replace(people=tuple(people), history=history, round=state.round + 1)
         if on_round is not None:
             on_round(state)
-        if not is_first and value > (1 - MIN_DECREASE) * before:
-            break
-        is_first = False
     return state
+
+
+def _stage_values(state: PeopleState) -> list[float]:
+    """Return Q at the start of the stage and after each of its rounds."""
+    last = max(number for number, (step, _) in enumerate(state.history) if step.endswith(START))
+    return [value for _, value in state.history[last:]]
 
 
 def _take_kept(person: Person, coarse: DecimatedMeshes) -> Person:
@@ -273,6 +334,13 @@ def _take_kept(person: Person, coarse: DecimatedMeshes) -> Person:
     kept = jnp.asarray(coarse.kept)
     body = take_vertices(person.body, kept, coarse.meshes.faces)
     return person._replace(body=body, targets=person.targets[:, kept])
+
+
+def _with_targets(person: Person, sequence: MeshSequence, coarse: DecimatedMeshes) -> Person:
+    """Give a person of a state the meshes again, with the vertices of its body."""
+    targets = sequence.vertices[repeated_rows(len(sequence))]
+    whole = len(person.body.vertices) == len(coarse.nearest)
+    return person._replace(targets=targets if whole else targets[:, jnp.asarray(coarse.kept)])
 
 
 def _give_all(person: Person, sequence: MeshSequence, coarse: DecimatedMeshes) -> Person:

@@ -11,8 +11,10 @@ import jaxcap as jc
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses
+from jaxcap.cli.learn.people_state import load_people_state, make_people_checkpoint
 from jaxcap.errors import InputError
 from jaxcap.geometry.laplacian import energy, make_conformance
+from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.learn.people.check_people import (
     check_people,
     find_far_joints,
@@ -293,6 +295,34 @@ def test_people_are_distinguished_by_the_sizes_of_their_surface():
     assert len(find_people_by_size(shapes[0], faces)) == 1
     groups = find_people_by_size(np.concatenate([shapes[0], shapes[1][:2]]), faces)
     np.testing.assert_array_equal(groups[1], [6, 7])
+
+
+def test_a_run_is_continued_to_the_same_bits(rng, tmp_path):
+    bodies = {name: limb(*size) for name, size in {"a": (1.0, 0.06), "b": (1.2, 0.07)}.items()}
+    meshes = {
+        name: MeshSequence(posed_vertices(body, poses_of(body, rng)), body.faces)
+        for name, body in bodies.items()
+    }
+    states = []
+    options = {"skeleton": bodies["a"].skeleton, "skin": "lbs", "alpha": 1.0, "rounds": 5}
+    whole = jc.learn.learn_people(meshes, **options, on_round=states.append)
+    starts = [step for step, _ in whole.history].index("start", 1)
+    # in the first stage, and in the second one, which begins with another rest pose
+    for number in (0, len(states) - 2):
+        assert (len(states[number].history) <= starts) == (number == 0)
+        path = tmp_path / f"{number}.npz"
+        save_checkpoint(path, make_people_checkpoint(states[number], 30.0), {"alpha": 1.0})
+        state = load_people_state(path, {"alpha": 1.0}, True, False)
+        again = jc.learn.learn_people(meshes, **options, resume=state)
+        assert again.history == whole.history
+        for found, expected in zip(jax.tree.leaves(again), jax.tree.leaves(whole), strict=True):
+            np.testing.assert_array_equal(found, expected)
+    with pytest.raises(InputError, match="2 people with 4, 4 meshes"):
+        jc.learn.learn_people({**meshes, "b": meshes["b"][:3]}, **options, resume=states[0])
+    with pytest.raises(InputError, match="started with alpha"):
+        load_people_state(path, {"alpha": 2.0}, True, False)
+    with pytest.raises(InputError, match="an unfinished run exists"):
+        load_people_state(path, {"alpha": 1.0}, False, False)
 
 
 @pytest.mark.slow

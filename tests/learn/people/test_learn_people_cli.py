@@ -16,8 +16,10 @@ from jaxcap.cli.learn import people as verb
 from jaxcap.cli.learn.people_input import find_people, names_people, read_people
 from jaxcap.errors import InputError
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
-from jaxcap.learn.people.learn_people import LearnedPeople
+from jaxcap.learn.people.learn_people import LearnedPeople, PeopleState
+from jaxcap.learn.people.person import Person, repeat_meshes
 from jaxcap.learn.people.shape_space import make_shape_space
+from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from tests.learn.people.made_limb import limb
 
 SIZES = {"anna": (1.0, 0.06), "ben": (1.2, 0.07), "carl": (1.1, 0.05)}
@@ -152,11 +154,59 @@ def test_a_model_and_the_parameters_of_each_person_are_written(
     np.testing.assert_allclose(np.ptp(there.vertices, axis=0), np.ptp(body.vertices, axis=0), atol=1e-4)
 
 
+def test_a_stopped_run_of_people_is_continued(scene, instant_learner, tmp_path, monkeypatch, capsys):
+    folder, bodies, poses = scene
+    monkeypatch.chdir(folder)
+    out, learner = tmp_path / "model.npz", verb.learn_people
+
+    def stopped(people, *, on_round, **options):
+        state = PeopleState(
+            tuple(
+                repeat_meshes(
+                    Person(
+                        bodies[name],
+                        poses[name],
+                        meshes.vertices,
+                        GivenCentres(bodies[name].skeleton.centres),
+                        0.5,
+                        2.0,
+                    )
+                )
+                for name, meshes in people.items()
+            ),
+            np.zeros((0, 2), int),
+            True,
+            (("coarse start", 3.0), ("coarse round", 2.0)),
+            1,
+        )
+        on_round(state)
+        raise KeyboardInterrupt
+
+    command = ("learn", "anna", "ben", str(folder / "carl.npz"), "--people", "-o", out)
+    monkeypatch.setattr(verb, "learn_people", stopped)
+    with pytest.raises(SystemExit) as stop:
+        runs(capsys, *command)
+    assert stop.value.code == 130 and "round 1 is saved in" in capsys.readouterr().err
+    assert (tmp_path / "model.npz.partial").is_file() and not out.exists()
+    monkeypatch.setattr(verb, "learn_people", learner)
+    assert "an unfinished run exists" in fails(capsys, *command)
+    assert "started with alpha" in fails(capsys, *command, "--resume", "--alpha", "7")
+    assert "started with meshes" in fails(capsys, "learn", "anna", "ben", "--people", "-o", out, "--resume")
+    printed = runs(capsys, *command, "--resume")
+    state = instant_learner["resume"]
+    assert state.round == 1 and state.has_given_joints and len(state.people) == 3
+    for person, name in zip(state.people, SIZES, strict=True):
+        np.testing.assert_array_equal(person.body.vertices, bodies[name].vertices)
+        assert (person.damping, person.value, person.num_meshes) == (0.5, 2.0, 3)
+    assert out.is_file() and not (tmp_path / "model.npz.partial").exists(), printed
+    assert "this run is already complete" in runs(capsys, *command, "--resume")
+
+
 def test_options_that_are_for_one_person_are_refused(scene, instant_learner, tmp_path, monkeypatch, capsys):
     folder, _, _ = scene
     monkeypatch.chdir(folder)
     out = tmp_path / "model.npz"
-    for extra in ("--resume", "--free-bones", "--correctives"):
+    for extra in ("--free-bones", "--correctives"):
         assert f"{extra} is for the meshes of one person" in fails(
             capsys, "learn", "anna", "ben", "--people", extra, "-o", out
         )
