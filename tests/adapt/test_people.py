@@ -11,7 +11,7 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
-from jaxcap.adapt.shape import tracked_shape
+from jaxcap.adapt.shape import people_shapes, tracked_shape
 from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
@@ -206,6 +206,19 @@ def test_two_people_in_the_same_clouds_have_their_own_shapes(tracked):
     small, large = sorted(found, key=lambda body: float(jnp.ptp(body.vertices[:, 1])))
     assert joints_off(small, person) < 0.012
     assert joints_off(large, tracker.body) < 0.012
+
+
+def test_a_person_who_is_always_near_another_one_has_a_shape(tracked, monkeypatch):
+    person, tracker, clouds, poses, space = tracked
+
+    own = people_shapes._OwnFrames({}, {}, {}, dict(enumerate(clouds)))
+    for number, verdict in enumerate(("good", "good", "doubtful")):
+        own.add(number, poses[number], verdict, True)
+    assert (list(own.apart), list(own.good), list(own.others)) == ([], [0, 1], [2])
+    own.touching[2] = own.others.pop(2)
+    monkeypatch.setattr(people_shapes, "_track", lambda *_: [own])
+    (found,) = estimate_people_shapes(tracker, clouds, 1, space)
+    assert joints_off(found, person) < 0.01
 
 
 def test_frames_of_which_none_is_good_are_refused(tracked, monkeypatch):

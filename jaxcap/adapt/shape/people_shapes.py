@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...observe.clouds import Cloud
 from ...observe.floors_and_walls import without_room
 from ...tracking.advance import FirstSearch, make_follower
-from ...tracking.people.person_frame import APART, PersonFrame, present_people
+from ...tracking.people.person_frame import APART, present_people
 from ...tracking.people.scene import person_cloud, share_points
 from ...tracking.people.track_people import track_people
 from ...tracking.track_frame import Tracker, replace_body
@@ -28,10 +28,22 @@ _LOG = logging.getLogger(__name__)
 class _OwnFrames(NamedTuple):
     """The frames of one person, by number: poses, and clouds with the weights of this person's points."""
 
-    #: frames with the verdict `good`, away from other people
-    good: dict[int, Pose]
+    #: frames with the verdict `good`, away from other people and next to them
+    apart: dict[int, Pose]
+    touching: dict[int, Pose]
+    #: frames with other verdicts
     others: dict[int, Pose]
     clouds: dict[int, Cloud]
+
+    @property
+    def good(self) -> dict[int, Pose]:
+        """The frames that show the shape of the person: those in which it touches others only if there are no others."""
+        return self.apart or self.touching
+
+    def add(self, number: int, pose: Pose, verdict: str, is_near: bool) -> None:
+        """Add the pose of a frame with a verdict, in which the person is near another one or not."""
+        frames = self.others if verdict != "good" else self.touching if is_near else self.apart
+        frames[number] = pose
 
 
 @checked
@@ -110,7 +122,7 @@ def _track(
     frames = track_people(given, clouds, num_people, search=search, up=up, planes=())
     for number, (cloud, people) in enumerate(zip(clouds, frames, strict=True)):
         _LOG.info("tracking frame %d of %d for the shapes of the people", number + 1, len(clouds))
-        found += [_OwnFrames({}, {}, {}) for _ in people[len(found) :]]
+        found += [_OwnFrames({}, {}, {}, {}) for _ in people[len(found) :]]
         present = present_people(people)
         everyone = [followers[k if len(followers) > 1 else 0] for k in range(len(people))]
         states = {k: people[k].tracked.state.estimate for k in present}
@@ -123,10 +135,5 @@ def _track(
         for k in present:
             own = found[k]
             own.clouds[number] = person_cloud(cloud, divided, k)
-            (own.good if _shows_shape(people[k]) else own.others)[number] = people[k].pose
+            own.add(number, people[k].pose, people[k].verdict, bool(jnp.any(people[k].contacts != APART)))
     return found
-
-
-def _shows_shape(person: PersonFrame) -> bool:
-    """Test if a frame of a person is good, and the person is away from all others."""
-    return person.verdict == "good" and not bool(jnp.any(person.contacts != APART))
