@@ -140,7 +140,9 @@ def _rebuild_body(
     skin = _skin(body, skeleton, lambda shares: change(shares)[:, order])
     new = Body(skeleton, skin, body.vertices, body.faces)
     moved = BoneMotions(bones.rotations[:, order], bones.translations[:, order])
-    poses = _fit_poses(skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.dominant_bones()))
+    poses = fit_edited_poses(
+        skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.dominant_bones())
+    )
     poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), poses)
     return EditedBody(new, poses, _renumber_pairs(pairs, body.skeleton, parents, order))
 
@@ -173,7 +175,12 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
     )
 
 
-def _fit_poses(skeleton: Skeleton, bones: BoneMotions, rest: np.ndarray, labels: np.ndarray) -> Pose:
+def fit_edited_poses(
+    skeleton: Skeleton,
+    bones: BoneMotions,
+    rest: Float[np.ndarray, "V 3"],
+    labels: Int[np.ndarray, "V"],
+) -> Pose:
     """Fit poses to given bone motions; bones without vertices count by the frame at their centre."""
     centres = np.asarray(skeleton.centres, float)
     width = FRAME_WIDTH * float(np.linalg.norm(np.ptp(rest, axis=0)))
