@@ -175,16 +175,8 @@ def learn_body(
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):
         state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
-    return Learned(
-        state.body,
-        state.motion,
-        state.left_right_pairs,
-        state.history,
-        state.curve,
-        state.given,
-        mirror,
-        message,
-    )
+    kept = state.body, state.motion, state.left_right_pairs, state.history, state.curve, state.given
+    return Learned(*kept, mirror, message)
 
 
 class _Stage(NamedTuple):
@@ -281,17 +273,8 @@ def _improve(
         if state.round == 0 and not loose:
             state = _improve_joints(state, stage, FIRST_STEPS)
     if loose:
-        free = exchanging == "free"
-        return improve_linear_skin(
-            state,
-            stage.meshes.vertices,
-            rounds,
-            on_round,
-            exchanging != "no",
-            free,
-            stage.prefix,
-            stage.symmetry,
-        )
+        kind = exchanging != "no", exchanging == "free", stage.prefix, stage.symmetry
+        return improve_linear_skin(state, stage.meshes.vertices, rounds, on_round, *kind)
     while state.round < rounds:
         settled = _settled(state, stage)
         first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from .judge_map import MapQuality
 from .point_map import PointMap
@@ -24,9 +24,9 @@ class SurfaceSymmetry(NamedTuple):
         """The vertex nearest to the mirrored point of each vertex."""
         return PointMap(self.corners, self.weights).nearest
 
-    def mirrored_points(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    def mirrored_points(self, vertices: Float[np.ndarray | Array, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """Compute the mirrored point of each vertex in one mesh; it is on the other side, in the same pose."""
-        return PointMap(self.corners, self.weights).pull_back(vertices)
+        return PointMap(self.corners, self.weights).pull_back(np.asarray(vertices))
 
     def decimated(self, kept: Int[np.ndarray, "S"], nearest: Int[np.ndarray, "V"]) -> "SurfaceSymmetry":
         """Restrict the map to some vertices, by the nearest one of them to each vertex."""
