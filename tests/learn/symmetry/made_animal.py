@@ -15,8 +15,9 @@ CELL = 0.03
 SHARPNESS = 60.0
 
 
-def make_animal(legs=((0, -1), (0, 1), (1, -1), (1, 1)), lengths=(1.0, 1.0, 1.0, 1.0)):
-    """Make vertices (V, 3) and faces (T, 3) of an animal with some legs, (front or hind, side), scaled in length."""
+def make_animal(legs=((0, -1), (0, 1), (1, -1), (1, 1)), lengths=(1.0, 1.0, 1.0, 1.0), cell=CELL):
+    """Make vertices (V, 3) and faces (T, 3) of an animal with some legs, (front or hind, side), scaled in length; edges are
+    about as long as a `cell`."""
     capsules = list(MIDDLE)
     for (leg, side), length in zip(legs, lengths, strict=True):
         top, foot, radius = LEGS[leg]
@@ -30,13 +31,13 @@ def make_animal(legs=((0, -1), (0, 1), (1, -1), (1, 1)), lengths=(1.0, 1.0, 1.0,
         gaps = np.linalg.norm(points[:, None] - starts - shares[..., None] * along, axis=-1) - radii
         return -np.log(np.exp(-SHARPNESS * gaps).sum(1)) / SHARPNESS
 
-    return surface_of(distance, np.array([0.4, 1.1, 1.0]))
+    return surface_of(distance, np.array([0.4, 1.1, 1.0]), cell)
 
 
-def surface_of(distance, half):
+def surface_of(distance, half, cell):
     """Make the closed surface where `distance` is zero, within a box of half sizes around the origin."""
-    counts = np.ceil(half / CELL).astype(int)
-    axes = [(np.arange(-count, count) + 0.5) * CELL for count in counts]
+    counts = np.ceil(half / cell).astype(int)
+    axes = [(np.arange(-count, count) + 0.5) * cell for count in counts]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     inside = distance(centres.reshape(-1, 3)).reshape(centres.shape[:3]) < 0
     quads = []
@@ -52,7 +53,7 @@ def surface_of(distance, half):
     grid, quads = np.unique(quads, axis=0, return_inverse=True)
     quads = quads.reshape(-1, 4)
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    vertices = (grid - counts) * CELL
+    vertices = (grid - counts) * cell
     for _ in range(6):
         values = distance(vertices)
         slopes = np.stack(
@@ -73,3 +74,15 @@ def rotate_leg(vertices, leg: int, side: int, angle: float):
     y = cosines * away[:, 1] - sines * away[:, 2]
     z = sines * away[:, 1] + cosines * away[:, 2]
     return hip + np.stack([away[:, 0], y, z], 1)
+
+
+def turn_head(vertices, angle: float):
+    """Turn neck and head to one side about the front end of the trunk, with a smooth transition."""
+    middle = np.array(MIDDLE[1][0])
+    weights = np.clip((vertices[:, 2] + 0.5 * (vertices[:, 1] - middle[1]) - middle[2] - 0.08) / 0.1, 0, 1)
+    weights = np.where(vertices[:, 1] > 0.55, weights, 0.0)
+    away = vertices - middle
+    cosines, sines = np.cos(weights * angle), np.sin(weights * angle)
+    x = cosines * away[:, 0] + sines * away[:, 2]
+    z = cosines * away[:, 2] - sines * away[:, 0]
+    return middle + np.stack([x, away[:, 1], z], 1)
