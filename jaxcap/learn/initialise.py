@@ -64,7 +64,7 @@ def initialise_from_motion(
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_reference_mesh(shapes, faces)]
     parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest, mirror)
-    tree = find_joint_tree(parts, parts.rest, faces)
+    tree = find_joint_tree(parts, parts.rest, faces, mirror)
     if mirror is None:
         pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
         skeleton = symmetrise(tree.skeleton, pairs)

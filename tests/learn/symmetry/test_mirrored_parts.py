@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
+from jaxcap.geometry.spanning_tree import spanning_tree
+from jaxcap.learn.skeleton.symmetric_tree import symmetric_joint_costs
 from jaxcap.learn.symmetry.judge_map import MapQuality
 from jaxcap.learn.symmetry.mirrored_parts import middle_joints, mirror_joints, mirror_parts
 from jaxcap.learn.symmetry.surface_symmetry import SurfaceSymmetry
@@ -92,3 +94,21 @@ def test_skeletons_become_symmetric(animal):
     # the neck was 40 mm off the middle
     assert abs(moved[skeleton.index("joint1"), 0]) < 0.004
     assert np.abs(moved - np.asarray(skeleton.centres, float)).max() < 0.05
+
+
+def test_the_tree_of_a_symmetric_surface_is_symmetric():
+    # pelvis and chest, two shoulders, head, and two arms; the cheapest tree hangs one shoulder below the other
+    partners = np.array([0, 1, 3, 2, 4, 6, 5])
+    pairs = np.array([[0, 1], [1, 2], [1, 3], [2, 3], [2, 4], [3, 4], [2, 5], [3, 6], [5, 6]])
+    costs = np.array([9.0, 7.0, 7.5, 1.0, 2.0, 2.5, 3.0, 8.0, 0.5])
+    areas = np.array([5.0, 6.0, 1.0, 1.0, 2.0, 1.0, 1.0])
+    found = spanning_tree(symmetric_joint_costs(costs, pairs, partners, areas), pairs, 7)
+    assert {tuple(pair) for pair in pairs[found].tolist()} == {(0, 1), (1, 2), (1, 3), (2, 4), (2, 5), (3, 6)}
+    # without the joint of one side the tree still connects all parts
+    fewer = np.delete(np.arange(9), 7)
+    found = spanning_tree(symmetric_joint_costs(costs[fewer], pairs[fewer], partners, areas), pairs[fewer], 7)
+    assert len(found) == 6
+    # parts that nothing mirrors have the cheapest tree
+    alone = np.full(7, -1)
+    found = spanning_tree(symmetric_joint_costs(costs, pairs, alone, areas), pairs, 7)
+    np.testing.assert_array_equal(np.sort(found), np.sort(spanning_tree(costs, pairs, 7)))
