@@ -17,8 +17,8 @@ def symmetric_joint_costs(
     """Make joints free of cost that form a symmetric tree, and all others more expensive than these.
 
     Parts that mirror each other are one node. The spanning tree of these nodes, with mean costs, is followed from the largest
-    part on the middle: joints below it come in pairs, except that a part on the middle that hangs below a pair has one
-    joint, as it can only hang below one of the two.
+    part on the middle: joints below it come in pairs, except that a part on the middle whose parent is one of a pair has one
+    joint, as a part has one parent.
 
     **Arguments:** costs of possible joints between `pairs` of parts; the part that mirrors each, itself on the middle and -1 if
     there is none; areas of the parts.
