@@ -19,7 +19,7 @@ from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .insert_and_remove import EditedBody, Removal, Split, insert_joint, remove_joint
 from .insertion_candidates import find_splits
 from .removal_candidates import find_removals
-from .symmetric_edits import group_removals, group_splits, make_edit_symmetric
+from .symmetric_edits import count_unpaired, group_removals, group_splits, make_edit_symmetric
 
 #: the share of a removal's cost that remains after all else has adapted
 LASTING_COST_SHARE = 0.1
@@ -51,7 +51,8 @@ def exchange_joints(
 
     **Arguments:** `targets` are the meshes of the state's body; `improve` replaces the body of the state by
     an edited one and improves it by a few rounds; `tries` is the most trials. With a `symmetry` of the surface, joints are
-    inserted and removed in pairs or on the middle, and all pairs are found again after each edit.
+    inserted and removed in pairs or on the middle, and all pairs are found again after each edit; one that leaves further joints
+    without a partner is not made.
 
     Only trees of "ball" joints below one "free" root are changed; others are returned unchanged.
     """
@@ -64,9 +65,10 @@ def exchange_joints(
         if not groups:
             break
         before = state.history[-1][1]
-        splits = [split for group in groups for split in group]
-        made = insert_joints(state.body, state.motion.poses, state.left_right_pairs, splits)
-        made, trial = _symmetric(made, symmetry), state
+        made, splits = _insert_groups(state, groups, symmetry)
+        if not splits:
+            break
+        trial = state
         if variable_count:
             # after improvement, idle new bones can be recognised
             trial = improve(state, made)
@@ -75,7 +77,11 @@ def exchange_joints(
         removals = select_removals(made.body, made.poses, targets, len(splits), variable_count, pairs)
         more = len(splits) - len(removals)
         if removals and (variable_count or more == 0):
-            trial = improve(trial, _symmetric(remove_joints(*made, removals), symmetry))
+            less = _symmetric(remove_joints(*made, removals), symmetry)
+            if _keeps_pairs(made, less, symmetry):
+                trial = improve(trial, less)
+            else:
+                more = len(splits)
         after = trial.history[-1][1]
         if (variable_count or more == 0) and after < (
             1 - MIN_DECREASE - MIN_GAIN_PER_JOINT * max(more, 0)
@@ -104,8 +110,11 @@ def _remove_redundant_joints(
     removals = select_removals(body, poses, targets, count, False, pairs)
     if not removals:
         return state
-    made = remove_joints(body, poses, state.left_right_pairs, removals)
-    trial = improve(state, _symmetric(made, symmetry))
+    before_removal = EditedBody(body, poses, state.left_right_pairs)
+    made = _symmetric(remove_joints(*before_removal, removals), symmetry)
+    if not _keeps_pairs(before_removal, made, symmetry):
+        return state
+    trial = improve(state, made)
     after = trial.history[-1][1]
     history = (*state.history, (step, min(after, before)))
     return (trial if after <= before else state)._replace(history=history)
@@ -120,6 +129,24 @@ def has_exchangeable_joints(body: Body) -> bool:
 def _symmetric(made: EditedBody, symmetry: SurfaceSymmetry | None) -> EditedBody:
     """Make an edited body symmetric, if its surface is."""
     return made if symmetry is None else make_edit_symmetric(made, symmetry)
+
+
+def _insert_groups(
+    state: LearnState, groups: Sequence[tuple[Split, ...]], symmetry: SurfaceSymmetry | None
+) -> tuple[EditedBody, list[Split]]:
+    """Insert groups of splits, without the last ones as long as these leave joints without a partner."""
+    old = EditedBody(state.body, state.motion.poses, state.left_right_pairs)
+    for number in range(len(groups), 0, -1):
+        splits = [split for group in groups[:number] for split in group]
+        made = _symmetric(insert_joints(*old, splits), symmetry)
+        if _keeps_pairs(old, made, symmetry):
+            return made, splits
+    return old, []
+
+
+def _keeps_pairs(old: EditedBody, new: EditedBody, symmetry: SurfaceSymmetry | None) -> bool:
+    """Test whether an edit leaves no further joint without a partner off the middle."""
+    return symmetry is None or count_unpaired(new.body, symmetry) <= count_unpaired(old.body, symmetry)
 
 
 def select_splits(

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Int
 
+from ...body.body import Body
 from ..skeleton.reparent import bone_motions
 from ..symmetry.surface_symmetry import SurfaceSymmetry
-from ..symmetry.symmetric_skeleton import make_symmetric
+from ..symmetry.symmetric_skeleton import make_symmetric, mirrored_joints
 from .insert_and_remove import EditedBody, Removal, Split, fit_edited_poses
 
 #: least overlap of a new bone with the mirrored other one, intersection over union of their vertices
@@ -28,6 +29,12 @@ def make_edit_symmetric(made: EditedBody, symmetry: SurfaceSymmetry) -> EditedBo
     poses = fit_edited_poses(found.skeleton, bones, rest, labels)
     poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, body.vertices.dtype), poses)
     return EditedBody(eqx.tree_at(lambda b: b.skeleton, body, found.skeleton), poses, found.pairs)
+
+
+def count_unpaired(body: Body, symmetry: SurfaceSymmetry) -> int:
+    """Count the joints that are neither in a pair nor on the middle."""
+    joints = mirrored_joints(body, symmetry)
+    return int((joints.partners < 0).sum())
 
 
 def group_splits(splits: Sequence[Split], symmetry: SurfaceSymmetry | None) -> list[tuple[Split, ...]]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 #: least overlap of a part with the mirrored other one, intersection over union of their areas
-MIN_OVERLAP = 0.5
+MIN_OVERLAP = 0.4
 
 
 class MirroredParts(NamedTuple):

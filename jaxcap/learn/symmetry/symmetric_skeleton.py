@@ -13,7 +13,7 @@ from ...body.skeleton import Skeleton
 from ...body.symmetry import symmetrise
 from ...geometry.mesh import mesh_edges, vertex_areas
 from ..skeleton.joints import MiddlePlanes
-from .mirrored_parts import middle_joints, mirror_joints, mirror_parts
+from .mirrored_parts import MirroredParts, middle_joints, mirror_joints, mirror_parts
 from .surface_symmetry import SurfaceSymmetry
 
 #: rounds that alternate between equal lengths and the middle
@@ -49,6 +49,15 @@ def make_symmetric(
     return SymmetricSkeleton(skeleton, joints.pairs)
 
 
+def mirrored_joints(body: Body, symmetry: SurfaceSymmetry) -> MirroredParts:
+    """Match the joints of a body with those that mirror them."""
+    areas = vertex_areas(np.asarray(body.vertices, float), np.asarray(body.faces))
+    labels, skeleton = np.asarray(body.skin.dominant_bones()), body.skeleton
+    return mirror_joints(
+        mirror_parts(labels, areas, symmetry.mirrored, skeleton.num_joints), skeleton.parents
+    )
+
+
 def middle_directions(body: Body, symmetry: SurfaceSymmetry) -> MiddlePlanes | None:
     """Build planes through the joints on the middle, across the line from one side to the other around each.
 
@@ -56,9 +65,7 @@ def middle_directions(body: Body, symmetry: SurfaceSymmetry) -> MiddlePlanes | N
     """
     labels, rest = np.asarray(body.skin.dominant_bones()), np.asarray(body.vertices, float)
     faces, skeleton = np.asarray(body.faces), body.skeleton
-    parts = mirror_parts(labels, vertex_areas(rest, faces), symmetry.mirrored, skeleton.num_joints)
-    joints = mirror_joints(parts, skeleton.parents)
-    middle = np.flatnonzero(middle_joints(joints, skeleton.parents))
+    middle = np.flatnonzero(middle_joints(mirrored_joints(body, symmetry), skeleton.parents))
     planes = _planes(skeleton, middle, labels, rest, faces, symmetry)
     if planes is None:
         return None
