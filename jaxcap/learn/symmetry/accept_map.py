@@ -4,12 +4,19 @@ from .judge_map import MapQuality
 
 #: bounds of an accepted map: deviation of distances, median and 99th percentile, as shares of the largest distance; least
 #: shares of the area that are consistent and reversed; least distance of exchanged limbs, as a share of the largest distance
-MAX_DEVIATION, MAX_LARGEST_DEVIATION, MIN_CONSISTENT, MIN_REVERSED, MIN_REACH = 0.03, 0.15, 0.8, 0.85, 0.3
+MAX_DEVIATION, MAX_LARGEST_DEVIATION, MIN_CONSISTENT, MIN_REVERSED, MIN_REACH = 0.03, 0.15, 0.8, 0.8, 0.3
+#: the reversed share of the area from which a map that is not yet fully refined may become a reflection
+MIN_LIKELY = 0.75
 
 
-def is_reflection(quality: MapQuality) -> bool:
-    """Test whether a map is a reflection that exchanges limbs, as opposed to the identity and to rotations."""
-    return quality.reversed >= MIN_REVERSED and quality.reach >= MIN_REACH
+def preference(quality: MapQuality) -> tuple[bool, float]:
+    """Rank maps that are not yet fully refined, the lowest first.
+
+    Among reflections that exchange limbs the one with the least deviation comes first; among all others, such as the identity
+    and rotations, the one that reverses the orientation most.
+    """
+    is_likely = quality.reversed >= MIN_LIKELY and quality.reach >= MIN_REACH
+    return not is_likely, quality.relative_deviation if is_likely else -quality.reversed
 
 
 def objections(quality: MapQuality) -> list[str]:

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from ...arguments import checked
 from ...geometry.sampling import farthest_points
 from ...observe.meshes import MeshSequence
-from .accept_map import describe, is_reflection, objections
+from .accept_map import describe, objections, preference
 from .coarse_surface import CoarseSurface, make_coarse_surface
 from .extremities import Exchange, Extremities, find_extremities, list_exchanges
 from .intrinsic_surface import geodesic_distances
@@ -79,7 +79,7 @@ def _search(searched: _Searched) -> tuple[_Refined | None, str]:
             "their distances along the surface"
         )
     trials = [_refine(searched, _first_images(searched, exchange), TRIAL_FUNCTIONS) for exchange in exchanges]
-    trials.sort(key=lambda trial: (not is_reflection(trial.quality), trial.quality.deviation))
+    trials.sort(key=lambda trial: preference(trial.quality))
     best = _refine(searched, trials[0].points.nearest, EIGENFUNCTIONS)
     rivals = [
         trial
