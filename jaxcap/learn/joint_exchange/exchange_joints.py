@@ -19,7 +19,7 @@ from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .insert_and_remove import EditedBody, Removal, Split, insert_joint, remove_joint
 from .insertion_candidates import find_splits
 from .removal_candidates import find_removals
-from .symmetric_edits import count_unpaired, group_removals, group_splits, make_edit_symmetric
+from .symmetric_edits import count_unpaired, group_removals, group_splits, make_edit_symmetric, mirror_groups
 
 #: the share of a removal's cost that remains after all else has adapted
 LASTING_COST_SHARE = 0.1
@@ -160,7 +160,9 @@ def select_splits(
     most = max(1, round(AT_ONCE * body.skeleton.num_joints))
     groups, taken, count = [], set(), 0
     found = find_splits(body, poses, targets, None if symmetry is None else symmetry.mirrored)
-    for group in group_splits(found, symmetry):
+    candidates = group_splits(found, symmetry)
+    candidates = candidates if symmetry is None else mirror_groups(candidates, body, poses, symmetry)
+    for group in candidates:
         moved = set().union(*(_moved(split) for split in group))
         fits = not groups or count + len(group) <= most
         if sum(split.gain for split in group) > least * len(group) and not taken & moved and fits:

@@ -62,15 +62,7 @@ def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: 
     allows."""
     old = body.skeleton
     count = old.num_joints
-    bones = bone_motions(old, poses)
-    moved = BoneMotions(
-        np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
-        np.concatenate([bones.translations, split.translations[:, 1:]], 1),
-    )
-    moved.rotations[:, split.joint], moved.translations[:, split.joint] = (
-        split.rotations[:, 0],
-        split.translations[:, 0],
-    )
+    moved = split_motions(bone_motions(old, poses), split)
     parents = [*old.parents, -1]
     centres = np.concatenate([np.asarray(old.centres, float), np.zeros((1, 3))])
     for joint, parent, centre in split.reparented:
@@ -86,6 +78,19 @@ def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: 
         return insert_weights(shares, split)
 
     return _rebuild_body(body, pairs, names, parents, centres, orientations, moved, keep, insert)
+
+
+def split_motions(bones: BoneMotions, split: Split) -> BoneMotions:
+    """Return the motions of all bones after a split, those of the new bone last."""
+    moved = BoneMotions(
+        np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
+        np.concatenate([bones.translations, split.translations[:, 1:]], 1),
+    )
+    moved.rotations[:, split.joint], moved.translations[:, split.joint] = (
+        split.rotations[:, 0],
+        split.translations[:, 0],
+    )
+    return moved
 
 
 def insert_weights(weights: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:

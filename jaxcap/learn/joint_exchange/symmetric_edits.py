@@ -6,16 +6,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from ...body.body import Body
-from ..skeleton.reparent import bone_motions
+from ...body.pose import Pose
+from ...geometry.procrustes import nearest_rotation
+from ..skeleton.reparent import MAX_CENTRE_SHIFT, bone_motions, common_points
 from ..symmetry.surface_symmetry import SurfaceSymmetry
 from ..symmetry.symmetric_skeleton import make_symmetric, mirrored_joints
-from .insert_and_remove import EditedBody, Removal, Split, fit_edited_poses
+from .insert_and_remove import EditedBody, Removal, Split, fit_edited_poses, split_motions
 
 #: least overlap of a new bone with the mirrored other one, intersection over union of their vertices
 MIN_OVERLAP = 0.3
+#: the number of vertices around a joint whose mirrored points show where the mirrored joint is
+NEAR = 80
 #: weight from which a vertex belongs to a new bone
 CORE = 0.5
 
@@ -61,6 +65,44 @@ def group_splits(splits: Sequence[Split], symmetry: SurfaceSymmetry | None) -> l
             taken |= {row, partner}
             groups.append(group)
     return sorted(groups, key=lambda group: -float(np.mean([split.gain for split in group])))
+
+
+def mirror_groups(
+    groups: Sequence[tuple[Split, ...]], body: Body, poses: Pose, symmetry: SurfaceSymmetry
+) -> list[tuple[Split, ...]]:
+    """Give the second split of each pair the mirrored tree of the first one, so that both have the same place in the tree.
+
+    Its joints are where the motions of its own bones have common points, near the mirrored joints.
+    """
+    partners = mirrored_joints(body, symmetry).partners
+    rest = np.asarray(body.vertices, float)
+    points, size = symmetry.mirrored_points(rest), float(np.linalg.norm(np.ptp(rest, axis=0)))
+    bones = bone_motions(body.skeleton, poses)
+
+    def mirror(first: Split, second: Split) -> Split:
+        place = np.append(partners, len(partners))
+        rows = [(int(place[joint]), int(place[above]), centre) for joint, above, centre in first.reparented]
+        if any(joint < 0 or above < 0 for joint, above, _ in rows):
+            return second
+        reach = MAX_CENTRE_SHIFT * size
+        wanted = [(joint, above, mirror_point(centre, rest, points), reach) for joint, above, centre in rows]
+        centres, _ = common_points(wanted, split_motions(bones, second), size)
+        return second._replace(
+            reparented=tuple((*row[:2], centre) for row, centre in zip(rows, centres, strict=True))
+        )
+
+    return [group if len(group) == 1 else (group[0], mirror(*group)) for group in groups]
+
+
+def mirror_point(
+    point: Float[np.ndarray, "3"], vertices: Float[np.ndarray, "V 3"], mirrored: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "3"]:
+    """Carry a point to the other side, by the reflection that maps the vertices around it best to their mirrored points."""
+    near = np.argsort(np.sum((vertices - point) ** 2, 1))[:NEAR]
+    source, target = vertices[near].mean(0), mirrored[near].mean(0)
+    # the best rotation after a reflection through the origin
+    turn = nearest_rotation(-(mirrored[near] - target).T @ (vertices[near] - source))
+    return target - turn @ (point - source)
 
 
 def group_removals(

@@ -8,7 +8,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.joint_exchange.exchange_joints import exchange_joints
 from jaxcap.learn.joint_exchange.insert_and_remove import Removal, Split
-from jaxcap.learn.joint_exchange.symmetric_edits import group_removals, group_splits
+from jaxcap.learn.joint_exchange.symmetric_edits import group_removals, group_splits, mirror_point
 from jaxcap.learn.objective import objective
 from jaxcap.learn.state import LearnState
 from jaxcap.learn.symmetry.judge_map import MapQuality
@@ -89,3 +89,12 @@ def test_an_exchange_on_a_symmetric_tube_makes_pairs(rng):
     lengths = [abs(centres[joint] - centres[skeleton.parents[joint]]) for joint in outer[0]]
     assert abs(lengths[0] - lengths[1]) < 1e-6
     assert jnp.isfinite(after.body.vertices).all()
+
+
+def test_points_are_mirrored_with_the_surface_around_them(rng):
+    vertices = rng.normal(size=(200, 3))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn = turn * -np.sign(np.linalg.det(turn))
+    points = vertices @ turn.T + [1.0, 2.0, 3.0]
+    wanted = turn @ vertices[7] + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(mirror_point(vertices[7], vertices, points), wanted, atol=1e-9)
