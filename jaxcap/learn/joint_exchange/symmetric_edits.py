@@ -70,7 +70,7 @@ def group_splits(splits: Sequence[Split], symmetry: SurfaceSymmetry | None) -> l
 def mirror_groups(
     groups: Sequence[tuple[Split, ...]], body: Body, poses: Pose, symmetry: SurfaceSymmetry
 ) -> list[tuple[Split, ...]]:
-    """Give the second split of each pair the mirrored tree of the first one, so that both have the same place in the tree.
+    """Mirror the tree of the first split of each pair for the second one, so that both have the same place in the tree.
 
     Its joints are where the motions of its own bones have common points, near the mirrored joints.
     """

@@ -10,7 +10,7 @@ MIN_LIKELY = 0.75
 
 
 def preference(quality: MapQuality) -> tuple[bool, float]:
-    """Rank maps that are not yet fully refined, the lowest first.
+    """Compute the rank of a map that is not yet fully refined; the lowest one is the best.
 
     Among reflections that exchange limbs the one with the least deviation comes first; among all others, such as the identity
     and rotations, the one that reverses the orientation most.
