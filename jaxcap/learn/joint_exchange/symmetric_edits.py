@@ -97,7 +97,7 @@ def mirror_groups(
 def mirror_point(
     point: Float[np.ndarray, "3"], vertices: Float[np.ndarray, "V 3"], mirrored: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "3"]:
-    """Carry a point to the other side, by the reflection that maps the vertices around it best to their mirrored points."""
+    """Map a point to the other side, by the reflection that maps the vertices around it best to their mirrored points."""
     near = np.argsort(np.sum((vertices - point) ** 2, 1))[:NEAR]
     source, target = vertices[near].mean(0), mirrored[near].mean(0)
     # the best rotation after a reflection through the origin
