@@ -14,3 +14,5 @@ from .people.learn_people import PeopleState as PeopleState
 from .people.learn_people import learn_people as learn_people
 from .skeleton.solve_joints import JointSolution as JointSolution
 from .skeleton.solve_joints import solve_joints as solve_joints
+from .symmetry.find_symmetry import find_symmetry as find_symmetry
+from .symmetry.surface_symmetry import SurfaceSymmetry as SurfaceSymmetry

@@ -26,6 +26,8 @@ from .skeleton.joint_tree import find_joint_tree, pose_parts
 from .skeleton.left_right_pairs import detect_left_right_pairs
 from .skeleton.pose_from_parts import fit_poses
 from .skeleton.reference_mesh import choose_reference_mesh
+from .symmetry.surface_symmetry import SurfaceSymmetry
+from .symmetry.symmetric_skeleton import make_symmetric
 
 SkinName = Literal["swing_twist", "lbs", "rigid"]
 
@@ -44,22 +46,30 @@ class InitialBody(NamedTuple):
 
 
 def initialise_from_motion(
-    meshes: MeshSequence, joints: int | None, skin: SkinName, symmetry: bool | Int[np.ndarray, "P 2"]
+    meshes: MeshSequence,
+    joints: int | None,
+    skin: SkinName,
+    symmetry: bool | Int[np.ndarray, "P 2"],
+    mirror: SurfaceSymmetry | None = None,
 ) -> InitialBody:
     """Segment the meshes into rigid parts, connect the parts by joints, and pose the skeleton.
 
     **Arguments:** `joints` is the number of joints, one less than the number of parts; None chooses it from
-    the motion. `symmetry` finds the pairs (True), uses none (False), or is the array of pairs.
+    the motion. `symmetry` finds the pairs (True), uses none (False), or is the array of pairs. With a `mirror`, the symmetry
+    of the surface, parts and joints are on the middle or in pairs.
 
     **Raises:** `ValueError` for meshes with fewer parts than requested, and for pairs with invalid joint
     indices.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_reference_mesh(shapes, faces)]
-    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest)
-    tree = find_joint_tree(parts, parts.rest, faces)
-    pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
-    skeleton = symmetrise(tree.skeleton, pairs)
+    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest, mirror)
+    tree = find_joint_tree(parts, parts.rest, faces, mirror)
+    if mirror is None:
+        pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
+        skeleton = symmetrise(tree.skeleton, pairs)
+    else:
+        skeleton, pairs = make_symmetric(tree.skeleton, tree.parts.labels, parts.rest, faces, mirror)
     poses = pose_parts(skeleton, tree.parts, parts.rest)
     body = _bind(skeleton, skin, tree.parts.labels, parts.rest, meshes)
     return InitialBody(body, _cast(poses, meshes), pairs, parts.curve)

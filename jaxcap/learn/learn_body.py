@@ -36,6 +36,9 @@ from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
+from .symmetry.choose_symmetry import choose_symmetry
+from .symmetry.surface_symmetry import SurfaceSymmetry
+from .symmetry.symmetric_skeleton import middle_directions
 from .variable_projection.learning_rounds import VERTICES, improve_linear_skin
 from .variable_projection.solve_blend_problem import optimise_all_vertices
 from .weights.improve_weights import improve_weights
@@ -80,6 +83,10 @@ class Learned(NamedTuple):
     curve: Float[np.ndarray, "N"]
     #: where the anatomy or a given skeleton has the joints in the rest shape; None if they were found from the motion
     given: GivenCentres | None = None
+    #: the left-right symmetry of the surface by which joints were paired; None if it was not found or not searched
+    symmetry: SurfaceSymmetry | None = None
+    #: a sentence about this symmetry, or why there is none; empty if it was not searched
+    symmetry_message: str = ""
 
 
 @checked
@@ -110,8 +117,9 @@ def learn_body(
 
     **Arguments:** `joints` is the number of joints between parts; None chooses it from the motion, and joints
     must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
-    `symmetry` keeps left and right bones equally long, in pairs that are detected or given as `(P, 2)`
-    indices of joints. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
+    `symmetry` keeps left and right bones equally long, in pairs that are found or given as `(P, 2)`
+    indices of joints. Pairs are those of a skeleton's names. Without names they follow from the symmetry of the surface
+    (`find_symmetry`), or, if it has none, from lengths and areas. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
     meshes (`find_person`); they are a prior on the joint centres, and joints on the middle of the body stay there. "none"
     searches for joints freely. "automatic" is "human" if a person is recognised and neither `joints` nor `free_bones` nor pairs are
     given. A `Skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
@@ -131,6 +139,9 @@ def learn_body(
     exchanging: ExchangeMode = "no" if given or whole is not None else "free" if joints is None else "fixed"
     known = tree.body.skeleton if isinstance(tree, PlacedPerson) else tree
     simple = known is None or has_only_ball_joints(known)
+    # pairs with names, and those that the user gives, need no search
+    is_searched = symmetry is True and not given and not free_bones
+    mirror, message = choose_symmetry(meshes) if is_searched else (None, "")
     loose = skin == "lbs" and alpha < MAX_PROJECTION_ALPHA and whole is None and simple
     coarse = decimate_meshes(meshes, VERTICES if loose else num_coarse_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
@@ -138,7 +149,8 @@ def learn_body(
         _LOG.info("segmenting rigid parts and estimating joints")
         # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
         on_coarse = joints is not None and not given and whole is None
-        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones)
+        some = mirror.decimated(coarse.kept, coarse.nearest) if mirror is not None and on_coarse else mirror
+        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones, some)
         sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.left_right_pairs, FIRST_DAMPING, (), 0, start.curve)
@@ -150,17 +162,21 @@ def learn_body(
         state = resume
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(
-            coarse.meshes, coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)), COARSE_PREFIX
+            coarse.meshes,
+            coarse_alpha(alpha, len(coarse.nearest), len(coarse.kept)),
+            COARSE_PREFIX,
+            symmetry=None if mirror is None else mirror.decimated(coarse.kept, coarse.nearest),
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("transferring the body to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, loose))
     energies = None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
-    fine = _stage(meshes, alpha, "", energies)
+    fine = _stage(meshes, alpha, "", energies, mirror)
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):
         state = _improve(state, fine, rounds, on_round, "no" if thinned else exchanging, loose)
-    return Learned(state.body, state.motion, state.left_right_pairs, state.history, state.curve, state.given)
+    kept = state.body, state.motion, state.left_right_pairs, state.history, state.curve, state.given
+    return Learned(*kept, mirror, message)
 
 
 class _Stage(NamedTuple):
@@ -171,11 +187,18 @@ class _Stage(NamedTuple):
     curvature: Curvature
     prefix: str
     terms: AbstractEnergy | None
+    symmetry: SurfaceSymmetry | None
 
 
-def _stage(meshes: MeshSequence, alpha: float, prefix: str, terms: AbstractEnergy | None = None) -> _Stage:
+def _stage(
+    meshes: MeshSequence,
+    alpha: float,
+    prefix: str,
+    terms: AbstractEnergy | None = None,
+    symmetry: SurfaceSymmetry | None = None,
+) -> _Stage:
     metric = make_conformance(np.asarray(meshes.faces), meshes.vertices.shape[1], alpha)
-    return _Stage(meshes, metric, make_curvature(metric), prefix, terms)
+    return _Stage(meshes, metric, make_curvature(metric), prefix, terms, symmetry)
 
 
 def _value(body: Body, poses: Pose, stage: _Stage) -> float:
@@ -205,14 +228,14 @@ def _choose(
     return placed
 
 
-def _start(meshes, joints, skin, symmetry, tree, free_bones) -> InitialBody:
+def _start(meshes, joints, skin, symmetry, tree, free_bones, mirror) -> InitialBody:
     if free_bones:
         return initialise_free_bones(meshes, joints)
     if isinstance(tree, PlacedPerson):
         return initialise_from_person(meshes, tree, skin, symmetry)
     if tree is not None:
         return initialise_from_skeleton(meshes, tree, skin, symmetry)
-    return initialise_from_motion(meshes, joints, skin, symmetry)
+    return initialise_from_motion(meshes, joints, skin, symmetry, mirror)
 
 
 def _thin(body: Body, coarse: DecimatedMeshes) -> Body:
@@ -250,10 +273,8 @@ def _improve(
         if state.round == 0 and not loose:
             state = _improve_joints(state, stage, FIRST_STEPS)
     if loose:
-        free = exchanging == "free"
-        return improve_linear_skin(
-            state, stage.meshes.vertices, rounds, on_round, exchanging != "no", free, stage.prefix
-        )
+        kind = exchanging != "no", exchanging == "free", stage.prefix, stage.symmetry
+        return improve_linear_skin(state, stage.meshes.vertices, rounds, on_round, *kind)
     while state.round < rounds:
         settled = _settled(state, stage)
         first = state.round >= EXCHANGE_AFTER and not _has(state, stage, "exchange")
@@ -288,9 +309,8 @@ def _exchange(state: LearnState, stage: _Stage, free: bool) -> LearnState:
             after = _round(after, stage, far=number == 0)
         return after
 
-    return exchange_joints(
-        state, targets, improve, stage.prefix + "exchange", TRIALS if free else TRIALS - 1, free
-    )
+    tries, step = TRIALS if free else TRIALS - 1, stage.prefix + "exchange"
+    return exchange_joints(state, targets, improve, step, tries, free, stage.symmetry)
 
 
 def _has(state: LearnState, stage: _Stage, step: str) -> bool:
@@ -340,6 +360,7 @@ def _keep(state: LearnState, body: Body, stage: _Stage, step: str) -> LearnState
 
 
 def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
+    middle = None if stage.symmetry is None else middle_directions(state.body, stage.symmetry)
     for _ in range(steps):
         found = improve_joints(
             state.body,
@@ -352,6 +373,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             state.history[-1][1],
             given_centres=state.given,
             terms=stage.terms,
+            planes=middle,
         )
         state = state._replace(
             body=found.body,

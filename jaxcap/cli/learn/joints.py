@@ -6,14 +6,16 @@ from ..console.console import say, warn
 
 
 def say_joints(learned: Learned) -> None:
-    """Print the joints, the lengths of their bones left and right, and what the meshes show of them."""
+    """Print the symmetry, the joints, the lengths of their bones left and right, and what the meshes show of them."""
+    if learned.symmetry_message:
+        say(learned.symmetry_message)
     for line in describe_joints(evidence_of(learned), learned.given is not None):
         say(line)
     if learned.given is not None and learned.given.normals is not None:
         for message in far_joints(evidence_of(learned)):
             warn(message)
-    if not len(learned.left_right_pairs):
-        say("no left and right joints were paired")
+    count = len(learned.left_right_pairs)
+    say(f"{count} pairs of left and right joints" if count else "no left and right joints were paired")
 
 
 def evidence_of(learned: Learned) -> JointEvidence:

@@ -75,8 +75,8 @@ class Learn:
     """Do not constrain left and right limbs to equal lengths."""
     pairs: OptionalText = None
     """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
-    by the names of joints, or detected from the lengths and areas of the limbs. Without --skeleton, joints are then found
-    from the motion."""
+    by the names of joints, else by the symmetry of the surface, else by the lengths and areas of the limbs. Without
+    --skeleton, joints are then found from the motion."""
     people: Flag = False
     """MESHES show several people, and a body model of all is written: a folder, an .npz or the mesh files of a folder are one
     person. A pattern with a named part, such as "meshes/{subject}/*.ply", does the same for the text of this part."""
@@ -360,6 +360,7 @@ class Learn:
                 None if self.free_bones else evidence_of(learned),
                 learned.given,
                 correctives,
+                (learned.symmetry, learned.symmetry_message),
             )
             say(f"report.json and pictures are in {self.report}")
 

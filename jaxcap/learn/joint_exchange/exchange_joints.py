@@ -15,9 +15,11 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Body, posed_vertices
 from ...body.pose import Pose
 from ..state import LearnState
+from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .insert_and_remove import EditedBody, Removal, Split, insert_joint, remove_joint
 from .insertion_candidates import find_splits
 from .removal_candidates import find_removals
+from .symmetric_edits import count_unpaired, group_removals, group_splits, make_edit_symmetric, mirror_groups
 
 #: the share of a removal's cost that remains after all else has adapted
 LASTING_COST_SHARE = 0.1
@@ -37,6 +39,7 @@ def exchange_joints(
     step: str = "exchange",
     tries: int = 3,
     variable_count: bool = False,
+    symmetry: SurfaceSymmetry | None = None,
 ) -> LearnState:
     """Exchange joints as long as Q falls.
 
@@ -47,35 +50,47 @@ def exchange_joints(
     each trial, named `step`, and one if no trial is worthwhile.
 
     **Arguments:** `targets` are the meshes of the state's body; `improve` replaces the body of the state by
-    an edited one and improves it by a few rounds; `tries` is the most trials.
+    an edited one and improves it by a few rounds; `tries` is the most trials. With a `symmetry` of the surface, joints are
+    inserted and removed in pairs or on the middle, and all pairs are found again after each edit; one that leaves further joints
+    without a partner is not made.
 
     Only trees of "ball" joints below one "free" root are changed; others are returned unchanged.
     """
-    begun, most, splits = len(state.history), None, None
+    begun, most, groups = len(state.history), None, None
     for _ in range(tries if has_exchangeable_joints(state.body) else 0):
-        splits = select_splits(state.body, state.motion.poses, targets) if splits is None else splits
-        splits = splits if most is None else splits[:most]
-        if not splits:
+        groups = (
+            select_splits(state.body, state.motion.poses, targets, symmetry) if groups is None else groups
+        )
+        groups = groups if most is None else groups[:most]
+        if not groups:
             break
         before = state.history[-1][1]
-        made, trial = insert_joints(state.body, state.motion.poses, state.left_right_pairs, splits), state
+        made, splits = _insert_groups(state, groups, symmetry)
+        if not splits:
+            break
+        trial = state
         if variable_count:
             # after improvement, idle new bones can be recognised
             trial = improve(state, made)
             made = EditedBody(trial.body, trial.motion.poses, trial.left_right_pairs)
-        removals = select_removals(made.body, made.poses, targets, len(splits), variable_count)
+        pairs = None if symmetry is None else made.left_right_pairs
+        removals = select_removals(made.body, made.poses, targets, len(splits), variable_count, pairs)
         more = len(splits) - len(removals)
         if removals and (variable_count or more == 0):
-            trial = improve(trial, remove_joints(*made, removals))
+            less = _symmetric(remove_joints(*made, removals), symmetry)
+            if _keeps_pairs(made, less, symmetry):
+                trial = improve(trial, less)
+            else:
+                more = len(splits)
         after = trial.history[-1][1]
         if (variable_count or more == 0) and after < (
             1 - MIN_DECREASE - MIN_GAIN_PER_JOINT * max(more, 0)
         ) * before:
-            state, most, splits = trial._replace(history=(*state.history, (step, after))), None, None
+            state, most, groups = trial._replace(history=(*state.history, (step, after))), None, None
         else:
-            state, most = state._replace(history=(*state.history, (step, before))), len(splits) // 3
+            state, most = state._replace(history=(*state.history, (step, before))), len(groups) // 3
     if variable_count and has_exchangeable_joints(state.body):
-        state = _remove_redundant_joints(state, targets, improve, step)
+        state = _remove_redundant_joints(state, targets, improve, step, symmetry)
     if len(state.history) == begun:
         state = state._replace(history=(*state.history, (step, state.history[-1][1])))
     return state
@@ -86,14 +101,20 @@ def _remove_redundant_joints(
     targets: Float[Array, "F V 3"],
     improve: Callable[[LearnState, EditedBody], LearnState],
     step: str,
+    symmetry: SurfaceSymmetry | None,
 ) -> LearnState:
     """Remove joints without which Q does not rise after all else has adapted."""
     body, poses, before = state.body, state.motion.poses, state.history[-1][1]
-    count = max(1, round(AT_ONCE / 2 * body.skeleton.num_joints))
-    removals = select_removals(body, poses, targets, count, only_idle=False)
+    count = max(1 if symmetry is None else 2, round(AT_ONCE / 2 * body.skeleton.num_joints))
+    pairs = None if symmetry is None else state.left_right_pairs
+    removals = select_removals(body, poses, targets, count, False, pairs)
     if not removals:
         return state
-    trial = improve(state, remove_joints(body, poses, state.left_right_pairs, removals))
+    before_removal = EditedBody(body, poses, state.left_right_pairs)
+    made = _symmetric(remove_joints(*before_removal, removals), symmetry)
+    if not _keeps_pairs(before_removal, made, symmetry):
+        return state
+    trial = improve(state, made)
     after = trial.history[-1][1]
     history = (*state.history, (step, min(after, before)))
     return (trial if after <= before else state)._replace(history=history)
@@ -105,45 +126,83 @@ def has_exchangeable_joints(body: Body) -> bool:
     return kinds[0] == "free" and set(kinds[1:]) <= {"ball"} and parents.count(-1) == 1
 
 
-def select_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
-    """Select the splits of largest gain that share no joint.
+def _symmetric(made: EditedBody, symmetry: SurfaceSymmetry | None) -> EditedBody:
+    """Make an edited body symmetric, if its surface is."""
+    return made if symmetry is None else make_edit_symmetric(made, symmetry)
+
+
+def _insert_groups(
+    state: LearnState, groups: Sequence[tuple[Split, ...]], symmetry: SurfaceSymmetry | None
+) -> tuple[EditedBody, list[Split]]:
+    """Insert groups of splits, without the last ones as long as these leave joints without a partner."""
+    old = EditedBody(state.body, state.motion.poses, state.left_right_pairs)
+    for number in range(len(groups), 0, -1):
+        splits = [split for group in groups[:number] for split in group]
+        made = _symmetric(insert_joints(*old, splits), symmetry)
+        if _keeps_pairs(old, made, symmetry):
+            return made, splits
+    return old, []
+
+
+def _keeps_pairs(old: EditedBody, new: EditedBody, symmetry: SurfaceSymmetry | None) -> bool:
+    """Test whether an edit leaves no further joint without a partner off the middle."""
+    return symmetry is None or count_unpaired(new.body, symmetry) <= count_unpaired(old.body, symmetry)
+
+
+def select_splits(
+    body: Body, poses: Pose, targets: Float[Array, "F V 3"], symmetry: SurfaceSymmetry | None = None
+) -> list[tuple[Split, ...]]:
+    """Select the groups of splits of largest gain that share no joint: pairs and single ones.
 
     As many are taken as gain more than the expected cost of as many removals.
     """
     least = MIN_PREDICTED_GAIN * float(jnp.sum((targets - posed_vertices(body, poses)) ** 2))
-    splits, taken = [], set()
-    for split in find_splits(body, poses, targets):
-        if split.gain > least and not taken & _moved(split):
-            splits.append(split)
-            taken |= _moved(split)
-    splits = splits[: max(1, round(AT_ONCE * body.skeleton.num_joints))]
-    costs = np.cumsum([removal.cost for removal in find_removals(body, poses, targets)])
-    gains = np.cumsum([split.gain for split in splits])
-    number = min(len(costs), len(gains))
-    paying = np.flatnonzero(gains[:number] > LASTING_COST_SHARE * costs[:number])
-    return splits[: paying.max() + 1] if len(paying) else []
+    most = max(1, round(AT_ONCE * body.skeleton.num_joints))
+    groups, taken, count = [], set(), 0
+    found = find_splits(body, poses, targets, None if symmetry is None else symmetry.mirrored)
+    candidates = group_splits(found, symmetry)
+    candidates = candidates if symmetry is None else mirror_groups(candidates, body, poses, symmetry)
+    for group in candidates:
+        moved = set().union(*(_moved(split) for split in group))
+        fits = not groups or count + len(group) <= most
+        if sum(split.gain for split in group) > least * len(group) and not taken & moved and fits:
+            groups.append(group)
+            taken |= moved
+            count += len(group)
+    costs = np.cumsum([0.0, *(removal.cost for removal in find_removals(body, poses, targets))])
+    gains = np.cumsum([sum(split.gain for split in group) for group in groups])
+    sizes = np.cumsum([len(group) for group in groups], dtype=int)
+    pays = (sizes < len(costs)) & (gains > LASTING_COST_SHARE * costs[np.minimum(sizes, len(costs) - 1)])
+    return groups[: np.flatnonzero(pays).max() + 1] if pays.any() else []
 
 
 def select_removals(
-    body: Body, poses: Pose, targets: Float[Array, "F V 3"], count: int, only_idle: bool
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    count: int,
+    only_idle: bool,
+    pairs: Int[np.ndarray, "P 2"] | None = None,
 ) -> list[Removal]:
     """Select up to `count` removals of least cost, with no joint the parent of another.
 
-    With `only_idle`, only removals of small cost are selected.
+    With `only_idle`, only removals of small cost are selected. Both joints of one of the `pairs` are removed, or none.
     """
     error = float(jnp.sum((targets - posed_vertices(body, poses)) ** 2))
     parents = body.skeleton.parents
     counts = np.bincount(np.asarray(body.skin.dominant_bones()), minlength=len(parents))
     chosen: list[Removal] = []
-    for removal in find_removals(body, poses, targets):
-        neighbours = {parents[other.joint] for other in chosen} | {
+
+    def is_allowed(removal: Removal) -> bool:
+        near = {parents[other.joint] for other in chosen} | {
             child for other in chosen for child, parent in enumerate(parents) if parent == other.joint
         }
-        allowed = (
-            np.inf if not only_idle else error * (MAX_IDLE_COST if counts[removal.joint] else MAX_BARE_COST)
-        )
-        if len(chosen) < count and removal.joint not in neighbours and removal.cost < allowed:
-            chosen.append(removal)
+        share = MAX_IDLE_COST if counts[removal.joint] else MAX_BARE_COST
+        return removal.joint not in near and (not only_idle or removal.cost < error * share)
+
+    for group in group_removals(find_removals(body, poses, targets), pairs):
+        if len(chosen) + len(group) <= count and all(is_allowed(removal) for removal in group):
+            chosen += group
     return chosen
 
 

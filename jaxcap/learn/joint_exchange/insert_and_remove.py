@@ -62,15 +62,7 @@ def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: 
     allows."""
     old = body.skeleton
     count = old.num_joints
-    bones = bone_motions(old, poses)
-    moved = BoneMotions(
-        np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
-        np.concatenate([bones.translations, split.translations[:, 1:]], 1),
-    )
-    moved.rotations[:, split.joint], moved.translations[:, split.joint] = (
-        split.rotations[:, 0],
-        split.translations[:, 0],
-    )
+    moved = split_motions(bone_motions(old, poses), split)
     parents = [*old.parents, -1]
     centres = np.concatenate([np.asarray(old.centres, float), np.zeros((1, 3))])
     for joint, parent, centre in split.reparented:
@@ -86,6 +78,19 @@ def insert_joint(body: Body, poses: Pose, pairs: Int[np.ndarray, "P 2"], split: 
         return insert_weights(shares, split)
 
     return _rebuild_body(body, pairs, names, parents, centres, orientations, moved, keep, insert)
+
+
+def split_motions(bones: BoneMotions, split: Split) -> BoneMotions:
+    """Return the motions of all bones after a split, those of the new bone last."""
+    moved = BoneMotions(
+        np.concatenate([bones.rotations, split.rotations[:, 1:]], 1),
+        np.concatenate([bones.translations, split.translations[:, 1:]], 1),
+    )
+    moved.rotations[:, split.joint], moved.translations[:, split.joint] = (
+        split.rotations[:, 0],
+        split.translations[:, 0],
+    )
+    return moved
 
 
 def insert_weights(weights: Float[np.ndarray, "V J"], split: Split) -> Float[np.ndarray, "V I"]:
@@ -140,7 +145,9 @@ def _rebuild_body(
     skin = _skin(body, skeleton, lambda shares: change(shares)[:, order])
     new = Body(skeleton, skin, body.vertices, body.faces)
     moved = BoneMotions(bones.rotations[:, order], bones.translations[:, order])
-    poses = _fit_poses(skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.dominant_bones()))
+    poses = fit_edited_poses(
+        skeleton, moved, np.asarray(body.vertices, float), np.asarray(skin.dominant_bones())
+    )
     poses = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), poses)
     return EditedBody(new, poses, _renumber_pairs(pairs, body.skeleton, parents, order))
 
@@ -173,7 +180,12 @@ def _skin(body: Body, skeleton: Skeleton, change) -> AbstractSkin:
     )
 
 
-def _fit_poses(skeleton: Skeleton, bones: BoneMotions, rest: np.ndarray, labels: np.ndarray) -> Pose:
+def fit_edited_poses(
+    skeleton: Skeleton,
+    bones: BoneMotions,
+    rest: Float[np.ndarray, "V 3"],
+    labels: Int[np.ndarray, "V"],
+) -> Pose:
     """Fit poses to given bone motions; bones without vertices count by the frame at their centre."""
     centres = np.asarray(skeleton.centres, float)
     width = FRAME_WIDTH * float(np.linalg.norm(np.ptp(rest, axis=0)))

@@ -53,14 +53,20 @@ class _Scene(NamedTuple):
     patch_adjacency: np.ndarray
 
 
-def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list[Split]:
+def find_splits(
+    body: Body,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    mirrored: Int[np.ndarray, "V"] | None = None,
+) -> list[Split]:
     """Find the most useful new bones, not adjacent to each other, in order of gain.
 
     Every patch of the surface is evaluated as a new bone with the best rigid motion of its vertices. Nearby
     vertices are blended linearly from the new bone and the bones around by least squares over the simplex.
     The gain is the decrease of the residual against the bones around alone, the same measure as in
     `find_removals`. The best candidates are then refined: vertices with a large weight of the new bone
-    determine its motion. A new bone is joined where its motion and that of another bone have a common point.
+    determine its motion. A new bone is joined where its motion and that of another bone have a common point. With the
+    `mirrored` vertex of each vertex, the mirror images of the best candidates are candidates, too.
     """
     scene = _scene(body, poses, targets)
     number = len(scene.patch_adjacency)
@@ -76,6 +82,8 @@ def find_splits(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> list
     for patch in np.argsort([-fit.gain for fit in fits]):
         if len(chosen) < SEEDS and not scene.patch_adjacency[patch, chosen].any():
             chosen.append(int(patch))
+    if mirrored is not None:
+        chosen += _mirror_patches(scene, chosen, mirrored)
     wide = scene.patch_adjacency @ scene.patch_adjacency
     seeds = [seeds[patch]._replace(patches=np.flatnonzero(wide[patch])) for patch in chosen]
     for _ in range(ROUNDS):
@@ -95,6 +103,12 @@ def _scene(body: Body, poses: Pose, targets) -> _Scene:
     touching[pairs[:, 0], pairs[:, 1]] = touching[pairs[:, 1], pairs[:, 0]] = True
     bones, labels = bone_motions(body.skeleton, poses), np.asarray(body.skin.dominant_bones())
     return _Scene(rest, goals, bones, labels, neighbouring_bones(body), surface, patches, touching)
+
+
+def _mirror_patches(scene: _Scene, chosen: list[int], mirrored: Int[np.ndarray, "V"]) -> list[int]:
+    """List the mirror images of patches that are not adjacent to any of them."""
+    images = [int(np.bincount(scene.patches[mirrored[scene.patches == patch]]).argmax()) for patch in chosen]
+    return [image for image in dict.fromkeys(images) if not scene.patch_adjacency[image, chosen].any()]
 
 
 def _motions(scene: _Scene, groups) -> BoneMotions:

@@ -7,11 +7,13 @@ from jaxtyping import Float, Int
 
 from ...geometry.procrustes import rigid_errors, rigid_motions
 from ..skeleton.reference_mesh import choose_reference_mesh
+from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .agglomerate import Dendrogram, agglomerate, merged_labels
 from .part_kmeans import improve_parts, refine_patch_borders
 from .rigid_residuals import MovingSurface, mean_rest_positions, part_moments
 from .ssdr_motions import estimate_bone_motions
 from .surface_graph import boundary_edges, cut_patches, make_surface_graph
+from .symmetric_parts import improve_symmetric_parts
 
 #: the number of patches that are merged into parts
 PATCHES = 300
@@ -54,6 +56,7 @@ def find_parts(
     faces: Int[np.ndarray, "T 3"],
     num_parts: int | None = None,
     rest: Float[np.ndarray, "V 3"] | None = None,
+    symmetry: SurfaceSymmetry | None = None,
 ) -> RigidParts:
     """Segment a surface into connected parts that move as rigidly as possible.
 
@@ -64,7 +67,8 @@ def find_parts(
 
     **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `num_parts` is the number of parts, by
     default as many as each lower the error by `MIN_GAIN`; `rest` is the mesh in whose pose the parts rest,
-    by default the one nearest to all others (`choose_reference_mesh`).
+    by default the one nearest to all others (`choose_reference_mesh`). With a `symmetry` of the surface, parts are on the
+    middle or mirror each other.
 
     **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, and a count that is not between one and the number of patches.
@@ -80,6 +84,7 @@ def find_parts(
     scene = MovingSurface(surface, rest - middle, paths - middles)
     patches, merging, scene = _merge_patches(scene, PATCHES)
     curve = np.sqrt(merging.errors / len(meshes))
+    is_fixed = num_parts is not None
     if num_parts is None:
         num_parts = choose_num_parts(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
     elif num_parts > len(curve):
@@ -87,7 +92,15 @@ def find_parts(
             f"The number of parts is {num_parts}; expected at most {len(curve)}, the number of "
             "patches of the surface."
         )
-    state = improve_parts(scene, merged_labels(merging, num_parts)[patches], num_parts)
+
+    def partition(number: int) -> Int[np.ndarray, "V"]:
+        return merged_labels(merging, min(number, len(curve)))[patches]
+
+    state = (
+        improve_parts(scene, partition(num_parts), num_parts)
+        if symmetry is None
+        else improve_symmetric_parts(scene, partition, num_parts, is_fixed, symmetry, MIN_GAIN)
+    )
     labels, moved = state.labels, state.moments
     error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
     motions, mixed, back = estimate_bone_motions(scene, labels, state.motions)

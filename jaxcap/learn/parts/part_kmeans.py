@@ -41,7 +41,7 @@ def improve_parts(scene: MovingSurface, labels: Int[np.ndarray, "V"], count: int
     skin. Parts that only model the bend of the skin around a joint are therefore replaced by parts that move
     independently.
     """
-    state = _settle(scene, labels, count)
+    state = settle_parts(scene, labels, count)
     # splits are cached by part; neighbours affect them little, and the error after the move decides
     splits: dict[bytes, tuple[float, np.ndarray]] = {}
     refused: set[tuple[bytes, bytes]] = set()
@@ -64,7 +64,7 @@ def improve_parts(scene: MovingSurface, labels: Int[np.ndarray, "V"], count: int
             break
         tried = drops[dropped][1].copy()
         tried[splits[keys[part]][1]] = dropped
-        after = _settle(scene, tried, count)
+        after = settle_parts(scene, tried, count)
         if after.error(scene) < (1 - RTOL) * least:
             state = after
         else:
@@ -93,7 +93,11 @@ def refine_patch_borders(scene: MovingSurface, patches: Int[np.ndarray, "V"]) ->
     return patches
 
 
-def _settle(scene: MovingSurface, labels: np.ndarray, count: int) -> PartState:
+def settle_parts(scene: MovingSurface, labels: Int[np.ndarray, "V"], count: int) -> PartState:
+    """Refine `count` parts by k-means, and compute their motions and blends.
+
+    Vertices with the label -1 first go to the neighbouring part that fits them best.
+    """
     labels, moments = _refine(scene, labels, count)
     motions = make_motions(*rigid_motions(moments))
     touching = np.unique(boundary_edges(scene.surface, labels)[0], axis=0)

@@ -14,8 +14,11 @@ from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.find_parts import RigidParts
 from ..parts.surface_graph import make_surface_graph
+from ..symmetry.mirrored_parts import mirror_parts
+from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .centres import Centres, PartBoundaries, find_boundaries, find_centres
 from .pose_from_parts import fit_poses, motion_moments
+from .symmetric_tree import symmetric_joint_costs
 
 #: cost of a short boundary, as a share of the error of the parts
 BOUNDARY_COST = 0.5
@@ -38,14 +41,18 @@ class JointTree(NamedTuple):
 
 
 def find_joint_tree(
-    parts: RigidParts, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "T 3"]
+    parts: RigidParts,
+    rest: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "T 3"],
+    symmetry: SurfaceSymmetry | None = None,
 ) -> JointTree:
     """Connect rigid parts by joints at their common points, in the spanning tree with the least gaps.
 
     Adjacent parts are joined at the point that both move alike (`find_centres`). The skeleton is the spanning
     tree with the least sum of gaps there, with a penalty for short boundaries. The root is the part that
     balances the areas of the branches. The x axis of each joint points to the next joint, at a fork to the
-    mean of the next joints, at a leaf to the mean of the part's vertices (Adaptation, section 3.2.1).
+    mean of the next joints, at a leaf to the mean of the part's vertices (Adaptation, section 3.2.1). With a `symmetry` of the
+    surface the tree is symmetric (`symmetric_joint_costs`).
 
     **Returns:** a skeleton with a "free" root and "ball" joints, named `root`, `joint1`, ... parents first,
     and the parts in the order of its bones.
@@ -63,7 +70,11 @@ def find_joint_tree(
         return _make_tree(parts, [0], [-1], means, means, np.zeros(1), areas)
     seams = find_boundaries(surface, parts.labels, rest, count)
     centres = find_centres(seams, parts.rotations, parts.translations, size, parts.error)
-    joints = spanning_tree(_joint_costs(seams, centres, parts.error), seams.pairs, count).tolist()
+    costs = _joint_costs(seams, centres, parts.error)
+    if symmetry is not None:
+        partners = mirror_parts(parts.labels, surface.areas, symmetry.mirrored, count).partners
+        costs = symmetric_joint_costs(costs, seams.pairs, partners, areas)
+    joints = spanning_tree(costs, seams.pairs, count).tolist()
     order, above, joint = _from_root(seams.pairs[joints], joints, areas)
     place = [means[order[0]] if j < 0 else centres.points[j] for j in joint]
     gaps = np.array([0.0 if j < 0 else centres.residuals[j] for j in joint])

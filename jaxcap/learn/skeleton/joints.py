@@ -194,12 +194,14 @@ def improve_joints(
     terms: AbstractEnergy | None = None,
     free_orientations: bool = True,
     frame_weights: Float[Array, "F"] | None = None,
+    planes: MiddlePlanes | None = None,
 ) -> JointStep:
     """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
     Components of a centre that no motion determines follow the `given_centres` skeleton or else the cut between
     parts. If anchors that pull would raise Q, they only damp the motion of centres. Without `free_orientations`, joints keep
-    their orientations, which several bodies may share. `frame_weights` as of `objective`.
+    their orientations, which several bodies may share. `frame_weights` as of `objective`. Without given centres, joints stay in
+    `planes`.
     """
     size = targets.size if frame_weights is None else targets[0].size * float(jnp.sum(frame_weights))
     anchors = (
@@ -208,7 +210,7 @@ def improve_joints(
         else given_centre_prior(body, poses, given_centres, frame_weights)
     )
     left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    planes = None if given_centres is None else middle_planes(given_centres)
+    planes = planes if given_centres is None else middle_planes(given_centres)
     shares = jnp.asarray(damping, targets.dtype)
     for strength in (1.0, 0.0):
         strength = jnp.asarray(strength, targets.dtype)

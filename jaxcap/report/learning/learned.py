@@ -16,6 +16,7 @@ from ...learn.anatomy.joint_evidence import JointEvidence
 from ...learn.correctives.learn_correctives import LearnedCorrectives
 from ...learn.learn_body import COARSE_PREFIX
 from ...learn.skeleton.joint_centre_prior import GivenCentres
+from ...learn.symmetry.surface_symmetry import SurfaceSymmetry
 from ...observe.meshes import MeshSequence
 from ..pictures import error_pictures, new_figure
 from ..render import INK
@@ -38,12 +39,14 @@ def report_learning(
     evidence: JointEvidence | None = None,
     given: GivenCentres | None = None,
     correctives: LearnedCorrectives | None = None,
+    symmetry: tuple[SurfaceSymmetry | None, str] = (None, ""),
 ) -> list[Path]:
     """Write `report.json` and pictures into an existing folder; return the pictures.
 
     **Arguments:** `groups` of meshes by name, such as training and held out; `history` the objective after
     every step; `curve` the root mean square error of 1, 2, ... rigid parts, metres, if parts were computed; `evidence` of the
-    meshes for the joints, and their `given` positions, for `skeleton.png`; `correctives` of the body, for `correctives.png`.
+    meshes for the joints, and their `given` positions, for `skeleton.png`; `correctives` of the body, for `correctives.png`;
+    the `symmetry` of the surface with its sentence.
 
     **Raises:** `InputError` if a file cannot be written.
     """
@@ -75,6 +78,7 @@ def report_learning(
                 "centres": np.asarray(body.skeleton.centres, float).tolist(),
             },
             "evidence": None if evidence is None else _evidence_rows(evidence, given is not None),
+            "symmetry": _symmetry_report(*symmetry),
             "correctives": None if correctives is None else corrective_report(correctives),
             "history": [{"step": step, "Q": float(value)} for step, value in history],
             "parts_rms": None if known is None else known.tolist(),
@@ -83,6 +87,13 @@ def report_learning(
         },
     )
     return pictures
+
+
+def _symmetry_report(found: SurfaceSymmetry | None, sentence: str) -> dict[str, object] | None:
+    """List the measures of the symmetry, lengths in metres, or the reason why none was found; None without a search."""
+    if not sentence:
+        return None
+    return {"sentence": sentence, **({} if found is None else found.quality._asdict())}
 
 
 def _evidence_rows(evidence: JointEvidence, was_given: bool) -> list[dict[str, object]]:

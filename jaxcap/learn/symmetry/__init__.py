@@ -1,0 +1,1 @@
+"""Left-right symmetry of registered meshes, found on the surface."""

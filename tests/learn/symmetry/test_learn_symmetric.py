@@ -1,0 +1,39 @@
+"""A body of an animal is learned with its legs in pairs and its neck on the middle."""
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxcap as jc
+from jaxcap.observe.meshes import MeshSequence
+from tests.learn.symmetry.made_animal import MIDDLE, make_animal, rotate_leg, turn_head
+
+LEGS = ((0, -1), (0, 1), (1, -1), (1, 1))
+
+
+def animal_meshes() -> MeshSequence:
+    """The animal in eight poses."""
+    rest, faces = make_animal(cell=0.045)
+    rng = np.random.default_rng(0)
+    shapes = []
+    for angles in 0.5 * rng.normal(size=(8, 5)):
+        shape = turn_head(rest, angles[4])
+        for (leg, side), angle in zip(LEGS, angles[:4], strict=True):
+            shape = rotate_leg(shape, leg, side, angle)
+        shapes.append(shape)
+    return MeshSequence(jnp.asarray(np.stack(shapes)), jnp.asarray(faces))
+
+
+def test_legs_are_pairs_and_the_neck_is_on_the_middle():
+    learned = jc.learn_body(animal_meshes(), skeleton="none", joints=5, rounds=1)
+    assert "symmetry was found" in learned.symmetry_message
+    assert learned.symmetry is not None
+    skeleton = learned.body.skeleton
+    assert skeleton.num_joints == 6
+    assert len(learned.left_right_pairs) == 2
+    centres = np.asarray(skeleton.centres)
+    for left, right in learned.left_right_pairs:
+        assert centres[left, 0] * centres[right, 0] < 0
+        assert abs(centres[left, 2] - centres[right, 2]) < 0.1
+    neck = ({*range(1, 6)} - set(learned.left_right_pairs.ravel().tolist())).pop()
+    assert abs(centres[neck, 0]) < 0.01
+    assert np.linalg.norm(centres[neck] - MIDDLE[1][0]) < 0.12
