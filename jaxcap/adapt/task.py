@@ -11,7 +11,7 @@ from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
 from ..fit.correspondence.find_pairs import Matching
-from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
+from ..fit.correspondence.nearest_assignment import IndexedScan, NearestOnSurface, make_scan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud
@@ -23,6 +23,10 @@ from .shape.shape_prior import ShapePrior
 
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
+
+#: Every point of a scan is matched with its nearest point in the triangles of the body, and no vertex with a point: planes
+#: at vertices lie outside of the triangles of a convex body, and vertices that no scan shows have no point of their own.
+TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False), from_body=False, uniform=False)
 
 
 class AdaptSettings(NamedTuple):
@@ -54,7 +58,7 @@ class AdaptSettings(NamedTuple):
     joint_deviation: float = 0.005
     #: standard deviation of a pair's distance, metres
     pair_deviation: float = 0.003
-    matching: Matching = Matching()
+    matching: Matching = TO_TRIANGLES
     #: solve for vertices, joints and poses in one step of each round, not one after the other
     simultaneous: bool = False
     #: the scans are not ordered in time: no term couples them, and the search for a pose starts from the most
