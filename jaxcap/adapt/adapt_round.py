@@ -32,6 +32,8 @@ from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 #: largest weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides
 TANGENTIAL_WEIGHT = 0.005
+#: number of frames that count as independent for the shape coefficients, as the errors of the shape space are alike in all of them
+INDEPENDENT_FRAMES = 10
 #: damping of a step on all poses and modes, as a share of each curvature
 DAMPING = 1e-3
 
@@ -89,8 +91,8 @@ def _proportions(
         return body, _unstack(stacked, poses), state.coefficients
     pairs = discount_unexplained(state.body, _stack(poses), _limit_tangential_weights(pairs))
     from_mean = task.shape_space.template_coefficients + jnp.asarray(state.coefficients)
-    # the error of the shape space is the same in all frames, which therefore count as one
-    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, len(poses) ** -0.5))
+    counted = max(len(poses) / INDEPENDENT_FRAMES, 1.0)
+    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, counted**-0.5))
     body, stacked, changes = _step(task, state, poses, pairs, task.shape_space.modes, coefficient_prior, ())
     coefficients = np.array(state.coefficients) + np.asarray(changes, float)
     return body, _unstack(stacked, poses), tuple(coefficients.tolist())
