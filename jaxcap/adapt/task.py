@@ -42,7 +42,7 @@ class AdaptSettings(NamedTuple):
     #: are adapted
     proportion_rounds: int = 6
     #: rounds of vertices and joints in each pass
-    rounds: tuple[int, ...] = (5, 6)
+    rounds: tuple[int, ...] = (5, 3)
     #: weights of the Laplacian term in the first and the last round
     shape_weights: tuple[float, float] = (100.0, 3.0)
     #: weight of the pose prior; None uses a tenth of the weight that balances it with the data in the first

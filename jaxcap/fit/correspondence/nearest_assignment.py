@@ -148,7 +148,7 @@ class NearestOnSurface(AbstractAssignment):
     Only triangles of the body with all corners visible are searched.
     """
 
-    #: search all triangles; if False, only those at the vertex nearest to a point, in a quarter of the time
+    #: search all triangles; if False, only those at the vertex nearest to a point, in a sixth of the time
     exact: bool = eqx.field(default=True, static=True)
 
     def from_scan(self, surface, scan, max_distance, normal_threshold):
