@@ -24,9 +24,9 @@ from .shape.shape_prior import ShapePrior
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
 
-#: Every point of a scan is matched with its nearest point in the triangles of the body, and no vertex with a point: planes
-#: at vertices lie outside of the triangles of a convex body, and vertices that no scan shows have no point of their own.
-TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False), from_body=False, uniform=False)
+#: Points of a scan are matched with triangles of the body: planes at vertices lie outside of the triangles of a convex body.
+#: Vertices are matched with points, too: without these pairs, parts of the body that have no points leave the scan.
+TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False))
 
 
 class AdaptSettings(NamedTuple):

@@ -113,10 +113,10 @@ class Adapt:
     ignore_occlusion: Flag = False
     """Match all vertices in the fields of view of --cameras, including occluded ones."""
     assignment: AssignmentName = "triangles"
-    """Match scan points with the nearest point of the triangles around the nearest vertex (triangles). The other values also
-    match every vertex with a point of the scan: points with the nearest vertex (vertices), with the nearest point of the
-    surface (surface), or with vertices with Gaussian weights (soft). With `surface`, if scans are meshes, vertices are
-    matched with the surface of the scan. `soft` needs a first pose within 3 cm."""
+    """Match scan points with the nearest point of the triangles at the nearest vertex (triangles), with the nearest vertex
+    (vertices), with the nearest point of the surface (surface; six times the time of `triangles`), or with vertices with Gaussian
+    weights (soft). With `surface`, if scans are meshes, vertices are also matched to the surface of the scan. `soft` needs
+    a first pose within 3 cm."""
     pair_angle: Annotated[float, arg(metavar="DEGREES")] = 90.0
     """Largest angle between the normals of a matched pair, degrees."""
     pair_distance: Annotated[float, arg(metavar="METRES")] = 0.3
