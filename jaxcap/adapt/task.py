@@ -11,7 +11,7 @@ from ..body.pose import Motion, Pose
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
 from ..fit.correspondence.find_pairs import Matching
-from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
+from ..fit.correspondence.nearest_assignment import IndexedScan, NearestOnSurface, make_scan
 from ..geometry.camera import Camera
 from ..limits.rotation_vector_boxes import PoseBoxes
 from ..observe.clouds import Cloud
@@ -23,6 +23,10 @@ from .shape.shape_prior import ShapePrior
 
 #: number of adaptations of a body during tracking
 NUM_ADAPTATIONS = 10
+
+#: Points of a scan are matched with triangles of the body: planes at vertices lie outside of the triangles of a convex body.
+#: Vertices are matched with points, too: without these pairs, parts of the body that have no points leave the scan.
+TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False))
 
 
 class AdaptSettings(NamedTuple):
@@ -38,7 +42,7 @@ class AdaptSettings(NamedTuple):
     #: are adapted
     proportion_rounds: int = 6
     #: rounds of vertices and joints in each pass
-    rounds: tuple[int, ...] = (5, 6)
+    rounds: tuple[int, ...] = (5, 3)
     #: weights of the Laplacian term in the first and the last round
     shape_weights: tuple[float, float] = (100.0, 3.0)
     #: weight of the pose prior; None uses a tenth of the weight that balances it with the data in the first
@@ -54,7 +58,7 @@ class AdaptSettings(NamedTuple):
     joint_deviation: float = 0.005
     #: standard deviation of a pair's distance, metres
     pair_deviation: float = 0.003
-    matching: Matching = Matching()
+    matching: Matching = TO_TRIANGLES
     #: solve for vertices, joints and poses in one step of each round, not one after the other
     simultaneous: bool = False
     #: the scans are not ordered in time: no term couples them, and the search for a pose starts from the most

@@ -243,7 +243,7 @@ def test_a_round_takes_one_step_where_it_is_told_to():
     for number in (2, 3):
         state = adapt_round(task, state, pair_cache, Stage("adapt", 1, number))
         told.append(state.terms[-1].data)
-    assert pairs.vertices.shape[-1] == 1
+    assert pairs.vertices.shape[-1] == 3
     assert told[1] < told[0]
     for here, there in (
         (state.body.vertices, template.vertices),

@@ -6,7 +6,7 @@ import scipy.stats
 import trimesh
 
 from jaxcap.body.people.human import human
-from jaxcap.geometry.closest import closest_barycentric, nearest_on_surface
+from jaxcap.geometry.closest import closest_barycentric, nearest_at_vertices, nearest_on_surface
 from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
 
 
@@ -90,6 +90,29 @@ def test_places_are_where_the_distances_say_and_none_beyond_reach(rng):
     np.testing.assert_allclose(near.distances, np.where(within, distances, np.inf), atol=1e-15)
     again = np.einsum("nk,nka->na", near.barycentric, vertices[faces[near.triangles]])
     np.testing.assert_allclose(again[within], places[within], atol=1e-12)
+
+
+def test_points_at_vertices_are_the_nearest_of_the_triangles_around_each(rng):
+    """For nearly all points; for the others they are in another of these triangles."""
+    body = human(resolution="low")
+    vertices, faces = np.asarray(body.vertices, float), np.asarray(body.faces)
+    # the last vertex has no triangle
+    vertices = np.concatenate([vertices, [[0.0, 0.0, 0.0]]])
+    points = vertices[rng.integers(len(vertices) - 1, size=60)] + 0.005 * rng.normal(size=(60, 3))
+    triangles, shares, distances = nearest_at_vertices(points, vertices, faces)
+    used, equal = np.unique(faces), 0
+    for point, triangle, share, distance in zip(points, triangles, shares, distances, strict=True):
+        nearest = used[np.argmin(np.linalg.norm(vertices[used] - point, axis=1))]
+        around = np.flatnonzero((faces == nearest).any(1))
+        expected = min(nearest_on_surface(point[None], vertices, faces[[n]]).distances[0] for n in around)
+        assert triangle in around
+        assert np.linalg.norm(share @ vertices[faces[triangle]] - point) == pytest.approx(distance, abs=1e-12)
+        equal += distance == pytest.approx(expected, abs=1e-12)
+    assert equal >= 58
+    reach = float(np.median(distances))
+    near = nearest_at_vertices(points, vertices, faces, reach).distances
+    np.testing.assert_array_equal(near, np.where(distances <= reach, distances, np.inf))
+    assert not len(nearest_at_vertices(points[:0], vertices, faces).distances)
 
 
 def test_triangles_without_an_area_have_their_sides(rng):

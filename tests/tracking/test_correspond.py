@@ -103,9 +103,12 @@ def test_one_way_alone(rng, ways):
     assert len(rows) == (scan.padded_size if ways[0] else len(VERTICES))
 
 
-def test_nearest_on_the_surface_as_trimesh_has_it(rng):
+@pytest.mark.parametrize("exact", [True, False])
+def test_nearest_on_the_surface_as_trimesh_has_it(rng, exact):
+    """On a ball of acute triangles, the nearest triangle has the nearest vertex."""
     scan = scan_of(rng, size=1.03)
-    rows, shares, points, _, weights, apart = all_of(scan, ONE_WAY._replace(assignment=NearestOnSurface()))
+    matching = ONE_WAY._replace(assignment=NearestOnSurface(exact=exact))
+    rows, shares, points, _, weights, apart = all_of(scan, matching)
     expected, distance, _ = trimesh.proximity.closest_point(BALL, scan.points)
     count = len(scan.points)
     np.testing.assert_allclose(apart[:count], distance, atol=1e-12)
