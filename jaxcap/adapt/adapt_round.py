@@ -11,7 +11,7 @@ from ..body.body import Body
 from ..body.body_model import BodyModel, shape_from_template
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.shape_modes import ShapeModes, joint_modes
-from ..energy.data.pairs import PointPairs, stack_pairs
+from ..energy.data.pairs import stack_pairs
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..fit.sequences.sequence_problem import SequenceProblem
 from ..fit.solvers.descent import NormalDescent
@@ -24,16 +24,13 @@ from .poses.pair_cache import PairCache
 from .poses.select_frames import spread_frames
 from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference_body, shape_prior_of
-from .shape.robust_pairs import discount_unexplained
 from .shape.shape_space import fit_coefficients
 from .shape.vertex_adaptation import adapt_shape, adapt_together
 from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 
-#: largest weight of squared distances along the surface while shape coefficients are estimated, as another person's
+#: weight of squared distances along the surface while shape coefficients are estimated, as another person's
 #: skin slides
 TANGENTIAL_WEIGHT = 0.005
-#: number of frames that count as independent for the shape coefficients, as the errors of the shape space are alike in all of them
-INDEPENDENT_FRAMES = 10
 #: damping of a step on all poses and modes, as a share of each curvature
 DAMPING = 1e-3
 
@@ -84,16 +81,18 @@ def _proportions(
     task: AdaptTask, state: AdaptState, poses: dict[int, Pose], pair_cache: PairCache
 ) -> tuple[Body, dict[int, Pose], tuple[float, ...]]:
     """Estimate proportions by shape coefficients, or without a shape space by joints that move their skin."""
-    pairs = stack_pairs(pair_cache.pairs(state.body, poses))
     if task.shape_space is None:
         modes, coefficient_prior = joint_modes(state.body), _regressed_joint_prior(task, state)
-        body, stacked, _ = _step(task, state, poses, pairs, modes, coefficient_prior, task.left_right_pairs)
+        body, stacked, _ = _step(
+            task, state, poses, pair_cache, modes, coefficient_prior, task.left_right_pairs
+        )
         return body, _unstack(stacked, poses), state.coefficients
-    pairs = discount_unexplained(state.body, _stack(poses), _limit_tangential_weights(pairs))
     from_mean = task.shape_space.template_coefficients + jnp.asarray(state.coefficients)
-    counted = max(len(poses) / INDEPENDENT_FRAMES, 1.0)
-    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, counted**-0.5))
-    body, stacked, changes = _step(task, state, poses, pairs, task.shape_space.modes, coefficient_prior, ())
+    # the error of the shape space is the same in all frames, which therefore count as one
+    coefficient_prior = CoefficientPrior(-from_mean, jnp.full_like(from_mean, len(poses) ** -0.5))
+    body, stacked, changes = _step(
+        task, state, poses, pair_cache, task.shape_space.modes, coefficient_prior, (), TANGENTIAL_WEIGHT
+    )
     coefficients = np.array(state.coefficients) + np.asarray(changes, float)
     return body, _unstack(stacked, poses), tuple(coefficients.tolist())
 
@@ -105,12 +104,12 @@ def _surface(
     modes = joint_modes(state.body, move_surface=False)
     coefficient_prior = _regressed_joint_prior(task, state)
     shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
-    pairs = stack_pairs(pair_cache.pairs(state.body, poses))
     if task.settings.simultaneous:
+        pairs = stack_pairs(pair_cache.pairs(state.body, poses))
         problem = _problem(task, state, pairs, modes, coefficient_prior, task.left_right_pairs)
         body, stacked = adapt_together(problem, _stack(poses), pairs, shape, weight)
         return body, _unstack(stacked, poses)
-    body, stacked, _ = _step(task, state, poses, pairs, modes, coefficient_prior, task.left_right_pairs)
+    body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.left_right_pairs)
     poses = _unstack(stacked, poses)
     pairs = stack_pairs(pair_cache.pairs(body, poses))
     return adapt_shape(body, stacked, pairs, shape, weight), poses
@@ -120,21 +119,23 @@ def _step(
     task: AdaptTask,
     state: AdaptState,
     poses: dict[int, Pose],
-    pairs: PointPairs,
+    pair_cache: PairCache,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
     left_right_pairs: tuple[tuple[int, int], ...],
+    max_tangential_weight: float = 1.0,
 ) -> tuple[Body, Pose, Float[Array, "K"]]:
-    """Take one step on poses and modes; return the body, stacked poses and the modes' coefficients."""
+    """Take one step on poses and modes; return the body, stacked poses and the modes' coefficients.
+
+    `max_tangential_weight` is the largest weight of squared distances along the surface.
+    """
+    pairs = stack_pairs(pair_cache.pairs(state.body, poses))
+    pairs = eqx.tree_at(
+        lambda p: p.tangential_weights, pairs, jnp.minimum(pairs.tangential_weights, max_tangential_weight)
+    )
     return gauss_newton_step(
         _problem(task, state, pairs, modes, coefficient_prior, left_right_pairs), _stack(poses)
     )
-
-
-def _limit_tangential_weights(pairs: PointPairs) -> PointPairs:
-    """Limit the weights of squared distances along the surface to `TANGENTIAL_WEIGHT`."""
-    weights = jnp.minimum(pairs.tangential_weights, TANGENTIAL_WEIGHT)
-    return eqx.tree_at(lambda p: p.tangential_weights, pairs, weights)
 
 
 def _stack(poses: dict[int, Pose]) -> Pose:
@@ -159,10 +160,10 @@ def gauss_newton_step(problem: SequenceProblem, poses: Pose) -> tuple[Body, Pose
 def _problem(
     task: AdaptTask,
     state: AdaptState,
-    pairs: PointPairs,
+    pairs,
     modes: ShapeModes,
     coefficient_prior: CoefficientPrior,
-    left_right_pairs: tuple[tuple[int, int], ...],
+    left_right_pairs,
 ) -> SequenceProblem:
     weight, deviation = (jnp.asarray(x, float) for x in (state.pose_weight, task.settings.pair_deviation))
     return shared_problem(

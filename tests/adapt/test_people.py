@@ -13,7 +13,6 @@ import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.shape import people_shapes, tracked_shape
 from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
-from jaxcap.adapt.shape.robust_pairs import discount_unexplained
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
@@ -21,12 +20,10 @@ from jaxcap.body.body_model import shape_from_template
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
 from jaxcap.body.people.walk_and_wave import walk_and_wave
-from jaxcap.energy.data.pairs import PointPairs
 from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.geometry.attachment import attach_points, attached_positions
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.metrics import scan_to_surface
-from jaxcap.stacking import stack_trees
 
 
 @pytest.fixture(scope="module")
@@ -249,31 +246,3 @@ def test_what_has_no_shape_space_is_told(tracked):
         fit_tracked_shape(tracked[1], clouds, poses[:2], tracked[4])
     with pytest.raises(jc.InputError, match="num_frames"):
         estimate_shape(tracked[1], clouds, tracked[4], num_frames=0)
-
-
-def pairs_at(body: jc.Body, distances: np.ndarray, weights: np.ndarray) -> PointPairs:
-    """Pairs of a body at rest, each at a distance across the surface and 5 cm along it."""
-    posed = jc.pose_body(body, jc.rest_pose(body.skeleton))
-    normals = np.asarray(posed.normals, float)
-    along = np.cross(normals, [0.3, 0.9, 0.2])
-    points = np.asarray(posed.vertices) + distances[:, None] * normals
-    points += 0.05 * along / np.linalg.norm(along, axis=1, keepdims=True)
-    each, ones = np.arange(len(points))[:, None], np.ones((len(points), 1))
-    return PointPairs(*map(jnp.asarray, (each, ones, points, normals, weights, 0.05 * weights)))
-
-
-def test_hair_has_no_weight_and_skin_keeps_it(rng):
-    """Geman and McClure's weights, of the same share of outliers at any noise; a frame without pairs has none."""
-    body = jc.human(resolution="low", joints="tracking")
-    noise = rng.normal(size=len(body.vertices))
-    noise[:150] = 20.0
-    weights = np.full(len(noise), 0.5)
-    frames = [pairs_at(body, size * noise, weights) for size in (0.001, 0.004)]
-    frames.append(pairs_at(body, noise, np.zeros_like(weights)))
-    poses = stack_trees([jc.rest_pose(body.skeleton)] * len(frames))
-    found = np.asarray(discount_unexplained(body, poses, stack_trees(frames)).weights)
-    width = 3.0 * 1.4826 * np.median(np.abs(noise))
-    expected = 0.5 / (1.0 + (noise / width) ** 2) ** 2
-    np.testing.assert_allclose(found[:2], [expected, expected], rtol=1e-3)
-    assert found[0, :150].max() < 0.002 < 0.3 < np.median(found[0])
-    np.testing.assert_array_equal(found[2], 0.0)
