@@ -118,29 +118,24 @@ def _reduce(image: Float[np.ndarray, "H W"], step: int) -> Float[np.ndarray, "h 
 
 def take_pixels(camera: Camera, step: int) -> Camera:
     """Return the camera of images with every `step`-th row and column of this one's, from the first."""
-    if step == 1:
-        return camera
-    return Camera(
-        camera.rotation,
-        camera.translation,
-        camera.focal / step,
-        camera.principal_point / step,
-        -(-camera.width // step),
-        -(-camera.height // step),
-    )
+    return _with_larger_pixels(camera, step, 0.0)
 
 
 def reduce_camera(camera: Camera, step: int) -> Camera:
     """Return the camera of images with blocks of `step` rows and columns as pixels."""
+    # the centre of a block of pixels is (step - 1) / 2 after its first pixel
+    return _with_larger_pixels(camera, step, (step - 1) / 2)
+
+
+def _with_larger_pixels(camera: Camera, step: int, first: float) -> Camera:
+    """Return the camera of images with a pixel for `step` rows and columns, the first one centred on row and column `first`."""
     if step == 1:
         return camera
-    # the centre of a block of pixels is (step - 1) / 2 after its first pixel
-    middle = (camera.principal_point - (step - 1) / 2) / step
     return Camera(
         camera.rotation,
         camera.translation,
         camera.focal / step,
-        middle,
+        (camera.principal_point - first) / step,
         -(-camera.width // step),
         -(-camera.height // step),
     )

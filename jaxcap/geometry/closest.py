@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from .mesh import corners_at_vertices
+
 #: number of triangles of a size that are tested first
 FIRST = 8
 
@@ -61,20 +63,16 @@ def nearest_at_vertices(
     points, vertices, faces = np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces)
     if not len(points):
         return SurfacePoints(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
-    # all corners, those of the same vertex one after the other
-    used, counts = np.unique(faces, return_counts=True)
-    triangles, corner = np.divmod(np.argsort(faces, axis=None, kind="stable"), 3)
-    first = np.cumsum(counts) - counts
-    sides = _sector_sides(vertices, faces[triangles[:, None], (corner[:, None] + np.arange(3)) % 3])
+    turns = (np.arange(3)[:, None] + np.arange(3)) % 3
+    sides = _sector_sides(vertices, faces[:, turns].reshape(-1, 3))
+    used = np.unique(faces)
+    nearest = used[KDTree(vertices[used]).query(points, workers=-1)[1]]
     # one row for each point and triangle at its nearest vertex
-    _, nearest = KDTree(vertices[used]).query(points, workers=-1)
-    starts = np.cumsum(counts[nearest]) - counts[nearest]
-    rows = np.repeat(np.arange(len(points)), counts[nearest])
-    places = (first[nearest] - starts)[rows] + np.arange(len(rows))
-    offsets = (points - vertices[used[nearest]])[rows]
-    inside = (np.einsum("nka,na->nk", sides[places], offsets) >= 0).all(1)
-    tested = inside | ~np.logical_or.reduceat(inside, starts)[rows]
-    rows, found = rows[tested], triangles[places[tested]]
+    rows, corners = corners_at_vertices(faces, nearest)
+    offsets = (points - vertices[nearest])[rows]
+    inside = (np.einsum("nka,na->nk", sides[corners], offsets) >= 0).all(1)
+    tested = inside | ~np.logical_or.reduceat(inside, np.flatnonzero(np.diff(rows, prepend=-1)))[rows]
+    rows, found = rows[tested], corners[tested] // 3
     shares, squared = closest_barycentric(vertices[faces[found]], points[rows])
     # the first of those at the least distance
     starts = np.flatnonzero(np.diff(rows, prepend=-1))

@@ -89,6 +89,18 @@ def triangle_sides(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "S 2"]:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
+def corners_at_vertices(
+    faces: Int[np.ndarray, "F 3"], vertices: Int[np.ndarray, "N"]
+) -> tuple[Int[np.ndarray, "C"], Int[np.ndarray, "C"]]:
+    """List the corners of triangles at some vertices, one vertex after the other: its row, and the index in the flattened faces."""
+    order = np.argsort(faces, axis=None, kind="stable")
+    first, end = (np.searchsorted(faces.ravel()[order], vertices, side) for side in ("left", "right"))
+    counts = end - first
+    rows = np.repeat(np.arange(len(vertices)), counts)
+    within = np.arange(len(rows)) - (np.cumsum(counts) - counts)[rows]
+    return rows, order[first[rows] + within]
+
+
 def mesh_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     """List every undirected edge once, the smaller vertex first, in ascending order."""
     pairs = np.unique(np.sort(triangle_sides(faces), axis=1), axis=0)

@@ -162,11 +162,13 @@ class LiveTracker:
         **Raises:** `InputError` for a frame that cannot be tracked.
         """
         begin, tracker = time.perf_counter(), self._online.tracker
+        cloud = self._cloud(frame, "the first frame")
+        for stream in self._streams:
+            stream.warm_up()
         if not isinstance(frame, (Cloud, Scan)):
-            for stream in self._streams:
-                stream.warm_up()
-                stream.make(list(frame), name="the first frame")
-        self._online.warm_up(self._cloud(frame, "the first frame"))
+            # floor and walls are looked for in the first image of each stream
+            self._streams[1].make(list(frame), name="the first frame")
+        self._online.warm_up(cloud)
         np.asarray(posed_vertices(tracker.body, self._online.start))
         return time.perf_counter() - begin
 

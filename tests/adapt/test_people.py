@@ -214,7 +214,7 @@ def test_a_person_who_is_always_near_another_one_has_a_shape(tracked, monkeypatc
     own = people_shapes._OwnFrames({}, {}, {}, dict(enumerate(clouds)))
     for number, verdict in enumerate(("good", "good", "doubtful")):
         own.add(number, poses[number], verdict, True)
-    assert (list(own.apart), list(own.good), list(own.others)) == ([], [0, 1], [2])
+    assert (list(own.separate), list(own.good), list(own.others)) == ([], [0, 1], [2])
     own.touching[2] = own.others.pop(2)
     monkeypatch.setattr(people_shapes, "_track", lambda *_: [own])
     (found,) = estimate_people_shapes(tracker, clouds, 1, space)

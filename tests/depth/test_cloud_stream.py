@@ -88,8 +88,8 @@ def test_every_second_pixel_gives_the_same_surface():
     assert 0.2 < len(points) / np.count_nonzero(person) < 0.3
     # the rays of the kept pixels are those of the whole image
     whole = measured_points(CAMERA, np.where(person, depth, 0.0))
-    apart = KDTree(whole).query(points)[0]
-    assert np.median(apart) < 1e-3
+    distances = KDTree(whole).query(points)[0]
+    assert np.median(distances) < 1e-3
     # floor and walls are looked for in the first image, also near a known surface
     near = CloudStream([CAMERA], 512, pixel_step=2).make([depth], vertices)
     np.testing.assert_array_equal(near.points, cloud.points)

@@ -29,7 +29,7 @@ class _OwnFrames(NamedTuple):
     """The frames of one person, by number: poses, and clouds with the weights of this person's points."""
 
     #: frames with the verdict `good`, away from other people and next to them
-    apart: dict[int, Pose]
+    separate: dict[int, Pose]
     touching: dict[int, Pose]
     #: frames with other verdicts
     others: dict[int, Pose]
@@ -38,11 +38,11 @@ class _OwnFrames(NamedTuple):
     @property
     def good(self) -> dict[int, Pose]:
         """The frames that show the shape of the person: those in which it touches others only if there are no others."""
-        return self.apart or self.touching
+        return self.separate or self.touching
 
     def add(self, number: int, pose: Pose, verdict: str, is_near: bool) -> None:
         """Add the pose of a frame with a verdict, in which the person is near another one or not."""
-        frames = self.others if verdict != "good" else self.touching if is_near else self.apart
+        frames = self.others if verdict != "good" else self.touching if is_near else self.separate
         frames[number] = pose
 
 

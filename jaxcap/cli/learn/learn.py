@@ -44,7 +44,7 @@ from .input import read_pairs, skeleton_digest, split_held_out
 from .joints import evidence_of, say_joints
 from .people import PeopleRun, check_people_options, check_people_skeleton, run_people
 from .people_input import names_people
-from .state import load_state, make_checkpoint
+from .state import load_state, make_checkpoint, stop_message
 
 #: values of --skeleton that are not files
 SKELETON_NAMES = ("human", "none")
@@ -320,13 +320,7 @@ class Learn:
                     resume=resumed,
                 )
             except KeyboardInterrupt:
-                # a checkpoint that exists before the first round is of a run that this one replaces
-                message = (
-                    f"round {done} is saved in {checkpoint_path}; --resume continues"
-                    if done
-                    else "no round is complete"
-                )
-                raise KeyboardInterrupt(f"stopped; {message}") from None
+                raise KeyboardInterrupt(stop_message(done, checkpoint_path)) from None
 
     def score(
         self,

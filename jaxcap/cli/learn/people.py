@@ -35,6 +35,7 @@ from ..scoring import mesh_hashes, score_motion
 from .input import split_held_out
 from .people_input import read_people
 from .people_state import load_people_state, make_people_checkpoint
+from .state import stop_message
 
 #: components that a line lists
 MAX_LISTED = 5
@@ -196,10 +197,7 @@ def learn_all(
         try:
             return learn_people(people, on_round=on_round, resume=resumed, **run.learning)
         except KeyboardInterrupt:
-            message = (
-                f"round {done} is saved in {kept}; --resume continues" if done else "no round is complete"
-            )
-            raise KeyboardInterrupt(f"stopped; {message}") from None
+            raise KeyboardInterrupt(stop_message(done, kept)) from None
 
 
 def write_all(out: Path, paths: Mapping[str, Path], learned: LearnedPeople) -> None:

@@ -61,6 +61,16 @@ def load_state(path: Path, header: dict[str, object], resume: bool, overwrite: b
     return restore_state(load_checkpoint(path, header, STATE_ARRAYS), path)
 
 
+def stop_message(done: int, path: Path) -> str:
+    """Make the message of a run that is stopped after `done` rounds, with the checkpoint `path`."""
+    # a checkpoint that exists before the first round is of a run that this one replaces
+    return (
+        f"stopped; round {done} is saved in {path}; --resume continues"
+        if done
+        else "stopped; no round is complete"
+    )
+
+
 def check_unfinished(path: Path, resume: bool, overwrite: bool) -> None:
     """Check that a run may begin where the checkpoint `path` of another one may exist. Raises `InputError`."""
     if path.exists() and not resume and not overwrite:

@@ -26,6 +26,8 @@ class IntrinsicSurface(NamedTuple):
     #: corners of each triangle, flattened into a plane, metres
     flat: Float[np.ndarray, "T 3 3"]
     num_vertices: int
+    #: `(V, V)` lengths of edges, and of straight lines across two neighbouring triangles, metres
+    paths: scipy.sparse.csr_matrix
 
     @property
     def areas(self) -> Float[np.ndarray, "V"]:
@@ -65,7 +67,7 @@ def make_intrinsic_surface(
     across = np.sqrt(np.maximum(ca**2 - along**2, 0.0))
     none = np.zeros_like(ab)
     flat = np.stack([none, none, none, ab, none, none, along, across, none], 1).reshape(-1, 3, 3)
-    return IntrinsicSurface(faces, flat, shapes.shape[1])
+    return IntrinsicSurface(faces, flat, shapes.shape[1], _path_graph(faces, flat, shapes.shape[1]))
 
 
 def geodesic_distances(surface: IntrinsicSurface, sources: Int[np.ndarray, "S"]) -> Float[np.ndarray, "S V"]:
@@ -74,20 +76,28 @@ def geodesic_distances(surface: IntrinsicSurface, sources: Int[np.ndarray, "S"])
     Paths follow edges, and straight lines across two neighbouring triangles. Along edges alone, distances depend on the
     directions of the edges by up to 15 %.
     """
-    pairs, lengths = _path_segments(surface)
-    shape = (surface.num_vertices, surface.num_vertices)
+    return dijkstra(surface.paths, directed=False, indices=sources)
+
+
+def _path_graph(
+    faces: Int[np.ndarray, "T 3"], flat: Float[np.ndarray, "T 3 3"], num_vertices: int
+) -> scipy.sparse.csr_matrix:
+    """Build the graph of the path segments, each pair of vertices once, with its shortest segment."""
+    pairs, lengths = _path_segments(faces, flat)
     # duplicates would be added up
     first, second = np.sort(pairs, axis=1).T
     order = np.lexsort([lengths, second, first])
-    keys = first[order] * surface.num_vertices + second[order]
+    keys = first[order] * num_vertices + second[order]
     kept = order[np.concatenate([[True], keys[1:] != keys[:-1]])]
-    graph = scipy.sparse.csr_matrix((lengths[kept], (first[kept], second[kept])), shape=shape)
-    return dijkstra(graph, directed=False, indices=sources)
+    shape = (num_vertices, num_vertices)
+    return scipy.sparse.csr_matrix((lengths[kept], (first[kept], second[kept])), shape=shape)
 
 
-def _path_segments(surface: IntrinsicSurface) -> tuple[Int[np.ndarray, "N 2"], Float[np.ndarray, "N"]]:
+def _path_segments(
+    faces: Int[np.ndarray, "T 3"], flat: Float[np.ndarray, "T 3 3"]
+) -> tuple[Int[np.ndarray, "N 2"], Float[np.ndarray, "N"]]:
     """List the edges, and the straight lines across two neighbouring triangles, with their lengths."""
-    faces, flat, count = surface.faces, surface.flat, len(surface.faces)
+    count = len(faces)
     sides = triangle_sides(faces)
     starts, ends = (np.concatenate([flat[:, (side + turn) % 3, :2] for side in range(3)]) for turn in (0, 1))
     tips = np.concatenate([flat[:, (side + 2) % 3, :2] for side in range(3)])

@@ -43,7 +43,7 @@ def mirror_parts(
 
 
 def mirror_joints(parts: MirroredParts, parents: Sequence[int]) -> MirroredParts:
-    """Match joints, of which joint j connects part j with that of its parent: both parts must be mirrored."""
+    """Match joints. Joint j connects part j with the part of its parent, and both parts must be mirrored."""
     above = np.array(parents)
     partners = np.append(parts.partners, -1)
     own = partners[:-1]

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...geometry.mesh import corners_at_vertices
+
 
 class PointMap(NamedTuple):
     """For each vertex, the point of a triangle that it is mapped to: three vertices, and their weights."""
@@ -39,12 +41,8 @@ def nearest_points(
 ) -> PointMap:
     """Find the nearest point to each query on the triangles of its nearest vertex, in K dimensions."""
     vertices = nearest_rows(queries, rows)
-    order = np.argsort(faces.ravel(), kind="stable")
-    begins = np.searchsorted(faces.ravel()[order], np.arange(len(rows) + 1))
-    degrees = np.diff(begins)[vertices]
-    owners = np.repeat(np.arange(len(queries)), degrees)
-    within = np.arange(len(owners)) - np.repeat(np.cumsum(degrees) - degrees, degrees)
-    triangles = faces[order[begins[vertices][owners] + within] // 3]
+    owners, found = corners_at_vertices(faces, vertices)
+    triangles = faces[found // 3]
     weights, squares = _nearest_in_triangles(queries[owners], rows[triangles])
     best = np.lexsort([squares, owners])
     first = best[np.searchsorted(owners[best], np.arange(len(queries)))]
