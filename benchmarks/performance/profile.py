@@ -26,8 +26,8 @@ from benchmarks.performance._stages import STAGES
 from benchmarks.performance._trace import compile_in, trace
 from benchmarks.report import finish, progress
 
-#: programs of a stage that are listed
-LISTED = 10
+#: programs of a stage that are kept, and the least share of a stage of those that are listed
+KEPT, MIN_LISTED_SHARE = 10, 0.005
 #: imported packages that are listed
 PACKAGES = 6
 PARTS = ("programs", "transfers", "host")
@@ -57,8 +57,7 @@ def profile_stage(name: str, small: bool) -> dict[str, Any]:
             "host": scale * traced.host,
         },
         "programs": [
-            program._replace(seconds=scale * program.seconds)._asdict()
-            for program in traced.programs[:LISTED]
+            program._replace(seconds=scale * program.seconds)._asdict() for program in traced.programs[:KEPT]
         ],
         "num_programs": len(traced.programs),
     }
@@ -78,15 +77,20 @@ def profile_import() -> dict[str, float]:
     return dict(sorted(found.items(), key=lambda item: -item[1])[: PACKAGES + 1])
 
 
-def profile_all(names: list[str], small: bool, done: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
-    """Profile stages, each in a process of its own; `done` is called with the stages so far after each."""
+def profile_all(
+    names: list[str], small: bool, folder: Path, done: Callable[[dict[str, Any]], None]
+) -> dict[str, Any]:
+    """Profile stages, each in a process of its own, and write their files into `folder`; stages with a file are read from it.
+
+    `done` is called with the stages so far after each.
+    """
     found = {}
     for name in names:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "stage.json"
+        path = folder / f"{name}.json"
+        if not path.exists():
             words = ["--one", name, "--output", str(path)] + (["--small"] if small else [])
             subprocess.run([sys.executable, "-m", "benchmarks.profile", *words], check=True)
-            found[name] = json.loads(path.read_text())
+        found[name] = json.loads(path.read_text())
         row = found[name]
         progress(
             f"{name}: first run {row['first']:.1f} s, then {1000 * row['wall'] / row['count']:.1f} ms a {row['unit']}"
@@ -118,6 +122,8 @@ def tables(stages: dict[str, Any], imports: dict[str, float], machine: Machine) 
     for row in stages.values():
         for program in row["programs"]:
             seconds = max(program["seconds"], 1e-9)
+            if seconds < MIN_LISTED_SHARE * row["wall"]:
+                continue
             lines.append(
                 f"| {row['unit']} | `{program['name']}` | {program['calls']} | {1000 * seconds / max(program['calls'], 1):.2f} | "
                 f"{seconds / row['wall']:.0%} | {program['bytes'] / seconds / machine.bandwidth:.0%} | "
@@ -156,7 +162,7 @@ def draw(path: Path, stages: dict[str, Any]) -> None:
     seconds.set_xlabel("seconds of the first run")
     shares.invert_yaxis()
     for axis in (shares, seconds):
-        axis.legend(frameon=False, fontsize=8)
+        axis.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     figure.tight_layout()
     canvas.print_png(path)
 
@@ -168,6 +174,11 @@ def main() -> None:
     parser.add_argument("--no-import", action="store_true", help="leave out the import of the package")
     parser.add_argument("--output", type=Path, help="write the tables to a Markdown file")
     parser.add_argument("--picture", type=Path, help="write a PNG of the shares")
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        help="folder for the measurements of each stage; stages in it are not measured again",
+    )
     parser.add_argument("--one", choices=STAGES, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
@@ -182,7 +193,10 @@ def main() -> None:
         if options.picture:
             draw(options.picture, stages)
 
-    stages = profile_all(options.stages, options.small, write)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        stages = profile_all(options.stages, options.small, folder, write)
     progress(tables(stages, imports, machine))
     figures: dict[str, Any] = {
         "bandwidth_gigabytes_per_second": machine.bandwidth / 1e9,

@@ -19,7 +19,7 @@ from ..observe.meshes import MeshSequence
 from ..rigging.rig_mesh import rig_mesh
 from .anatomy.find_person import PlacedPerson
 from .anatomy.small_joints import free_small_joints
-from .parts.find_parts import find_parts
+from .parts.find_parts import find_parts, moves_symmetrically
 from .parts.surface_graph import make_surface_graph, membership
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joint_tree import find_joint_tree, pose_parts
@@ -43,6 +43,8 @@ class InitialBody(NamedTuple):
     curve: Float[np.ndarray, "N"]
     #: where the anatomy or a given skeleton has the joints; None if they were found from the motion
     given: GivenCentres | None = None
+    #: the share by which parts in pairs raise the error
+    symmetry_cost: float = 0.0
 
 
 def initialise_from_motion(
@@ -56,7 +58,7 @@ def initialise_from_motion(
 
     **Arguments:** `joints` is the number of joints, one less than the number of parts; None chooses it from
     the motion. `symmetry` finds the pairs (True), uses none (False), or is the array of pairs. With a `mirror`, the symmetry
-    of the surface, parts and joints are on the middle or in pairs.
+    of the surface, parts and joints are on the middle or in pairs if the surface moves symmetrically.
 
     **Raises:** `ValueError` for meshes with fewer parts than requested, and for pairs with invalid joint
     indices.
@@ -64,6 +66,7 @@ def initialise_from_motion(
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_reference_mesh(shapes, faces)]
     parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest, mirror)
+    mirror = mirror if moves_symmetrically(parts.symmetry_cost) else None
     tree = find_joint_tree(parts, parts.rest, faces, mirror)
     if mirror is None:
         pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)
@@ -72,7 +75,7 @@ def initialise_from_motion(
         skeleton, pairs = make_symmetric(tree.skeleton, tree.parts.labels, parts.rest, faces, mirror)
     poses = pose_parts(skeleton, tree.parts, parts.rest)
     body = _bind(skeleton, skin, tree.parts.labels, parts.rest, meshes)
-    return InitialBody(body, _cast(poses, meshes), pairs, parts.curve)
+    return InitialBody(body, _cast(poses, meshes), pairs, parts.curve, symmetry_cost=parts.symmetry_cost)
 
 
 def initialise_from_skeleton(

@@ -36,7 +36,7 @@ from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState
-from .symmetry.choose_symmetry import choose_symmetry
+from .symmetry.choose_symmetry import FoundSymmetry, choose_symmetry, judge_motion
 from .symmetry.surface_symmetry import SurfaceSymmetry
 from .symmetry.symmetric_skeleton import middle_directions
 from .variable_projection.learning_rounds import VERTICES, improve_linear_skin
@@ -141,7 +141,7 @@ def learn_body(
     simple = known is None or has_only_ball_joints(known)
     # pairs with names, and those that the user gives, need no search
     is_searched = symmetry is True and not given and not free_bones
-    mirror, message = choose_symmetry(meshes) if is_searched else (None, "")
+    found = choose_symmetry(meshes) if is_searched else FoundSymmetry(None, "")
     loose = skin == "lbs" and alpha < MAX_PROJECTION_ALPHA and whole is None and simple
     coarse = decimate_meshes(meshes, VERTICES if loose else num_coarse_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
@@ -149,17 +149,20 @@ def learn_body(
         _LOG.info("segmenting rigid parts and estimating joints")
         # heat weights need the whole mesh, terms need all vertices, and an unknown number of joints is found more surely on all
         on_coarse = joints is not None and not given and whole is None
+        mirror = found.symmetry
         some = mirror.decimated(coarse.kept, coarse.nearest) if mirror is not None and on_coarse else mirror
         start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones, some)
         sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.left_right_pairs, FIRST_DAMPING, (), 0, start.curve)
+        state = state._replace(symmetry_cost=start.symmetry_cost)
         if start.given is not None:
             state = state._replace(given=start.given._replace(is_fixed=fix_joints))
         if thinned and not on_coarse:
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
+    mirror, message = judge_motion(found, state.symmetry_cost)
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(
             coarse.meshes,

@@ -26,3 +26,5 @@ class LearnState(NamedTuple):
     curve: Float[np.ndarray, "N"] = np.zeros(0)
     #: where a given skeleton or the anatomy has the joints; None if they were found from the motion
     given: GivenCentres | None = None
+    #: the share by which parts in pairs raised the error when parts were found; 0 if the surface has no symmetry
+    symmetry_cost: float = 0.0

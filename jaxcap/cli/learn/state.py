@@ -12,7 +12,16 @@ from ...learn.learn_body import LearnState
 from ...learn.skeleton.joint_centre_prior import GivenCentres
 
 #: names of the arrays of a checkpoint
-STATE_ARRAYS = ("pairs", "damping", "round", "curve", "given_centres", "given_normals", "given_fixed")
+STATE_ARRAYS = (
+    "pairs",
+    "damping",
+    "round",
+    "curve",
+    "given_centres",
+    "given_normals",
+    "given_fixed",
+    "symmetry_cost",
+)
 
 
 def make_checkpoint(state: LearnState) -> Checkpoint:
@@ -22,6 +31,7 @@ def make_checkpoint(state: LearnState) -> Checkpoint:
         "damping": np.array(float(state.damping)),
         "round": np.array(state.round),
         "curve": np.asarray(state.curve, float),
+        "symmetry_cost": np.array(float(state.symmetry_cost)),
         **given_arrays(state.given),
     }
     return Checkpoint(state.body, state.motion, tuple(state.history), arrays)
@@ -46,6 +56,7 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> LearnState:
         round=get_array(checkpoint.arrays, "round", path, (), "whole").item(),
         curve=get_array(checkpoint.arrays, "curve", path, (None,)),
         given=restore_given(checkpoint, path),
+        symmetry_cost=get_array(checkpoint.arrays, "symmetry_cost", path, ()).item(),
     )
 
 

@@ -13,7 +13,7 @@ from .part_kmeans import improve_parts, refine_patch_borders
 from .rigid_residuals import MovingSurface, mean_rest_positions, part_moments
 from .ssdr_motions import estimate_bone_motions
 from .surface_graph import boundary_edges, cut_patches, make_surface_graph
-from .symmetric_parts import improve_symmetric_parts
+from .symmetric_parts import SymmetricParts, improve_symmetric_parts
 
 #: the number of patches that are merged into parts
 PATCHES = 300
@@ -44,6 +44,8 @@ class RigidParts(NamedTuple):
     #: the adjacent part with which a vertex is blended, and the weight of its own part in the blend, 0 to 1
     partners: Int[np.ndarray, "V"]
     shares: Float[np.ndarray, "V"]
+    #: the share by which parts in pairs raise the error; 0 without a symmetry
+    symmetry_cost: float = 0.0
 
     @property
     def num_parts(self) -> int:
@@ -68,7 +70,7 @@ def find_parts(
     **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `num_parts` is the number of parts, by
     default as many as each lower the error by `MIN_GAIN`; `rest` is the mesh in whose pose the parts rest,
     by default the one nearest to all others (`choose_reference_mesh`). With a `symmetry` of the surface, parts are on the
-    middle or mirror each other.
+    middle or mirror each other, unless that costs as much as one part fewer (`moves_symmetrically`).
 
     **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, and a count that is not between one and the number of patches.
@@ -96,8 +98,8 @@ def find_parts(
     def partition(number: int) -> Int[np.ndarray, "V"]:
         return merged_labels(merging, min(number, len(curve)))[patches]
 
-    state = (
-        improve_parts(scene, partition(num_parts), num_parts)
+    state, symmetry_cost = (
+        SymmetricParts(improve_parts(scene, partition(num_parts), num_parts), 0.0)
         if symmetry is None
         else improve_symmetric_parts(scene, partition, num_parts, is_fixed, symmetry, MIN_GAIN)
     )
@@ -116,7 +118,13 @@ def find_parts(
         error,
         mixed.partners,
         mixed.shares,
+        symmetry_cost,
     )
+
+
+def moves_symmetrically(symmetry_cost: float) -> bool:
+    """Test whether parts in pairs cost at most as much as one part fewer."""
+    return symmetry_cost <= MIN_GAIN
 
 
 def choose_num_parts(curve: Float[np.ndarray, "N"], size: float) -> int:

@@ -1,6 +1,7 @@
 """Rigid parts that are mirror images of each other, on a surface with a left-right symmetry."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -14,6 +15,15 @@ from .rigid_residuals import MovingSurface
 OTHER_NUMBERS = (-1, 1)
 
 
+class SymmetricParts(NamedTuple):
+    """Parts of a surface with a left-right symmetry, in pairs if the motion allows it."""
+
+    state: PartState
+    #: the least share by which parts in pairs have a larger root mean square error than parts of any shape; the price of each
+    #: part is included
+    cost: float
+
+
 def improve_symmetric_parts(
     scene: MovingSurface,
     partition: Callable[[int], Int[np.ndarray, "V"]],
@@ -21,11 +31,11 @@ def improve_symmetric_parts(
     is_fixed: bool,
     symmetry: SurfaceSymmetry,
     min_gain: float,
-) -> PartState:
-    """Refine parts, and replace those of one side by the mirrored parts of the other.
+) -> SymmetricParts:
+    """Refine parts, and replace those of one side by the mirrored parts of the other, if both sides move alike.
 
-    The side with the lower error wins; one more part has to lower the root mean square error by `min_gain`. If the number
-    `is_fixed` and no symmetric partition has it, the parts are returned as they were found.
+    The side with the lower error wins; one more part has to lower the root mean square error by `min_gain`. If parts in pairs
+    cost more than that, or if the number `is_fixed` and no symmetric partition has it, the parts are returned as they were found.
 
     **Arguments:** `partition` gives the labels of a number of parts to begin with.
     """
@@ -44,7 +54,12 @@ def improve_symmetric_parts(
         if is_fixed and found:
             break
     assert plain is not None
-    return min(found, key=lambda state: _score(scene, state, min_gain)) if found else plain
+    if not found:
+        return SymmetricParts(plain, 0.0)
+    scores = [_score(scene, state, min_gain) for state in found]
+    best = int(np.argmin(scores))
+    cost = float(np.expm1(scores[best] - _score(scene, plain, min_gain)))
+    return SymmetricParts(found[best] if cost <= min_gain else plain, cost)
 
 
 def _mirrored(

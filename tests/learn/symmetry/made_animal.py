@@ -63,9 +63,10 @@ def surface_of(distance, half, cell):
     return vertices, faces.astype(np.int32)
 
 
-def rotate_leg(vertices, leg: int, side: int, angle: float):
-    """Swing a leg about its hip, with a smooth transition."""
-    hip = np.array(LEGS[leg][0]) * [side, 1, 1]
+def rotate_leg(vertices, leg: int, side: int, angle: float, share: float = 0.0):
+    """Swing a leg about its hip, or the rest of it about a point at a share of its length, with a smooth transition."""
+    top, foot, _ = LEGS[leg]
+    hip = ((1 - share) * np.array(top) + share * np.array(foot)) * [side, 1, 1]
     near = (np.sign(vertices[:, 0]) == side) & (np.abs(vertices[:, 2] - hip[2]) < 0.25)
     weights = np.where(near, np.clip((hip[1] - 0.02 - vertices[:, 1]) / 0.12, 0, 1), 0.0)
     turned = weights * angle

@@ -4,19 +4,22 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
+from jaxcap.learn.parts.find_parts import find_parts, moves_symmetrically
+from jaxcap.learn.symmetry.choose_symmetry import choose_symmetry, judge_motion
 from jaxcap.observe.meshes import MeshSequence
 from tests.learn.symmetry.made_animal import MIDDLE, make_animal, rotate_leg, turn_head
 
+KNEE = 0.5
 LEGS = ((0, -1), (0, 1), (1, -1), (1, 1))
 
 
-def animal_meshes() -> MeshSequence:
-    """The animal in eight poses."""
+def animal_meshes(knee_angle: float = 0.0) -> MeshSequence:
+    """The animal in eight poses; the right front leg alone bends by up to some such angle at a knee."""
     rest, faces = make_animal(cell=0.045)
     rng = np.random.default_rng(0)
     shapes = []
     for angles in 0.5 * rng.normal(size=(8, 5)):
-        shape = turn_head(rest, angles[4])
+        shape = rotate_leg(turn_head(rest, angles[4]), 0, 1, knee_angle * rng.normal(), KNEE)
         for (leg, side), angle in zip(LEGS, angles[:4], strict=True):
             shape = rotate_leg(shape, leg, side, angle)
         shapes.append(shape)
@@ -37,3 +40,24 @@ def test_legs_are_pairs_and_the_neck_is_on_the_middle():
     neck = ({*range(1, 6)} - set(learned.left_right_pairs.ravel().tolist())).pop()
     assert abs(centres[neck, 0]) < 0.01
     assert np.linalg.norm(centres[neck] - MIDDLE[1][0]) < 0.12
+
+
+def test_sides_that_move_differently_have_parts_of_their_own():
+    knees = []
+    for angle in (0.0, 0.6):
+        meshes = animal_meshes(angle)
+        found = choose_symmetry(meshes)
+        shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
+        parts = find_parts(shapes, faces, symmetry=found.symmetry)
+        judged = judge_motion(found, parts.symmetry_cost)
+        moves_alike = moves_symmetrically(parts.symmetry_cost)
+        assert (judged.symmetry is not None) == moves_alike == (angle == 0)
+        assert ("move differently" in judged.sentence) == (not moves_alike)
+        # parts along each front leg
+        rest = parts.rest
+        front = (rest[:, 2] > 0.15) & (rest[:, 1] < 0.4)
+        knees.append(
+            [len(np.unique(parts.labels[front & (np.sign(rest[:, 0]) == side)])) for side in (-1, 1)]
+        )
+    assert knees[0] == [1, 1]
+    assert knees[1][0] == 1 < knees[1][1]
