@@ -19,7 +19,7 @@ from ..observe.meshes import MeshSequence
 from ..rigging.rig_mesh import rig_mesh
 from .anatomy.find_person import PlacedPerson
 from .anatomy.small_joints import free_small_joints
-from .parts.find_parts import find_parts, moves_symmetrically
+from .parts.find_parts import MAX_SYMMETRY_COST, find_parts
 from .parts.surface_graph import make_surface_graph, membership
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joint_tree import find_joint_tree, pose_parts
@@ -53,20 +53,21 @@ def initialise_from_motion(
     skin: SkinName,
     symmetry: bool | Int[np.ndarray, "P 2"],
     mirror: SurfaceSymmetry | None = None,
+    max_symmetry_cost: float = MAX_SYMMETRY_COST,
 ) -> InitialBody:
     """Segment the meshes into rigid parts, connect the parts by joints, and pose the skeleton.
 
     **Arguments:** `joints` is the number of joints, one less than the number of parts; None chooses it from
     the motion. `symmetry` finds the pairs (True), uses none (False), or is the array of pairs. With a `mirror`, the symmetry
-    of the surface, parts and joints are on the middle or in pairs if the surface moves symmetrically.
+    of the surface, parts and joints are on the middle or in pairs, unless that raises the error by a larger share than `max_symmetry_cost`.
 
     **Raises:** `ValueError` for meshes with fewer parts than requested, and for pairs with invalid joint
     indices.
     """
     shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
     rest = shapes[choose_reference_mesh(shapes, faces)]
-    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest, mirror)
-    mirror = mirror if moves_symmetrically(parts.symmetry_cost) else None
+    parts = find_parts(shapes, faces, None if joints is None else joints + 1, rest, mirror, max_symmetry_cost)
+    mirror = mirror if parts.symmetry_cost <= max_symmetry_cost else None
     tree = find_joint_tree(parts, parts.rest, faces, mirror)
     if mirror is None:
         pairs = choose_pairs(symmetry, tree.skeleton, tree.areas)

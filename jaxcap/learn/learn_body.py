@@ -32,6 +32,7 @@ from .initialise import (
 from .joint_exchange.exchange_joints import exchange_joints
 from .joint_exchange.insert_and_remove import EditedBody
 from .objective import objective
+from .parts.find_parts import MAX_SYMMETRY_COST
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
@@ -96,7 +97,7 @@ def learn_body(
     joints: int | None = None,
     skin: SkinName = "swing_twist",
     alpha: float = 100.0,
-    symmetry: bool | Int[np.ndarray, "P 2"] = True,
+    symmetry: bool | Literal["always"] | Int[np.ndarray, "P 2"] = True,
     skeleton: Skeleton | PlacedPerson | SkeletonName = "automatic",
     fix_joints: bool = False,
     free_bones: bool = False,
@@ -119,7 +120,7 @@ def learn_body(
     must then be worth their cost. `skin` is the skinning model. `alpha` weighs shape against distance.
     `symmetry` keeps left and right bones equally long, in pairs that are found or given as `(P, 2)`
     indices of joints. Pairs are those of a skeleton's names. Without names they follow from the symmetry of the surface
-    (`find_symmetry`), or, if it has none, from lengths and areas. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
+    (`find_symmetry`), or from lengths and areas if it has none or if its two sides move differently; "always" pairs these, too. `skeleton` "human" begins with the named joints of the human skeleton, placed in one of the
     meshes (`find_person`); they are a prior on the joint centres, and joints on the middle of the body stay there. "none"
     searches for joints freely. "automatic" is "human" if a person is recognised and neither `joints` nor `free_bones` nor pairs are
     given. A `Skeleton`, posed as in the first mesh, replaces the detected joints: as a prior on
@@ -133,6 +134,8 @@ def learn_body(
     `InputError` for energies of vertices or joints that do not exist.
     """
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
+    max_symmetry_cost = np.inf if isinstance(symmetry, str) else MAX_SYMMETRY_COST
+    symmetry = True if isinstance(symmetry, str) else symmetry
     tree = _choose(meshes, skeleton, joints, symmetry, free_bones) if resume is None else resume.body.skeleton
     given = tree is not None if resume is None else resume.given is not None
     # energies belong to the current tree of joints
@@ -151,7 +154,10 @@ def learn_body(
         on_coarse = joints is not None and not given and whole is None
         mirror = found.symmetry
         some = mirror.decimated(coarse.kept, coarse.nearest) if mirror is not None and on_coarse else mirror
-        start = _start(coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones, some)
+        mirrors = some, max_symmetry_cost
+        start = _start(
+            coarse.meshes if on_coarse else meshes, joints, skin, symmetry, tree, free_bones, mirrors
+        )
         sum_user_terms("learn_body", terms, start.body)
         motion = Motion(start.poses, meshes.rate)
         state = LearnState(start.body, motion, start.left_right_pairs, FIRST_DAMPING, (), 0, start.curve)
@@ -162,7 +168,7 @@ def learn_body(
             state = state._replace(body=_thin(state.body, coarse))
     else:
         state = resume
-    mirror, message = judge_motion(found, state.symmetry_cost)
+    mirror, message = judge_motion(found, state.symmetry_cost, max_symmetry_cost)
     if len(state.body.vertices) < meshes.vertices.shape[1]:
         stage = _stage(
             coarse.meshes,
@@ -231,14 +237,14 @@ def _choose(
     return placed
 
 
-def _start(meshes, joints, skin, symmetry, tree, free_bones, mirror) -> InitialBody:
+def _start(meshes, joints, skin, symmetry, tree, free_bones, mirrors) -> InitialBody:
     if free_bones:
         return initialise_free_bones(meshes, joints)
     if isinstance(tree, PlacedPerson):
         return initialise_from_person(meshes, tree, skin, symmetry)
     if tree is not None:
         return initialise_from_skeleton(meshes, tree, skin, symmetry)
-    return initialise_from_motion(meshes, joints, skin, symmetry, mirror)
+    return initialise_from_motion(meshes, joints, skin, symmetry, *mirrors)
 
 
 def _thin(body: Body, coarse: DecimatedMeshes) -> Body:
@@ -276,7 +282,7 @@ def _improve(
         if state.round == 0 and not loose:
             state = _improve_joints(state, stage, FIRST_STEPS)
     if loose:
-        kind = exchanging != "no", exchanging == "free", stage.prefix, stage.symmetry
+        kind = exchanging != "no", exchanging == "free", stage.prefix
         return improve_linear_skin(state, stage.meshes.vertices, rounds, on_round, *kind)
     while state.round < rounds:
         settled = _settled(state, stage)

@@ -230,6 +230,7 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--unit", "furlong"], "furlong"),
         (["--resume", "--overwrite"], "give one of them"),
         (["--pairs", "1:2", "--no-symmetry"], "--pairs"),
+        (["--always-symmetric", "--no-symmetry"], "--always-symmetric"),
         (["--pairs", "1-2"], "'1-2'"),
         (["--free-bones", "--pairs", "1:2"], "--free-bones"),
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),

@@ -73,6 +73,8 @@ class Learn:
     """Skinning model: separate weights for swing and twist, linear blend skinning, or rigid parts."""
     symmetry: Flag = True
     """Do not constrain left and right limbs to equal lengths."""
+    always_symmetric: Flag = False
+    """Pair the joints of a symmetric surface even if its two sides move differently."""
     pairs: OptionalText = None
     """Symmetric pairs of left and right joints, by number or, with --skeleton FILE, by name, such as 3:5,4:6. Default:
     by the names of joints, else by the symmetry of the surface, else by the lengths and areas of the limbs. Without
@@ -216,6 +218,8 @@ class Learn:
             raise InputError(
                 "--pairs defines symmetric joints and --no-symmetry disables symmetry; give one of them."
             )
+        if self.always_symmetric and (self.pairs is not None or not self.symmetry or self.free_bones):
+            raise InputError("--always-symmetric excludes --pairs, --no-symmetry and --free-bones.")
         has_skeleton = self.skeleton_file() is not None or self.skeleton_name() == "human"
         if has_skeleton and self.joints is not None:
             raise InputError("--skeleton defines the joints; omit --joints.")
@@ -259,7 +263,7 @@ class Learn:
     def settings(self) -> dict[str, object]:
         """Collect the settings that affect the result, by the names of the options."""
         names = (
-            "joints", "alpha", "skin", "symmetry", "pairs", "fix_joints", "free_bones", "correctives", "unit", "rate",
+            "joints", "alpha", "skin", "symmetry", "always_symmetric", "pairs", "fix_joints", "free_bones", "correctives", "unit", "rate",
             "hold_out", "limit_weight", "floor",
         )  # fmt: skip
         file = self.skeleton_file()
@@ -293,7 +297,8 @@ class Learn:
         )
         say(f"learning from {len(meshes)} meshes of {meshes.vertices.shape[1]} vertices; {begins}")
         skeleton = tree.body.skeleton if isinstance(tree, PlacedPerson) else tree
-        symmetry = self.symmetry if self.pairs is None else read_pairs(self.pairs, skeleton)
+        wanted = "always" if self.always_symmetric else self.symmetry
+        symmetry = wanted if self.pairs is None else read_pairs(self.pairs, skeleton)
         with RoundProgress(self.rounds, done) as bar:
 
             def on_round(state: LearnState) -> None:

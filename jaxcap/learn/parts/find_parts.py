@@ -19,6 +19,8 @@ from .symmetric_parts import SymmetricParts, improve_symmetric_parts
 PATCHES = 300
 #: one more part has to lower the root mean square error by this share
 MIN_GAIN = 0.024
+#: parts in pairs may cost as much as one part fewer
+MAX_SYMMETRY_COST = MIN_GAIN
 #: share of the body's diagonal below which an error is negligible
 NEGLIGIBLE = 2e-4
 #: the most parts when the number is chosen automatically
@@ -59,6 +61,7 @@ def find_parts(
     num_parts: int | None = None,
     rest: Float[np.ndarray, "V 3"] | None = None,
     symmetry: SurfaceSymmetry | None = None,
+    max_symmetry_cost: float = MAX_SYMMETRY_COST,
 ) -> RigidParts:
     """Segment a surface into connected parts that move as rigidly as possible.
 
@@ -70,7 +73,7 @@ def find_parts(
     **Arguments:** `meshes` in one topology, metres; `faces` are triangles; `num_parts` is the number of parts, by
     default as many as each lower the error by `MIN_GAIN`; `rest` is the mesh in whose pose the parts rest,
     by default the one nearest to all others (`choose_reference_mesh`). With a `symmetry` of the surface, parts are on the
-    middle or mirror each other, unless that costs as much as one part fewer (`moves_symmetrically`).
+    middle or mirror each other, unless that raises the error by a larger share than `max_symmetry_cost`.
 
     **Raises:** `ValueError` for fewer than two meshes, numbers that are not finite, faces with invalid vertex
     indices, and a count that is not between one and the number of patches.
@@ -101,7 +104,9 @@ def find_parts(
     state, symmetry_cost = (
         SymmetricParts(improve_parts(scene, partition(num_parts), num_parts), 0.0)
         if symmetry is None
-        else improve_symmetric_parts(scene, partition, num_parts, is_fixed, symmetry, MIN_GAIN)
+        else improve_symmetric_parts(
+            scene, partition, num_parts, is_fixed, symmetry, MIN_GAIN, max_symmetry_cost
+        )
     )
     labels, moved = state.labels, state.moments
     error = float(np.sqrt(rigid_errors(moved).sum() / len(meshes)))
@@ -120,11 +125,6 @@ def find_parts(
         mixed.shares,
         symmetry_cost,
     )
-
-
-def moves_symmetrically(symmetry_cost: float) -> bool:
-    """Test whether parts in pairs cost at most as much as one part fewer."""
-    return symmetry_cost <= MIN_GAIN
 
 
 def choose_num_parts(curve: Float[np.ndarray, "N"], size: float) -> int:

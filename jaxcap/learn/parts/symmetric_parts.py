@@ -31,11 +31,12 @@ def improve_symmetric_parts(
     is_fixed: bool,
     symmetry: SurfaceSymmetry,
     min_gain: float,
+    max_cost: float,
 ) -> SymmetricParts:
     """Refine parts, and replace those of one side by the mirrored parts of the other, if both sides move alike.
 
     The side with the lower error wins; one more part has to lower the root mean square error by `min_gain`. If parts in pairs
-    cost more than that, or if the number `is_fixed` and no symmetric partition has it, the parts are returned as they were found.
+    cost more than a share `max_cost`, or if the number `is_fixed` and no symmetric partition has it, the parts are returned as they were found.
 
     **Arguments:** `partition` gives the labels of a number of parts to begin with.
     """
@@ -59,7 +60,7 @@ def improve_symmetric_parts(
     scores = [_score(scene, state, min_gain) for state in found]
     best = int(np.argmin(scores))
     cost = float(np.expm1(scores[best] - _score(scene, plain, min_gain)))
-    return SymmetricParts(found[best] if cost <= min_gain else plain, cost)
+    return SymmetricParts(found[best] if cost <= max_cost else plain, cost)
 
 
 def _mirrored(

@@ -4,7 +4,6 @@ import logging
 from typing import NamedTuple
 
 from ...observe.meshes import MeshSequence
-from ..parts.find_parts import moves_symmetrically
 from .find_symmetry import find_symmetry
 from .surface_symmetry import SurfaceSymmetry
 
@@ -32,9 +31,9 @@ def choose_symmetry(meshes: MeshSequence) -> FoundSymmetry:
     return FoundSymmetry(found, sentence)
 
 
-def judge_motion(found: FoundSymmetry, cost: float) -> FoundSymmetry:
-    """Return no symmetry if the two sides move differently: if parts in pairs have a larger error by too large a share `cost`."""
-    if found.symmetry is None or moves_symmetrically(cost):
+def judge_motion(found: FoundSymmetry, cost: float, max_cost: float) -> FoundSymmetry:
+    """Return no symmetry if the two sides move differently: if parts in pairs raise the error by a share `cost` above `max_cost`."""
+    if found.symmetry is None or cost <= max_cost:
         return found
     sentence = (
         f"{found.sentence} The two sides move differently: parts in pairs would raise the error by {100 * cost:.0f} %."

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.learn.parts.find_parts import find_parts, moves_symmetrically
+from jaxcap.learn.parts.find_parts import MAX_SYMMETRY_COST, find_parts
 from jaxcap.learn.symmetry.choose_symmetry import choose_symmetry, judge_motion
 from jaxcap.observe.meshes import MeshSequence
 from tests.learn.symmetry.made_animal import MIDDLE, make_animal, rotate_leg, turn_head
@@ -43,21 +43,19 @@ def test_legs_are_pairs_and_the_neck_is_on_the_middle():
 
 
 def test_sides_that_move_differently_have_parts_of_their_own():
-    knees = []
-    for angle in (0.0, 0.6):
+    for angle, number, legs in ((0.0, 6, [1, 1]), (1.0, 8, [1, 2])):
         meshes = animal_meshes(angle)
         found = choose_symmetry(meshes)
         shapes, faces = np.asarray(meshes.vertices), np.asarray(meshes.faces)
-        parts = find_parts(shapes, faces, symmetry=found.symmetry)
-        judged = judge_motion(found, parts.symmetry_cost)
-        moves_alike = moves_symmetrically(parts.symmetry_cost)
-        assert (judged.symmetry is not None) == moves_alike == (angle == 0)
-        assert ("move differently" in judged.sentence) == (not moves_alike)
-        # parts along each front leg
-        rest = parts.rest
-        front = (rest[:, 2] > 0.15) & (rest[:, 1] < 0.4)
-        knees.append(
-            [len(np.unique(parts.labels[front & (np.sign(rest[:, 0]) == side)])) for side in (-1, 1)]
-        )
-    assert knees[0] == [1, 1]
-    assert knees[1][0] == 1 < knees[1][1]
+        parts = find_parts(shapes, faces, number, symmetry=found.symmetry)
+        judged = judge_motion(found, parts.symmetry_cost, MAX_SYMMETRY_COST)
+        assert (judged.symmetry is not None) == (angle == 0)
+        assert ("move differently" in judged.sentence) == (angle > 0)
+        front = (parts.rest[:, 2] > 0.15) & (parts.rest[:, 1] < 0.4)
+        sides = np.sign(parts.rest[:, 0])
+        assert [len(np.unique(parts.labels[front & (sides == side)])) for side in (-1, 1)] == legs
+    # the same parts in pairs, if they always have to be
+    forced = find_parts(shapes, faces, number, symmetry=found.symmetry, max_symmetry_cost=np.inf)
+    assert forced.symmetry_cost == parts.symmetry_cost
+    assert forced.error > parts.error
+    assert judge_motion(found, forced.symmetry_cost, np.inf) == found
