@@ -134,8 +134,9 @@ def learn_body(
     `InputError` for energies of vertices or joints that do not exist.
     """
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
-    max_symmetry_cost = np.inf if isinstance(symmetry, str) else MAX_SYMMETRY_COST
+    always = isinstance(symmetry, str)
     symmetry = True if isinstance(symmetry, str) else symmetry
+    max_symmetry_cost = np.inf if always else MAX_SYMMETRY_COST
     tree = _choose(meshes, skeleton, joints, symmetry, free_bones) if resume is None else resume.body.skeleton
     given = tree is not None if resume is None else resume.given is not None
     # energies belong to the current tree of joints
@@ -144,8 +145,8 @@ def learn_body(
     simple = known is None or has_only_ball_joints(known)
     # pairs with names, and those that the user gives, need no search
     is_searched = symmetry is True and not given and not free_bones
-    found = choose_symmetry(meshes) if is_searched else FoundSymmetry(None, "")
     loose = skin == "lbs" and alpha < MAX_PROJECTION_ALPHA and whole is None and simple
+    found = choose_symmetry(meshes, is_exact=loose and not always) if is_searched else FoundSymmetry(None, "")
     coarse = decimate_meshes(meshes, VERTICES if loose else num_coarse_vertices(joints))
     thinned = len(coarse.kept) < meshes.vertices.shape[1]
     if resume is None:
@@ -282,7 +283,7 @@ def _improve(
         if state.round == 0 and not loose:
             state = _improve_joints(state, stage, FIRST_STEPS)
     if loose:
-        kind = exchanging != "no", exchanging == "free", stage.prefix
+        kind = exchanging != "no", exchanging == "free", stage.prefix, stage.symmetry
         return improve_linear_skin(state, stage.meshes.vertices, rounds, on_round, *kind)
     while state.round < rounds:
         settled = _settled(state, stage)

@@ -19,8 +19,8 @@ from .symmetric_parts import SymmetricParts, improve_symmetric_parts
 PATCHES = 300
 #: one more part has to lower the root mean square error by this share
 MIN_GAIN = 0.024
-#: parts in pairs may cost as much as one part fewer
-MAX_SYMMETRY_COST = MIN_GAIN
+#: the largest share by which parts in pairs may raise the error
+MAX_SYMMETRY_COST = 0.01
 #: share of the body's diagonal below which an error is negligible
 NEGLIGIBLE = 2e-4
 #: the most parts when the number is chosen automatically

@@ -21,8 +21,18 @@ class FoundSymmetry(NamedTuple):
     sentence: str
 
 
-def choose_symmetry(meshes: MeshSequence) -> FoundSymmetry:
-    """Find the symmetry of the surface, and say how joints are paired with it or without it."""
+def choose_symmetry(meshes: MeshSequence, is_exact: bool = False) -> FoundSymmetry:
+    """Find the symmetry of the surface, and say how joints are paired with it or without it.
+
+    If the meshes are to be fitted as exactly as possible (`is_exact`), none is used: one joint without a partner can lower the
+    error of such meshes by a large factor.
+    """
+    if is_exact:
+        sentence = (
+            "Left and right are not searched on the surface for linear skins with a small alpha." + OTHERWISE
+        )
+        _LOG.info(sentence)
+        return FoundSymmetry(None, sentence)
     _LOG.info("looking for left and right on the surface")
     found, sentence = find_symmetry(meshes)
     if found is None:

@@ -8,6 +8,7 @@ from ...body.pose import Motion
 from ..joint_exchange.exchange_joints import exchange_joints
 from ..joint_exchange.insert_and_remove import EditedBody
 from ..state import LearnState
+from ..symmetry.surface_symmetry import SurfaceSymmetry
 from .solve_blend_problem import improve_body
 
 #: the number of vertices from which bones are learned
@@ -31,19 +32,19 @@ def improve_linear_skin(
     allow_exchange: bool,
     variable_count: bool,
     prefix: str,
+    symmetry: SurfaceSymmetry | None = None,
 ) -> LearnState:
     """Improve a body until a round lowers Q, here the squared distances alone, by little.
 
     From the second round on, joints are exchanged when steps alone no longer lower Q by much.
 
     **Arguments:** `allow_exchange` allows the exchange of joints, and `variable_count` a change of their number; `prefix`
-    begins the names of steps in the history. Joints are exchanged without their partners, as each such joint can lower the error of
-    exact meshes by a large factor.
+    begins the names of steps in the history; with a `symmetry`, joints are exchanged in pairs or on the middle.
     """
     while state.round < rounds and not _done(state, targets, allow_exchange, prefix):
         if allow_exchange and _slow(state, prefix):
             trial, step = _trial(targets, prefix), prefix + "exchange"
-            state = exchange_joints(state, targets, trial, step, TRIALS, variable_count)
+            state = exchange_joints(state, targets, trial, step, TRIALS, variable_count, symmetry)
         made = EditedBody(state.body, state.motion.poses, state.left_right_pairs)
         state = _improve(state, made, targets, prefix + "projection", PASSES)
         state = state._replace(round=state.round + 1)
