@@ -1,6 +1,7 @@
 """The shapes of the people, estimated before tracking."""
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 
 from ...adapt.shape.people_shapes import estimate_people_shapes
@@ -11,8 +12,11 @@ from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
+from ...observe.floors_and_walls import remove_planes
+from ...observe.planes import Plane
+from ...tracking.search.initialise import search_size
 from ...tracking.track_frame import Tracker
-from ..console.console import pluralise, say
+from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity
 from ..sources import load_body
 from .results import PERSON, make_writable, person_folder
@@ -49,6 +53,19 @@ def find_person_shape(
         say(f"the shape of the person is in {path}; the frames are now tracked with it")
     # the written body, so that a resumed run has the same one
     return load_body(str(path))[0]
+
+
+def warn_of_size(tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[Plane], verdict: str) -> None:
+    """Warn if a body of another size explains the first cloud better, whose pose has a `verdict` other than `good`."""
+    if verdict == "good" or not first_readable(clouds, 1):
+        return
+    set_activity("comparing sizes of the body")
+    size = search_size(tracker, remove_planes(first_readable(clouds, 1)[0], planes))
+    if size != 1:
+        warn(
+            f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "
+            "size are wrong; --fit-shape fits a human body to the person; otherwise check --unit, or give a body of this size"
+        )
 
 
 def find_people_shapes(
