@@ -8,6 +8,7 @@ from ...adapt.shape.people_shapes import estimate_people_shapes
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.body_model import BodyModel
+from ...energy.priors.human_prior import human_prior
 from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
@@ -56,8 +57,11 @@ def find_person_shape(
 
 
 def warn_of_size(tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[Plane], verdict: str) -> None:
-    """Warn if a body of another size explains the first cloud better, whose pose has a `verdict` other than `good`."""
-    if verdict == "good" or not first_readable(clouds, 1):
+    """Warn if a person of another size explains the first cloud better, whose pose has a `verdict` other than `good`.
+
+    Only for bodies with the joints of a person, whose shape can be fitted.
+    """
+    if verdict == "good" or human_prior(tracker.body.skeleton) is None or not first_readable(clouds, 1):
         return
     set_activity("comparing sizes of the body")
     size = search_size(tracker, remove_planes(first_readable(clouds, 1)[0], planes))
