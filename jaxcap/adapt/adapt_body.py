@@ -8,13 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..arguments import checked
-from ..body.body import Body
+from ..body.body import Body, scale_body
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.retraction import difference, retract
 from ..body.skeleton import Skeleton
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..tracking.compare_poses import likelier_pose
 from ..tracking.limb_flips import flip_limb_ends
+from ..tracking.search.initialise import search_size
 from ..tracking.track import track_frames
 from .adapt_round import adapt_round
 from .history import append_history
@@ -85,10 +86,20 @@ def _estimate_size(task: AdaptTask) -> AdaptState:
     # the first of unordered scans does not lead to the next one
     frames = task.scanned[: 1 if task.settings.unordered else NUM_SIZE_FRAMES]
     scans = [task.scan(n) for n in frames]
-    found = [_estimate_size_from(task, scans, frames, task.template, 1.0)]
+    verdict, first = _estimate_size_from(task, scans, frames, task.template, 1.0)
+    found = [first]
     if task.start is None:
         # a body of about the right size may find a better pose, and more reliably
-        found.append(_estimate_size_from(task, scans, frames, found[0].body, found[0].size))
+        found.append(_estimate_size_from(task, scans, frames, first.body, first.size)[1])
+        # the size that fits a wrong pose is wrong, too
+        size = (
+            1.0
+            if verdict == "good"
+            else search_size(make_task_tracker(task, task.template), task.cloud(frames[0]))
+        )
+        if size != 1:
+            body = scale_body(task.template, jnp.asarray(size, task.template.vertices.dtype))
+            found.append(_estimate_size_from(task, scans, frames, body, size)[1])
     best = min(found, key=lambda state: state.history[-1][1])
     poses = {frame: best.motion[n] for n, frame in enumerate(frames)}
     return best._replace(motion=_interpolate_missing(task, poses))
@@ -96,12 +107,15 @@ def _estimate_size(task: AdaptTask) -> AdaptState:
 
 def _estimate_size_from(
     task: AdaptTask, scans: Sequence[IndexedScan], frames: Sequence[int], body: Body, size: float
-) -> AdaptState:
-    """Estimate poses and size from a body that is the template scaled by `size`."""
+) -> tuple[str, AdaptState]:
+    """Estimate poses and size from a body that is the template scaled by `size`.
+
+    Return also the verdict on the first frame before the size was fitted.
+    """
     settings, search = task.settings, task.start is None
     weight = INITIAL_PRIOR_WEIGHT if settings.pose_weight is None else settings.pose_weight
     clouds = (task.cloud(n) for n in frames)
-    tracked = track_frames(make_task_tracker(task, body), clouds, task.start, search=search)
+    tracked = list(track_frames(make_task_tracker(task, body), clouds, task.start, search=search))
     poses = [frame.pose for frame in tracked]
     body, poses, step = fit_size(
         body,
@@ -120,7 +134,7 @@ def _estimate_size_from(
         # of freedom
         worth = max(state.terms[0].pose, float(body.skeleton.num_dofs))
         weight = BALANCE_SHARE * balancing_weight(state.terms[0].data, worth)
-    return state._replace(pose_weight=weight)
+    return tracked[0].verdict, state._replace(pose_weight=weight)
 
 
 def _interpolate_missing(task: AdaptTask, poses: Mapping[int, Pose]) -> Motion:

@@ -30,6 +30,7 @@ from .contents.bodies import (
 )
 from .contents.depth import DepthOptions, describe_camera_depth
 from .contents.folders import describe_clouds, describe_folder
+from .contents.listing import Contents
 from .contents.next_verb import suggest_commands
 from .contents.opensim import describe_osim, describe_storage
 from .contents.texts import (
@@ -75,37 +76,46 @@ class Info:
     depth_scale: DepthScale = 1000.0
 
     def run(self) -> None:
-        path = Path(self.file)
-        if identify(path) == "bvh":
-            kind, unit = describe_bvh(path, self.unit)
-            say(suggest_commands(kind, self.file, unit))
-        else:
-            say(suggest_commands(self.describe(), self.file))
+        kind, unit = self.describe()
+        say(suggest_commands(kind, self.file, unit))
 
-    def describe(self) -> str:
-        """Print a description of the contents, and return their kind. Raises `InputError`."""
-        path, unit = Path(self.file), self.unit or "m"
+    def describe(self) -> Contents:
+        """Print a description of the contents, and return their kind, and the unit that the next command needs. Raises
+        `InputError`."""
+        path, unit = Path(self.file), self.unit
         options = DepthOptions(self.cameras, self.depth_scale)
         if is_model_spec(self.file):
-            return describe_model(self.file)
+            return Contents(describe_model(self.file))
         if is_human_spec(self.file):
             describe_body(load_body(self.file)[0])
-            return "body"
+            return Contents("body")
         if path.is_dir():
             return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():
             if path.suffix.lower() in IMAGE_SUFFIXES:
-                return describe_camera_depth(self.file, options)
+                return Contents(describe_camera_depth(self.file, options))
             return describe_clouds(self.file, unit)
-        kind = identify(path)
+        kind, suffix = identify(path), path.suffix.lower()
+        match kind:
+            case "bvh":
+                return describe_bvh(path, unit)
+            case "mesh":
+                return describe_mesh(path, unit)
+            case "rigged":
+                describe_body(load_body(self.file, unit=unit or "m")[0])
+                return Contents("rigged", unit)
+            case None:
+                raise wrong_kind_error(path, "something that a verb reads", KNOWN)
+        known = self.describe_file(path, kind)
+        if known is None and suffix == ".json":
+            known = describe_json(path)
+        return describe_arrays(path, unit, options) if known is None else Contents(known)
+
+    def describe_file(self, path: Path, kind: str) -> str | None:
+        """Describe a file of another kind, and return it as the commands name it; None for arrays and JSON files."""
         match kind:
             case "skinned" | "usd":
                 return describe_skinned(path)
-            case "rigged":
-                describe_body(load_body(self.file, unit=unit)[0])
-                return "rigged"
-            case "mesh":
-                return describe_mesh(path, unit)
             case "amc":
                 return describe_motion_file(path, self.unit)
             case "asf":
@@ -126,9 +136,7 @@ class Info:
             case "text":
                 return describe_text(path)
             case "depth" if path.suffix.lower() != ".npz":
-                return describe_camera_depth(self.file, options)
+                return describe_camera_depth(self.file, DepthOptions(self.cameras, self.depth_scale))
             case "picture":
                 return "picture"
-            case None:
-                raise wrong_kind_error(path, "something that a verb reads", KNOWN)
-        return describe_json(path) if path.suffix.lower() == ".json" else describe_arrays(path, unit, options)
+        return None

@@ -9,9 +9,9 @@ import tyro
 
 from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
-from ..io.meshes.mesh import check_body_size, check_mesh, read_mesh
+from ..io.meshes.mesh import Mesh, check_body_size, check_mesh, read_mesh, remove_flat_faces
 from ..rigging.rig_mesh import rig_mesh
-from .console.console import say
+from .console.console import pluralise, say
 from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
 from .motions import load_skeleton
 from .outputs import check_npz
@@ -44,8 +44,7 @@ class Rig:
 
     def run(self) -> None:
         check_npz(self.out, self.overwrite, "a body")
-        mesh = read_mesh(self.mesh, self.unit)
-        check_mesh(mesh, self.mesh)
+        mesh = self.read()
         vertices = mesh.vertices @ up_rotation(self.up).T
         check_body_size(float(np.ptp(vertices, axis=0).max()), self.mesh, self.unit)
         skeleton = None
@@ -57,3 +56,15 @@ class Rig:
             raise InputError(f"{self.mesh}: {user_message(error)}") from None
         save_body(self.out, body)
         say(f"{self.out}: {len(body.vertices)} vertices on {body.skeleton.num_joints} joints")
+
+    def read(self) -> Mesh:
+        """Read the mesh, and leave out what is no surface, as reconstructions and scans contain it. Raises `InputError`."""
+        mesh = read_mesh(self.mesh, self.unit)
+        surface = remove_flat_faces(mesh)
+        check_mesh(surface, self.mesh)
+        faces, vertices = len(mesh.faces) - len(surface.faces), len(mesh.vertices) - len(surface.vertices)
+        if faces or vertices:
+            say(
+                f"left out: {pluralise(faces, 'face')} without area, {pluralise(vertices, 'vertex', 'vertices')} that no face uses"
+            )
+        return surface

@@ -16,6 +16,7 @@ from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
 from jaxcap.adapt.task import AdaptSettings, AdaptTask
+from jaxcap.body.body import body_height
 from jaxcap.body.body_model import shape_from_template
 from jaxcap.body.decimate import reduce_body
 from jaxcap.body.people.random_humans import human_resolution, sample_humans
@@ -221,21 +222,39 @@ def test_a_person_who_is_always_near_another_one_has_a_shape(tracked, monkeypatc
     assert joints_off(found, person) < 0.01
 
 
-def test_frames_of_which_none_is_good_are_refused(tracked, monkeypatch):
-    """They are tracked once more, with a first shape."""
-    _, tracker, clouds, poses, space = tracked
+def follow_with(monkeypatch, poses, verdict: str, size: float) -> list[jc.Body]:
+    """Give all frames a verdict and the first one a size; return the list of the bodies that are tracked."""
     bodies = []
 
-    def losing(tracker, clouds, search):
+    def tracked_frames(tracker, clouds, search):
         bodies.append(tracker.body)
-        return [SimpleNamespace(verdict="lost", pose=pose) for pose in poses]
+        return [SimpleNamespace(verdict=verdict, pose=pose) for pose in poses]
 
-    monkeypatch.setattr(tracked_shape, "track_frames", losing)
-    with pytest.raises(jc.InputError, match="none of 3 frames has the verdict 'good'"):
+    monkeypatch.setattr(tracked_shape, "track_frames", tracked_frames)
+    monkeypatch.setattr(tracked_shape, "search_size", lambda *_: size)
+    return bodies
+
+
+def test_frames_that_are_all_lost_are_refused(tracked, monkeypatch):
+    """They are tracked once more, with a first shape."""
+    _, tracker, clouds, poses, space = tracked
+    bodies = follow_with(monkeypatch, poses, "lost", 1.0)
+    with pytest.raises(jc.InputError, match="all of 3 frames have the verdict 'lost'"):
         estimate_shape(tracker, clouds, space)
     assert bodies[0] is tracker.body
     assert len(bodies) == 2
     assert float(jnp.abs(bodies[1].vertices - tracker.body.vertices).max()) > 0.01
+
+
+def test_doubtful_frames_show_a_person_of_another_size(tracked, monkeypatch):
+    """People in clothes have no good frames; the size that was searched for is the start."""
+    person, tracker, clouds, poses, space = tracked
+    bodies = follow_with(monkeypatch, poses, "doubtful", 0.9)
+    found = estimate_shape(tracker, clouds, space)
+    assert joints_off(found, person) < 0.01
+    heights = [float(body_height(body)) for body in bodies]
+    assert len(bodies) == 3
+    assert heights[1] / heights[0] == pytest.approx(0.9, abs=0.02)
 
 
 def test_what_has_no_shape_space_is_told(tracked):

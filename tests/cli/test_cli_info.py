@@ -113,3 +113,36 @@ def test_info_does_not_send_to_itself(tmp_path, capsys, arrays):
         assert "no verb reads these arrays" in runs(capsys, "info", tmp_path / "a.npz")
     else:
         assert "jaxcap info" not in fails(capsys, "info", tmp_path / "a.npz")
+
+
+def test_the_unit_of_a_scan_is_guessed_from_its_size(doll, capsys, tmp_path):
+    box = np.array([[0, 0, 0], [40.0, 0, 0], [0, 172.0, 0], [0, 0, 25.0]])
+    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
+    for name, mesh in (("mesh.ply", Mesh(box, faces)), ("cloud.ply", Mesh(box, np.zeros((0, 3), int)))):
+        write_mesh(tmp_path / name, mesh)
+        said = runs(capsys, "info", tmp_path / name)
+        assert "172 m; in cm it would have the size of a person" in said
+        assert all(command.endswith("--unit cm") for command in re.findall(r"`(jaxcap [^`]*)`", said))
+        # the commands repeat a unit that was given
+        said = runs(capsys, "info", tmp_path / name, "--unit", "cm")
+        assert "would have" not in said and "--unit cm`" in said
+    # a person in a room of six metres is likelier than a person in feet
+    write_mesh(tmp_path / "room.ply", Mesh(box * 6 / 172, np.zeros((0, 3), int)))
+    said = runs(capsys, "info", tmp_path / "room.ply")
+    assert "unless more than a person is in it" in said and "--unit" not in said
+
+
+def test_a_face_without_area_does_not_make_a_mesh_unusable(doll, capsys, tmp_path):
+    path, body = doll
+    vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
+    # as marching cubes leave them: a face of two vertices at one place, and a vertex that no face uses
+    vertices = np.concatenate([vertices, vertices[faces[0, :1]], [[0.0, 0.0, 0.0]]])
+    flat = [[faces[0, 0], len(vertices) - 2, faces[0, 1]]]
+    write_mesh(tmp_path / "scan.obj", Mesh(vertices, np.concatenate([faces, flat])))
+    assert "`jaxcap rig " in runs(capsys, "info", tmp_path / "scan.obj")
+    words = ("rig", tmp_path / "scan.obj", "--skeleton", path.with_suffix(".skl"), "--method", "envelopes")
+    said = runs(capsys, *words, "-o", tmp_path / "rigged.npz")
+    assert "left out: 1 face without area, 2 vertices that no face uses" in said
+    rigged = read_body(tmp_path / "rigged.npz")
+    np.testing.assert_array_equal(rigged.faces, body.faces)
+    np.testing.assert_allclose(rigged.vertices, body.vertices, atol=1e-6)

@@ -15,15 +15,17 @@ from command_line import FRAMES, PYTHON, fails, runs, write_inputs
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
-from jaxcap.cli.sources import load_body
+from jaxcap.cli.sources import Clouds, load_body
 from jaxcap.cli.track import person_shape
 from jaxcap.cli.track import track as track_module
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion, load_skeleton
+from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.skeletons.bvh import read_bvh
 from jaxcap.tracking.advance import Search
 from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import make_tracker
 
 
 @pytest.fixture(scope="module")
@@ -300,12 +302,32 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
             yield dataclasses.replace(frame, lost=True)
 
     monkeypatch.setattr(track_module, "track_frames", losing)
+    monkeypatch.setattr(person_shape, "search_size", lambda *_: 1.0)
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in command(inputs, tmp_path / "out")])
     assert stop.value.code == 2
     assert f"found in none of the {FRAMES} frames" in capsys.readouterr().err
     with pytest.warns(UserWarning, match=f"{FRAMES} of {FRAMES} frames are lost"):
         assert len(load_motion(tmp_path / "out" / "motion.npz")) == FRAMES
+
+
+def test_a_person_of_another_size_is_told_if_the_first_frame_is_not_good(inputs, capsys, monkeypatch):
+    sought = []
+    monkeypatch.setattr(person_shape, "search_size", lambda *_: sought.append(1) or 0.8)
+    body, clouds = load_body(str(inputs / "body.npz"))[0], read_clouds(inputs / "clouds.npz")
+    frames = (make_tracker(body), Clouds(clouds, body), ())
+    with monkeypatch.context() as patch:
+        # without the joints of a person, the shape cannot be fitted
+        patch.setattr(person_shape, "human_prior", lambda _: None)
+        person_shape.warn_of_size(*frames, "doubtful")
+    person_shape.warn_of_size(*frames, "good")
+    assert not sought and not capsys.readouterr().err
+    person_shape.warn_of_size(*frames, "doubtful")
+    told = capsys.readouterr().err
+    assert "about 0.8 times the size of the body" in told and "--fit-shape" in told
+    monkeypatch.setattr(person_shape, "search_size", lambda *_: 1.0)
+    person_shape.warn_of_size(*frames, "lost")
+    assert not capsys.readouterr().err
 
 
 def test_a_search_is_announced_with_its_reason(capsys):

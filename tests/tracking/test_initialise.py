@@ -15,7 +15,7 @@ from jaxcap.energy.priors.reference_pose import tangent_deviations
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import make_cloud
-from jaxcap.tracking.search.initialise import initialise
+from jaxcap.tracking.search.initialise import initialise, scale_pose
 from jaxcap.tracking.search.starts import perturbed_starts, rotated_starts, subtree_starts
 from jaxcap.tracking.track_frame import make_tracker
 
@@ -65,6 +65,18 @@ def test_a_person_is_found_from_nothing(tracker, rng):
     errors = np.linalg.norm(joints[0] - joints[1], axis=1)
     assert errors.mean() < 0.03, errors
     assert np.isfinite(float(score))
+
+
+@pytest.mark.slow
+def test_the_size_of_a_person_is_found_with_the_pose(tracker, rng):
+    """A body of the wrong size bends its neck and knees instead."""
+    truth = scale_pose(someone(rng), 0.8)
+    pose, _ = initialise(
+        tracker, scan(truth, rng), turns=6, keep=2, neighbours=3, rounds=1, sizes=(1.0, 0.8, 1.2)
+    )
+    assert float(pose.scale) == pytest.approx(0.8)
+    joints = [np.asarray(_pose_body(BODY, p).joints) for p in (pose, truth)]
+    assert np.linalg.norm(joints[0] - joints[1], axis=1).mean() < 0.03
 
 
 def test_starts_look_in_all_directions_from_the_middle_of_the_cloud(tracker, rng):

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...arguments import checked
-from ...body.body import Body
-from ...body.body_model import BodyModel
+from ...body.body import Body, scale_body
+from ...body.body_model import BodyModel, shape_from_template
 from ...body.pose import Pose
+from ...energy.data.cloud_extent import CloudExtent, extent_heights
 from ...energy.data.points import PointToPlane, PointToPoint
-from ...energy.energy import Sum
+from ...energy.energy import AbstractEnergy, Sum
 from ...energy.priors.reference_pose import RestPrior
 from ...energy.stacked import NormalPrior, Stacked
 from ...errors import InputError
@@ -34,10 +35,17 @@ from ...tracking.expectation_maximisation.em_step import (
     renew_sigma,
     uniform_priors,
 )
+from ...tracking.search.initialise import search_size
 from ...tracking.track import track_frames
-from ...tracking.track_frame import POINTS_PER_MEASUREMENT, Tracker, partial_terms, replace_body
+from ...tracking.track_frame import (
+    NUM_TESTED,
+    POINTS_PER_MEASUREMENT,
+    Tracker,
+    partial_terms,
+    replace_body,
+)
 from ...value_checks import check_at_least
-from .shape_space import shape_space_like
+from .shape_space import fit_coefficients, shape_space_like
 from .surface_pairs import index_clouds, normal_angle, pair_frames
 
 _LOG = logging.getLogger(__name__)
@@ -50,6 +58,9 @@ ROUNDS = 20
 EXACT_ROUNDS = 10
 #: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
 FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.015)
+
+#: standard deviation of surface beyond the end of a cloud, metres
+EXTENT_DEVIATION = 0.005
 
 
 @checked
@@ -64,41 +75,50 @@ def estimate_shape(
     """Estimate the shape of a person from a short sequence of clouds, without a first pose.
 
     The sequence is tracked by `tracker` as it is. `num_frames` of the frames with the verdict `good` then determine the
-    shape (`fit_tracked_shape`). If no frame is good, as the body is of a very different build, others determine a first
-    shape, and the sequence is tracked again with it. Track the sequence anew with a tracker of the returned body.
+    shape (`fit_tracked_shape`). If no frame is good, the body is of a very different build: its size is searched for in the
+    first cloud (`search_size`), the sequence is tracked with a person of this size, other frames determine a first shape, and
+    the sequence is tracked again with it. If no frame is good then either, as of a person in clothes, those that are
+    `doubtful` determine the shape. Track the sequence anew with a tracker of the returned body.
 
     **Arguments:** `clouds`, consecutive frames; the more the person turns and moves in them, the more of the shape they
     show; `space`, the shape space of the tracker's body, that of `shape_space_like` where not given; `search` for the first
     pose, as in `track_frames`.
 
-    **Raises:** `InputError` if the body is not like a human, or if no frame is tracked well.
+    **Raises:** `InputError` if the body is not like a human, or if all frames are lost.
     """
     check_at_least("estimate_shape", 1, num_frames=num_frames)
     clouds = list(without_room((cloud for cloud in clouds if not cloud.missing), None))
     if not clouds:
         raise InputError("estimate_shape: there are no clouds of a person; expected at least one.")
     space = find_space(tracker, space)
-    good, others = _track(tracker, clouds, search)
-    if not good:
-        first = fit_to_some(tracker, clouds, others, space, num_frames)
-        good, _ = _track(replace_body(tracker, first), clouds, search)
-    if good:
-        return fit_to_some(tracker, clouds, good, space, num_frames)
+    first = None
+    found = _track(tracker, clouds, search)
+    size = search_size(tracker, clouds[0]) if search and not found["good"] else 1.0
+    if size != 1:
+        _LOG.info("the person is %.2f times the size of the body", size)
+        body = scale_body(tracker.body, jnp.asarray(size, tracker.body.vertices.dtype))
+        first = fit_coefficients(space, body)
+        found = _track(replace_body(tracker, shape_from_template(space, first)), clouds, search)
+    if not found["good"]:
+        every = {number: pose for poses in found.values() for number, pose in poses.items()}
+        body = fit_to_some(tracker, clouds, every, space, num_frames, first)
+        found = _track(replace_body(tracker, body), clouds, search)
+    poses = found["good"] or found["doubtful"]
+    if poses:
+        return fit_to_some(tracker, clouds, poses, space, num_frames, first)
     raise InputError(
-        f"estimate_shape: none of {len(clouds)} frames has the verdict 'good', so they do not show the person's shape; give "
+        f"estimate_shape: all of {len(clouds)} frames have the verdict 'lost', so they do not show the person's shape; give "
         "other frames, or a body of about the person's height."
     )
 
 
-def _track(
-    tracker: Tracker, clouds: Sequence[Cloud], search: FirstSearch
-) -> tuple[dict[int, Pose], dict[int, Pose]]:
-    """Track all frames; return the poses of those with the verdict `good`, and of the others, by number."""
-    good, others = {}, {}
+def _track(tracker: Tracker, clouds: Sequence[Cloud], search: FirstSearch) -> dict[str, dict[int, Pose]]:
+    """Track all frames; return their poses by number, of each verdict."""
+    found: dict[str, dict[int, Pose]] = {"good": {}, "doubtful": {}, "lost": {}}
     for number, frame in enumerate(track_frames(tracker, clouds, search=search)):
         _LOG.info("tracking frame %d of %d for the shape of the person", number + 1, len(clouds))
-        (good if frame.verdict == "good" else others)[number] = frame.pose
-    return good, others
+        found[frame.verdict][number] = frame.pose
+    return found
 
 
 def fit_to_some(
@@ -107,11 +127,13 @@ def fit_to_some(
     poses: dict[int, Pose],
     space: BodyModel,
     num_frames: int,
+    coefficients: Float[Array, "K"] | None = None,
 ) -> Body:
-    """Fit the shape to some of the tracked frames, evenly spread."""
-    numbers = list(poses)
+    """Fit the shape to some of the tracked frames, evenly spread; `coefficients` as in `fit_tracked_shape`."""
+    numbers = sorted(poses)
     kept = [numbers[k] for k in even_indices(len(numbers), num_frames)]
-    return fit_tracked_shape(tracker, [clouds[n] for n in kept], [poses[n] for n in kept], space)
+    frames = [clouds[n] for n in kept], [poses[n] for n in kept]
+    return fit_tracked_shape(tracker, *frames, space, coefficients=coefficients)
 
 
 @checked
@@ -122,6 +144,8 @@ def fit_tracked_shape(
     space: BodyModel | None = None,
     rounds: int = ROUNDS,
     exact_rounds: int = EXACT_ROUNDS,
+    *,
+    coefficients: Float[Array, "K"] | None = None,
 ) -> Body:
     """Fit the shape of a person to several tracked frames, together with the poses of these.
 
@@ -131,7 +155,8 @@ def fit_tracked_shape(
     count as one measurement against it.
 
     **Arguments:** `clouds` and `poses`, of the same frames, tracked by `tracker`; `space`, the shape space of its body,
-    that of `shape_space_like` where not given.
+    that of `shape_space_like` where not given; `coefficients` of a first shape, relative to the template, zero where not
+    given.
 
     **Raises:** `InputError` if the body is not like a human, or there are no frames.
     """
@@ -172,7 +197,15 @@ def fit_tracked_shape(
     empty = problem(())
     sigmas = jnp.full(len(clouds), tracker.sigma_start, spread.dtype)
     solver = LevenbergMarquardt(rtol=0.0, atol=0.0, damping=1e-3)
-    found = anneal_problem(renew, empty.start(start), solver, range(rounds))
+    begun = empty.start(start)
+    if coefficients is not None:
+        low, high = (
+            end if end is None else end - space.template_coefficients for end in (space.lowest, space.highest)
+        )
+        begun = eqx.tree_at(
+            lambda y: y.values["shape"], begun, jnp.clip(coefficients.astype(spread.dtype), low, high)
+        )
+    found = anneal_problem(renew, begun, solver, range(rounds))
     scans, widths = index_clouds(clouds), None
     found = anneal_problem(renew_pairs, found, solver, range(exact_rounds))
     return empty.body_at(found.values)
@@ -205,7 +238,23 @@ def coefficient_spread(space: BodyModel, frames: Cloud) -> Float[Array, "K"]:
 def further_terms(tracker: Tracker, body: Body, clouds: Cloud) -> tuple:
     """Make the terms of each frame other than those of its points, stacked over the frames."""
     tracker = eqx.tree_at(lambda t: t.body, tracker, body)
-    return jax.lax.map(lambda cloud: jax.tree.map(jnp.asarray, partial_terms(tracker, cloud)), clouds)
+    return jax.lax.map(lambda cloud: jax.tree.map(jnp.asarray, _other_terms(tracker, cloud)), clouds)
+
+
+def _other_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+    """Make the terms of a frame other than those of its points.
+
+    Points in clothes pull a larger body over themselves, whose feet or hands are beyond the cloud, where nothing pulls
+    them back: an image shows it by free space, and a cloud of the whole person by its ends.
+    """
+    terms = partial_terms(tracker, cloud)
+    if cloud.views or tracker.pose_prior is not None:
+        return terms
+    count = len(tracker.body.vertices)
+    rows = jnp.asarray(even_indices(count, NUM_TESTED), jnp.int32)
+    weights = jnp.full(len(rows), 1.0 / len(rows)) * jnp.sum(cloud.weights)
+    deviation = jnp.asarray(EXTENT_DEVIATION, weights.dtype)
+    return (*terms, CloudExtent(rows, weights, extent_heights(cloud), deviation))
 
 
 @eqx.filter_jit
@@ -228,7 +277,7 @@ def frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigmas
         terms = (
             PointToPlane(vertices, lifted, posed.normals[vertices], (1.0 - along) * weights),
             PointToPoint(vertices, points, along * weights),
-            *partial_terms(tracker, cloud),
+            *_other_terms(tracker, cloud),
         )
         # constants of a term, such as those of a prior, are repeated for each frame
         return jax.tree.map(jnp.asarray, terms), renewed

@@ -72,8 +72,9 @@ class InputSummary(NamedTuple):
 def too_few_error(source: str, count: int) -> InputError:
     """Make the error for a sequence of too few scans."""
     return InputError(
-        f"{source}: {pluralise(count, 'scan')} {'is' if count == 1 else 'are'} too few to adapt to; give at least {MIN_SCANS}; a body of "
-        "the person needs no adaptation: give it to `jaxcap track`, or with its poses to `jaxcap register --motion`."
+        f"{source}: {pluralise(count, 'scan')} {'is' if count == 1 else 'are'} too few to adapt to; give at least {MIN_SCANS}; "
+        "`jaxcap track human SCANS --fit-shape -o OUT` also fits the build of a person to fewer; a body of the person needs no "
+        "adaptation: give it to `jaxcap track`, or with its poses to `jaxcap register --motion`."
     )
 
 

@@ -19,15 +19,22 @@ from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
 from ...limits.implicit_surface import LimitSurface
 from ..console.console import say
-from .bodies import describe_body, describe_motion, describe_motion_file, describe_skeleton, format_size
+from .bodies import (
+    describe_body,
+    describe_motion,
+    describe_motion_file,
+    describe_scan_unit,
+    describe_skeleton,
+    format_size,
+)
 from .depth import DepthOptions, describe_camera_depth
 from .folders import describe_clouds
-from .listing import print_list
+from .listing import Contents, print_list
 
 
 @reader_of("an .npz file")
-def describe_arrays(path: Path, unit: str, options: DepthOptions) -> str:
-    """Print a description of an `.npz`, and return its kind."""
+def describe_arrays(path: Path, unit: str | None, options: DepthOptions) -> Contents:
+    """Print a description of an `.npz`, and return its contents."""
     kind = kind_of_arrays(array_names(path), read_format_name(path))
     tell = {
         "body": _body,
@@ -39,11 +46,11 @@ def describe_arrays(path: Path, unit: str, options: DepthOptions) -> str:
         "checkpoint": _checkpoint,
     }
     if kind in tell:
-        return tell[kind](path)
+        return Contents(tell[kind](path))
     if kind == "meshes":
         return describe_meshes(path, unit)
     if kind == "depth":
-        return describe_camera_depth(path, options)
+        return Contents(describe_camera_depth(path, options))
     if kind == "clouds":
         return describe_clouds(str(path), unit)
     if kind == "keys":
@@ -57,17 +64,18 @@ def describe_arrays(path: Path, unit: str, options: DepthOptions) -> str:
         say(f"joint centres: an array of shape {' x '.join(map(str, shape))}")
     else:
         _others(load_arrays(path))
-    return kind
+    return Contents(kind)
 
 
-def describe_meshes(path: Path | str, unit: str) -> str:
+def describe_meshes(path: Path | str, unit: str | None) -> Contents:
     """Print the number and size of registered meshes."""
-    sequence = read_meshes(path, unit)
+    sequence = read_meshes(path, unit or "m")
+    size = np.ptp(np.asarray(sequence[0]), axis=0)
     say(
         f"registered meshes: {len(sequence)} with {sequence.vertices.shape[1]} vertices and "
-        f"{len(sequence.faces)} triangles; size of the first {format_size(np.ptp(np.asarray(sequence[0]), axis=0))}"
+        f"{len(sequence.faces)} triangles; size of the first {format_size(size)}"
     )
-    return "meshes"
+    return Contents("meshes", describe_scan_unit(size, unit))
 
 
 def _body(path: Path) -> str:

@@ -9,22 +9,23 @@ from ...body.body import Body
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
 from ...body.skin import AbstractSkin, CorrectedSkin
-from ...errors import InputError
 from ...io.body_models.learned import is_own_model, read_model_people
 from ...io.gltf.gltf_reader import read_shape_keys
-from ...io.meshes.mesh import check_mesh, read_mesh
+from ...io.meshes.mesh import read_mesh, remove_flat_faces
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
 from ..body_models import is_morphs_spec, load_model, split_model
 from ..console.console import pluralise, say
 from ..motions import extent, load_motion, warn_of_clip
-from .listing import indented, print_list
+from .listing import Contents, indented, print_list
 
 #: more coefficients than any model has
 MANY = 10_000
 #: largest number of shape keys that a line lists
 MAX_LISTED_NAMES = 8
+#: longest side of a cloud of a person with the floor or the room around, metres
+MAX_ROOM = 15.0
 
 
 def describe_body(body: Body) -> None:
@@ -108,24 +109,42 @@ def describe_skinned(path: Path) -> str:
     return "skinned" if motion is None else "animated"
 
 
-def describe_bvh(path: Path, unit: str | None) -> tuple[str, str | None]:
-    """Print a description of a BVH file; return its kind and the unit that a verb needs, as the file has
-    none."""
+def describe_bvh(path: Path, unit: str | None) -> Contents:
+    """Print a description of a BVH file; its contents have the unit that a verb needs, as the file has none."""
     skeleton, motion = load_motion(path, unit)
     describe_motion(motion)
     describe_skeleton(skeleton)
-    reach = extent(skeleton)
-    if unit is not None or BODY_SIZE[0] <= reach <= BODY_SIZE[1] or skeleton.num_joints == 1:
-        return "motion", unit
-    own = DEFAULT_UNITS[".bvh"]
-    likely = likely_units(reach / UNITS[own], *BODY_SIZE)
+    if skeleton.num_joints == 1:
+        return Contents("motion", unit)
+    own, reach = DEFAULT_UNITS[".bvh"], extent(skeleton)
+    return Contents("motion", describe_unit(reach, unit, own, "the skeleton extends over", "at rest"))
+
+
+def describe_unit(
+    length: float, unit: str | None, own: str, what: str, ending: str = "", longest: float = BODY_SIZE[1]
+) -> str | None:
+    """Print a sentence if the longest side of a person is not that of a person, and return the unit that a verb needs.
+
+    **Arguments:** `length` metres, as read in the `unit` that was given, or else in the file's `own`; `what` and `ending`
+    stand around the length in the sentence; up to the length of `longest` metres, something else may be around the person,
+    and no unit is suggested.
+    """
+    if unit is not None or BODY_SIZE[0] <= length <= BODY_SIZE[1]:
+        return unit
+    likely = likely_units(length / UNITS[own], *BODY_SIZE)
     fits = (
         f"in {likely[0]} it would have the size of a person"
         if likely
         else "no usual unit gives the size of a person"
     )
-    say(f"unit: read in {own}, the skeleton extends over {reach:.3g} m at rest; {fits}")
-    return "motion", likely[0] if likely else "UNIT"
+    around = BODY_SIZE[1] < length <= longest
+    say(
+        f"unit: read in {own}, {what} {length:.3g} m{ending and ' ' + ending}; {fits}"
+        f"{', unless more than a person is in it' if around else ''}"
+    )
+    if around:
+        return None
+    return likely[0] if likely else "UNIT"
 
 
 def describe_motion_file(path: Path, unit: str | None) -> str:
@@ -136,22 +155,26 @@ def describe_motion_file(path: Path, unit: str | None) -> str:
     return "motion"
 
 
-def describe_mesh(path: Path, unit: str) -> str:
+def describe_mesh(path: Path, unit: str | None) -> Contents:
     """Print the size of a mesh or a cloud, and check if it can be the surface of a body."""
-    mesh = read_mesh(path, unit)
-    what = "mesh" if len(mesh.faces) else "cloud"
+    mesh = read_mesh(path, unit or "m")
+    what, size = "mesh" if len(mesh.faces) else "cloud", np.ptp(mesh.vertices, axis=0)
     normals = ", with normals" if mesh.normals is not None else ""
     say(
-        f"{what}: {pluralise(len(mesh.vertices), 'vertex', 'vertices')}, {pluralise(len(mesh.faces), 'face')}, {format_size(np.ptp(mesh.vertices, axis=0))}{normals}"
+        f"{what}: {pluralise(len(mesh.vertices), 'vertex', 'vertices')}, {pluralise(len(mesh.faces), 'face')}, {format_size(size)}{normals}"
     )
+    needed = describe_scan_unit(size, unit)
     if not len(mesh.faces):
-        return "cloud"
-    try:
-        check_mesh(mesh, path)
-    except InputError as error:
-        say(f"not usable as the surface of a body: {error}")
-        return "cloud"
-    return "mesh"
+        return Contents("cloud", needed)
+    if not len(remove_flat_faces(mesh).faces):
+        say("not usable as the surface of a body: no face has an area")
+        return Contents("cloud", needed)
+    return Contents("mesh", needed)
+
+
+def describe_scan_unit(size: np.ndarray, unit: str | None) -> str | None:
+    """Print a sentence if a scan of `size`, metres, has not that of a person, and return the unit that a verb needs."""
+    return describe_unit(float(size.max()), unit, "m", "the longest side is", longest=MAX_ROOM)
 
 
 def format_size(size: np.ndarray) -> str:

@@ -14,20 +14,21 @@ from ...io.meshes.mesh import SUFFIXES
 from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
 from ..scan.depth_images import image_path
-from .bodies import describe_motion, format_size
+from .bodies import describe_motion, describe_scan_unit, format_size
 from .depth import DepthOptions, describe_camera_depth, describe_depth
+from .listing import Contents
 from .texts import describe_journal, describe_statistics
 
 #: maximum number of files of a folder that are identified
 MAX_IDENTIFIED = 1000
 
 
-def describe_folder(folder: Path, unit: str, options: DepthOptions) -> str:
-    """Print a description of a folder, and return its kind. Raises `InputError` if no verb can read any file
+def describe_folder(folder: Path, unit: str | None, options: DepthOptions) -> Contents:
+    """Print a description of a folder, and return its contents. Raises `InputError` if no verb can read any file
     in it."""
     kind = identify(folder)
     if kind == "run":
-        return _run(folder)
+        return Contents(_run(folder))
     found = _kinds(folder)
     there = Counter(found.values())
     if kind == "scans":
@@ -37,7 +38,7 @@ def describe_folder(folder: Path, unit: str, options: DepthOptions) -> str:
         if any(one.is_dir() for one in images):
             for number, one in enumerate(images):
                 describe_depth(one, options._replace(cameras=folder / "cameras.json"), number)
-            return "depth scans"
+            return Contents("depth scans")
         return describe_clouds(str(folder), unit, "scans")
     if there["mesh"]:
         return describe_clouds(str(folder), unit)
@@ -47,28 +48,29 @@ def describe_folder(folder: Path, unit: str, options: DepthOptions) -> str:
             "example."
         )
     if there["depth"] == sum(there.values()):
-        return describe_camera_depth(folder, options)
+        return Contents(describe_camera_depth(folder, options))
     for one, count in there.most_common():
         say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")
-    return f"folder of {there.most_common(1)[0][0]}"
+    return Contents(f"folder of {there.most_common(1)[0][0]}")
 
 
-def describe_clouds(source: str, unit: str, kind: str = "clouds") -> str:
+def describe_clouds(source: str, unit: str | None, kind: str = "clouds") -> Contents:
     """Print the number of clouds; meshes with the same triangles are registered ones."""
-    scans = read_clouds(source, unit=unit)
+    scans = read_clouds(source, unit=unit or "m")
     first = scans[0]
+    size = np.ptp(first.points, axis=0)
     if kind == "clouds" and _is_registered(scans):
         say(
             f"registered meshes: {len(scans)} with {len(first.points)} vertices and {len(first.faces)} triangles; size of the first "
-            f"{format_size(np.ptp(first.points, axis=0))}"
+            f"{format_size(size)}"
         )
-        return "meshes"
+        return Contents("meshes", describe_scan_unit(size, unit))
     normals = "with" if first.normals is not None else "without"
     say(
         f"clouds: {pluralise(len(scans), 'frame')}; the first has {pluralise(len(first.points), 'point')} {normals} normals, "
-        f"{format_size(np.ptp(first.points, axis=0))}"
+        f"{format_size(size)}"
     )
-    return kind
+    return Contents(kind, describe_scan_unit(size, unit))
 
 
 def _is_registered(scans: Scans) -> bool:

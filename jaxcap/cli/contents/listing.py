@@ -1,12 +1,20 @@
-"""Lists of a file's contents, of limited length."""
+"""What a description returns, and lists of a file's contents, of limited length."""
 
 import itertools
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from ..console.console import say
 
 #: maximum number of lines of a list, and maximum depth of an indentation
 MAX_LINES, DEEPEST = 200, 20
+
+
+class Contents(NamedTuple):
+    """The kind of a file's contents, and the unit of lengths that its next command needs, if any."""
+
+    kind: str
+    unit: str | None = None
 
 
 def print_list(lines: Iterable[str], count: int, what: str) -> None:

@@ -52,7 +52,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     ),
     "clouds": (("track human {file} -o tracked", "fits a body"),),
     "joints": (("evaluate BODY MOTION CLOUDS --truth {file}", "compares a motion with them"),),
-    "mesh": (("rig {file} -o body.npz", "makes a body of it"),),
+    "mesh": (
+        ("rig {file} -o body.npz", "makes a body of it"),
+        ("track human {file} -o tracked", "fits a body to it, if it is a scan"),
+    ),
     "cloud": (("track human {file} -o tracked", "fits a body"),),
     "depth": _DEPTH,
     "folder of depth": _DEPTH,

@@ -79,7 +79,7 @@ from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
-from .person_shape import find_shapes
+from .person_shape import find_shapes, warn_of_size
 from .results import (
     CHUNKS,
     PARAMETERS,
@@ -298,6 +298,8 @@ class Track:
             f"statistics.json are in {self.out}"
         )
         warn_of_results(results)
+        if len(rows) and tracker.pose_prior is None and not (self.fit_shape or self.initialise == "never"):
+            warn_of_size(tracker, clouds, planes, results.verdicts[0][0])
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "

@@ -55,7 +55,7 @@ class FreeSpace(AbstractVertexEnergy):
         violation = jnp.where(nearer, side, front)
         violates = inside & (measured > 0) & (front > 0) & (violation > 0)
         direction = jnp.where(nearer[:, None], sideways, -camera.rotation[2])
-        value, rate = _linear_beyond(jnp.where(violates, violation, 0.0))
+        value, rate = linear_beyond(jnp.where(violates, violation, 0.0))
         scale = jnp.sqrt(self.weights) / self.deviation
         return scale * value, (scale * rate)[:, None] * jnp.where(violates[:, None], direction, 0.0)
 
@@ -89,7 +89,7 @@ def _distance_from_person(
     return jnp.where(squared > 0, distance, 0.0), slope
 
 
-def _linear_beyond(violation: Float[Array, "C"]) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
+def linear_beyond(violation: Float[Array, "C"]) -> tuple[Float[Array, "C"], Float[Array, "C"]]:
     """Compute `r`, whose square is that of a violation `v` up to `c = LINEAR_FROM`, then `2 c v - c^2`; and its slope."""
     far = violation > LINEAR_FROM
     root = jnp.sqrt(jnp.where(far, 2 * LINEAR_FROM * violation - LINEAR_FROM**2, 1.0))

@@ -141,11 +141,7 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     if len(faces) == 0:
         raise InputError(f"{where}: it has no faces; a body needs a surface, not a cloud.")
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(area_normals(vertices[faces]), axis=1)
-    longest = np.max([np.linalg.norm(e, axis=1) for e in (b - a, c - b, a - c)], 0)
-    # zero area at the precision of the numbers in a file
-    flat = area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
+    flat = flat_faces(vertices, faces)
     if flat.any():
         row = int(flat.argmax())
         raise InputError(
@@ -159,6 +155,22 @@ def check_mesh(mesh: Mesh, where: str | Path) -> None:
             f"{where}: {(~used).sum()} of {len(vertices)} vertices are in no face, the first is vertex "
             f"{int(used.argmin())}; remove them."
         )
+
+
+def flat_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Mark the faces `(F, 3)` that have no area at the precision of the numbers in a file."""
+    corners = vertices[faces]
+    area = np.linalg.norm(area_normals(corners), axis=1)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    return area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
+
+
+def remove_flat_faces(mesh: Mesh) -> Mesh:
+    """Remove the faces of a mesh that have no area, and the vertices that no other face uses."""
+    faces = np.asarray(mesh.faces)[~flat_faces(np.asarray(mesh.vertices, float), np.asarray(mesh.faces))]
+    used, rows = np.unique(faces, return_inverse=True)
+    normals = None if mesh.normals is None else np.asarray(mesh.normals)[used]
+    return Mesh(np.asarray(mesh.vertices)[used], rows.reshape(faces.shape).astype(faces.dtype), normals)
 
 
 def check_body_size(extent: float, where: str | Path, unit: str | float = "m") -> None:

@@ -1,6 +1,7 @@
 """Global initialisation of a pose: annealing from many starts, and refinement of the best result."""
 
 import logging
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -17,7 +18,7 @@ from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviat
 from ...fit.correspondence.part_blocks import make_part_blocks
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
-from ...value_checks import check_at_least, check_direction
+from ...value_checks import check_at_least, check_direction, check_positive
 from ..track_frame import Tracker
 from .anneal import SEGMENT, anneal_sorted, anneal_survivors, first_poses
 from .prior_starts import mean_pose, prior_starts
@@ -32,6 +33,8 @@ FINE_SIGMAS = (0.08, 0.06, 0.05, 0.04, 0.03, 0.025, 0.02, 0.02, 0.015, 0.015)
 COARSE_VERTICES, COARSE_POINTS, FINE_POINTS = 1000, 768, 2500
 #: number of poses that are refined with the whole body
 NUM_REFINED = 4
+#: sizes of people, relative to the body of an adult, among which a search chooses if the size is unknown
+PERSON_SIZES = (1.0, 0.65, 0.72, 0.8, 0.9, 1.1, 1.22)
 
 
 def coarse_tracker(tracker: Tracker) -> Tracker:
@@ -60,10 +63,12 @@ def initialise(
     coarse: Tracker | None = None,
     key: PRNGKeyArray | None = None,
     starts: Pose | None = None,
+    sizes: Sequence[float] = (1.0,),
 ) -> tuple[Pose, Float[Array, ""]]:
     """Find the pose of a body in a cloud without a start: orientation about `up` and position are unknown.
 
-    Stacked `starts` replace those at rest.
+    Stacked `starts` replace those at rest. With several `sizes` relative to the body, the size is unknown, too, and the
+    `scale` of the returned pose is the likeliest of them (`PERSON_SIZES` are those of people).
 
     Starts in all directions, at rest and at the mean of the tracker's pose prior if it has one, are annealed with a
     coarse body and few points; poor starts are discarded early (`anneal_survivors`). The best `keep` and `neighbours`
@@ -71,12 +76,13 @@ def initialise(
     no points. In the end the same is done with the whole body and more points, which resolve hands and feet, also with
     limbs at the mean of the prior. Returns the best of all and its mean log-likelihood.
 
-    **Raises:** `InputError` where `up` has no direction, or where nothing is to be tried or kept.
+    **Raises:** `InputError` where `up` has no direction, a size is not positive, or nothing is to be tried or kept.
     """
     cloud = as_cloud(cloud)
     check_direction("initialise", up=up)
     check_at_least("initialise", 1, turns=turns, keep=keep)
     check_at_least("initialise", 0, neighbours=neighbours, rounds=rounds)
+    check_positive("initialise", "times the size of the body", sizes=sizes)
     keys = jax.random.split(jax.random.key(0) if key is None else key, 3 + rounds)
     coarse = coarse_tracker(tracker) if coarse is None else coarse
     few = thin_cloud(cloud, COARSE_POINTS)
@@ -88,6 +94,7 @@ def initialise(
     fine = jnp.asarray(FINE_SIGMAS, vertical.dtype)
     if starts is None:
         standing = [rest] if tracker.pose_prior is None else [rest, mean_pose(tracker.pose_prior, skeleton)]
+        standing = [scale_pose(pose, size) for size in sizes for pose in standing]
         starts = concatenate_poses([rotated_starts(coarse, few, pose, turns, vertical) for pose in standing])
         starts = perturbed_starts(skeleton, starts, 1, tangent_deviations(skeleton, 0.0, 0.3), keys[0])
     poses = anneal_survivors(coarse, few, starts, wide)
@@ -101,6 +108,17 @@ def initialise(
         poses = subtree_starts(skeleton, best, 2 * neighbours + 1, limbs, keys[2 + number], shares)
         poses = anneal_survivors(coarse, few, poses, fine, is_compiled=True)
     return refine(tracker, coarse, cloud, first_poses(poses, 1), 2 * neighbours + 1, keys[-1])
+
+
+def search_size(tracker: Tracker, cloud: Cloud, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> float:
+    """Search for the size of the person in a cloud, relative to the tracker's body: one of `PERSON_SIZES`."""
+    _LOG.info("comparing sizes of the body")
+    return float(initialise(tracker, cloud, up=up, sizes=PERSON_SIZES)[0].scale)
+
+
+def scale_pose(pose: Pose, size: float | Float[Array, ""]) -> Pose:
+    """Replace the scale of one pose."""
+    return Pose(pose.translations, pose.rotations, jnp.asarray(size, pose.scale.dtype))
 
 
 def refine(
