@@ -7,6 +7,7 @@ from ...body.pose import Motion
 from ...errors import InputError
 from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
+from ..marker_sets.landmarks import mirror_landmark
 from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.rigid_motion import MIN_DISPLACEMENT, displacement, distance_ranges, is_rigid
 from ..subject import Subject
@@ -145,8 +146,7 @@ def stands_still(subject: Subject, motion: Motion) -> bool:
 
 def _partner(landmarks: list[str], name: str) -> int:
     """Find the same landmark of the other side, or the landmark itself."""
-    side, _, rest = name.partition(" ")
-    other = {"left": f"right {rest}", "right": f"left {rest}"}.get(side, name)
+    other = mirror_landmark(name)
     return landmarks.index(other) if other in landmarks else landmarks.index(name)
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.people.anatomy import rest_deviations
-from ...body.people.human import human_from_traits, shape_from_traits
+from ...body.people.human import human, human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.skeleton import Skeleton
 from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..marker_sets.joints_by_landmarks import joints_by_landmarks
-from ..marker_sets.landmarks import landmark_attachment
+from ..marker_sets.landmarks import joint_landmarks, landmark_attachment
 from ..marker_sets.recognise import MarkerSet
 from ..subject import FREE_DEVIATION, Subject, make_subject
 from .anatomical_prior import BONE_SHARE, CHILD_BONE_SHARE, AnatomicalPrior
@@ -160,8 +160,14 @@ def _rest_positions(
 ) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "J 3"]]:
     """Compute the rest positions of markers on landmarks, and of the joints, of a person, metres."""
     vertices, ends = shape_from_traits(traits, RESOLUTION)
+    centres = joints_by_landmarks(vertices, ends[:, 0], RESOLUTION)
     every, hold = landmark_attachment(RESOLUTION)
-    rows = [every.index(name) for name in names]
-    own = Attachment(hold.corners[rows], hold.barycentric[rows], heights)
-    places = np.asarray(attached_positions(own, vertices), float)
-    return places, joints_by_landmarks(vertices, ends[:, 0], RESOLUTION)
+    places, on_skin = np.zeros((len(names), 3)), [k for k, name in enumerate(names) if name in every]
+    rows = [every.index(names[k]) for k in on_skin]
+    own = Attachment(hold.corners[rows], hold.barycentric[rows], heights[on_skin])
+    places[on_skin] = np.asarray(attached_positions(own, vertices), float)
+    joints = human(resolution=RESOLUTION).skeleton.names
+    for k, name in enumerate(names):
+        if name in joint_landmarks():
+            places[k] = centres[joints.index(joint_landmarks()[name].joint)]
+    return places, centres
