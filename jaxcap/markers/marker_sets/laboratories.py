@@ -9,7 +9,7 @@ from .marker_table import MarkerTable
 DAVIS = MarkerTable(
     "Davis",
     sided={
-        "acromion": "should shoulder", "asis": "asis", "trochanter": "thigh", "knee_lateral": "knee1",
+        "acromion": "should shoulder", "asis": "asis asi", "trochanter": "thigh thi", "knee_lateral": "knee1",
         "fibula_head": "knee2", "ankle_lateral": "mall", "foot_5th_head": "met", "heel": "heel",
     },
     whole={"c7": "c7", "sacrum": "sacrum"},
@@ -35,11 +35,13 @@ OXFORD_FOOT = MarkerTable(
     ),
 )  # fmt: skip
 
+#: the pelvis has a frame with markers on both sides of it, off the skin
 CODAMOTION = MarkerTable(
     "Codamotion",
-    sided={"asis": "ASIS", "psis": "PSIS", "knee_lateral": "Knee", "ankle_lateral": "Ankle", "heel": "Heel", "foot_5th_head": "Toe"},
+    sided={"knee_lateral": "Knee", "ankle_lateral": "Ankle", "heel": "Heel", "foot_5th_head": "Toe"},
     wands={
-        "psis": "Sac.Wand", "thigh_back": "Post.Fem", "thigh_front": "Ant.Fem", "calf": "Post.Tib", "shank_front": "Ant.Tib",
+        "asis": "ASIS", "waist_back_lateral": "PSIS", "thigh_back": "Post.Fem", "thigh_front": "Ant.Fem", "calf": "Post.Tib",
+        "shank_front": "Ant.Tib",
     },
     computed="Hip",
 )  # fmt: skip

@@ -45,7 +45,7 @@ WORDS = MarkerTable(
         "iliac_crest": "iliaccrest crest iliac ilcrest ilc icr ilcr", "trochanter": "greatertrochanter trochanter troch gtroch gtr gtro grtr gtroc hip grt trc tro",
 
         "patella": "patella pat middlekneecap kneecap", "tibial_tuberosity": "tibialtuberosity tibtub tuberosity tibt tibialtub ttub ttb",
-        "fibula_head": "fibulahead fibhead headfibula fib fibula fibh", "heel": "heel heelback calcaneus calc calcan hee cal backheel heelpost",
+        "fibula_head": "fibulahead fibhead headfibula fibh", "heel": "heel heelback calcaneus calc calcan hee cal backheel heelpost",
         "heel_high": "heeltop heelup heelhigh heelupper heelsup calcprox heelprox uheel upperheel", "heel_lateral": "heellat latheel heellateral calclat heelout latcalc lcal call",
         "heel_medial": "heelmed medheel heelmedial calcmed heelin medcalc mcal sustentaculum calm", "navicular": "navicular nav",
         "foot_1st_base": "1stmetbase bmt1 mt1base mt1b mb1 p1mt basemt1",
@@ -69,7 +69,7 @@ WORDS = MarkerTable(
         "jugular_notch": "jugularnotch suprasternal sternalnotch incisurajugularis clav manubrium supsternum jn ij jug",
         "sternum": "sternum chest", "xiphoid": "xiphoid xiphoidprocess xyphoid xiph xyph stern strn px", "navel": "navel umbilicus",
         "sacrum": "psis sacrum sacral sacr vsacral sac s1 s2 vsac sacl", "l5": "l5s1 l5 lv5",
-        "right scapula": "rback rbak rbac rightback backright offset", "left scapula": "lback lbak lbac leftback backleft",
+        "right scapula": "rback rbak rbac rightback backright", "left scapula": "lback lbak lbac leftback backleft",
     },
 )  # fmt: skip
 

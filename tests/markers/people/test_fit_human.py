@@ -85,6 +85,23 @@ def test_the_size_of_a_person_follows_from_markers_of_single_bones():
     assert small < -0.15 and tall > 0.15
 
 
+def test_the_size_of_a_person_does_not_follow_markers_far_off_their_landmarks():
+    """Wide wrist bars, a wand on the pelvis and a wrong label make no giant of a person, nor a child of an adult."""
+    labels = (*LABELS, "RELB", "RWRA", "RWRB")
+    known = recognise_markers(labels)
+    subject = person(labels, Traits(0.5, 35.0, 0.5, 0.5), placing=0.0)
+    places = np.asarray(seen(subject, count=8)[0].positions)
+    at = {label: subject.labels.index(label) for label in labels}
+    for push, sign in ((["LWRA", "RWRA"], 1.0), (["RHEE", "LHEE", "RWRB", "LWRB"], -1.0)):
+        moved = places.copy()
+        moved[:, at["C7"]] += sign * 0.15 * (places[:, at["C7"]] - places[:, at["CLAV"]])
+        for label in push:
+            other = {"WRA": "WRB", "WRB": "WRA", "HEE": "TOE"}[label[1:]]
+            moved[:, at[label]] += sign * 0.6 * (places[:, at[label]] - places[:, at[label[0] + other]])
+        size = person_of_size(known, median_distances(moved, np.ones(moved.shape[:2], bool)))
+        assert abs(size.stature) < 0.12 and size.age > 20
+
+
 @pytest.fixture(scope="module")
 def fitted():
     truth = person()

@@ -69,6 +69,15 @@ PUBLISHED = {
         "R.Knee L.Knee R.Shank L.Shank R.Ankle L.Ankle R.Heel L.Heel R.Toe L.Toe R.Knee.Medial L.Knee.Medial R.Ankle.Medial",
         {"R.Thigh": "right thigh_lateral", "L.Knee": "left knee_lateral", "R.Toe": "right foot_2nd_head"},
     ),
+    "Helen Hayes, four letters": (
+        "THEA FHEA RHEA RSHO ROFF RELB RWRI LSHO LELB LWRI RASI LASI VSAC RTHI RKNE RSHA RANK RHEE RTOE LTHI LKNE LSHA LANK LHEE LTOE",
+        {"RSHA": "right shank_lateral", "LTHI": "left thigh_lateral", "VSAC": "sacrum", "RWRI": "right wrist_dorsal"},
+    ),
+    "sprinting": (
+        "C7 RSH LSH MAN T7 LARM LELB LFOREARM LWR RARM RELB RFOREARM RWR RASI LASI SACR LTHLP LTHAP LTHLD LTHAD LLEPI LPAT LTIAP LTILAT LTIAD "
+        "LLMAL LHEEL LMFS LMFL LP1MT LTOE LP5MT RLEPI RMEPI RLMAL RMMAL RHEEL RMFS RMFL RP1MT RTOE RP5MT",
+        {"LP5MT": "left foot_5th_head", "RMFL": "right foot_5th_base", "LTHLD": "left thigh_lateral_low"},
+    ),
     "Xsens landmarks": (
         "pRightASI pLeftASI pRightAcromion pLeftArmLatEpicondyle pC7SpinalProcess pT8SpinalProcess pTopOfHead pRightPatella "
         "pLeftKneeMedEpicondyle pRightHeelFoot pRightFirstMetatarsal pSacrum pIJ",
