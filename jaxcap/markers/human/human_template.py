@@ -26,6 +26,8 @@ RESOLUTION = "low"
 #: least distance of markers that show the size of a person, metres, and its least change with a standard deviation of stature; share of the
 #: distance of a marker from its joint by which its distance from one at the other end of the bone varies
 MIN_SIZE_DISTANCE, MIN_SLOPE, TURNING_SHARE = 0.03, 0.002, 0.5
+#: the number of the trait
+STATURE = Traits._fields.index("stature")
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
 #: height below which a person may be a child, metres; ages of children that are tried, and age from which people are adults, years
@@ -120,7 +122,8 @@ def _person_of_age(markers: MarkerSet, distances: Float[np.ndarray, "M M"], age:
     names = [str(markers.names[index]) for index in chosen]
     heights, seen = markers.heights[chosen], distances[np.ix_(chosen, chosen)]
     offsets, centres = _rest_positions(names, heights, mean_person)
-    modes = _trait_mode(names, heights, mean_person, Traits._fields.index("stature"))[0]
+    by_trait = [_trait_mode(names, heights, mean_person, number)[0] for number in range(len(mean_person))]
+    modes, others = by_trait[STATURE], np.array([*by_trait[:STATURE], *by_trait[STATURE + 1 :]])
     skeleton = human_from_traits(mean_person, RESOLUTION, "tracking").skeleton
     bones = np.array([skeleton.index(str(markers.bones[index])) for index in chosen], int)
     ends = _bone_ends(skeleton, centres, bones, offsets)
@@ -137,7 +140,9 @@ def _person_of_age(markers: MarkerSet, distances: Float[np.ndarray, "M M"], age:
         if not np.isfinite(seen[a, b]) or length < MIN_SIZE_DISTANCE:
             continue
         slope = away @ (modes[a] - modes[b]) / length
-        spread = np.sqrt(variance[a] + variance[b] + across * (arms[a] ** 2 + arms[b] ** 2))
+        # people of equal stature differ, such as in the width of the pelvis
+        differ = np.sum(((others[:, a] - others[:, b]) @ away / length) ** 2) + (BONE_SHARE * length) ** 2
+        spread = np.sqrt(variance[a] + variance[b] + differ + across * (arms[a] ** 2 + arms[b] ** 2))
         if abs(slope) > MIN_SLOPE:
             tall.append((seen[a, b] - length) / slope)
             weights.append(abs(slope) / spread)
