@@ -94,10 +94,20 @@ KEYPOINTS = MarkerTable(
     whole={"nose": "Nose"},
     computed="Hip Knee Ankle Shoulder Elbow Wrist Eye Neck Head Hip MidHip CHip Pelvis",
 )  # fmt: skip
-#: those at joints, which are landmarks where there is nothing else
-KEYPOINTS_AT_JOINTS = {
-    f"{joint}_centre": joint for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-}
+#: the bones of a body that ART's software fits, at their first joint
+ART_HUMAN = MarkerTable(
+    "ART-Human", computed="PELV LLSP ULSP LTSP UTSP NECK HEAD SHO UAR LAR HAN ULE LLE FOO"
+)
+#: points of these at joints, which are landmarks where there is nothing else
+POINTS_AT_JOINTS = {
+    KEYPOINTS.name: {
+        f"{joint}_centre": joint for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    },
+    ART_HUMAN.name: {
+        "hip_centre": "ULE", "knee_centre": "LLE", "ankle_centre": "FOO", "shoulder_centre": "UAR", "elbow_centre": "LAR",
+        "wrist_centre": "HAN",
+    },
+}  # fmt: skip
 
 QUALISYS_LOWER = MarkerTable(
     "Qualisys lower body",
@@ -144,5 +154,5 @@ PLATES_WITH_ORIGIN = MarkerTable(
 )  # fmt: skip
 
 TABLES = (
-    DAVIS, OXFORD_FOOT, CODAMOTION, BIOGESTA, FRENCH, MOCAP_TOOLBOX, KEYPOINTS, QUALISYS_LOWER, SPRINT, PLAIN, PLATES_WITH_ORIGIN,
+    DAVIS, OXFORD_FOOT, CODAMOTION, BIOGESTA, FRENCH, MOCAP_TOOLBOX, KEYPOINTS, ART_HUMAN, QUALISYS_LOWER, SPRINT, PLAIN, PLATES_WITH_ORIGIN,
 )  # fmt: skip

@@ -73,7 +73,7 @@ def recognise_markers(labels: Sequence[str]) -> MarkerSet:
     groups, names, read = label_groups(first), [], dict[str, _Reading]()
     for group in groups:
         name, own = _read_labels(group)
-        if name == laboratories.KEYPOINTS.name and len(groups) > 1:
+        if name in laboratories.POINTS_AT_JOINTS and len(groups) > 1:
             # the markers of the other group are computed from them
             own = dict.fromkeys(group, _Reading(None, name))
         names.append(name)
@@ -122,17 +122,17 @@ def _read_labels(labels: Sequence[str]) -> tuple[str | None, dict[str, _Reading]
     }
     by_form = dict(zip(labels, forms, strict=True))
     name = ranked[0] if counts[ranked[0]] else None
-    if name == laboratories.KEYPOINTS.name:
-        return name, {label: _read_key_point(one, by_form[label]) for label, one in by_label.items()}
+    if name in laboratories.POINTS_AT_JOINTS:
+        return name, {label: _read_key_point(one, by_form[label], name) for label, one in by_label.items()}
     return name, _separate(_mirrored_only(by_label, by_form), by_form, ranked, counts)
 
 
-def _read_key_point(reading: _Reading, form: str) -> _Reading:
-    """Read a point that a network sees in images: those at joints are landmarks, and none is as exact as a marker."""
-    placement = _joints().get(form, reading.placement)
+def _read_key_point(reading: _Reading, form: str, name: str) -> _Reading:
+    """Read a point of a set of estimated points: those at joints are landmarks, and none is as exact as a marker."""
+    placement = _joints(name).get(form, reading.placement)
     if placement is None:
         return reading
-    return _Reading(placement._replace(deviation=JOINT_DEVIATION, height=0.0), laboratories.KEYPOINTS.name)
+    return _Reading(placement._replace(deviation=JOINT_DEVIATION, height=0.0), name)
 
 
 def landmark_counts() -> Counter[str]:
@@ -153,9 +153,9 @@ def _tables() -> dict[str, Places]:
 
 
 @functools.cache
-def _joints() -> Mapping[str, Placement]:
-    """Build the placements of key points in images by normalised labels."""
-    table = MarkerTable("", sided=laboratories.KEYPOINTS_AT_JOINTS)
+def _joints(name: str) -> Mapping[str, Placement]:
+    """Build the placements of a set's points at joints by normalised labels."""
+    table = MarkerTable("", sided=laboratories.POINTS_AT_JOINTS[name])
     return {form: one for form, one in expand_table(table, joint_landmarks()).items() if one is not None}
 
 

@@ -216,6 +216,12 @@ def test_points_in_images_are_at_joints_if_there_are_no_markers():
         and names["LBigToe"] == "left big_toe"
     )
     assert not found.virtual.any() and (found.deviations == 0.03).all() and (found.heights == 0).all()
+    # those of a body that a program fits, with points on the axes of some of its bones
+    body = "PELV PELVY PELVZ NECK HEAD HEADY HEADZ LSHO RSHO LUAR RUAR LLAR RLAR LHAN LHANY LHANZ RHAN LULE RULE LLLE RLLE LFOO RFOO"
+    found = names_of(body.split())
+    assert (
+        found["LLAR"] == "left elbow_centre" and found["RULE"] == "right hip_centre" and found["LSHO"] is None
+    )
     # MediaPipe's names
     assert (
         names_of(
