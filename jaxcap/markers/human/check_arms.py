@@ -93,14 +93,18 @@ def check_arms(template: Subject, known: MarkerSet, frames: MarkerFrames) -> Non
     names = {f"{side} {name}" for level in found for name in LEVELS[level] for side in ("left", "right")}
     labels = [label for label, name in zip(known.labels, known.names, strict=True) if name in names]
     reason = (
-        "seen from the trunk, the left shoulder is on the right"
+        "seen from the trunk, the left one is on the right"
         if found[0] == "shoulders"
-        else f"the {found[0]} are as far from the other side's arm as they should be from their own"
+        else "they are as far from the other arm as they should be from their own"
     )
     raise InputError(
-        f"Left and right of the arms are exchanged from the {found[0]} on: {reason} ({', '.join(labels[:8])}"
+        f"Left and right of the {_list_words(found)} are exchanged: {reason} ({', '.join(labels[:8])}"
         f"{', ...' if len(labels) > 8 else ''}). Correct these labels, and those of other markers on the same bones."
     )
+
+
+def _list_words(words: tuple[str, ...]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _landmark_means(
