@@ -101,6 +101,13 @@ def test_shoulders_alone_are_found():
         check_arms(*sides(places, wrong))
 
 
+def test_a_fit_refuses_exchanged_arms():
+    places = [person(SETS["trunk"].split(), POSES[pose])[0] for pose in ("hanging", "swinging", "raised")]
+    names = [exchanged(name, 1) for name in person(SETS["trunk"].split(), {})[1]]
+    with pytest.raises(InputError, match="Left and right of the elbows, wrists and hands are exchanged"):
+        jc.markers.fit_human(jc.make_markers(np.concatenate(places), names, 50.0))
+
+
 def test_one_arm_is_not_judged():
     places, names = person(SETS["trunk"].split(), HANGING)
     left = [k for k, name in enumerate(names) if not re.match("R(SHO|ELB|WR|FIN)", name)]
