@@ -20,9 +20,11 @@ def c3d_bytes(
     processor="intel",
     more=(),
     without=(),
+    unannounced=0,
 ) -> bytes:
     """`places (F, M, 3)` in the file's unit; `residuals (F, M)`; `more`, parameters `(group, name, type,
-    dimensions, values)`; `without`, names of parameters of POINT to leave out; `integers`, scaled 16-bit places."""
+    dimensions, values)`; `without`, names of parameters of POINT to leave out; `integers`, scaled 16-bit places; `unannounced`, analogue values of each frame that only the header
+    counts."""
     places = np.asarray(places, float)
     count, points = places.shape[:2]
     residuals = np.zeros((count, points)) if residuals is None else np.asarray(residuals, float)
@@ -57,7 +59,9 @@ def c3d_bytes(
     header = bytes([2, 0x50]) + b"".join(
         _number(processor, kind, value)
         for kind, value in zip(
-            "HHHHHfHHf", (points, 0, first, first + count - 1, 10, scale, start, 0, rate), strict=True
+            "HHHHHfHHf",
+            (points, unannounced, first, first + count - 1, 10, scale, start, 0, rate),
+            strict=True,
         )
     )
     parameters = _parameters(rows, processor, blocks).ljust(512 * blocks, b"\0")
@@ -69,6 +73,7 @@ def c3d_bytes(
                 data += b"".join(_number(processor, "h", word) for word in words)
             else:
                 data += b"".join(_number(processor, "f", word) for word in (*place, residual))
+        data += b"".join(_number(processor, "h" if integers else "f", 7) for _ in range(unannounced))
     return header.ljust(512, b"\0") + parameters + bytes(data).ljust(-(-len(data) // 512) * 512, b"\0")
 
 

@@ -15,7 +15,7 @@ from ...observe.markers import MarkerFrames
 from ...units import unit_scale
 from ..system.atomic import atomic_path
 from .c3d_child import load_c3d
-from .c3d_header import declared_size, read_header
+from .c3d_header import declared_size, read_header, read_layout, read_points
 from .marker_file import MarkerFile, make_marker_file, parse_screen_axis, parse_unit, shift_from_origin
 
 #: lists in the POINT group of points that are no markers
@@ -65,12 +65,21 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
             ) from None
         raise
     points, residuals, words = loaded.points, loaded.residuals, loaded.text_parameters
+    messages = []
+    layout, size = read_layout(path), path.stat().st_size
+    if loaded.analog_values != layout.analog_values and _is_padded(size, declared_size(path, declared)):
+        # ezc3d takes the layout of the parameters, and would read each frame at a wrong place
+        points, residuals = read_points(path, declared)
+        messages.append(
+            f"its parameters announce {loaded.analog_values:g} analogue values in each frame, and its header {layout.analog_values}, with which the "
+            "file has its size; the header is used."
+        )
     if points.shape[1] and points.shape[2] < declared:
         raise InputError(
             f"{path}: the file is cut short: it contains {points.shape[2]} of the {declared} frames of its header; "
             "copy it again."
         )
-    labels, messages = _read_string_list(words, "LABELS"), []
+    labels = _read_string_list(words, "LABELS")
     count = points.shape[1]
     if len(labels) > count:
         messages.append(
@@ -103,6 +112,11 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
         warnings=messages,
         up=parse_screen_axis(" ".join(words.get("Y_SCREEN", ())[:1])),
     )
+
+
+def _is_padded(size: int, needed: int) -> bool:
+    """Test if a file has the size that it needs, in whole blocks."""
+    return needed <= size < needed + 512
 
 
 def _check_finite(path: Path, positions: np.ndarray, labels: list[str]) -> None:

@@ -26,6 +26,8 @@ class C3dContents(NamedTuple):
     #: frames per second, from the group POINT if present, and from the header
     rates: list[float]
     header_rate: float
+    #: number of analogue values that were taken to follow the points of each frame
+    analog_values: float
 
 
 def load_c3d(path: Path) -> C3dContents:
@@ -54,7 +56,9 @@ def _parse(path: Path, answer: bytes) -> C3dContents:
         raise
     except ValueError:
         raise _damaged_error(path, "ezc3d ended before the whole file was read") from None
-    return C3dContents(points, residuals, head["words"], head["rates"], head["header_rate"])
+    return C3dContents(
+        points, residuals, head["words"], head["rates"], head["header_rate"], head["analog_values"]
+    )
 
 
 def _damaged_error(path: Path, reason: str) -> InputError:

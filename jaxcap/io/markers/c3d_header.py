@@ -3,6 +3,10 @@
 import math
 import struct
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 
 from ...errors import InputError
 
@@ -76,11 +80,52 @@ def _check_parameters(raw: bytes, at: int) -> None:
         at = link + step
 
 
+class DataLayout(NamedTuple):
+    """Where the header says that the numbers of the frames are."""
+
+    #: byte at which they begin
+    begin: int
+    points: int
+    #: analogue values that follow the points of each frame
+    analog_values: int
+    #: metres or other units for each integer; not above zero if the numbers are floats
+    scale: float
+
+    @property
+    def frame_size(self) -> int:
+        """Size of a frame in bytes."""
+        return (4 * self.points + self.analog_values) * (2 if self.scale > 0 else 4)
+
+
+def read_layout(path: Path) -> DataLayout:
+    """Read the layout of the frames from the header."""
+    raw = path.read_bytes()
+    points, values = struct.unpack_from("<HH", raw, 2)
+    (block,) = struct.unpack_from("<H", raw, 16)
+    return DataLayout(512 * (block - 1), points, values, float(_parse_floats(raw, 12, 1)[0]))
+
+
+def _parse_floats(raw: bytes, begin: int, count: int) -> Float[np.ndarray, "N"]:
+    """Parse floats of Intel or DEC processors; those of DEC are a quarter, with the halves exchanged."""
+    if raw[512 * (raw[0] - 1) + 3] != _DEC:
+        return np.frombuffer(raw, "<f4", count, begin)
+    halves = np.frombuffer(raw, "<u2", 2 * count, begin).reshape(-1, 2)[:, ::-1]
+    return np.ascontiguousarray(halves).view("<f4").ravel() / 4
+
+
 def declared_size(path: Path, frames: int) -> int:
     """Compute the file size in bytes that the header announces."""
-    head = path.read_bytes()[:512]
-    points, values = struct.unpack_from("<HH", head, 2)
-    (scale,) = struct.unpack_from("<f", head, 12)
-    (block,) = struct.unpack_from("<H", head, 16)
-    # numbers are integers if their scale is above zero
-    return 512 * (block - 1) + frames * (4 * points + values) * (2 if scale > 0 else 4)
+    layout = read_layout(path)
+    return layout.begin + frames * layout.frame_size
+
+
+def read_points(path: Path, frames: int) -> tuple[Float[np.ndarray, "3 M F"], Float[np.ndarray, "M F"]]:
+    """Read the points and their residuals by the layout of the header."""
+    raw, layout = path.read_bytes(), read_layout(path)
+    count = frames * (4 * layout.points + layout.analog_values)
+    if layout.scale > 0:
+        values = layout.scale * np.frombuffer(raw, "<i2", count, layout.begin).astype(float)
+    else:
+        values = _parse_floats(raw, layout.begin, count).astype(float)
+    table = values.reshape(frames, -1)[:, : 4 * layout.points].reshape(frames, layout.points, 4)
+    return np.transpose(table[..., :3], (2, 1, 0)), table[..., 3].T

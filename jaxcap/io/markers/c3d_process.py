@@ -33,9 +33,11 @@ def main(path: str, folders: list[str]) -> None:
         points = np.asarray(loaded["data"]["points"], float)[:3]
         residuals = np.asarray(loaded["data"]["meta_points"]["residuals"], float)[0]
         group = loaded["parameters"].get("POINT", {})
+        analogs = np.shape(loaded["data"]["analogs"])
         head = {
             "words": {name: _words(entry.get("value")) for name, entry in group.items()},
             "rates": np.ravel(group.get("RATE", {}).get("value", ())).tolist(),
+            "analog_values": float(analogs[1] * analogs[2] / max(points.shape[2], 1)),
             "header_rate": float(loaded["header"]["points"]["frame_rate"]),
         }
     except Exception as error:

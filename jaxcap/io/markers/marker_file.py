@@ -80,7 +80,7 @@ def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], li
         messages.append(f"{len(nameless)} points have no label, the first is point {nameless[0] + 1}; they are labelled "
                     f"*{nameless[0] + 1} and so on.")  # fmt: skip
     names = [name or f"*{i + 1}" for i, name in enumerate(names)]
-    taken = set(names)
+    taken, renamed = set(names), []
     counts: Counter[str] = Counter()
     for i, name in enumerate(names):
         counts[name] += 1
@@ -90,8 +90,27 @@ def make_labels_unique(labels: Sequence[str], count: int) -> tuple[list[str], li
                 number += 1
             names[i] = f"{name}_{number}"
             taken.add(names[i])
-            messages.append(f"{number} points have the label '{name}'; this one is renamed '{names[i]}'.")
+            renamed.append((name, names[i]))
+    if renamed:
+        listed = ", ".join(f"'{name}' ('{new}')" for name, new in renamed[:MAX_LISTED])
+        messages.append(
+            f"{len(renamed)} points have the label of an earlier one and are renamed: {listed}{', ...' if len(renamed) > MAX_LISTED else ''}."
+        )
     return names, messages
+
+
+def find_copies(labels: Sequence[str], positions: Float[np.ndarray, "F M 3"]) -> list[int]:
+    """Find the points that have the label of an earlier point, and its positions in all frames."""
+    first: dict[str, list[int]] = {}
+    copies = []
+    for index, label in enumerate(name.strip(" \t\r\n\0") for name in labels[: positions.shape[1]]):
+        same = first.setdefault(label, [])
+        if label and any(
+            np.array_equal(positions[:, index], positions[:, one], equal_nan=True) for one in same
+        ):
+            copies.append(index)
+        same.append(index)
+    return copies
 
 
 def select_subject(
@@ -225,7 +244,14 @@ def make_marker_file(
         raise InputError(f"{where}: the file has no markers{more}; give a file of marker trajectories.")
     if len(positions) == 0:
         raise InputError(f"{where}: the file has no frames; give a file of marker trajectories.")
-    names, changed = make_labels_unique(labels, positions.shape[1])
+    copies = find_copies(labels, positions)
+    kept = [index for index in range(positions.shape[1]) if index not in copies]
+    positions = positions[:, kept]
+    names, changed = make_labels_unique([labels[index] for index in kept if index < len(labels)], len(kept))
+    if copies:
+        changed.append(
+            f"{len(copies)} points are copies of earlier ones with the same labels, the first of '{labels[copies[0]].strip()}', and are left out."
+        )
     lost = np.isnan(positions).any(2) | (positions == 0).all(2)
     if lost.all():
         raise InputError(

@@ -39,6 +39,8 @@ class _TrcHeader(NamedTuple):
 def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     """Read the markers of a TRC file; a cell that is empty or NaN, or a position of zeros, is a gap.
 
+    Cells are separated by tabs or blanks, or by commas or semicolons, as spreadsheets save them.
+
     **Arguments:** `unit` of lengths, which overrides that of the header; the default without both is
     millimetres.
 
@@ -49,7 +51,7 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     a cell is no number, more than a tenth of the rows have a wrong number of cells, or it has no markers or no frames.
     """
     path = Path(path)
-    lines = read_text(path).splitlines()
+    lines = _with_tabs(read_text(path).splitlines())
     if not any(line.strip() for line in lines):
         raise InputError(f"{path}: the file is empty; copy or export it again.")
     head = _read_head(path, lines)
@@ -105,6 +107,15 @@ def read_trc(path: str | Path, unit: str | float | None = None) -> MarkerFile:
     return make_marker_file(
         path, positions, head.labels, rate, unit, first_frame=first, warnings=messages, start=start
     )
+
+
+def _with_tabs(lines: list[str]) -> list[str]:
+    """Replace the separators of a table that a spreadsheet saved, commas or semicolons, by tabs."""
+    if lines and lines[0].startswith("PathFileType,"):
+        return [line.replace(",", "\t") for line in lines]
+    if lines and lines[0].startswith("PathFileType;"):
+        return [line.replace(",", ".").replace(";", "\t") for line in lines]
+    return lines
 
 
 def _describe_rows(count: int, longer: list[int], uneven: list[int]) -> list[str]:

@@ -18,8 +18,8 @@ NUM_FRAMES = 100
 #: landmarks of one side, by their part of the foot and the leg
 TOES = ("toe_tip", "big_toe", "foot_1st_head", "foot_2nd_head", "foot_3rd_head", "foot_5th_head")
 HEELS = ("heel", "heel_high")
-ANKLES = ("ankle_lateral", "ankle_medial")
-KNEES = ("knee_lateral", "knee_medial", "patella", "fibula_head", "tibial_tuberosity")
+ANKLES = ("ankle_lateral", "ankle_medial", "ankle_centre")
+KNEES = ("knee_lateral", "knee_medial", "patella", "fibula_head", "tibial_tuberosity", "knee_centre")
 #: pairs of a lateral and a medial landmark of one bone, or of a lateral one and one in the middle of the foot
 ACROSS = (
     ("knee_lateral", "knee_medial"), ("ankle_lateral", "ankle_medial"), ("foot_5th_head", "foot_1st_head"),

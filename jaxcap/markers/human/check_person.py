@@ -7,7 +7,9 @@ from ...body.pose import Motion
 from ...errors import InputError
 from ...geometry.procrustes import rigid_fit
 from ...observe.markers import MarkerFrames
+from ..marker_sets.landmarks import mirror_landmark
 from ..marker_sets.recognise import MarkerSet, recognise_markers
+from ..segments.pair_distances import median_distances
 from ..segments.rigid_motion import MIN_DISPLACEMENT, displacement, distance_ranges, is_rigid
 from ..subject import Subject
 from .human_template import placed_markers
@@ -16,6 +18,8 @@ from .human_template import placed_markers
 MIN_MARKERS, MIN_BONES = 6, 3
 #: largest standard deviation of a marker on a landmark, metres; those on plates have more
 MAX_DEVIATION = 0.03
+#: distance of markers with the same label on one person, at most, metres
+MAX_SAME_DISTANCE = 0.25
 #: bones that hardly move relative to each other
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder", "LeftUpLeg", "RightUpLeg")
 #: share of the distances that exchanged sides leave in the best frame, below which they are exchanged
@@ -44,13 +48,17 @@ def has_landmarks(known: MarkerSet, frames: MarkerFrames) -> bool:
 def find_doubled_labels(frames: MarkerFrames) -> list[str]:
     """Find the labels of a person that occur twice, where those that do are a person's by themselves.
 
-    Readers of files rename the second `LASI` to `LASI_2`.
+    Readers of files rename the second `LASI` to `LASI_2`. Labels of markers that are close to each other do not count.
     """
-    second = {
-        index: label.removesuffix("_2")
-        for index, label in enumerate(frames.labels)
-        if label.endswith("_2") and label.removesuffix("_2") in frames.labels
-    }
+    distances = median_distances(np.asarray(frames.positions, float), np.asarray(frames.visible))
+    second = {}
+    for index, label in enumerate(frames.labels):
+        first = label.removesuffix("_2")
+        if first == label or first not in frames.labels:
+            continue
+        # two markers of one knee have one label too, in old files
+        if not distances[index, frames.labels.index(first)] < MAX_SAME_DISTANCE:
+            second[index] = first
     labels, columns = tuple(second.values()), np.array(list(second), int)
     own = MarkerFrames(
         np.asarray(frames.positions)[:, columns], np.asarray(frames.visible)[:, columns], labels, frames.rate
@@ -145,8 +153,7 @@ def stands_still(subject: Subject, motion: Motion) -> bool:
 
 def _partner(landmarks: list[str], name: str) -> int:
     """Find the same landmark of the other side, or the landmark itself."""
-    side, _, rest = name.partition(" ")
-    other = {"left": f"right {rest}", "right": f"left {rest}"}.get(side, name)
+    other = mirror_landmark(name)
     return landmarks.index(other) if other in landmarks else landmarks.index(name)
 
 

@@ -22,6 +22,7 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps, describe_exchanges
 from ..subject import Subject
+from .check_arms import check_arms
 from .check_legs import check_legs
 from .check_person import (
     check_articulated,
@@ -111,6 +112,7 @@ def fit_human(
     )
     check_sides(template.subject, known, frames)
     check_legs(known, frames)
+    check_arms(template.subject, known, frames)
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))

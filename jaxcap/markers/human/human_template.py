@@ -1,6 +1,7 @@
 """The embedded human with a laboratory's markers on it, and how it changes with a person's traits."""
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,19 +10,24 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.people.anatomy import rest_deviations
-from ...body.people.human import human_from_traits, shape_from_traits
+from ...body.people.human import human, human_from_traits, shape_from_traits
 from ...body.people.morph_targets import Traits
 from ...body.skeleton import Skeleton
 from ...geometry.attachment import Attachment, attached_positions
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..marker_sets.joints_by_landmarks import joints_by_landmarks
-from ..marker_sets.landmarks import landmark_attachment
+from ..marker_sets.landmarks import joint_landmarks, landmark_attachment
 from ..marker_sets.recognise import MarkerSet
 from ..subject import FREE_DEVIATION, Subject, make_subject
 from .anatomical_prior import BONE_SHARE, CHILD_BONE_SHARE, AnatomicalPrior
 
 #: resolution of the surface that markers are placed on
 RESOLUTION = "low"
+#: least distance of markers that show the size of a person, metres, and its least change with a standard deviation of stature; share of the
+#: distance of a marker from its joint by which its distance from one at the other end of the bone varies
+MIN_SIZE_DISTANCE, MIN_SLOPE, TURNING_SHARE = 0.03, 0.002, 0.5
+#: the number of the trait
+STATURE = Traits._fields.index("stature")
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
 #: height below which a person may be a child, metres; ages of children that are tried, and age from which people are adults, years
@@ -70,14 +76,8 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
 
 def nearest_joints(subject: Subject) -> Int[np.ndarray, "M"]:
     """Find the joint nearest to each marker at rest, of the joints at both ends of its bone."""
-    skeleton, centres = subject.skeleton, np.asarray(subject.skeleton.centres, float)
-    nearest = []
-    for bone, place in zip(
-        np.asarray(subject.bones).tolist(), np.asarray(subject.offsets, float), strict=True
-    ):
-        ends = [bone, *_moving_children(skeleton, bone)]
-        nearest.append(ends[int(np.argmin(np.linalg.norm(centres[ends] - place, axis=1)))])
-    return np.array(nearest, int)
+    centres, places = (np.asarray(x, float) for x in (subject.skeleton.centres, subject.offsets))
+    return _bone_ends(subject.skeleton, centres, np.asarray(subject.bones), places)
 
 
 def _moving_children(skeleton: Skeleton, bone: int) -> list[int]:
@@ -113,30 +113,69 @@ def is_adult(traits: Traits) -> bool:
 
 
 def _person_of_age(markers: MarkerSet, distances: Float[np.ndarray, "M M"], age: float) -> Traits:
-    """Find the stature of a person of an age, from the distances between the markers of single bones."""
+    """Find the stature of a person of an age, from the distances between markers of one bone, and those at both of its ends.
+
+    The sum of absolute errors over their deviations is least, as a marker on a wand or with a wrong label is far off.
+    """
     mean_person = MEAN_TRAITS._replace(age=age)
     chosen = placed_markers(markers)
     names = [str(markers.names[index]) for index in chosen]
-    heights, placed = markers.heights[chosen], markers.deviations[chosen]
-    bones, seen = [markers.bones[index] for index in chosen], distances[np.ix_(chosen, chosen)]
-    pairs = [(a, b) for a in range(len(chosen)) for b in range(a) if bones[a] == bones[b]]
-    mean, slope, precision = [], [], []
-    offsets = _rest_positions(names, heights, mean_person)[0]
-    modes = _trait_mode(names, heights, mean_person, Traits._fields.index("stature"))[0]
-    for a, b in pairs:
+    heights, seen = markers.heights[chosen], distances[np.ix_(chosen, chosen)]
+    offsets, centres = _rest_positions(names, heights, mean_person)
+    by_trait = [_trait_mode(names, heights, mean_person, number)[0] for number in range(len(mean_person))]
+    modes, others = by_trait[STATURE], np.array([*by_trait[:STATURE], *by_trait[STATURE + 1 :]])
+    skeleton = human_from_traits(mean_person, RESOLUTION, "tracking").skeleton
+    bones = np.array([skeleton.index(str(markers.bones[index])) for index in chosen], int)
+    ends = _bone_ends(skeleton, centres, bones, offsets)
+    # a marker turns about the joint that it is next to
+    arms = TURNING_SHARE * np.linalg.norm(offsets - centres[ends], axis=1)
+    variance = markers.deviations[chosen] ** 2
+    tall, weights = [0.0], [1.0]
+    for a, b in combinations(range(len(chosen)), 2):
+        across = bones[a] != bones[b]
+        if across and not _are_ends_of_bone(skeleton, int(ends[a]), int(ends[b])):
+            continue
         away = offsets[a] - offsets[b]
         length = np.linalg.norm(away)
-        if np.isfinite(seen[a, b]) and length > 0.03:
-            mean.append(seen[a, b] - length)
-            slope.append(away @ (modes[a] - modes[b]) / length)
-            precision.append(1.0 / (placed[a] ** 2 + placed[b] ** 2))
-    mean, slope, precision = np.array(mean), np.array(slope), np.array(precision)
-    deviation = TRAIT_DEVIATIONS.stature
-    tall = (
-        float(np.sum(precision * slope * mean) / (1.0 + np.sum(precision * slope**2))) if len(mean) else 0.0
+        if not np.isfinite(seen[a, b]) or length < MIN_SIZE_DISTANCE:
+            continue
+        slope = away @ (modes[a] - modes[b]) / length
+        # people of equal stature differ, such as in the width of the pelvis
+        differ = np.sum(((others[:, a] - others[:, b]) @ away / length) ** 2) + (BONE_SHARE * length) ** 2
+        spread = np.sqrt(variance[a] + variance[b] + differ + across * (arms[a] ** 2 + arms[b] ** 2))
+        if abs(slope) > MIN_SLOPE:
+            tall.append((seen[a, b] - length) / slope)
+            weights.append(abs(slope) / spread)
+    stature = MEAN_TRAITS.stature + TRAIT_DEVIATIONS.stature * weighted_median(
+        np.array(tall), np.array(weights)
     )
-    stature = np.clip(MEAN_TRAITS.stature + deviation * tall, MIN_TRAITS.stature, MAX_TRAITS.stature)
-    return mean_person._replace(stature=float(stature))
+    return mean_person._replace(stature=float(np.clip(stature, MIN_TRAITS.stature, MAX_TRAITS.stature)))
+
+
+def weighted_median(values: Float[np.ndarray, "N"], weights: Float[np.ndarray, "N"]) -> float:
+    """Compute the value from which the weighted sum of absolute differences is least."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _bone_ends(
+    skeleton: Skeleton,
+    centres: Float[np.ndarray, "J 3"],
+    bones: Int[np.ndarray, "M"],
+    places: Float[np.ndarray, "M 3"],
+) -> Int[np.ndarray, "M"]:
+    """Find the joint nearest to each marker at rest, of the joints at both ends of its bone."""
+    nearest = []
+    for bone, place in zip(bones.tolist(), places, strict=True):
+        ends = [bone, *_moving_children(skeleton, bone)]
+        nearest.append(ends[int(np.argmin(np.linalg.norm(centres[ends] - place, axis=1)))])
+    return np.array(nearest, int)
+
+
+def _are_ends_of_bone(skeleton: Skeleton, one: int, other: int) -> bool:
+    """Test if one joint is at the end of the bone that begins at the other."""
+    return other in _moving_children(skeleton, one) or one in _moving_children(skeleton, other)
 
 
 def _trait_mode(
@@ -160,8 +199,14 @@ def _rest_positions(
 ) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "J 3"]]:
     """Compute the rest positions of markers on landmarks, and of the joints, of a person, metres."""
     vertices, ends = shape_from_traits(traits, RESOLUTION)
+    centres = joints_by_landmarks(vertices, ends[:, 0], RESOLUTION)
     every, hold = landmark_attachment(RESOLUTION)
-    rows = [every.index(name) for name in names]
-    own = Attachment(hold.corners[rows], hold.barycentric[rows], heights)
-    places = np.asarray(attached_positions(own, vertices), float)
-    return places, joints_by_landmarks(vertices, ends[:, 0], RESOLUTION)
+    places, on_skin = np.zeros((len(names), 3)), [k for k, name in enumerate(names) if name in every]
+    rows = [every.index(names[k]) for k in on_skin]
+    own = Attachment(hold.corners[rows], hold.barycentric[rows], heights[on_skin])
+    places[on_skin] = np.asarray(attached_positions(own, vertices), float)
+    joints = human(resolution=RESOLUTION).skeleton.names
+    for k, name in enumerate(names):
+        if name in joint_landmarks():
+            places[k] = centres[joints.index(joint_landmarks()[name].joint)]
+    return places, centres

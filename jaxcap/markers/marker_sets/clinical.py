@@ -17,11 +17,24 @@ HELEN_HAYES = MarkerTable(
     },
     whole={
         "sacrum": "V.Sacral Sacral Sacrum VSAC", "head_top": "Top.Head THEA", "head_front": "Front.Head FHEA",
-        "head_back": "Rear.Head Back.Head RHEA", "right scapula": "R.Scapula R.Offset Offset ROFF",
+        "head_back": "Rear.Head Back.Head RHEA", "right scapula": "R.Scapula R.Offset ROFF",
         "left scapula": "L.Scapula L.Offset", "sternum": "Sternum",
     },
     loose={"upper_arm_lateral": "Bicep Biceps", "forearm_lateral": "Forearm"},
     wands={"thigh_lateral": "Thigh", "shank_lateral": "Shank"},
+)  # fmt: skip
+
+#: the same in four letters, to which old programs cut labels
+HELEN_HAYES_SHORT = MarkerTable(
+    "Helen Hayes, four letters",
+    sided={
+        "acromion": "SHO", "elbow_lateral": "ELB", "wrist_dorsal": "WRI", "asis": "ASI", "psis": "PSI", "knee_lateral": "KNE",
+        "ankle_lateral": "ANK", "heel": "HEE", "foot_2nd_head": "TOE TO",
+    },
+    whole={
+        "sacrum": "VSAC", "head_top": "THEA TOPH", "head_front": "FHEA FRON", "head_back": "RHEA REAR", "right scapula": "ROFF RSCA", "left scapula": "LSCA",
+    },
+    wands={"thigh_lateral": "THI", "shank_lateral": "SHA"},
 )  # fmt: skip
 
 CLEVELAND_CLINIC = MarkerTable(
@@ -31,7 +44,7 @@ CLEVELAND_CLINIC = MarkerTable(
         "knee_lateral": "Knee.Lat KNL", "knee_medial": "Knee.Med Knee.Medial KNM", "ankle_lateral": "Ankle.Lat ANL",
         "ankle_medial": "Ankle.Med Ankle.Medial ANM", "heel": "Heel", "foot_2nd_head": "Toe",
     },
-    whole={"sacrum": "V.Sacral Sacral", "right scapula": "R.Scapula Offset", "head_top": "Top.Head"},
+    whole={"sacrum": "V.Sacral Sacral", "right scapula": "R.Scapula", "head_top": "Top.Head"},
     plates={
         "thigh_lateral": "Thigh.Upper Thigh.Front Thigh.Rear Thigh.Lower Thigh.Top",
         "shank_lateral": "Shank.Upper Shank.Front Shank.Rear Shank.Lower Shank.Top",
@@ -73,4 +86,4 @@ SKELETAL_LANDMARKS = MarkerTable(
     loose={"deltoid": "HUM", "upper_arm_lateral": "ARM"},
 )  # fmt: skip
 
-TABLES = (HELEN_HAYES, CLEVELAND_CLINIC, RIZZOLI, SKELETAL_LANDMARKS)
+TABLES = (HELEN_HAYES, HELEN_HAYES_SHORT, CLEVELAND_CLINIC, RIZZOLI, SKELETAL_LANDMARKS)

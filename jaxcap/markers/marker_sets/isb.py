@@ -34,7 +34,7 @@ UPPER_LIMB = MarkerTable(
         "jugular_notch": "STER", "xiphoid": "XIPH", "t1": "T1", "t10": "T10", "right sternoclavicular": "CLAV_SC",
         "right clavicle": "CLAVm CLAV_ant CLAV_post", "right acromioclavicular": "CLAVl CLAV_AC",
         "right acromion": "ACRO_tip", "right acromial_angle": "SCAP_AA", "right coracoid": "SCAP_CP",
-        "right scapula_spine_root": "SCAP_RS SCAP_SA", "right scapula_inferior_angle": "SCAP_IA",
+        "right scapula_spine_root": "SCAP_RS SCAP_SA", "right scapula_inferior_angle": "SCAP_IA", "right scapula": "SCAPm SCAPl",
         "right deltoid": "DELT", "right upper_arm_lateral": "ARMl", "right upper_arm_front": "ARMm",
         "right upper_arm_back": "ARMp_up ARMp_do", "right elbow_lateral": "EPICl", "right elbow_medial": "EPICm",
         "right forearm_lateral": "LARM_ant LARMl LARMm", "right olecranon": "LARM_elb",

@@ -140,8 +140,17 @@ LATERAL_LANDMARKS = {
 }  # fmt: skip
 
 
+#: points at the centres of joints of the left side: the bone that carries them, and the joint. Networks that see joints in images are a few
+#: centimetres off (Needham and others 2021)
+JOINT_LANDMARKS = {
+    "shoulder_centre": ("LeftShoulder", "LeftArm"), "elbow_centre": ("LeftArm", "LeftForeArm"), "wrist_centre": ("LeftForeArm", "LeftHand"),
+    "hip_centre": ("Hips", "LeftUpLeg"), "knee_centre": ("LeftUpLeg", "LeftLeg"), "ankle_centre": ("LeftLeg", "LeftFoot"),
+}  # fmt: skip
+JOINT_DEVIATION = 0.03
+
+
 class Landmark(NamedTuple):
-    """A position on the skin of the man of 25 at rest."""
+    """A position on the skin of the man of 25 at rest, or at the centre of a joint."""
 
     #: joint whose bone carries the landmark, and joint that the offset starts at
     bone: str
@@ -160,6 +169,12 @@ def mirror_name(name: str) -> str:
     return name
 
 
+def mirror_landmark(name: str) -> str:
+    """Name the same landmark of the other side; one in the middle is its own mirror image."""
+    side, _, rest = name.partition(" ")
+    return f"{dict(left='right', right='left')[side]} {rest}" if side in ("left", "right") else name
+
+
 @functools.cache
 def landmarks() -> dict[str, Landmark]:
     """Build the table of all landmarks by name, such as `c7`, `left knee_lateral` and `right asis`."""
@@ -167,6 +182,18 @@ def landmarks() -> dict[str, Landmark]:
     for name, (bone, joint, (x, y, z), deviation) in LATERAL_LANDMARKS.items():
         table[f"left {name}"] = Landmark(bone, joint, (x, y, z), deviation)
         table[f"right {name}"] = Landmark(mirror_name(bone), mirror_name(joint), (-x, y, z), deviation)
+    return table
+
+
+@functools.cache
+def joint_landmarks() -> dict[str, Landmark]:
+    """Build the table of points at the centres of joints by name, such as `left knee_centre`."""
+    table = {}
+    for name, (bone, joint) in JOINT_LANDMARKS.items():
+        table[f"left {name}"] = Landmark(bone, joint, (0.0, 0.0, 0.0), JOINT_DEVIATION)
+        table[f"right {name}"] = Landmark(
+            mirror_name(bone), mirror_name(joint), (0.0, 0.0, 0.0), JOINT_DEVIATION
+        )
     return table
 
 

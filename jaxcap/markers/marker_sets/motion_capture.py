@@ -58,16 +58,19 @@ XSENS = MarkerTable(
         "elbow_lateral": "p?ArmLatEpicondyle", "elbow_medial": "p?ArmMedEpicondyle", "wrist_ulnar": "p?UlnarStyloid",
         "wrist_radial": "p?RadialStyloid", "olecranon": "p?Olecranon", "hand_3rd_knuckle": "p?TopOfHand",
         "hand_5th_knuckle": "p?Pinky", "trochanter": "p?GreaterTrochanter",
-        "knee_lateral": "p?KneeLatEpicondyle", "knee_medial": "p?KneeMedEpicondyle", "patella": "p?Patella p?KneePatella",
-        "ankle_lateral": "p?LatMalleolus", "ankle_medial": "p?MedMalleolus", "tibial_tuberosity": "p?TibialTub",
+        "knee_lateral": "p?KneeLatEpicondyle", "knee_medial": "p?KneeMedEpicondyle",
+        "patella": "p?Patella p?KneePatella p?MiddleKneeCap",
+        "ankle_lateral": "p?LatMalleolus",
         "heel": "p?HeelFoot", "foot_1st_head": "p?FirstMetatarsal", "foot_5th_head": "p?FifthMetatarsal",
         "toe_tip": "p?Toe",
     },
     whole={
         "sacrum": "pSacrum", "l5": "pL5SpinalProcess", "l3": "pL3SpinalProcess", "t12": "pT12SpinalProcess",
-        "xiphoid": "pPX", "jugular_notch": "pIJ", "t4": "pT4SpinalProcess", "t8": "pT8SpinalProcess",
+        "jugular_notch": "pIJ", "t4": "pT4SpinalProcess", "t8": "pT8SpinalProcess",
         "c7": "pC7SpinalProcess", "head_top": "pTopOfHead", "occiput": "pBackOfHead", "nose": "pNose",
     },
+    # where Xsens' model has them, which is 5 to 8 cm from where they are palpated
+    loose={"ankle_medial": "p?MedMalleolus", "tibial_tuberosity": "p?TibialTub", "xiphoid": "pPX"},
 )  # fmt: skip
 
 TABLES = (MOTIVE, QUALISYS, XSENS)

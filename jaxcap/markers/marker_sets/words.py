@@ -7,7 +7,7 @@ _MEDIAL = ("med", "medial", "m", "in", "inner", "int")
 #: joints with a landmark on both sides of them
 _JOINTS = {
     "knee": "knee kne kn femoralcondyle femoralepicondyle kneeepicondyle con cond condyle",
-    "ankle": "ankle ank an malleolus mal malleoli mall",
+    "ankle": "ankle ank an ak malleolus mal malleoli mall",
     "elbow": "elbow elb el cubitus cub humeralepicondyle humepi",
 }
 
@@ -21,6 +21,8 @@ def _both_sides() -> dict[str, str]:
                 label for name in names.split() for word in words for label in (name + word, word + name)
             ]
             table[f"{joint}_{side}"] = " ".join(labels)
+    table["ankle_lateral"] += " lma"
+    table["ankle_medial"] += " mma"
     return table
 
 
@@ -30,9 +32,9 @@ WORDS = MarkerTable(
         **_both_sides(),
         "temple": "temple", "ear": "ear tragus", "head_side": "head headside", "head_front_lateral": "fronthead headfront foreheadside",
         "head_back_lateral": "backhead headback rearhead",
-        "acromion": "should acromion acromium acr acrom shoulder shldr sho", "acromioclavicular": "acj acjoint",
+        "acromion": "should acromion acromium acr acrom shoulder shldr sho shl", "acromioclavicular": "acj acjoint",
         "shoulder_front": "shoulderfront frontshoulder antshoulder", "shoulder_back": "shoulderback backshoulder postshoulder",
-        "clavicle": "clavicle", "scapula": "scapula", "scapula_inferior_angle": "inferiorangle scapinf",
+        "clavicle": "clavicle cla", "scapula": "scapula sca", "scapula_inferior_angle": "inferiorangle scapinf",
         "deltoid": "deltoid delt", "olecranon": "olecranon",
         "wrist_radial": "wristradius wristrad wrr radialstyloid styloidradius radialwrist wristradial wristthumb wristlat lwrist latwrist wristlateral wrad",
         "wrist_ulnar": "wristulna wristuln wru ulnarstyloid styloidulna ulnarwrist wristulnar wristpinky wristpinkie wristmed mwrist medwrist wristmedial wuln",
@@ -40,24 +42,24 @@ WORDS = MarkerTable(
         "hand_3rd_knuckle": "mcp3 3mcp hand3 mc3 3rdmetacarpal", "hand_5th_knuckle": "mcp5 5mcp hand5 mc5 5thmetacarpal fifthmetacarpal",
         "hand_dorsal": "hand handtop handdorsum", "thumb": "thumb",
         "asis": "asis asi sias anteriorsuperioriliacspine", "psis": "psis psi sips posteriorsuperioriliacspine",
-        "iliac_crest": "iliaccrest crest iliac ilcrest ilc icr ilcr", "trochanter": "greatertrochanter trochanter troch gtroch gtr gtro grtr gtroc",
+        "iliac_crest": "iliaccrest crest iliac ilcrest ilc icr ilcr", "trochanter": "greatertrochanter trochanter troch gtroch gtr gtro grtr gtroc hip grt trc tro",
 
-        "patella": "patella pat", "tibial_tuberosity": "tibialtuberosity tibtub tuberosity tibt tibialtub ttub",
-        "fibula_head": "fibulahead fibhead headfibula fib fibula fibh", "heel": "heel heelback calcaneus calc calcan hee cal backheel heelpost",
-        "heel_high": "heeltop heelup heelhigh heelupper heelsup calcprox heelprox uheel upperheel", "heel_lateral": "heellat latheel heellateral calclat heelout latcalc lcal",
-        "heel_medial": "heelmed medheel heelmedial calcmed heelin medcalc mcal sustentaculum", "navicular": "navicular nav",
+        "patella": "patella pat middlekneecap kneecap", "tibial_tuberosity": "tibialtuberosity tibtub tuberosity tibt tibialtub ttub ttb",
+        "fibula_head": "fibulahead fibhead headfibula fibh", "heel": "heel heelback calcaneus calc calcan hee cal backheel heelpost",
+        "heel_high": "heeltop heelup heelhigh heelupper heelsup calcprox heelprox uheel upperheel", "heel_lateral": "heellat latheel heellateral calclat heelout latcalc lcal call",
+        "heel_medial": "heelmed medheel heelmedial calcmed heelin medcalc mcal sustentaculum calm", "navicular": "navicular nav",
         "foot_1st_base": "1stmetbase bmt1 mt1base mt1b mb1 p1mt basemt1",
         "foot_2nd_base": "2ndmetbase bmt2 mt2base mt2b mb2 p2mt basemt2 midfoot midfootsup foottop",
         "foot_5th_base": "5thmetbase bmt5 mt5base mt5b mb5 p5mt p5 basemt5 midfootlat styloidmt5 vmb",
-        "foot_1st_head": "m1 mt1 mth1 met1 mtp1 1mt 1met 1mth 1mtp mh1 meta1 1stmet firstmetatarsal 1stmetatarsal d1mt d1m metatarsal1 mt1head mt1h 1stmt toemed medtoe toein",
+        "foot_1st_head": "m1 mt1 mth1 met1 mtp1 1mt 1met 1mth 1mtp mh1 meta1 1stmet firstmetatarsal 1stmetatarsal d1mt d1m metatarsal1 mt1head mt1h 1stmt toemed medtoe toein toem",
         "foot_2nd_head": "mt2 mth2 met2 mtp2 2mt 2met 2mth 2mtp mh2 meta2 2ndmet secondmetatarsal 2ndmetatarsal d2mt metatarsal2 mt2head mt2h mt23 2ndmt toe23",
         "foot_3rd_head": "mt3 mth3 met3 mtp3 3mt 3met mh3 metatarsal3",
-        "foot_5th_head": "m5 meta5 mt5 mth5 met5 mtp5 5mt 5met 5mth 5mtp mh5 meta5 5thmet fifthmetatarsal 5thmetatarsal d5mt d5m metatarsal5 mt5head mt5h 5thmt toelat lattoe toeout",
+        "foot_5th_head": "m5 meta5 mt5 mth5 met5 mtp5 5mt 5met 5mth 5mtp mh5 meta5 5thmet fifthmetatarsal 5thmetatarsal d5mt d5m metatarsal5 mt5head mt5h 5thmt toelat lattoe toeout toel",
         "toe_tip": "toe tipoftoe toetip tiptoe toes", "big_toe": "hallux bigtoe hal hlx toe1 greattoe",
     },
     loose={
         "upper_arm_lateral": "ua uarm upperarm humerus upa bicep", "forearm_lateral": "fa farm forearm frm", "wrist_radial": "radius rad", "wrist_ulnar": "ulna uln",
-        "thigh_lateral": "th thi thigh femur", "shank_lateral": "sk shk shank tib shin tibia",
+        "thigh_lateral": "th thi thigh femur", "shank_lateral": "sk shk sha shank tib shin tibia",
     },
     whole={
         "head_top": "tophead headtop vertex hvertex thead", "head_front": "forehead headfront fronthead frontofhead", "head_back": "headback backhead",
@@ -67,7 +69,7 @@ WORDS = MarkerTable(
         "jugular_notch": "jugularnotch suprasternal sternalnotch incisurajugularis clav manubrium supsternum jn ij jug",
         "sternum": "sternum chest", "xiphoid": "xiphoid xiphoidprocess xyphoid xiph xyph stern strn px", "navel": "navel umbilicus",
         "sacrum": "psis sacrum sacral sacr vsacral sac s1 s2 vsac sacl", "l5": "l5s1 l5 lv5",
-        "right scapula": "rback rbak rbac rightback backright offset", "left scapula": "lback lbak lbac leftback backleft",
+        "right scapula": "rback rbak rbac rightback backright", "left scapula": "lback lbak lbac leftback backleft",
     },
 )  # fmt: skip
 
@@ -81,7 +83,7 @@ PLATES = MarkerTable(
         "thigh_lateral": "TH FM THI THIGH FEM FEMUR THG TG THL THC TC THIGHCL UPPERLEG ULEG QUAD",
         "shank_lateral": "SH SHA SHANK SK TB TIB TIBIA LEG LG SHN SHI SHIN SHC SC CALF LOWERLEG LLEG TL SHNK",
         "foot_2nd_base": "FOOT FT FC",
-        "sacrum": "PELVIS PELV PEL PLV SAC SACRUM", "t8": "TRUNK THORAX THX TRNK TORSO BACK", "head_top": "HEAD HD HEADCL",
+        "sacrum": "PELVIS PELV PEL PLV PV SAC SACRUM", "t8": "TRUNK THORAX THX TRNK TORSO BACK", "head_top": "HEAD HD HEADCL",
     },
 )  # fmt: skip
 

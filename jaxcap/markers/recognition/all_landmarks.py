@@ -10,7 +10,7 @@ from ...body.people.morph_targets import Traits
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS
 from ..body_shape.surface_markers import MARKER_HEIGHT
 from ..human.human_template import RESOLUTION, make_human_template
-from ..marker_sets.landmarks import landmarks
+from ..marker_sets.landmarks import landmarks, mirror_landmark
 from ..marker_sets.recognise import MarkerSet, landmark_counts
 from ..subject import Subject
 
@@ -39,9 +39,7 @@ def all_landmarks() -> MarkerSet:
 def mirrored_landmarks() -> Int[np.ndarray, "L"]:
     """Find the same landmark of the other side for each landmark; itself in the middle."""
     names = all_landmarks().labels
-    sides = {"left": "right", "right": "left"}
-    other = [f"{sides[name.split()[0]]} {name.partition(' ')[2]}" if name.split()[0] in sides else name for name in names]  # fmt: skip
-    return np.array([names.index(name) for name in other])
+    return np.array([names.index(mirror_landmark(name)) for name in names])
 
 
 def landmark_costs() -> Float[np.ndarray, "L"]:

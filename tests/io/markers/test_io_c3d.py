@@ -55,6 +55,31 @@ def test_number_formats(tmp_path, processor, integers):
     np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
 
 
+@pytest.mark.parametrize("processor", ["intel", "dec"])
+@pytest.mark.parametrize("integers", [False, True])
+def test_analogue_values_that_only_the_header_counts(tmp_path, processor, integers):
+    """A reader that believes the parameters finds each frame at a wrong place."""
+    places = walked()
+    residuals = np.zeros(places.shape[:2])
+    residuals[2:4, 1] = -1
+    options = dict(processor=processor, integers=integers, unannounced=6)
+    path = written(tmp_path, places, NAMES, residuals=residuals, **options)
+    file = read_c3d_file(path)
+    np.testing.assert_array_equal(file.frames.visible, residuals == 0)
+    expected = np.where(residuals[..., None] < 0, 0, places / 1000)
+    np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
+    assert any("its header 6" in sentence for sentence in file.warnings)
+
+
+def test_copies_of_points_are_left_out(tmp_path):
+    """Programs that store a trial several times repeat its points; a second marker with the same label is another one."""
+    places = walked(markers=3)
+    whole = np.concatenate([places, places[:, :2], places[:, 2:] + 50.0], axis=1)
+    file = read_c3d_file(written(tmp_path, whole, ["A", "B", "C", "A", "B", "C"]))
+    assert file.frames.labels == ("A", "B", "C", "C_2")
+    assert [sentence for sentence in file.warnings if "2 points are copies of earlier ones" in sentence]
+
+
 SIDES = np.array([0.5, 0.6, 1.7])
 
 

@@ -41,6 +41,9 @@ def trc(folder, text):
         HEAD + ROWS.replace("\t\t\t\n", "\t0.0\t0\t0.000\n"),
         HEAD.replace("R.ASIS\t\t\t", "R.ASIS\t") + ROWS,
         HEAD.replace("\tmm\t", "\tm\t") + METRES,
+        # as spreadsheets save them
+        (HEAD + ROWS).replace("\t", ","),
+        (HEAD + "\n" + ROWS).replace("\t", ";").replace("0.117", "0,117"),
     ],
 )
 def test_dialects(tmp_path, text):

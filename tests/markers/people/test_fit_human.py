@@ -10,7 +10,7 @@ from jaxcap.body.people.morph_targets import Traits
 from jaxcap.body.pose import Motion
 from jaxcap.errors import InputError
 from jaxcap.markers.human.body_lengths import adult_percentile
-from jaxcap.markers.human.check_person import check_recognised, check_sides
+from jaxcap.markers.human.check_person import check_recognised, check_sides, find_doubled_labels
 from jaxcap.markers.human.fit_human import fit_human
 from jaxcap.markers.human.further_markers import attach_further_markers
 from jaxcap.markers.human.human_template import make_human_template, person_of_size
@@ -85,6 +85,23 @@ def test_the_size_of_a_person_follows_from_markers_of_single_bones():
     assert small < -0.15 and tall > 0.15
 
 
+def test_the_size_of_a_person_does_not_follow_markers_far_off_their_landmarks():
+    """Wide wrist bars, a wand on the pelvis and a wrong label make no giant of a person, nor a child of an adult."""
+    labels = (*LABELS, "RELB", "RWRA", "RWRB")
+    known = recognise_markers(labels)
+    subject = person(labels, Traits(0.5, 35.0, 0.5, 0.5), placing=0.0)
+    places = np.asarray(seen(subject, count=8)[0].positions)
+    at = {label: subject.labels.index(label) for label in labels}
+    for push, sign in ((["LWRA", "RWRA"], 1.0), (["RHEE", "LHEE", "RWRB", "LWRB"], -1.0)):
+        moved = places.copy()
+        moved[:, at["C7"]] += sign * 0.15 * (places[:, at["C7"]] - places[:, at["CLAV"]])
+        for label in push:
+            other = {"WRA": "WRB", "WRB": "WRA", "HEE": "TOE"}[label[1:]]
+            moved[:, at[label]] += sign * 0.6 * (places[:, at[label]] - places[:, at[label[0] + other]])
+        size = person_of_size(known, median_distances(moved, np.ones(moved.shape[:2], bool)))
+        assert abs(size.stature) < 0.12 and size.age > 20
+
+
 @pytest.fixture(scope="module")
 def fitted():
     truth = person()
@@ -132,6 +149,26 @@ def test_a_subject_keeps_its_posture_in_a_file(fitted, tmp_path):
     assert again.labels == fit.subject.labels
 
 
+def test_key_points_are_at_the_centres_of_joints():
+    """Points that a network sees at joints are placed there, for people of all sizes."""
+    labels = ["LShoulder", "RElbow", "LWrist", "RHip", "LKnee", "RAnkle", "Nose", "LHeel", "RBigToe"]
+    for traits in (TALL_WOMAN, TALL_WOMAN._replace(stature=-0.2)):
+        subject = make_human_template(recognise_markers(labels), traits).subject
+        at = dict(zip(subject.labels, np.asarray(subject.offsets), strict=True))
+        centres = dict(zip(subject.skeleton.names, np.asarray(subject.skeleton.centres), strict=True))
+        joints = {
+            "LShoulder": "LeftArm",
+            "RElbow": "RightForeArm",
+            "LWrist": "LeftHand",
+            "RHip": "RightUpLeg",
+            "LKnee": "LeftLeg",
+        }
+        for label, joint in joints.items():
+            np.testing.assert_allclose(at[label], centres[joint], atol=1e-6)
+        # those on the skin are not raised by half a marker
+        assert at["Nose"][2] > centres["Head"][2] + 0.08
+
+
 def test_exchanged_sides_are_refused():
     subject = person()
     frames, _ = seen(subject, count=8)
@@ -148,6 +185,16 @@ def test_markers_of_no_person_are_refused():
     frames = MarkerFrames(np.zeros((2, 8, 3)), np.ones((2, 8), bool), labels, 30.0)
     with pytest.raises(InputError, match="0 of 8 markers have labels"):
         check_recognised(recognise_markers(labels), frames)
+
+
+def test_labels_of_two_markers_of_one_joint_are_those_of_one_person():
+    """Old files cut labels to four letters: both sides of a knee are `LKNE`. Markers of two people are far from each other."""
+    frames, _ = seen(person(), count=8)
+    places = np.asarray(frames.positions)
+    labels = (*LABELS, *(f"{label}_2" for label in LABELS))
+    for offset, doubled in ((0.1, []), (1.0, list(LABELS))):
+        both = np.concatenate([places, places + np.array([offset, 0.0, 0.0])], axis=1)
+        assert find_doubled_labels(MarkerFrames(both, np.ones(both.shape[:2], bool), labels, 30.0)) == doubled
 
 
 def test_a_marker_that_follows_no_bone_is_loose():

@@ -69,6 +69,15 @@ PUBLISHED = {
         "R.Knee L.Knee R.Shank L.Shank R.Ankle L.Ankle R.Heel L.Heel R.Toe L.Toe R.Knee.Medial L.Knee.Medial R.Ankle.Medial",
         {"R.Thigh": "right thigh_lateral", "L.Knee": "left knee_lateral", "R.Toe": "right foot_2nd_head"},
     ),
+    "Helen Hayes, four letters": (
+        "THEA FHEA RHEA RSHO ROFF RELB RWRI LSHO LELB LWRI RASI LASI VSAC RTHI RKNE RSHA RANK RHEE RTOE LTHI LKNE LSHA LANK LHEE LTOE",
+        {"RSHA": "right shank_lateral", "LTHI": "left thigh_lateral", "VSAC": "sacrum", "RWRI": "right wrist_dorsal"},
+    ),
+    "sprinting": (
+        "C7 RSH LSH MAN T7 LARM LELB LFOREARM LWR RARM RELB RFOREARM RWR RASI LASI SACR LTHLP LTHAP LTHLD LTHAD LLEPI LPAT LTIAP LTILAT LTIAD "
+        "LLMAL LHEEL LMFS LMFL LP1MT LTOE LP5MT RLEPI RMEPI RLMAL RMMAL RHEEL RMFS RMFL RP1MT RTOE RP5MT",
+        {"LP5MT": "left foot_5th_head", "RMFL": "right foot_5th_base", "LTHLD": "left thigh_lateral_low"},
+    ),
     "Xsens landmarks": (
         "pRightASI pLeftASI pRightAcromion pLeftArmLatEpicondyle pC7SpinalProcess pT8SpinalProcess pTopOfHead pRightPatella "
         "pLeftKneeMedEpicondyle pRightHeelFoot pRightFirstMetatarsal pSacrum pIJ",
@@ -142,9 +151,10 @@ def test_nothing_is_recognised_where_there_is_no_person(labels):
 def test_computed_points_are_told_and_left_out():
     computed = [
         "LHJC", "RKJC", "R_HJC_reg", "LFEO", "LFEA", "LFEL", "LFEP", "PELO", "PELA", "PELP", "CentreOfMass", "CentreOfMassFloor", "LKneeAngles", "RHipMoment",
-        "V_Mid_ASIS", "midASIS", "LGroundReactionForce", "COM", "FP1",
+        "V_Mid_ASIS", "midASIS", "LGroundReactionForce", "COM", "FP1", "VRKN", "VPEL", "midHJC", "R_toe_proj", "o_Trunk", "x_Trunk", "y_Trunk",
+        "z_Trunk", "AXISXPelvis", "ORIGINPelvis", "ULEGY", "ULEGZ", "LLEGY", "LLEGZ", "HANDY", "HANDZ",
     ]  # fmt: skip
-    found = recognise_markers([*PUBLISHED["Plug-in Gait"][0].split(), *computed])
+    found = recognise_markers([*PUBLISHED["Plug-in Gait"][0].split(), "ULEG", "LLEG", "HAND", *computed])
     assert found.virtual[-len(computed) :].all() and not found.virtual[: -len(computed)].any()
     assert set(found.names[-len(computed) :]) == {None}
     # the same label is a joint in one set, and a marker in another one
@@ -157,6 +167,110 @@ def test_computed_points_are_told_and_left_out():
         "r hip",
         "l hip",
     ]
+
+
+def names_of(labels):
+    found = recognise_markers(labels)
+    return dict(zip(found.labels, found.names, strict=True))
+
+
+def test_sides_of_french_labels_are_at_the_end():
+    """Gauche and droite, of labels that come in pairs."""
+    stems = "EAS EPS CL CM ML MM CAL EL EM PSR PSU AC"
+    french = [f"{stem}{side}" for stem in stems.split() for side in "GD"]
+    found = names_of([*french, "MAN", "XYP"])
+    assert found["EASG"] == "left asis" and found["EASD"] == "right asis"
+    assert (
+        found["ELD"] == "right elbow_lateral"
+        and found["PSUG"] == "left wrist_ulnar"
+        and found["MLD"] == "right ankle_lateral"
+    )
+    assert None not in found.values()
+    # a single letter is no side
+    assert names_of([*PUBLISHED["Plug-in Gait"][0].split(), "PEG"])["PEG"] is None
+
+
+def test_numbered_markers_of_one_plate_stay_together():
+    """`FT3` is the tip of a finger in one set; next to `FT1` and `FT2` it is on the foot."""
+    plates = [f"{side}{stem}{number}" for side in "LR" for stem in ("TH", "SK", "FT") for number in (1, 2, 3)]
+    found = recognise_markers(plates)
+    assert {found.bones[found.labels.index(f"LFT{number}")] for number in (1, 2, 3)} == {"LeftFoot"}
+
+
+def test_the_second_of_two_equal_labels_is_unknown():
+    """Readers number it, and the number is no part of the label: a second `MET` is not on the second metatarsal."""
+    found = names_of([*PUBLISHED["Plug-in Gait"][0].split(), "LMET", "LMET_2", "LTHI_2", "SACR", "SACR_2"])
+    assert found["LMET_2"] is None and found["LTHI_2"] is None and found["SACR_2"] is None
+    assert found["LTHI"] == "left thigh_lateral_low" and found["SACR"] == "sacrum"
+
+
+KEY_POINTS = "Nose LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle RAnkle LBigToe RBigToe LHeel RHeel"
+
+
+def test_points_in_images_are_at_joints_if_there_are_no_markers():
+    found = recognise_markers(KEY_POINTS.split())
+    names = dict(zip(found.labels, found.names, strict=True))
+    assert (
+        names["LKnee"] == "left knee_centre"
+        and names["RShoulder"] == "right shoulder_centre"
+        and names["LBigToe"] == "left big_toe"
+    )
+    assert not found.virtual.any() and (found.deviations == 0.03).all() and (found.heights == 0).all()
+    # those of a body that a program fits, with points on the axes of some of its bones
+    body = "PELV PELVY PELVZ NECK HEAD HEADY HEADZ LSHO RSHO LUAR RUAR LLAR RLAR LHAN LHANY LHANZ RHAN LULE RULE LLLE RLLE LFOO RFOO"
+    found = names_of(body.split())
+    assert (
+        found["LLAR"] == "left elbow_centre" and found["RULE"] == "right hip_centre" and found["LSHO"] is None
+    )
+    # MediaPipe's names
+    assert (
+        names_of(
+            ["nose", "left_heel", "right_heel", "left_hip", "right_hip", "left_elbow", "left_foot_index"]
+        )["left_hip"]
+        == "left hip_centre"
+    )
+
+
+def test_points_in_images_are_left_out_next_to_the_markers_that_are_computed_from_them():
+    """OpenCap's files have both: `RKnee`, and `r_knee_study` on the skin."""
+    study = "r.ASIS L.ASIS r.PSIS L.PSIS r_knee L_knee r_mknee L_mknee r_ankle L_ankle r_toe L_toe r_calc L_calc r_shoulder L_shoulder C7 r_lelbow L_lelbow"
+    found = recognise_markers(
+        [*KEY_POINTS.split(), "Neck", "midHip", *(f"{label}_study" for label in study.split())]
+    )
+    names = dict(zip(found.labels, found.names, strict=True))
+    assert found.name == "OpenCap"
+    assert names["r_knee_study"] == "right knee_lateral" and names["C7_study"] == "c7"
+    assert all(names[label] is None for label in KEY_POINTS.split())
+    assert found.virtual[:19].all() and not found.virtual[19:].any()
+
+
+def test_no_two_labels_are_at_one_landmark():
+    """A label that another set reads otherwise is there; else both are only near the landmark."""
+    rest = "LASI RASI LPSI RPSI LKNE RKNE LANK RANK LHEE RHEE LTOE RTOE C7"
+    alone, both = (names_of([*rest.split(), *more]) for more in (["STRN"], ["STRN", "XIPH"]))
+    assert alone["STRN"] == "xiphoid"
+    assert both["STRN"] == "jugular_notch" and both["XIPH"] == "xiphoid"
+    found = recognise_markers(["R.Heel", "R.PosteriorFoot", *PUBLISHED["Helen Hayes"][0].split()])
+    heels = [found.labels.index(label) for label in ("R.Heel", "R.PosteriorFoot")]
+    assert [found.names[k] for k in heels] == ["right heel"] * 2
+    assert (found.deviations[heels] == 0.05).all()
+
+
+def test_labels_that_differ_in_the_side_only_are_mirrored():
+    """`LMAL` alone could be the `LMA` of the left; next to `RMAL` the first letter is the side."""
+    found = names_of(["LASI", "RASI", "LKNE", "RKNE", "LANK", "RANK", "LMAL", "RMAL", "LCalL", "RCalL"])
+    assert found["LMAL"] is None and found["RMAL"] is None
+    assert found["LCalL"] == "left heel_lateral" and found["RCalL"] == "right heel_lateral"
+
+
+def test_rare_sets_do_not_overrule_words():
+    """`Hip` is on the thigh in a set for film, of which a take of gait has no other label."""
+    gait = "R.Shoulder L.Shoulder R.Elbow L.Elbow R.Wrist L.Wrist R.ASIS L.ASIS Sacrum R.Thigh L.Thigh R.Knee L.Knee R.Heel L.Heel R.Toe L.Toe"
+    assert names_of([*gait.split(), "R.Hip", "L.Hip"])["R.Hip"] == "right trochanter"
+    assert (
+        names_of(["LHIP", "RHIP", "ARIEL", "LFWT", "RFWT", "LMWT", "RMWT", "LKNI", "RKNI"])["LHIP"]
+        == "left thigh_lateral"
+    )
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
