@@ -9,9 +9,9 @@ import tyro
 
 from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
-from ..io.meshes.mesh import Mesh, check_body_size, check_mesh, read_mesh, remove_flat_faces
+from ..io.meshes.mesh import Mesh, check_body_size, check_mesh, describe_removed, read_mesh, remove_flat_faces
 from ..rigging.rig_mesh import rig_mesh
-from .console.console import pluralise, say
+from .console.console import say
 from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
 from .motions import load_skeleton
 from .outputs import check_npz
@@ -62,9 +62,7 @@ class Rig:
         mesh = read_mesh(self.mesh, self.unit)
         surface = remove_flat_faces(mesh)
         check_mesh(surface, self.mesh)
-        faces, vertices = len(mesh.faces) - len(surface.faces), len(mesh.vertices) - len(surface.vertices)
-        if faces or vertices:
-            say(
-                f"left out: {pluralise(faces, 'face')} without area, {pluralise(vertices, 'vertex', 'vertices')} that no face uses"
-            )
+        removed = describe_removed(mesh, surface)
+        if removed:
+            say(f"left out: {removed}")
         return surface

@@ -11,7 +11,7 @@ from ...body.skeleton import Skeleton
 from ...body.skin import AbstractSkin, CorrectedSkin
 from ...io.body_models.learned import is_own_model, read_model_people
 from ...io.gltf.gltf_reader import read_shape_keys
-from ...io.meshes.mesh import read_mesh, remove_flat_faces
+from ...io.meshes.mesh import describe_removed, read_mesh, remove_flat_faces
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
@@ -166,9 +166,13 @@ def describe_mesh(path: Path, unit: str | None) -> Contents:
     needed = describe_scan_unit(size, unit)
     if not len(mesh.faces):
         return Contents("cloud", needed)
-    if not len(remove_flat_faces(mesh).faces):
+    surface = remove_flat_faces(mesh)
+    if not len(surface.faces):
         say("not usable as the surface of a body: no face has an area")
         return Contents("cloud", needed)
+    removed = describe_removed(mesh, surface)
+    if removed:
+        say(f"not usable unchanged as the surface of a body: it has {removed}; `rig` leaves them out")
     return Contents("mesh", needed)
 
 
