@@ -309,6 +309,7 @@ def _runs(folder: Path, rng: np.random.Generator) -> None:
         "damping": np.array(0.1),
         "round": np.array(2),
         "curve": np.ones(3),
+        "symmetry_cost": np.array(0.0),
         **given_arrays(None),
     }
     save_checkpoint(folder / "learn-own.npz", Checkpoint(body, motion, history, learnt), HEADER)
