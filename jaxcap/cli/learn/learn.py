@@ -144,6 +144,7 @@ class Learn:
         """Learn one body model from the meshes of several people."""
         for_one = {
             "--free-bones": self.free_bones,
+            "--always-symmetric": self.always_symmetric,
             "--correctives": self.correctives,
             "--limits": self.limits is not None,
             "--floor": self.floor is not None,
@@ -218,9 +219,13 @@ class Learn:
             raise InputError(
                 "--pairs defines symmetric joints and --no-symmetry disables symmetry; give one of them."
             )
-        if self.always_symmetric and (self.pairs is not None or not self.symmetry or self.free_bones):
-            raise InputError("--always-symmetric excludes --pairs, --no-symmetry and --free-bones.")
         has_skeleton = self.skeleton_file() is not None or self.skeleton_name() == "human"
+        if self.always_symmetric and (
+            self.pairs is not None or not self.symmetry or self.free_bones or has_skeleton
+        ):
+            raise InputError(
+                "--always-symmetric excludes --pairs, --no-symmetry, --free-bones and --skeleton other than none."
+            )
         if has_skeleton and self.joints is not None:
             raise InputError("--skeleton defines the joints; omit --joints.")
         if self.fix_joints and not has_skeleton:
