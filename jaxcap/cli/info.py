@@ -83,7 +83,7 @@ class Info:
         """Print a description of the contents, and return their kind, and the unit that the next command needs. Raises
         `InputError`."""
         path, unit = Path(self.file), self.unit
-        options = DepthOptions(self.cameras, self.depth_scale)
+        options = self.depth_options()
         if is_model_spec(self.file):
             return Contents(describe_model(self.file))
         if is_human_spec(self.file):
@@ -111,6 +111,10 @@ class Info:
             known = describe_json(path)
         return describe_arrays(path, unit, options) if known is None else Contents(known)
 
+    def depth_options(self) -> DepthOptions:
+        """Collect the options of depth images."""
+        return DepthOptions(self.cameras, self.depth_scale)
+
     def describe_file(self, path: Path, kind: str) -> str | None:
         """Describe a file of another kind, and return it as the commands name it; None for arrays and JSON files."""
         match kind:
@@ -136,7 +140,7 @@ class Info:
             case "text":
                 return describe_text(path)
             case "depth" if path.suffix.lower() != ".npz":
-                return describe_camera_depth(self.file, DepthOptions(self.cameras, self.depth_scale))
+                return describe_camera_depth(self.file, self.depth_options())
             case "picture":
                 return "picture"
         return None

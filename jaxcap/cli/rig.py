@@ -9,10 +9,11 @@ import tyro
 
 from ..errors import InputError, user_message
 from ..io.archives.npz import save_body
-from ..io.meshes.mesh import Mesh, check_body_size, check_mesh, describe_removed, read_mesh, remove_flat_faces
+from ..io.meshes.mesh import Mesh, check_body_size, check_mesh, read_mesh, remove_flat_faces
 from ..rigging.rig_mesh import rig_mesh
 from .console.console import say
 from .console.options import SKELETON_FORMATS, Flag, OptionalFile, Unit, Up, arg
+from .contents.bodies import describe_removed
 from .motions import load_skeleton
 from .outputs import check_npz
 from .sources import up_rotation, upright_skeleton

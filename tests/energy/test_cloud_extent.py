@@ -1,4 +1,4 @@
-"""Where a cloud shows that the person ends, and surface beyond it."""
+"""Ends of clouds of a whole person, and the energy of surface beyond them."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -11,7 +11,7 @@ from ...body.skeleton import Skeleton
 from ...body.skin import AbstractSkin, CorrectedSkin
 from ...io.body_models.learned import is_own_model, read_model_people
 from ...io.gltf.gltf_reader import read_shape_keys
-from ...io.meshes.mesh import describe_removed, read_mesh, remove_flat_faces
+from ...io.meshes.mesh import Mesh, read_mesh, remove_flat_faces
 from ...io.registry import DEFAULT_UNITS, read_skinned
 from ...io.text import shortened
 from ...units import BODY_SIZE, UNITS, likely_units
@@ -174,6 +174,14 @@ def describe_mesh(path: Path, unit: str | None) -> Contents:
     if removed:
         say(f"not usable unchanged as the surface of a body: it has {removed}; `rig` leaves them out")
     return Contents("mesh", needed)
+
+
+def describe_removed(mesh: Mesh, surface: Mesh) -> str:
+    """Describe what `remove_flat_faces` left out of a mesh; empty if nothing."""
+    faces, vertices = len(mesh.faces) - len(surface.faces), len(mesh.vertices) - len(surface.vertices)
+    if not (faces or vertices):
+        return ""
+    return f"{pluralise(faces, 'face')} without area and {pluralise(vertices, 'vertex', 'vertices')} that no other face uses"
 
 
 def describe_scan_unit(size: np.ndarray, unit: str | None) -> str | None:

@@ -1,4 +1,4 @@
-"""What a description returns, and lists of a file's contents, of limited length."""
+"""The result of a description, and lists of a file's contents, of limited length."""
 
 import itertools
 from collections.abc import Iterable

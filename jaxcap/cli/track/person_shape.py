@@ -61,10 +61,13 @@ def warn_of_size(tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[P
 
     Only for bodies with the joints of a person, whose shape can be fitted.
     """
-    if verdict == "good" or human_prior(tracker.body.skeleton) is None or not first_readable(clouds, 1):
+    if verdict == "good" or human_prior(tracker.body.skeleton) is None:
+        return
+    first = first_readable(clouds, 1)
+    if not first:
         return
     set_activity("comparing sizes of the body")
-    size = search_size(tracker, remove_planes(first_readable(clouds, 1)[0], planes))
+    size = search_size(tracker, remove_planes(first[0], planes))
     if size != 1:
         warn(
             f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from ...body.body import Posed
 from ...observe.clouds import Cloud
 from .free_space import linear_beyond
-from .vertices import AbstractVertexEnergy
+from .vertices import AbstractVertexPenalty
 
 #: directions in which a cloud may end: those to the sides, edges and corners of a cube
 DIRECTIONS = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
@@ -25,7 +25,7 @@ TOLERANCE = 0.02
 UNKNOWN = 1e4
 
 
-class CloudExtent(AbstractVertexEnergy):
+class CloudExtent(AbstractVertexPenalty):
     """Distances of vertices beyond the end of a cloud, in standard deviations; zero within the cloud.
 
     Each vertex counts in the direction in which it is farthest beyond.
@@ -39,14 +39,7 @@ class CloudExtent(AbstractVertexEnergy):
     #: standard deviation of a distance, metres
     deviation: Float[Array, ""]
 
-    def residual(self, posed: Posed) -> Float[Array, "C"]:
-        return self._rows(posed)[0]
-
-    def vertex_jacobian(self, posed: Posed):
-        return self.vertices, self._rows(posed)[1][:, None, :]
-
-    def _rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
-        """Compute the residual of each vertex and its derivative by the vertex's position."""
+    def rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
         directions = jnp.asarray(DIRECTIONS, self.heights.dtype)
         beyond = posed.vertices[self.vertices] @ directions.T - self.heights
         farthest = jnp.argmax(beyond, 1)

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ...body.body import Posed
 from ...geometry.camera import project_points
 from ...observe import DepthView
-from .vertices import AbstractVertexEnergy
+from .vertices import AbstractVertexPenalty
 
 #: violations below these tolerances are noise: depth in front of the measured surface, and distance from the
 #: silhouette, metres
@@ -15,7 +15,7 @@ FRONT_TOLERANCE, SIDE_TOLERANCE = 0.03, 0.01
 LINEAR_FROM = 0.1
 
 
-class FreeSpace(AbstractVertexEnergy):
+class FreeSpace(AbstractVertexPenalty):
     """Violations of free space by vertices, in standard deviations, by one camera.
 
     A vertex in front of what was measured at its pixel is in free space. It violates by the distance that it is in front,
@@ -31,14 +31,7 @@ class FreeSpace(AbstractVertexEnergy):
     #: standard deviation of a violation, metres
     deviation: Float[Array, ""]
 
-    def residual(self, posed: Posed) -> Float[Array, "C"]:
-        return self._rows(posed)[0]
-
-    def vertex_jacobian(self, posed: Posed):
-        return self.vertices, self._rows(posed)[1][:, None, :]
-
-    def _rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
-        """Compute the residual of each vertex and its derivative by the vertex's position."""
+    def rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
         camera = self.view.camera
         points = posed.vertices[self.vertices]
         pixels, z = project_points(camera, points)

@@ -2,6 +2,7 @@
 
 import abc
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -24,6 +25,22 @@ class AbstractVertexEnergy(AbstractEnergy):
         The residual has the same order, vertex by vertex or point by point, and depends on nothing else of
         the pose.
         """
+
+
+class AbstractVertexPenalty(AbstractVertexEnergy):
+    """An energy with one residual for each of some vertices, which depends on the position of this vertex only."""
+
+    vertices: eqx.AbstractVar[Int[Array, "C"]]
+
+    @abc.abstractmethod
+    def rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
+        """Compute the residual of each vertex and its derivative by the vertex's position."""
+
+    def residual(self, posed: Posed) -> Float[Array, "C"]:
+        return self.rows(posed)[0]
+
+    def vertex_jacobian(self, posed: Posed) -> tuple[Int[Array, "C"], Float[Array, "C 1 3"]]:
+        return self.vertices, self.rows(posed)[1][:, None, :]
 
 
 def axis_directions(weights: Float[Array, "C"]) -> Float[Array, "C 3 3"]:

@@ -15,7 +15,7 @@ from ...observe.markers import MarkerFrames
 from ...units import unit_scale
 from ..system.atomic import atomic_path
 from .c3d_child import load_c3d
-from .c3d_header import declared_size, read_header, read_layout, read_points
+from .c3d_header import read_header, read_layout, read_points
 from .marker_file import MarkerFile, make_marker_file, parse_screen_axis, parse_unit, shift_from_origin
 
 #: lists in the POINT group of points that are no markers
@@ -56,20 +56,21 @@ def read_c3d_file(path: str | Path, unit: str | float | None = None) -> MarkerFi
     """
     path = Path(path)
     first, declared = read_header(path)
+    layout, size = read_layout(path), path.stat().st_size
+    needed = layout.file_size(declared)
     try:
         loaded = load_c3d(path)
     except InputError:
-        if path.stat().st_size < declared_size(path, declared):
+        if size < needed:
             raise InputError(
                 f"{path}: the file is cut short: it ends before the last of its {declared} frames; copy it again."
             ) from None
         raise
     points, residuals, words = loaded.points, loaded.residuals, loaded.text_parameters
     messages = []
-    layout, size = read_layout(path), path.stat().st_size
-    if loaded.analog_values != layout.analog_values and _is_padded(size, declared_size(path, declared)):
+    if loaded.analog_values != layout.analog_values and _is_padded(size, needed):
         # ezc3d takes the layout of the parameters, and would read each frame at a wrong place
-        points, residuals = read_points(path, declared)
+        points, residuals = read_points(path, layout, declared)
         messages.append(
             f"its parameters announce {loaded.analog_values:g} analogue values in each frame, and its header {layout.analog_values}, with which the "
             "file has its size; the header is used."

@@ -81,7 +81,7 @@ def _check_parameters(raw: bytes, at: int) -> None:
 
 
 class DataLayout(NamedTuple):
-    """Where the header says that the numbers of the frames are."""
+    """The layout of the numbers of the frames, according to the header."""
 
     #: byte at which they begin
     begin: int
@@ -90,42 +90,47 @@ class DataLayout(NamedTuple):
     analog_values: int
     #: metres or other units for each integer; not above zero if the numbers are floats
     scale: float
+    #: whether floats are those of DEC processors
+    is_dec: bool
 
     @property
     def frame_size(self) -> int:
         """Size of a frame in bytes."""
         return (4 * self.points + self.analog_values) * (2 if self.scale > 0 else 4)
 
+    def file_size(self, frames: int) -> int:
+        """Compute the size in bytes of a file with a number of frames."""
+        return self.begin + frames * self.frame_size
+
 
 def read_layout(path: Path) -> DataLayout:
     """Read the layout of the frames from the header."""
-    raw = path.read_bytes()
-    points, values = struct.unpack_from("<HH", raw, 2)
-    (block,) = struct.unpack_from("<H", raw, 16)
-    return DataLayout(512 * (block - 1), points, values, float(_parse_floats(raw, 12, 1)[0]))
+    with path.open("rb") as file:
+        head = file.read(512)
+        file.seek(512 * (head[0] - 1) + 3)
+        is_dec = file.read(1)[0] == _DEC
+    points, values = struct.unpack_from("<HH", head, 2)
+    (block,) = struct.unpack_from("<H", head, 16)
+    return DataLayout(512 * (block - 1), points, values, float(_parse_floats(head, 12, 1, is_dec)[0]), is_dec)
 
 
-def _parse_floats(raw: bytes, begin: int, count: int) -> Float[np.ndarray, "N"]:
+def _parse_floats(raw: bytes, begin: int, count: int, is_dec: bool) -> Float[np.ndarray, "N"]:
     """Parse floats of Intel or DEC processors; those of DEC are a quarter, with the halves exchanged."""
-    if raw[512 * (raw[0] - 1) + 3] != _DEC:
+    if not is_dec:
         return np.frombuffer(raw, "<f4", count, begin)
     halves = np.frombuffer(raw, "<u2", 2 * count, begin).reshape(-1, 2)[:, ::-1]
     return np.ascontiguousarray(halves).view("<f4").ravel() / 4
 
 
-def declared_size(path: Path, frames: int) -> int:
-    """Compute the file size in bytes that the header announces."""
-    layout = read_layout(path)
-    return layout.begin + frames * layout.frame_size
-
-
-def read_points(path: Path, frames: int) -> tuple[Float[np.ndarray, "3 M F"], Float[np.ndarray, "M F"]]:
+def read_points(
+    path: Path, layout: DataLayout, frames: int
+) -> tuple[Float[np.ndarray, "3 M F"], Float[np.ndarray, "M F"]]:
     """Read the points and their residuals by the layout of the header."""
-    raw, layout = path.read_bytes(), read_layout(path)
+    raw = path.read_bytes()
     count = frames * (4 * layout.points + layout.analog_values)
     if layout.scale > 0:
         values = layout.scale * np.frombuffer(raw, "<i2", count, layout.begin).astype(float)
     else:
-        values = _parse_floats(raw, layout.begin, count).astype(float)
+        values = _parse_floats(raw, layout.begin, count, layout.is_dec).astype(float)
     table = values.reshape(frames, -1)[:, : 4 * layout.points].reshape(frames, layout.points, 4)
     return np.transpose(table[..., :3], (2, 1, 0)), table[..., 3].T

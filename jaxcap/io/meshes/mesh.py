@@ -165,17 +165,6 @@ def flat_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return area <= 1e-10 * np.maximum(longest, 1e-12) ** 2
 
 
-def describe_removed(mesh: Mesh, surface: Mesh) -> str:
-    """Describe what `remove_flat_faces` left out of a mesh; empty if nothing."""
-    faces, vertices = len(mesh.faces) - len(surface.faces), len(mesh.vertices) - len(surface.vertices)
-    if not (faces or vertices):
-        return ""
-    return (
-        f"{faces} {'face' if faces == 1 else 'faces'} without area and {vertices} "
-        f"{'vertex that no other face uses' if vertices == 1 else 'vertices that no other face uses'}"
-    )
-
-
 def remove_flat_faces(mesh: Mesh) -> Mesh:
     """Remove the faces of a mesh that have no area, and the vertices that no other face uses."""
     faces = np.asarray(mesh.faces)[~flat_faces(np.asarray(mesh.vertices, float), np.asarray(mesh.faces))]

@@ -1,6 +1,7 @@
 """A check that the markers of the arms are on the sides of their labels, in any pose."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -63,13 +64,12 @@ def measure_arm_sides(template: Subject, known: MarkerSet, frames: MarkerFrames)
     left, right = levels[0]
     away = np.linalg.norm(left - right, axis=1)
     shoulders = np.einsum("fa,fa->f", left - right, _left_of_trunk(observed)) / np.maximum(away, 1e-9)
-    chain = np.full((len(LEVELS) - 1, 2), np.nan)
-    for number, level in enumerate(LEVELS):
-        if number == 0:
-            continue
-        usual = _distance(_level(rest, "left", list(LEVELS)[number - 1]), _level(rest, "left", level))
-        chain[number - 1] = _misfits(levels[number - 1], levels[number], float(usual[0]))
-    return ArmSides(shoulders, chain)
+    usual = [_level(rest, "left", level) for level in LEVELS]
+    chain = [
+        _misfits(levels[inner], levels[outer], float(_distance(usual[inner], usual[outer])[0]))
+        for inner, outer in pairwise(range(len(LEVELS)))
+    ]
+    return ArmSides(shoulders, np.array(chain))
 
 
 def exchanged_levels(sides: ArmSides) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ class MarkerSet(NamedTuple):
 
 
 class _Reading(NamedTuple):
-    """What a label means: the placement, or None if it is unknown or that of a computed point, and the set that has it."""
+    """The reading of a label: the placement, or None if it is unknown or that of a computed point, and the set that has it."""
 
     placement: Placement | None = None
     source: str | None = None

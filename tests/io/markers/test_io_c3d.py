@@ -35,6 +35,20 @@ def walked(frames=6, markers=4, seed=0):
     return 300 + 1200 * rng.random((1, markers, 3)) + 30 * rng.random((frames, markers, 3))
 
 
+def walked_with_gap():
+    """The same places, and residuals of which those of one marker are a gap in two frames."""
+    places = walked()
+    residuals = np.zeros(places.shape[:2])
+    residuals[2:4, 1] = -1
+    return places, residuals
+
+
+def check_positions(file, places, residuals, integers):
+    np.testing.assert_array_equal(file.frames.visible, residuals == 0)
+    expected = np.where(residuals[..., None] < 0, 0, places / 1000)
+    np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
+
+
 def written(folder, *arguments, name="trial.c3d", **options):
     (folder / name).write_bytes(c3d_bytes(*arguments, **options))
     return folder / name
@@ -43,31 +57,23 @@ def written(folder, *arguments, name="trial.c3d", **options):
 @pytest.mark.parametrize("processor", ["intel", "dec"])
 @pytest.mark.parametrize("integers", [False, True])
 def test_number_formats(tmp_path, processor, integers):
-    places = walked()
-    residuals = np.zeros(places.shape[:2])
-    residuals[2:4, 1] = -1
+    places, residuals = walked_with_gap()
     options = dict(processor=processor, integers=integers, rate=120.0, first=37)
     path = written(tmp_path, places, NAMES, residuals=residuals, **options)
     file = read_c3d_file(path)
     assert (file.frames.labels, file.frames.rate, file.first_frame) == (tuple(NAMES), 120.0, 37)
-    np.testing.assert_array_equal(file.frames.visible, residuals == 0)
-    expected = np.where(residuals[..., None] < 0, 0, places / 1000)
-    np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
+    check_positions(file, places, residuals, integers)
 
 
 @pytest.mark.parametrize("processor", ["intel", "dec"])
 @pytest.mark.parametrize("integers", [False, True])
 def test_analogue_values_that_only_the_header_counts(tmp_path, processor, integers):
     """A reader that believes the parameters finds each frame at a wrong place."""
-    places = walked()
-    residuals = np.zeros(places.shape[:2])
-    residuals[2:4, 1] = -1
+    places, residuals = walked_with_gap()
     options = dict(processor=processor, integers=integers, unannounced=6)
     path = written(tmp_path, places, NAMES, residuals=residuals, **options)
     file = read_c3d_file(path)
-    np.testing.assert_array_equal(file.frames.visible, residuals == 0)
-    expected = np.where(residuals[..., None] < 0, 0, places / 1000)
-    np.testing.assert_allclose(file.frames.positions, expected, atol=6e-5 if integers else 1e-6)
+    check_positions(file, places, residuals, integers)
     assert any("its header 6" in sentence for sentence in file.warnings)
 
 

@@ -264,7 +264,7 @@ def test_labels_that_differ_in_the_side_only_are_mirrored():
 
 
 def test_rare_sets_do_not_overrule_words():
-    """`Hip` is on the thigh in a set for film, of which a take of gait has no other label."""
+    """`Hip` is on the thigh in a marker set for films. A gait take has no other label of that set."""
     gait = "R.Shoulder L.Shoulder R.Elbow L.Elbow R.Wrist L.Wrist R.ASIS L.ASIS Sacrum R.Thigh L.Thigh R.Knee L.Knee R.Heel L.Heel R.Toe L.Toe"
     assert names_of([*gait.split(), "R.Hip", "L.Hip"])["R.Hip"] == "right trochanter"
     assert (
