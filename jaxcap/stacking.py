@@ -33,6 +33,16 @@ def concatenate_trees(trees: Sequence):
     return jax.tree.map(lambda *leaves: concatenate(leaves), *trees)
 
 
+def take_rows(stacked, rows: Sequence[int] | slice | np.ndarray):
+    """Select rows of a tree of stacked arrays by concrete indices, differentiably.
+
+    Without traced arrays this copies on the host, as indexing in JAX compiles for every shape.
+    """
+    return jax.tree.map(
+        lambda leaf: leaf[rows] if _traced([leaf]) else jnp.asarray(np.asarray(leaf)[rows]), stacked
+    )
+
+
 def unstack_trees(stacked, count: int) -> list:
     """Split a tree of stacked arrays into `count` trees."""
     return [jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count)]

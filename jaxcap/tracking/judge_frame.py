@@ -216,7 +216,7 @@ def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: Tr
 
 def is_finite(pose: Pose) -> bool:
     """Decide if all numbers of a pose are finite."""
-    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
+    return all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(pose))
 
 
 def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = None) -> TrackState:

@@ -1,6 +1,7 @@
 """Priors for poses near a reference pose, or near rest."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...arguments import check_fields, checked
@@ -77,5 +78,6 @@ class ReferencePrior(AbstractEnergy):
 @checked
 def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Float[Array, "D"]:
     """Make the standard deviations of a tangent: one for translations, one for rotations."""
-    deviations = jnp.full(skeleton.num_dofs + 1, radians, skeleton.centres.dtype)
-    return deviations.at[dof_layout(skeleton).translations].set(metres)[:-1]
+    deviations = np.full(skeleton.num_dofs + 1, radians)
+    deviations[dof_layout(skeleton).translations] = metres
+    return jnp.asarray(deviations[:-1], skeleton.centres.dtype)

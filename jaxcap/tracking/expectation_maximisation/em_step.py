@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...arguments import check_fields, checked
@@ -111,8 +112,8 @@ class FrameStatistics(eqx.Module):
 
 def uniform_priors(parts: PartBlocks, dtype=None) -> Float[Array, "K"]:
     """Make uniform priors over the parts that have vertices (Kineben, eq. 19)."""
-    present = jnp.array([float(count > 0) for count in parts.blocks_of_part], dtype)
-    return present / jnp.sum(present)
+    present = np.array([float(count > 0) for count in parts.blocks_of_part])
+    return jnp.asarray(present / present.sum(), dtype)
 
 
 def data_energy(

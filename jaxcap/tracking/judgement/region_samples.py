@@ -14,6 +14,8 @@ from ...geometry.mesh import area_normals, unit_vectors
 from ...geometry.sampling import spatial_order
 from .self_penetration import inside_degrees
 
+_inside_degrees = eqx.filter_jit(inside_degrees)
+
 #: samples of a surface, about 4 cm from each other on a person
 NUM_SAMPLES = 1536
 #: stride of the samples that are tested for self-intersection, and half their distance, as a share of the
@@ -91,8 +93,8 @@ def sample_regions(body: Body, joints: Sequence[int] | None = None) -> RegionSam
     few = slice(None, None, STRIDE)
     at_rest = (jnp.asarray(points[few] - points.mean(0), dtype), jnp.asarray(normals[few], dtype))
     areas = jnp.full(len(bones[few]), area / len(bones[few]), dtype)
-    within = inside_degrees(
-        *at_rest, areas, jnp.asarray(regions[few]), non_adjacent, MIN_DISTANCE * float(size)
+    within = _inside_degrees(
+        *at_rest, areas, jnp.asarray(regions[few]), non_adjacent, jnp.asarray(MIN_DISTANCE * size, dtype)
     )
     return RegionSamples(
         body=samples,

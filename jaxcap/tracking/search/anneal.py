@@ -10,6 +10,7 @@ from ...body.pose import Pose
 from ...energy.energy import Sum
 from ...observe.clouds import Cloud
 from ...parallel import parallel_map
+from ...stacking import concatenate_trees, take_rows
 from ..expectation_maximisation.em_step import Estimate, box_volume, em_step
 from ..track_frame import Tracker, first_estimate, frame_terms, penalty
 
@@ -66,14 +67,14 @@ def anneal_each(
     """
     count = starts.rotations.shape[0]
     rows = np.minimum(np.arange(-(-count // GROUP) * GROUP), count - 1).reshape(-1, GROUP)
-    groups = [jax.tree.map(lambda leaf, row=row: leaf[row], starts) for row in rows]
+    groups = [take_rows(starts, row) for row in rows]
     compared = jnp.asarray(comparison_sigma, sigmas.dtype)
     found = parallel_map(
         lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas, compared)),
         groups,
         is_compiled=is_compiled,
     )
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *found)
+    return take_rows(concatenate_trees(list(found)), slice(count))
 
 
 @eqx.filter_jit
@@ -120,10 +121,9 @@ def anneal_survivors(
 
 
 def _sorted(poses: Pose, scores: Float[Array, "P"]) -> tuple[Pose, Float[Array, "P"]]:
-    order = jnp.argsort(-scores)
-    return jax.tree.map(lambda leaf: leaf[order], poses), scores[order]
+    return take_rows((poses, scores), np.argsort(-np.asarray(scores), kind="stable"))
 
 
 def first_poses(poses: Pose, count: int) -> Pose:
     """Select the first `count` of stacked poses."""
-    return jax.tree.map(lambda leaf: leaf[:count], poses)
+    return take_rows(poses, slice(count))

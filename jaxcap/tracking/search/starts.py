@@ -19,6 +19,7 @@ from ..track_frame import Tracker
 SUPPORT_RADIUS, UNIFORM_SHARE = 0.06, 0.1
 
 
+@eqx.filter_jit
 def rotated_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: Float[Array, "3"]) -> Pose:
     """Rotate a pose about the vertical `up` in `count` equal steps and align the centres of surface and
     cloud; `(count, ...)`.
@@ -49,6 +50,7 @@ def rotated_starts(tracker: Tracker, cloud: Cloud, pose: Pose, count: int, up: F
     return jax.vmap(turn)(angles)
 
 
+@eqx.filter_jit
 def perturbed_starts(
     skeleton: Skeleton, poses: Pose, count: int, deviations: Float[Array, "D"], key: PRNGKeyArray
 ) -> Pose:
@@ -60,6 +62,7 @@ def perturbed_starts(
     return _neighbours(skeleton, poses, steps)
 
 
+@eqx.filter_jit
 def subtree_starts(
     skeleton: Skeleton,
     poses: Pose,
