@@ -63,14 +63,13 @@ def nearest_at_vertices(
     points, vertices, faces = np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces)
     if not len(points):
         return SurfacePoints(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
-    turns = (np.arange(3)[:, None] + np.arange(3)) % 3
-    sides = _sector_sides(vertices, faces[:, turns].reshape(-1, 3))
-    used = np.unique(faces)
+    used = np.flatnonzero(np.bincount(faces.ravel(), minlength=len(vertices)))
     nearest = used[KDTree(vertices[used]).query(points, workers=-1)[1]]
     # one row for each point and triangle at its nearest vertex
     rows, corners = corners_at_vertices(faces, nearest)
-    offsets = (points - vertices[nearest])[rows]
-    inside = (np.einsum("nka,na->nk", sides[corners], offsets) >= 0).all(1)
+    offsets = np.ascontiguousarray((points - vertices[nearest]).T)[:, rows]
+    first, second = (_dot(side[:, corners], offsets) >= 0 for side in _sector_sides(vertices, faces))
+    inside = first & second
     tested = inside | ~np.logical_or.reduceat(inside, np.flatnonzero(np.diff(rows, prepend=-1)))[rows]
     rows, found = rows[tested], corners[tested] // 3
     shares, squared = closest_barycentric(vertices[faces[found]], points[rows])
@@ -83,13 +82,16 @@ def nearest_at_vertices(
 
 
 def _sector_sides(
-    vertices: Float[np.ndarray, "V 3"], corners: Int[np.ndarray, "C 3"]
-) -> Float[np.ndarray, "C 2 3"]:
-    """Compute the inner normals, in the plane of each triangle, of the two sides at its first corner."""
-    start, second, third = (vertices[corners[:, k]] for k in range(3))
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "3 C"], Float[np.ndarray, "3 C"]]:
+    """Compute the inner normals, in the plane of its triangle, of the two sides at each corner, in the order of the flattened
+    faces.
+    """
+    positions = np.ascontiguousarray(vertices.T)
+    start, second, third = (positions[:, np.roll(faces, -k, axis=1).ravel()] for k in range(3))
     b, c = second - start, third - start
-    bb, bc, cc = (np.sum(x * y, 1, keepdims=True) for x, y in ((b, b), (b, c), (c, c)))
-    return np.stack([cc * b - bc * c, bb * c - bc * b], 1)
+    bb, bc, cc = _dot(b, b), _dot(b, c), _dot(c, c)
+    return cc * b - bc * c, bb * c - bc * b
 
 
 def positions_on_surface(
