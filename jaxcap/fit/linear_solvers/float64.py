@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 Result = TypeVar("Result")
 
@@ -26,7 +28,8 @@ def in_float64(function: Callable[..., Result], *arguments: Any) -> Result:
 
 def _cast(leaf: Any, dtype: Any, small: bool = False) -> Any:
     if eqx.is_inexact_array(leaf):
-        return jnp.asarray(leaf, dtype)
+        # on the host where it can be, as casting in JAX compiles for every shape
+        return jnp.asarray(leaf if isinstance(leaf, Tracer) else np.asarray(leaf), dtype)
     if small and eqx.is_array(leaf) and leaf.dtype == jnp.int64:
         return leaf.astype(jnp.int32)
     return leaf
