@@ -225,6 +225,8 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
     )
     motion = Motion(concatenate_poses([motion.poses for motion in learned.motions]), learned.motions[0].rate)
     evidence = joint_evidence(body.skeleton, motion, learned.left_right_pairs, learned.given)
+    if learned.symmetry_message:
+        say(learned.symmetry_message)
     say("joints of the mean of the people, and their rotations over all meshes:")
     for line in describe_joints(evidence, learned.given is not None):
         say(line)

@@ -59,6 +59,8 @@ class PeopleState(NamedTuple):
     #: (step, Q), Q in squared metres, the sum over all people
     history: tuple[tuple[str, float], ...] = ()
     round: int = 0
+    #: whether left and right of the first person's surface were found; "" if not searched for, or if the state was read
+    symmetry_message: str = ""
 
 
 class LearnedPeople(NamedTuple):
@@ -78,6 +80,8 @@ class LearnedPeople(NamedTuple):
     history: tuple[tuple[str, float], ...]
     #: where learning began with the joints of the mean shape; None if they were found from the motion
     given: GivenCentres | None = None
+    #: whether left and right of the surface were found; "" if not searched for, or if the run was resumed
+    symmetry_message: str = ""
 
 
 @checked
@@ -145,6 +149,7 @@ def learn_people(
         found.left_right_pairs,
         found.history,
         _mean_given(found.people) if found.has_given_joints else None,
+        found.symmetry_message,
     )
 
 
@@ -185,7 +190,10 @@ def _start(
             initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
         )
     return PeopleState(
-        tuple(repeat_meshes(person) for person in people), np.asarray(pairs), learned.given is not None
+        tuple(repeat_meshes(person) for person in people),
+        np.asarray(pairs),
+        learned.given is not None,
+        symmetry_message=learned.symmetry_message,
     )
 
 

@@ -60,7 +60,14 @@ def instant_learner(monkeypatch, scene):
         )
         none = np.zeros((0, 2), int)
         return LearnedPeople(
-            space.model, tuple(people), space.coefficients, motions, space.explained, none, (("round", 1.0),)
+            space.model,
+            tuple(people),
+            space.coefficients,
+            motions,
+            space.explained,
+            none,
+            (("round", 1.0),),
+            symmetry_message="The two sides move differently.",
         )
 
     monkeypatch.setattr(verb, "learn_people", learn_people)
@@ -127,6 +134,7 @@ def test_a_model_and_the_parameters_of_each_person_are_written(
     )
     assert list(instant_learner["people"]) == ["anna", "ben", "carl"]
     assert "2 coefficients explain 100.0 % of the variance of 3 people at rest" in printed
+    assert "The two sides move differently." in printed
     rows = [line.split() for line in printed.splitlines() if line.split()[:1] in (["anna"], ["carl"])]
     assert [row[:2] for row in rows] == [["anna", "3"], ["carl", "3"]]
     assert all(float(value) < 0.05 for row in rows for value in row[2:])
