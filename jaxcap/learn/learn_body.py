@@ -16,6 +16,7 @@ from ..body.skeleton import Skeleton
 from ..compiled import forget_many_compiled
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.energy import AbstractEnergy, sum_energies, weighted
+from ..fit.precision import with_precision
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
 from .anatomy.choose_skeleton import SkeletonName, choose_skeleton
@@ -133,6 +134,7 @@ def learn_body(
     **Raises:** `ValueError` with one sentence for meshes or options from which nothing can be learned, and
     `InputError` for energies of vertices or joints that do not exist.
     """
+    meshes = with_precision(meshes, jnp.result_type(float))
     whole = sum_energies((terms,) if isinstance(terms, AbstractEnergy) else terms)
     always = isinstance(symmetry, str)
     symmetry = True if isinstance(symmetry, str) else symmetry

@@ -50,6 +50,11 @@ def test_a_floor_raises_learned_poses(rng):
     assert lowest(raised.body, raised.motion.poses) > height - 0.01
     values = [q for _, q in raised.history]
     assert all(b <= a for a, b in itertools.pairwise(values))
+    # meshes of another precision than JAX's
+    rounded = MeshSequence(meshes.vertices.astype(jnp.float32), body.faces, 30.0)
+    again = learn_body(rounded, **options)
+    assert again.body.vertices.dtype == jnp.result_type(float)
+    np.testing.assert_allclose([q for _, q in again.history], [q for _, q in free.history], rtol=1e-3)
     with pytest.raises(InputError, match="FeetOnFloor"):
         learn_body(meshes, **options, terms=[FeetOnFloor(jnp.array([10**6]), jnp.asarray(0.0))])
 

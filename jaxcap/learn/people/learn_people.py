@@ -16,6 +16,7 @@ from ...body.body_model import BodyModel
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
 from ...errors import InputError
+from ...fit.precision import with_precision
 from ...observe.meshes import MeshSequence
 from ...value_checks import check_at_least
 from ..anatomy.choose_skeleton import SkeletonName, choose_skeleton
@@ -123,7 +124,7 @@ def learn_people(
     )
     for message in check_people(people):
         _LOG.warning(message)
-    names, sequences = tuple(people), list(people.values())
+    names, sequences = tuple(people), with_precision(list(people.values()), jnp.result_type(float))
     if resume is None:
         state = _start(sequences, names, joints, skin, alpha, symmetry, skeleton, fix_joints, rounds)
     else:
