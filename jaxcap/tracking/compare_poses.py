@@ -18,16 +18,20 @@ MAX_DEFICIT = 0.3
 _change = eqx.filter_jit(difference)
 
 
-def track_from(tracker: Tracker, pose: Pose, cloud: Cloud) -> tuple[TrackState, FrameStatistics, float]:
+def track_from(
+    tracker: Tracker, pose: Pose, cloud: Cloud, likelihood: float | None = None
+) -> tuple[TrackState, FrameStatistics, float]:
     """Track a frame from a nearby pose, by the tracker's own steps; never to a less likely pose.
 
-    Returns the result of `track_frame`, and the `pose_log_density` of the pose.
+    Returns the result of `track_frame`, and the `pose_log_density` of the pose; `likelihood` is that of the pose given, if
+    it is known.
     """
     state, statistics = track_frame_jit(
         tracker, reset_velocity(tracker, start_state(tracker, pose), 0.0), cloud
     )
     state = reset_velocity(tracker, state)
-    before, after = (float(pose_log_density(tracker, p, cloud)) for p in (pose, state.estimate.pose))
+    before = float(pose_log_density(tracker, pose, cloud)) if likelihood is None else likelihood
+    after = float(pose_log_density(tracker, state.estimate.pose, cloud))
     if after >= before:
         return state, statistics, after
     return eqx.tree_at(lambda s: s.estimate.pose, state, pose), statistics, before
@@ -51,9 +55,10 @@ def choose_likeliest(
     """
     best = float(pose_log_density(tracker, state.estimate.pose, cloud)) + margin
     for pose in poses:
-        if float(pose_log_density(tracker, pose, cloud)) < best - MAX_DEFICIT:
+        before = float(pose_log_density(tracker, pose, cloud))
+        if before < best - MAX_DEFICIT:
             continue
-        found, measured, likelihood = track_from(tracker, pose, cloud)
+        found, measured, likelihood = track_from(tracker, pose, cloud, before)
         if likelihood > best:
             change = _change(tracker.body.skeleton, previous, found.estimate.pose)
             best, state, statistics = likelihood, TrackState(found.estimate, change), measured
