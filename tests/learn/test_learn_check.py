@@ -185,7 +185,10 @@ def test_parts_that_move_alike_are_told():
     assert len(lines) == 3
     assert "No vertex belongs to part 3" in lines[0]
     assert "No mesh moves part 0" in lines[1]
-    assert "Part 1 and part 2 have the same motion" in lines[2]
+    assert "These parts have the same motion" in lines[2] and "in all meshes: part 1 and part 2." in lines[2]
+    # the fourth with vertices of its own: three parts in one group
+    lines = check_parts(rest, np.repeat([0, 1, 2, 3, 3], 18), rotations, np.zeros((5, 4, 3)))
+    assert "in all meshes: part 1, part 2 and part 3." in lines[1] and len(lines) == 2
     rotations[:, 2] = np.swapaxes(turns, 1, 2)
     rotations[:, 0] = rotations[::-1, 2]
     assert len(check_parts(rest, labels, rotations, np.zeros((5, 4, 3)))) == 1
@@ -198,15 +201,14 @@ def test_a_joint_that_never_turns_is_told():
     poses = [random_pose(body.skeleton, rng) for _ in range(4)]
     jaw, rest = body.skeleton.index("jaw"), rest_pose(body.skeleton).rotations[0]
     stiff = [eqx.tree_at(lambda p: p.rotations, pose, pose.rotations.at[jaw].set(rest)) for pose in poses]
-    pairs = ("neck and jaw have the same motion", "hand and tool have the same motion")
     lines = " ".join(check_learned(body, stack_poses(stiff)))
     free = " ".join(check_learned(body, stack_poses(poses)))
-    assert pairs[0] in lines and pairs[0] not in free
-    # the tool is fixed to the hand
-    parts = np.asarray(body.skin.bones)
-    assert (pairs[1] in free) == bool(
-        {body.skeleton.index("hand"), body.skeleton.index("tool")} <= set(parts)
+    assert "the same motion within 0.0 mm in all meshes: neck and jaw." in lines and "same motion" not in free
+    # the tool is fixed to the hand, so that it is no part of its own
+    assert {body.skeleton.index("hand"), body.skeleton.index("tool")} <= set(
+        np.asarray(body.skin.bones).tolist()
     )
+    assert body.skeleton.kinds[body.skeleton.index("tool")] == "fixed" and "tool" not in lines + free
 
 
 @pytest.mark.shared

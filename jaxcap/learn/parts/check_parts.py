@@ -5,7 +5,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import numpy as np
+import scipy.sparse
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from ...body.body import Body
 from ...body.kinematics import Transforms, forward_kinematics
@@ -56,30 +58,49 @@ def check_parts(
     if 0 < len(still) < len(chosen):
         guess = "" if len(still) == 1 else "; the joints between them are not determined"
         messages.append(f"No mesh moves {_listed([called[part] for part in still])}{guess}.")
+    # distances of all pairs that move alike
+    alike = np.zeros((count, count))
     for number, (a, _) in enumerate(chosen):
         for b, _ in chosen[number + 1 :]:
             distance = max(_rms(carried[i][:, a] - carried[i][:, b]) for i in (a, b))
             if distance < near and not (a in still and b in still):
-                messages.append(
-                    f"{called[a].capitalize() if names is None else called[a]} and {called[b]} have the same "
-                    f"motion within {1000 * distance:.1f} mm in all meshes; give meshes with relative motion "
-                    "between them, or fewer joints."
-                )
+                # at zero there would be no connection
+                alike[a, b] = max(distance, 1e-9)
+    if alike.any():
+        messages.append(_describe_alike(alike, called))
     return messages
+
+
+def _describe_alike(alike: Float[np.ndarray, "K K"], names: Sequence[str]) -> str:
+    """Name the groups of parts that are connected by positive distances, metres."""
+    groups = connected_components(scipy.sparse.csr_matrix(alike), directed=False)[1]
+    members = [np.flatnonzero(groups == group) for group in np.unique(groups[alike.any(1)])]
+    listed = "; ".join(_listed([names[part] for part in some]) for some in members)
+    return (
+        f"These parts have the same motion within {1000 * alike.max():.1f} mm in all meshes: {listed}. Give meshes with "
+        "relative motion between them, or fewer joints."
+    )
 
 
 def check_learned(body: Body, motion: Motion) -> list[str]:
     """Run `check_parts` on a learned body in the poses of its meshes.
 
-    Parts are named by their joints, and a vertex belongs to the joint with the largest influence.
+    Parts are named by their joints, and a vertex belongs to the joint with the largest influence, or to the first joint above it
+    that is not fixed.
     """
-    transforms = _transforms(body.skeleton, motion.poses)
+    skeleton = body.skeleton
+    movers = np.arange(skeleton.num_joints)
+    for joint, (kind, parent) in enumerate(zip(skeleton.kinds, skeleton.parents, strict=True)):
+        if kind == "fixed" and parent >= 0:
+            movers[joint] = movers[parent]
+    transforms = _transforms(skeleton, motion.poses)
+    moving, parts = np.unique(movers, return_inverse=True)
     return check_parts(
         np.asarray(body.vertices, float),
-        np.asarray(body.skin.bone_weights(body.skeleton.num_joints)).argmax(1),
-        np.asarray(transforms.rotations, float),
-        np.asarray(transforms.translations, float),
-        body.skeleton.names,
+        parts[np.asarray(body.skin.bone_weights(skeleton.num_joints)).argmax(1)],
+        np.asarray(transforms.rotations, float)[:, moving],
+        np.asarray(transforms.translations, float)[:, moving],
+        [skeleton.names[joint] for joint in moving],
     )
 
 
