@@ -20,7 +20,7 @@ from ...io.table import write_json
 from ...learn.anatomy.joint_evidence import describe_joints, joint_evidence
 from ...learn.learn_body import COARSE_PREFIX
 from ...learn.parts.check_parts import check_learned
-from ...learn.people.check_people import check_people, find_far_joints
+from ...learn.people.check_people import check_people, find_bent_joints, find_far_joints
 from ...learn.people.learn_people import LearnedPeople, PeopleState, learn_people
 from ...learn.people.rest_alignment import check_rest_alignment
 from ...learn.people.shape_space import person_body
@@ -232,8 +232,11 @@ def describe(run: PeopleRun, learned: LearnedPeople, paths: Mapping[str, Path]) 
         say(line)
     if not len(learned.left_right_pairs):
         say("no left and right joints were paired")
-    far = find_far_joints(learned.model, learned.coefficients, learned.names)
-    for message in [*check_rest_alignment(body.skeleton), *check_learned(body, motion), *far]:
+    doubts = [
+        *find_bent_joints(body.skeleton, learned.motions, learned.names),
+        *find_far_joints(learned.model, learned.coefficients, learned.names),
+    ]
+    for message in [*check_rest_alignment(body.skeleton), *check_learned(body, motion), *doubts]:
         warn(message)
 
 

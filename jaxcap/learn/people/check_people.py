@@ -8,6 +8,8 @@ from scipy.spatial import KDTree
 
 from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from ...body.body_model import BodyModel, shape_body
+from ...body.pose import Motion
+from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...geometry.mesh import count_other_triangles, mesh_edges
 from ...geometry.sampling import even_indices
@@ -19,6 +21,8 @@ from ..check_meshes import MAX_POSE_RATIO, check_meshes, relative_sizes, shows_m
 NUM_PATCHES = 64
 #: relative difference in size above which two meshes do not show one person
 MIN_GAP = 0.05
+#: rotation from the pose at rest above which a joint is bent, and range of it over the meshes from which these show its shape, degrees
+MAX_BEND, MIN_BEND_RANGE = 60.0, 30.0
 
 
 def check_people(
@@ -170,5 +174,27 @@ def find_far_joints(
             messages.append(
                 f"The meshes of {name} moved joints far from where the surface has them: {listed}; give meshes that rotate them "
                 "more, or `--skeleton human --fix-joints`."
+            )
+    return messages
+
+
+def find_bent_joints(skeleton: Skeleton, motions: Sequence[Motion], names: Sequence[str]) -> list[str]:
+    """Return a sentence about each person with joints that are bent by more than `MAX_BEND` in all meshes, and about as much.
+
+    The meshes hardly show what is pose and what is shape there.
+    """
+    turning = [j for j, kind in enumerate(skeleton.kinds) if kind != "fixed" and skeleton.parents[j] >= 0]
+    messages = []
+    for name, motion in zip(names, motions, strict=True):
+        cosines = np.clip(np.abs(np.asarray(motion.poses.rotations, float)[:, :, 0]), 0.0, 1.0)
+        bends = 2 * np.degrees(np.arccos(cosines))
+        least, alike = bends.min(0), np.ptp(bends, axis=0) < MIN_BEND_RANGE
+        listed = ", ".join(
+            f"{skeleton.names[j]} ({least[j]:.0f}°)" for j in turning if alike[j] and least[j] > MAX_BEND
+        )
+        if listed:
+            messages.append(
+                f"No mesh of {name} is near the pose at rest at the joints {listed}: the shape at rest is uncertain around them, and so "
+                f"are the lengths of their bones; add a mesh of {name} in about that pose."
             )
     return messages

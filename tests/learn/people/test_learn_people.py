@@ -13,10 +13,12 @@ from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.cli.learn.people_state import load_people_state, make_people_checkpoint
 from jaxcap.errors import InputError
+from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import energy, make_conformance
 from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.learn.people.check_people import (
     check_people,
+    find_bent_joints,
     find_far_joints,
     find_moving,
     find_people_by_size,
@@ -193,6 +195,22 @@ def test_joints_far_from_the_surface_are_named():
     space = make_shape_space(bodies)
     (sentence,) = find_far_joints(space.model, space.coefficients, "abcde")
     assert sentence.startswith("The meshes of b moved joints far") and "end (" in sentence
+
+
+def test_joints_that_are_bent_in_all_meshes_are_named():
+    skeleton = limb().skeleton
+
+    def motion(*degrees):
+        turns = [rotation.about_axis(jnp.array([0.0, 0.0, 1.0]), jnp.radians(angle)) for angle in degrees]
+        rest = jc.rest_pose(skeleton)
+        return stack_poses(
+            [eqx.tree_at(lambda p: p.rotations, rest, rest.rotations.at[1].set(turn)) for turn in turns]
+        )
+
+    motions = [motion(100.0), motion(70.0, 120.0), motion(20.0), motion(80.0, -95.0)]
+    first, second = find_bent_joints(skeleton, motions, "abcd")
+    assert first.startswith("No mesh of a is near") and f"{skeleton.names[1]} (100°)" in first
+    assert second.startswith("No mesh of d is near") and f"{skeleton.names[1]} (80°)" in second
 
 
 def test_meshes_are_repeated_to_few_lengths():
