@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from ...markers.human.body_lengths import segment_lengths
+from ...markers.human.body_size import is_adult
 from ...markers.human.check_person import has_landmarks
 from ...markers.human.fit_human import HumanFit
-from ...markers.human.human_template import is_adult
 from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
 from ...markers.recognition.recognise_by_geometry import GeometryRecognition, recognise_by_geometry
 from ...observe.markers import MarkerFrames

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,8 @@ from ...errors import InputError
 
 #: processor types of the numbers in a file: Intel, DEC, MIPS; integers of the first two are the same
 _INTEL, _DEC, _MIPS = 84, 85, 86
+#: type of the values of a parameter: floats
+_FLOAT = 4
 
 
 def read_header(path: Path) -> tuple[int, int]:
@@ -47,16 +50,30 @@ def read_header(path: Path) -> tuple[int, int]:
             f"{path}: its numbers are in the MIPS format, which ezc3d does not read; convert the file to the Intel format."
         )
     try:
-        _check_parameters(raw, begin + 4)
+        parameters = list(_read_parameters(raw, begin + 4))
     except (IndexError, struct.error):
         raise InputError(
             f"{path}: the file is cut short or damaged within its parameters; copy it again."
         ) from None
+    analog = {-one.number for one in parameters if one.number < 0 and one.name == "ANALOG"}
+    if any(one.name == "OFFSET" and one.number in analog and one.size == _FLOAT for one in parameters):
+        raise InputError(
+            f"{path}: its parameter ANALOG:OFFSET has real numbers where the format has integers, and ezc3d does not read such files. The markers are "
+            "intact: export them without analogue channels, or as .trc."
+        )
     first, last = struct.unpack_from("<HH", raw, 6)
     return first, max(last - first + 1, 0)
 
 
-def _check_parameters(raw: bytes, at: int) -> None:
+class _Parameter(NamedTuple):
+    name: str
+    #: number of its group; that of a group itself is negative
+    number: int
+    #: type and size of its values, 0 for a group
+    size: int
+
+
+def _read_parameters(raw: bytes, at: int) -> Iterator[_Parameter]:
     """Follow the chain of parameters to its end, for which ezc3d searches forever in a damaged file.
 
     **Raises:** `IndexError` or `struct.error` if the chain leads out of the file, or values out of their
@@ -66,15 +83,16 @@ def _check_parameters(raw: bytes, at: int) -> None:
         length, number = struct.unpack_from("bb", raw, at)
         link = at + 2 + abs(length)
         (step,) = struct.unpack_from("<H", raw, link)
-        end = link + 2
+        end, size = link + 2, 0
         if number > 0:
             size, rank = struct.unpack_from("bB", raw, end)
             end += 2 + rank + abs(size) * math.prod(raw[end + 2 : end + 2 + rank])
-            if size not in (-1, 1, 2, 4) or rank > 7:
+            if size not in (-1, 1, 2, _FLOAT) or rank > 7:
                 raise IndexError
         # the values are followed by a description with its length
         if end + 1 + raw[end] > (link + step if step else len(raw)):
             raise IndexError
+        yield _Parameter(raw[at + 2 : link].decode("latin-1").strip().upper(), number, size)
         if step == 0:
             return
         at = link + step

@@ -1,6 +1,7 @@
 """Lengths of a person's segments, left and right, and those of other adults."""
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,23 +9,30 @@ import numpy as np
 from ...body.skeleton import Skeleton
 from ..calibration.calibrate import Calibration
 from ..calibration.observability import bone_length_deviations
+from .population import (
+    LENGTH_SPREADS,
+    LIMBS,
+    SHARES,
+    STATURE,
+    improbability,
+    length_given_others,
+    stature_of_limbs,
+)
 
 #: ends of the paired segments, by the joints of the left side
-PAIRED = {
-    "upper arm": ("LeftArm", "LeftForeArm"),
-    "forearm": ("LeftForeArm", "LeftHand"),
-    "thigh": ("LeftUpLeg", "LeftLeg"),
-    "shank": ("LeftLeg", "LeftFoot"),
-    "foot": ("LeftFoot", "LeftToeBase"),
-}
+PAIRED = {**LIMBS, "foot": ("LeftFoot", "LeftToeBase")}
 #: ends of the widths
 WIDTHS = {"hips": ("LeftUpLeg", "RightUpLeg"), "shoulders": ("LeftArm", "RightArm")}
-#: mean lengths between joint centres, as shares of stature: de Leva (1996), tables 1 to 4, means of women and men
-#: (thigh: men, as the women's hip centre is far below all later estimates)
-SHARES = {"upper arm": 0.160, "forearm": 0.153, "thigh": 0.2425, "shank": 0.2525}
-#: mean stature of adults, metres, and relative standard deviations of stature and of a segment at equal stature (women and men
-#: of ANSUR II, Gordon and others 2014)
-STATURE, STATURE_SPREAD, SEGMENT_SPREAD = 1.69, 0.053, 0.035
+
+#: deviations from what the other lengths say from which on a length is improbable: 1 to 2 % of the limbs of adults (ANSUR II)
+MAX_RATIO = 2.5
+#: joints whose markers determine the length of a limb
+ENDS = {
+    "upper arm": "shoulders and elbows",
+    "forearm": "elbows and wrists",
+    "thigh": "pelvis and knees",
+    "shank": "knees and ankles",
+}
 
 
 class SegmentLength(NamedTuple):
@@ -73,5 +81,37 @@ def adult_percentile(name: str, length: float | np.floating) -> float:
     if name not in SHARES:
         return math.nan
     mean = SHARES[name] * STATURE
-    spread = mean * math.hypot(STATURE_SPREAD, SEGMENT_SPREAD)
+    spread = mean * LENGTH_SPREADS[list(LIMBS).index(name)]
     return 50.0 * (1.0 + math.erf((float(length) - mean) / (spread * math.sqrt(2.0))))
+
+
+def describe_lengths(rows: Sequence[SegmentLength]) -> list[str]:
+    """Describe the limbs whose lengths are improbable for an adult with the other ones, the least probable first.
+
+    Only lengths that the takes determine count. What is left is judged without an improbable limb.
+    """
+    known = {
+        row.name: 0.5 * (row.left + row.right)
+        for row in rows
+        if row.name in LIMBS and math.isfinite(row.deviation)
+    }
+    said = []
+    while len(known) > 1:
+        ratios = {name: improbability(name, known) for name in known}
+        worst = max(ratios, key=lambda name: abs(ratios[name]))
+        ratio, length = ratios[worst], known.pop(worst)
+        if abs(ratio) < MAX_RATIO:
+            break
+        usual, spread = length_given_others(worst, known)
+        said.append(
+            f"The {worst}s are improbably {'long' if ratio > 0 else 'short'}: {1e3 * length:.0f} mm, while adults whose other limbs are as long "
+            f"as here (about {stature_of_limbs(known):.2f} m tall) have {1e3 * usual:.0f} ± {1e3 * spread * usual:.0f} mm, so they are off by "
+            f"{abs(ratio):.1f} deviations. Check the labels and the places of the markers at {ENDS[worst]}, and whether the joints there rotate"
+            f" in the takes{_other_limb(known)}."
+        )
+    return said
+
+
+def _other_limb(known: Mapping[str, float]) -> str:
+    """Name the other limb if there is only one, which may be the wrong one."""
+    return f", or else the {next(iter(known))}s" if len(known) == 1 else ""

@@ -36,8 +36,21 @@ PELVIS = ("asis", "psis", "iliac_crest", "hip_lateral", "hip_centre")
 MIN_SINE = 0.3
 #: share of the distance between the shoulders by which they have to be on the wrong side
 MIN_SHARE = 0.3
+#: landmarks of the head in front and behind, from which its direction is known if the trunk has no markers that show it
+HEAD_FRONT = ("head_front", "nose", "nose_bridge", "chin")
+HEAD_BACK = ("head_back", "occiput")
+HEAD_SIDES = (
+    ("left head_front_lateral", "right head_front_lateral"),
+    ("left head_back_lateral", "right head_back_lateral"),
+    ("left ear", "right ear"),
+)
 #: how far the distances of neighbouring levels have to be from usual, metres, and the share of that that exchanged labels leave
 MIN_MISFIT, EXCHANGED_SHARE = 0.05, 0.5
+#: how much the distances of neighbouring levels have to vary over the frames, metres, and the share of that that exchanged labels leave:
+#: the ends of one bone keep their distance
+MIN_RANGE, CONSTANT_SHARE = 0.08, 0.35
+#: percentiles that the variation is between
+RANGE_PERCENTILES = (5, 95)
 
 
 class ArmSides(NamedTuple):
@@ -48,12 +61,15 @@ class ArmSides(NamedTuple):
     #: misfits of the distances from each level to the next one along the arms, metres, as labelled and with the labels of the next
     #: one exchanged; NaN where unknown
     chain: Float[np.ndarray, "L 2"]
+    #: how much these distances vary over the frames, metres: as labelled, of the arm in which they vary less, and exchanged, of that in which they
+    #: vary more
+    ranges: Float[np.ndarray, "L 2"]
 
 
 def measure_arm_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> ArmSides:
     """Measure on which side of the trunk the shoulders are, and to which side each further level of the arms belongs.
 
-    The left of the thorax is `up x forward`, from markers in its midline, and else the left of the pelvis by its labels. Along the arm, the distance
+    The left of the thorax is `up x forward`, from markers in its midline, and else the left of the pelvis by its labels, or that of the head. Along the arm, the distance
     from the shoulder to the elbow is that of the `template` at rest, in any pose, and so on: arms may be crossed.
     """
     some = even_indices(len(frames), NUM_FRAMES, nearest=True)
@@ -69,7 +85,8 @@ def measure_arm_sides(template: Subject, known: MarkerSet, frames: MarkerFrames)
         _misfits(levels[inner], levels[outer], float(_distance(usual[inner], usual[outer])[0]))
         for inner, outer in pairwise(range(len(LEVELS)))
     ]
-    return ArmSides(shoulders, np.array(chain))
+    ranges = [_ranges(inner, outer) for inner, outer in pairwise(levels)]
+    return ArmSides(shoulders, np.array(chain), np.array(ranges))
 
 
 def exchanged_levels(sides: ArmSides) -> tuple[str, ...]:
@@ -77,8 +94,12 @@ def exchanged_levels(sides: ArmSides) -> tuple[str, ...]:
     shown = sides.shoulders[np.isfinite(sides.shoulders)]
     exchanged = bool(len(shown)) and bool(np.median(shown) < -MIN_SHARE)
     found = ["shoulders"] if exchanged else []
-    for level, (own, other) in zip(list(LEVELS)[1:], sides.chain, strict=True):
-        if own > MIN_MISFIT and other < EXCHANGED_SHARE * own:
+    for level, (own, other), (varying, constant) in zip(
+        list(LEVELS)[1:], sides.chain, sides.ranges, strict=True
+    ):
+        is_far = own > MIN_MISFIT and other < EXCHANGED_SHARE * own
+        # folded arms, with each wrist as far from the other elbow as from its own
+        if is_far or (varying > MIN_RANGE and constant < CONSTANT_SHARE * varying):
             exchanged = not exchanged
         if exchanged and np.isfinite(own):
             found.append(level)
@@ -95,7 +116,7 @@ def check_arms(template: Subject, known: MarkerSet, frames: MarkerFrames) -> Non
     reason = (
         "seen from the trunk, the left one is on the right"
         if found[0] == "shoulders"
-        else "they are as far from the other arm as they should be from their own"
+        else "they keep the distances from the other arm that they should keep from their own"
     )
     raise InputError(
         f"Left and right of the {_list_words(found)} are exchanged: {reason} ({', '.join(labels[:8])}"
@@ -139,7 +160,7 @@ def _average(at: Mapping[str, Float[np.ndarray, "F 3"]], names: list[str]) -> Fl
 
 
 def _left_of_trunk(at: Mapping[str, Float[np.ndarray, "F 3"]]) -> Float[np.ndarray, "F 3"]:
-    """Compute the direction to the person's left: of the thorax by its midline, else of the pelvis by its labels."""
+    """Compute the direction to the person's left: of the thorax by its midline, else of the pelvis by its labels, else of the head."""
     forward = _average(at, list(FRONT)) - _average(at, list(BACK))
     up = _average(at, list(HIGH)) - _average(at, list(LOW))
     thorax = np.cross(up, forward)
@@ -150,7 +171,18 @@ def _left_of_trunk(at: Mapping[str, Float[np.ndarray, "F 3"]]) -> Float[np.ndarr
         at, [f"right {name}" for name in both]
     )
     left = np.where(is_plane[:, None], thorax, pelvis)
+    left = np.where(np.isfinite(left), left, _left_of_head(at))
     return left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
+
+
+def _left_of_head(at: Mapping[str, Float[np.ndarray, "F 3"]]) -> Float[np.ndarray, "F 3"]:
+    """Compute the direction to the left of the head: `up x forward` by its midline, with up from the shoulders, else by its labels."""
+    front, back = _average(at, list(HEAD_FRONT)), _average(at, list(HEAD_BACK))
+    shoulders = 0.5 * (_level(at, "left", "shoulders") + _level(at, "right", "shoulders"))
+    midline = np.cross(0.5 * (front + back) - shoulders, front - back)
+    both = [pair for pair in HEAD_SIDES if all(name in at for name in pair)]
+    labelled = _average(at, [left for left, _ in both]) - _average(at, [right for _, right in both])
+    return np.where(np.isfinite(midline), midline, labelled)
 
 
 def _distance(one: Float[np.ndarray, "F 3"], other: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F"]:
@@ -164,6 +196,20 @@ def _misfits(
     own = [_median_misfit(_distance(inner[side], outer[side]), usual) for side in (0, 1)]
     other = [_median_misfit(_distance(inner[side], outer[1 - side]), usual) for side in (0, 1)]
     return min(own), max(other)
+
+
+def _ranges(
+    inner: tuple[Float[np.ndarray, "F 3"], ...], outer: tuple[Float[np.ndarray, "F 3"], ...]
+) -> tuple[float, float]:
+    """Compute how much the distances between two levels vary, as labelled and exchanged: the smaller one of both sides, and the larger one."""
+    own = [_range(_distance(inner[side], outer[side])) for side in (0, 1)]
+    other = [_range(_distance(inner[side], outer[1 - side])) for side in (0, 1)]
+    return min(own), max(other)
+
+
+def _range(distances: Float[np.ndarray, "F"]) -> float:
+    shown = distances[np.isfinite(distances)]
+    return float(np.ptp(np.percentile(shown, RANGE_PERCENTILES))) if len(shown) else float("nan")
 
 
 def _median_misfit(distances: Float[np.ndarray, "F"], usual: float) -> float:

@@ -12,7 +12,7 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.rigid_motion import MIN_DISPLACEMENT, displacement, distance_ranges, is_rigid
 from ..subject import Subject
-from .human_template import placed_markers
+from .rest_positions import placed_markers
 
 #: least number of markers on known landmarks, and of bones that carry them
 MIN_MARKERS, MIN_BONES = 6, 3

@@ -7,9 +7,9 @@ import numpy as np
 from ...body.people.morph_targets import Traits
 from ..calibration.calibrate import Calibration
 from ..marker_sets.recognise import MarkerSet
+from .body_size import PersonSize, body_height, is_adult
 from .check_person import stands_still
 from .further_markers import FurtherMarkers
-from .human_template import body_height, is_adult
 
 #: parts of the body, and the joints of the bones that one of its markers is on
 PARTS = {
@@ -39,14 +39,20 @@ def describe_human(
     )
 
 
-def describe_child(traits: Traits) -> list[str]:
+def describe_child(size: PersonSize, traits: Traits) -> list[str]:
     """Describe what the prior does not know of children, for a person who may be one."""
+    tall = (
+        f"about {size.height:.2f} ± {size.height_deviation:.2f} m tall, as children and small adults are, and is taken for"
+        if size.may_be_child
+        else f"about {body_height(traits):.2f} m tall, as a child is, and is taken for"
+    )
     if is_adult(traits):
-        return []
+        return [
+            f"The person is {tall} an adult. If it is a child, joints that no marker determines are less sure, and percentiles are of no use."
+        ] * size.may_be_child
     return [
-        f"The person is about {body_height(traits):.2f} m tall, as a child is. The prior is one of adults, about the body of the embedded human of "
-        "this size, with twice the usual spread of lengths: joints that no marker determines are less sure, and percentiles among "
-        "adults are left out."
+        f"The person is {tall} a child. The prior is one of adults, about the body of the embedded human of this size, with twice the usual "
+        "spread of lengths: joints that no marker determines are less sure, and percentiles among adults are left out."
     ]
 
 

@@ -22,6 +22,8 @@ from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps, describe_exchanges
 from ..subject import Subject
+from .body_lengths import describe_lengths, segment_lengths
+from .body_size import ADULT_AGE, is_adult, person_of_size
 from .check_arms import check_arms
 from .check_legs import check_legs
 from .check_person import (
@@ -33,8 +35,9 @@ from .check_person import (
 )
 from .describe_human import describe_child, describe_human
 from .further_markers import attach_further_markers
-from .human_template import ADULT_AGE, RESOLUTION, HumanTemplate, make_human_template, person_of_size
+from .human_template import HumanTemplate, make_human_template
 from .misplaced_markers import find_misplaced
+from .rest_positions import RESOLUTION
 from .static_pose import append_static, static_weights, without_static
 
 #: number of frames that tell as much as one with independent errors: the displacement of skin repeats with the pose, so that
@@ -104,12 +107,9 @@ def fit_human(
     frames, exchanges = correct_labels(visible_markers(frames), has_static=static is not None)
     check_articulated(frames)
     known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)
-    template = make_human_template(
-        known,
-        person_of_size(
-            known, median_distances(np.asarray(frames.positions, float), np.asarray(frames.visible))
-        ),
-    )
+    distances = median_distances(np.asarray(frames.positions, float), np.asarray(frames.visible))
+    size = person_of_size(known, distances)
+    template = make_human_template(known, size.traits)
     check_sides(template.subject, known, frames)
     check_legs(known, frames)
     check_arms(template.subject, known, frames)
@@ -153,7 +153,8 @@ def fit_human(
         known,
         found,
         (
-            *describe_child(traits),
+            *describe_child(size, traits),
+            *(describe_lengths(segment_lengths(found, subject.skeleton)) if is_adult(traits) else []),
             *describe_human(
                 further, found, known, [template.subject.labels[m] for m in np.flatnonzero(misplaced)]
             ),

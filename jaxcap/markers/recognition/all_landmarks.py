@@ -9,7 +9,8 @@ from ...body.people.human import shape_from_traits
 from ...body.people.morph_targets import Traits
 from ..body_shape.shape_search import MAX_TRAITS, MEAN_TRAITS, MIN_TRAITS
 from ..body_shape.surface_markers import MARKER_HEIGHT
-from ..human.human_template import RESOLUTION, make_human_template
+from ..human.human_template import make_human_template
+from ..human.rest_positions import RESOLUTION
 from ..marker_sets.landmarks import landmarks, mirror_landmark
 from ..marker_sets.recognise import MarkerSet, landmark_counts
 from ..subject import Subject

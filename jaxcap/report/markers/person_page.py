@@ -10,8 +10,8 @@ import numpy as np
 from ...biomechanics.angles import JointAngles, joint_angles
 from ...io.system.atomic import write_text
 from ...markers.human.body_lengths import segment_lengths
+from ...markers.human.body_size import is_adult
 from ...markers.human.fit_human import HumanFit
-from ...markers.human.human_template import is_adult
 from ..chart import Line, legend, line_chart
 from ..page import Markup, element, page, section, table
 from .markers import score_markers

@@ -267,6 +267,10 @@ def _with(raw, behind, instead):
         ),
         (c3d_bytes(np.full((5, 4, 3), np.inf), NAMES), "infinite, first that of 'LKNE' in frame 1"),
         (c3d_bytes(walked(), NAMES, processor="mips"), "numbers are in the MIPS format"),
+        (
+            c3d_bytes(walked(), NAMES, more=[("ANALOG", "OFFSET", "float", (1,), [0.0])]),
+            "ANALOG:OFFSET has real numbers where the format has integers",
+        ),
         (c3d_bytes(np.zeros((5, 0, 3)), []), "the file has no markers"),
         (c3d_bytes(walked(0), NAMES), "the file has no frames"),
         (

@@ -118,3 +118,29 @@ def test_a_trunk_without_depth_does_not_show_sides():
     """Markers in one plane have no front: without a pelvis the shoulders are not judged."""
     places, names = person(["C7", "STRN", *ARMS.split()], HANGING)
     assert not np.isfinite(measure_arm_sides(*sides(places, names)).shoulders).any()
+
+
+def test_exchanged_wrists_of_folded_arms_are_found():
+    """On the median each wrist is as far from the other elbow as from its own, but only on its own arm it keeps this distance."""
+    poses = []
+    for close, bend in ((0.2, 1.2), (0.2, 1.6), (0.2, 2.0), (0.5, 1.2), (0.5, 1.6)):
+        arms = {"LeftArm": (-0.6, -close, -0.5), "RightArm": (-0.6, close, 0.5)}
+        poses.append({**arms, "LeftForeArm": (0, -bend, 0), "RightForeArm": (0, bend, 0)})
+    places = np.concatenate([person(SETS["trunk"].split(), pose)[0] for pose in poses])
+    names = person(SETS["trunk"].split(), {})[1]
+    found = measure_arm_sides(*sides(places, names))
+    assert exchanged_levels(found) == ()
+    wrong = measure_arm_sides(*sides(places, [exchanged(name, 2) for name in names]))
+    own, other = wrong.chain[1]
+    assert own < 0.05 or other > 0.5 * own
+    assert exchanged_levels(wrong) == ("wrists", "hands")
+
+
+def test_shoulders_without_trunk_are_judged_by_the_head():
+    labels = [*ARMS.split(), "LFHD", "RFHD", "LBHD", "RBHD"]
+    places, names = person(labels, HANGING)
+    check_arms(*sides(places, names))
+    with pytest.raises(
+        InputError, match="Left and right of the shoulders, elbows, wrists and hands are exchanged"
+    ):
+        check_arms(*sides(places, [exchanged(name, 0) for name in names]))

@@ -1,5 +1,6 @@
 """A person from labelled markers: the prior, the fit, and what is refused or said."""
 
+import math
 import re
 
 import numpy as np
@@ -9,11 +10,18 @@ import jaxcap as jc
 from jaxcap.body.people.morph_targets import Traits
 from jaxcap.body.pose import Motion
 from jaxcap.errors import InputError
-from jaxcap.markers.human.body_lengths import adult_percentile
+from jaxcap.markers.human.body_lengths import SegmentLength, adult_percentile, describe_lengths
+from jaxcap.markers.human.body_size import estimate_size, person_of_size
 from jaxcap.markers.human.check_person import check_recognised, check_sides, find_doubled_labels
 from jaxcap.markers.human.fit_human import fit_human
 from jaxcap.markers.human.further_markers import attach_further_markers
-from jaxcap.markers.human.human_template import make_human_template, person_of_size
+from jaxcap.markers.human.human_template import make_human_template
+from jaxcap.markers.human.population import (
+    covariance_of_logarithms,
+    differences_of_means,
+    human_means,
+)
+from jaxcap.markers.human.rest_positions import limb_lengths, stretch_fields
 from jaxcap.markers.marker_sets.recognise import recognise_markers
 from jaxcap.markers.segments.pair_distances import median_distances
 from jaxcap.markers.subject import make_subject
@@ -79,7 +87,7 @@ def test_the_size_of_a_person_follows_from_markers_of_single_bones():
         frames, _ = seen(person(traits=traits, placing=0.0), count=8)
         return person_of_size(
             known, median_distances(np.asarray(frames.positions), np.asarray(frames.visible))
-        ).stature
+        ).traits.stature
 
     small, tall = (stature(Traits(0.5, 35.0, 0.5, 0.5, value)) for value in (-0.4, 0.4))
     assert small < -0.15 and tall > 0.15
@@ -98,8 +106,68 @@ def test_the_size_of_a_person_does_not_follow_markers_far_off_their_landmarks():
         for label in push:
             other = {"WRA": "WRB", "WRB": "WRA", "HEE": "TOE"}[label[1:]]
             moved[:, at[label]] += sign * 0.6 * (places[:, at[label]] - places[:, at[label[0] + other]])
-        size = person_of_size(known, median_distances(moved, np.ones(moved.shape[:2], bool)))
+        size = person_of_size(known, median_distances(moved, np.ones(moved.shape[:2], bool))).traits
         assert abs(size.stature) < 0.12 and size.age > 20
+
+
+def test_long_arms_do_not_make_legs_long():
+    """The arms of people are longer than the embedded human's, by as much as surveys say; their legs stay as observed."""
+    labels = "LSHO RSHO LELB RELB LWRA LWRB RWRA RWRB LASI RASI LKNE RKNE LANK RANK"
+    known = recognise_markers(re.findall(r"\w+", labels))
+    mean = Traits(0.5, 35.0, 0.5, 0.5)
+    subject = make_human_template(known, mean).subject
+    own, offsets = subject.skeleton, np.asarray(subject.offsets, float)
+    centres = np.asarray(own.centres, float)
+    lengths = limb_lengths(own, centres)
+    fields, by_joint = stretch_fields(own, centres, np.asarray(subject.bones), offsets)
+    longer = np.array([0.15, 0.09, 0.0, 0.0])
+    # stretched limbs have these lengths
+    people = limb_lengths(own, centres + np.tensordot(longer, by_joint, 1))
+    np.testing.assert_allclose(people, lengths * (1 + longer), rtol=1e-4)
+    # of a smaller person
+    places, people = 0.9 * (offsets + np.tensordot(longer, fields, 1)), 0.9 * people
+    found = person_of_size(known, np.linalg.norm(places[:, None] - places, axis=2))
+    np.testing.assert_allclose(found.lengths[2:], people[2:], rtol=0.03)
+    assert (found.lengths[:2] / lengths[:2] > 0.9 * 1.04).all()
+    # so are the legs of the person that the fit begins with
+    start = make_human_template(known, found.traits).subject.skeleton
+    np.testing.assert_allclose(
+        limb_lengths(start, np.asarray(start.centres, float))[2:], people[2:], rtol=0.03
+    )
+
+
+def test_a_limb_that_is_far_from_the_others_does_not_count():
+    """Sizes are those of the joint normal distribution, of SciPy's or any other; one wrong limb is left out."""
+    mean, covariance = human_means(), covariance_of_logarithms()
+    observed, errors = mean[1:] + 0.05, np.full(4, 1e-4)
+    height, deviation, lengths = estimate_size(observed, errors)
+    wide = covariance + 0.15**2 + np.diag(differences_of_means() ** 2)
+    gain = np.linalg.solve(wide[1:, 1:] + 1e-4 * np.eye(4), wide[1:, :])
+    np.testing.assert_allclose(np.log([height, *lengths]), mean + gain.T @ np.full(4, 0.05), atol=1e-9)
+    assert deviation / height == pytest.approx(np.sqrt(wide[0, 0] - wide[0, 1:] @ gain[:, 0]))
+    observed[3] += np.log(1.5)
+    assert estimate_size(observed, errors)[0] == pytest.approx(height, rel=0.02)
+
+
+def lengths_of(**limbs):
+    return [SegmentLength(name.replace("_", " "), one, one, 0.01, math.nan) for name, one in limbs.items()]
+
+
+def test_a_thigh_that_is_too_long_for_the_other_limbs_is_named():
+    """487 mm, while the others are those of an adult of 1.70 m; the same person with a thigh of 412 mm is usual."""
+    others = {"upper_arm": 0.272, "forearm": 0.260, "shank": 0.413}
+    said = describe_lengths(lengths_of(**others, thigh=0.487))
+    assert (
+        len(said) == 1
+        and said[0].startswith("The thighs are improbably long: 487 mm")
+        and re.search("about 1.7[0-4] m tall", said[0])
+    )
+    assert "pelvis and knees" in said[0]
+    assert describe_lengths(lengths_of(**others, thigh=0.412)) == []
+    # nobody knows a thigh that only anatomy places, nor which one of two limbs is wrong
+    unknown = [*lengths_of(**others), SegmentLength("thigh", 0.487, 0.487, math.nan, math.nan)]
+    assert describe_lengths(unknown) == []
+    assert "or else the shanks" in describe_lengths(lengths_of(thigh=0.5, shank=0.35))[0]
 
 
 @pytest.fixture(scope="module")
