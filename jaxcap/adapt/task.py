@@ -26,7 +26,8 @@ NUM_ADAPTATIONS = 10
 
 #: Points of a scan are matched with triangles of the body: planes at vertices lie outside of the triangles of a convex body.
 #: Vertices are matched with points, too: without these pairs, parts of the body that have no points leave the scan.
-TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False))
+#: Vertices beyond an end of the scan are matched with this end: without these pairs, soles and finger tips are outside of it.
+TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False), end_tolerance=0.005)
 
 
 class AdaptSettings(NamedTuple):

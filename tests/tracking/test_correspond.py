@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from jaxcap.energy.data.cloud_extent import DIRECTIONS
 from jaxcap.energy.data.pairs import pair_positions
 from jaxcap.fit.correspondence.find_pairs import Matching, find_pairs, within_aperture
 from jaxcap.fit.correspondence.nearest_assignment import NearestOnSurface, NearestVertex, make_scan
@@ -317,3 +318,28 @@ def test_a_cloud_without_points_is_no_scan():
     nothing = make_cloud(np.ones((9, 3)), np.ones((9, 3)), np.zeros(9))
     with pytest.raises(ValueError, match="no points with a weight above zero"):
         make_scan(nothing)
+
+
+def test_vertices_beyond_an_end_are_matched_with_the_end(rng):
+    """A scan of a smaller ball ends in all directions before the ball does; with a tolerance only the farthest vertices count."""
+    scan = scan_of(rng, 4000, 0.9)
+    plain, ended = (
+        pairs_of(scan, matching)
+        for matching in (
+            PLAIN._replace(max_distance=2.0),
+            Matching(uniform=False, max_distance=2.0, end_tolerance=0.05),
+        )
+    )
+    reach = VERTICES @ DIRECTIONS.T - scan.ends
+    outside = reach.max(1) > 0.05
+    assert 0 < outside.sum() < len(VERTICES)
+    first = scan.padded_size
+    for one, other in zip(plain, ended, strict=True):
+        np.testing.assert_array_equal(one[:first], other[:first])
+        np.testing.assert_array_equal(one[first:][~outside], other[first:][~outside])
+    _, points, normals, weights = (part[first:][outside] for part in ended)
+    ahead = DIRECTIONS[reach.argmax(1)][outside]
+    np.testing.assert_allclose(normals, ahead, atol=1e-6)
+    np.testing.assert_allclose(np.sum(points * ahead, 1), scan.ends[reach.argmax(1)][outside], atol=1e-6)
+    np.testing.assert_allclose(np.cross(VERTICES[outside] - points, ahead), 0.0, atol=1e-6)
+    assert (weights == 1).all()

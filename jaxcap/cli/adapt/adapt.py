@@ -44,7 +44,6 @@ from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
 from .actor import load_finished_run, save_actor
 from .assignment import MATCHINGS, AssignmentName
 from .input import (
-    MIN_SCANS,
     UNORDERED,
     AdaptedScans,
     RunFiles,
@@ -55,7 +54,7 @@ from .input import (
     format_explained,
     is_none_or_nonnegative,
     load_cameras,
-    too_few_error,
+    warn_of_few,
     warn_of_lost,
     warn_of_unusable,
 )
@@ -200,8 +199,6 @@ class Adapt:
         # before the scans, as reading all of them takes long
         files = self.read_files(body, limits, known)
         scans = read_clouds(self.clouds, self.first, self.last, self.unit)
-        if len(scans) < MIN_SCANS:
-            raise too_few_error(clouds_words(self.clouds), len(scans))
         print_rate(find_rate(self.rate, self.clouds))
         seen = check_input(scans, body)
         header |= fingerprint_of(body, seen.digests)
@@ -214,6 +211,7 @@ class Adapt:
         task = self.task(body, scans, files, tuple(seen.unusable))
         carried = carried_arrays(self.body, files.priors)
         warn_of_unusable(seen.unusable)
+        warn_of_few(task.num_frames - len(task.missing))
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
         if state is None or not finished:

@@ -27,8 +27,10 @@ from ..console.console import pluralise, progress, warn
 from ..motions import load_motion
 from ..sources import Up, up_rotation, upright_camera
 
-#: minimum number, and minimum share, of usable scans
-MIN_SCANS, MIN_USABLE_SHARE = 3, 0.5
+#: minimum share of usable scans
+MIN_USABLE_SHARE = 0.5
+#: fewer scans than this are adapted to with a warning
+FEW_SCANS = 3
 #: number of scans that are compared with the cameras, evenly spaced
 COMPARED_SCANS = 5
 #: maximum number of scans with a warning each
@@ -69,13 +71,13 @@ class InputSummary(NamedTuple):
     digests: tuple[str, ...]
 
 
-def too_few_error(source: str, count: int) -> InputError:
-    """Make the error for a sequence of too few scans."""
-    return InputError(
-        f"{source}: {pluralise(count, 'scan')} {'is' if count == 1 else 'are'} too few to adapt to; give at least {MIN_SCANS}; "
-        "`jaxcap track human SCANS --fit-shape -o OUT` also fits the build of a person to fewer; a body of the person needs no "
-        "adaptation: give it to `jaxcap track`, or with its poses to `jaxcap register --motion`."
-    )
+def warn_of_few(count: int) -> None:
+    """Warn of scans that are too few to show the joints of a person."""
+    if count < FEW_SCANS:
+        warn(
+            f"{pluralise(count, 'scan')} can hardly show where the joints of a person are, so they are as in people of a similar "
+            "surface; more scans in other poses show them"
+        )
 
 
 def check_input(scans: Scans, body: Body) -> InputSummary:
@@ -95,7 +97,7 @@ def check_input(scans: Scans, body: Body) -> InputSummary:
                 raise
             found[frame] = user_message(error)
     good = len(scans) - len(found)
-    if found and (good < MIN_SCANS or good < MIN_USABLE_SHARE * len(scans)):
+    if found and good < MIN_USABLE_SHARE * len(scans):
         raise InputError(
             f"{len(found)} of {len(scans)} scans cannot be used, which is too many; the first: "
             f"{next(iter(found.values()))}"

@@ -2,6 +2,7 @@
 
 import itertools
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -16,9 +17,11 @@ DIRECTIONS = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) 
 DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 #: thickness of the layer of points at the end of a cloud, metres
 LAYER = 0.03
-#: the person ends where the cloud does if at least this share of the layer's points have a normal whose cosine to the
-#: direction is at least this. A cloud that is cut, or seen from the other side, has no such normals there
-MIN_SHARE, MIN_COSINE = 0.3, 0.5
+#: the person ends where the cloud does if the mean normal of the layer is at least so long in the direction, and if the
+#: cosine of its angle to the direction is at least the second number. Over the part of a closed surface beyond a plane, the
+#: mean normal is exactly in the direction of the plane's normal, by the divergence theorem. Where a cloud is cut, or seen
+#: from the other side, it is not
+MIN_MEAN, MIN_COSINE = 0.25, 0.9
 #: distance beyond the last point that is noise, metres
 TOLERANCE = 0.02
 #: height of an end that is not known, metres
@@ -26,7 +29,7 @@ UNKNOWN = 1e4
 
 
 class CloudExtent(AbstractVertexPenalty):
-    """Distances of vertices beyond the end of a cloud, in standard deviations; zero within the cloud.
+    """Distances of vertices more than `TOLERANCE` beyond the end of a cloud, in standard deviations; zero within.
 
     Each vertex counts in the direction in which it is farthest beyond.
     """
@@ -40,22 +43,30 @@ class CloudExtent(AbstractVertexPenalty):
     deviation: Float[Array, ""]
 
     def rows(self, posed: Posed) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
-        directions = jnp.asarray(DIRECTIONS, self.heights.dtype)
-        beyond = posed.vertices[self.vertices] @ directions.T - self.heights
-        farthest = jnp.argmax(beyond, 1)
-        value, rate = linear_beyond(jnp.maximum(jnp.max(beyond, 1), 0.0))
+        beyond, directions = beyond_ends(posed.vertices[self.vertices], self.heights + TOLERANCE)
+        value, rate = linear_beyond(jnp.maximum(beyond, 0.0))
         scale = jnp.sqrt(self.weights) / self.deviation
         rate = jnp.where(value > 0, scale * rate, 0.0)
-        return scale * value, rate[:, None] * directions[farthest]
+        return scale * value, rate[:, None] * directions
 
 
+@eqx.filter_jit
 def extent_heights(cloud: Cloud) -> Float[Array, "K"]:
-    """Compute the height along each of `DIRECTIONS` at which the person ends in a cloud, metres; `UNKNOWN` where not shown."""
+    """Compute the height of the last point along each of `DIRECTIONS`, metres; `UNKNOWN` where the person may not end there."""
     directions = jnp.asarray(DIRECTIONS, cloud.points.dtype)
     used = (cloud.weights > 0)[:, None]
     heights = jnp.where(used, cloud.points @ directions.T, -UNKNOWN)
     last = jnp.max(heights, 0)
-    layer = used & (heights > last - LAYER)
-    facing = layer & (cloud.normals @ directions.T > MIN_COSINE)
-    shown = jnp.sum(facing, 0) >= MIN_SHARE * jnp.sum(layer, 0)
-    return jnp.where(shown, last + TOLERANCE, UNKNOWN)
+    layer = (used & (heights > last - LAYER)).astype(heights.dtype)
+    mean = layer.T @ cloud.normals / jnp.maximum(jnp.sum(layer, 0), 1.0)[:, None]
+    along, length = jnp.sum(mean * directions, 1), jnp.linalg.norm(mean, axis=1)
+    return jnp.where((along >= MIN_MEAN) & (along >= MIN_COSINE * length), last, UNKNOWN)
+
+
+def beyond_ends(
+    vertices: Float[Array, "C 3"], heights: Float[Array, "K"]
+) -> tuple[Float[Array, "C"], Float[Array, "C 3"]]:
+    """Compute how far each vertex is beyond the ends, metres, at most zero within them, and the direction in which it is farthest."""
+    directions = jnp.asarray(DIRECTIONS, heights.dtype)
+    beyond = vertices @ directions.T - heights
+    return jnp.max(beyond, 1), directions[jnp.argmax(beyond, 1)]

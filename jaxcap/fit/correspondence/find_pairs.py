@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
+from ...energy.data.cloud_extent import beyond_ends
 from ...energy.data.pairs import PointPairs
 from ...geometry.camera import Camera, is_in_image
 from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, NearestVertex, PosedSurface
@@ -36,6 +37,9 @@ class Matching(NamedTuple):
     #: the sensors, for a body that may be partly out of view: vertices outside every sensor's angle of
     #: aperture are not matched; without sensors all vertices may be
     aperture: tuple[Camera, ...] = ()
+    #: a vertex that is farther than this beyond an end of the scan is matched with that end, not with a point, metres;
+    #: infinity matches no vertex with ends
+    end_tolerance: float = np.inf
 
 
 @checked
@@ -53,6 +57,8 @@ def find_pairs(
     camera sees (`visible_vertices`): the others are not matched. It also restricts the body to the cameras'
     images; `Matching.aperture` only does that, for a body without known occlusions.
 
+    Vertices beyond an end of the scan (`Matching.end_tolerance`) are matched with the plane of this end.
+
     A normal of zero, which is unknown, counts as perpendicular to all others. The number of pairs is that of
     the scan's points, with padding (of the vertices for soft assignment), and of the vertices.
     """
@@ -69,6 +75,8 @@ def find_pairs(
     ]
     width = max(part.vertices.shape[1] for part in found)
     parts = [_weighted_pairs(part, surface, scan, width, normal_threshold, matching) for part in found]
+    if matching.from_body:
+        parts[-1] = _match_ends(parts[-1], vertices, scan, matching.end_tolerance)
     rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return PointPairs(
         jnp.asarray(rows, jnp.int32),
@@ -127,6 +135,25 @@ def _weighted_pairs(
     *positions, weights = columns
     extra = (0, scan.padded_size - len(weights))
     return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in positions), np.pad(weights, extra)
+
+
+def _match_ends(
+    columns: tuple[np.ndarray, ...], vertices: Float[np.ndarray, "V 3"], scan: IndexedScan, tolerance: float
+) -> tuple[np.ndarray, ...]:
+    """Match vertices beyond the ends of a scan with these ends, with full weight, and leave the other pairs as they are.
+
+    Points of the scan pull such vertices only weakly, as they are far away, and those of a shoe without a sole only
+    sideways.
+    """
+    rows, shares, points, directions, weights = columns
+    found = beyond_ends(jnp.asarray(vertices, float), jnp.asarray(scan.ends, float))
+    beyond, ahead = (np.asarray(part, float) for part in found)
+    outside = beyond > tolerance
+    inward = vertices - beyond[:, None] * ahead
+    points, directions = (
+        np.where(outside[:, None], at_end, part) for at_end, part in ((inward, points), (ahead, directions))
+    )
+    return rows, shares, points, directions, np.where(outside, 1.0, weights)
 
 
 def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:

@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from ...arguments import checked
+from ...energy.data.cloud_extent import extent_heights
 from ...geometry.closest import nearest_at_vertices, nearest_on_surface
 from ...observe import Scan
-from ...observe.clouds import Cloud, as_cloud, padded_size, unit_normals
+from ...observe.clouds import Cloud, as_cloud, make_cloud, padded_size, unit_normals
 
 
 class IndexedScan(NamedTuple):
@@ -28,6 +29,8 @@ class IndexedScan(NamedTuple):
     padded_size: int
     #: the triangles of the points; none for a cloud
     faces: Int[np.ndarray, "F 3"]
+    #: where the person ends, as `extent_heights` has it, metres
+    ends: Float[np.ndarray, "K"]
 
 
 @checked
@@ -40,7 +43,8 @@ def make_scan(cloud: Cloud) -> IndexedScan:
     if not valid.any():
         raise ValueError("The cloud has no points with a weight above zero.")
     points, normals = (np.asarray(part, float)[valid] for part in (cloud.points, cloud.normals))
-    return IndexedScan(points, normals, KDTree(points), len(valid), np.zeros((0, 3), int))
+    ends = np.asarray(extent_heights(cloud), float)
+    return IndexedScan(points, normals, KDTree(points), len(valid), np.zeros((0, 3), int), ends)
 
 
 def as_scan(frame: IndexedScan | Cloud | Scan) -> IndexedScan:
@@ -68,7 +72,9 @@ def make_mesh_scan(
         raise ValueError(
             f"`faces` has vertices {faces.min()} to {faces.max()}, but the mesh has {len(vertices)} vertices."
         )
-    return IndexedScan(vertices, unit_normals(normals), KDTree(vertices), padded_size(len(vertices)), faces)
+    normals = unit_normals(normals)
+    ends = np.asarray(extent_heights(make_cloud(vertices, normals)), float)
+    return IndexedScan(vertices, normals, KDTree(vertices), padded_size(len(vertices)), faces, ends)
 
 
 class PosedSurface(NamedTuple):
