@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,6 +13,8 @@ from ...energy.data.cloud_extent import beyond_ends
 from ...energy.data.pairs import PointPairs
 from ...geometry.camera import Camera, is_in_image
 from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, NearestVertex, PosedSurface
+
+_beyond_ends = eqx.filter_jit(beyond_ends)
 
 
 class Matching(NamedTuple):
@@ -146,7 +149,7 @@ def _match_ends(
     sideways.
     """
     rows, shares, points, directions, weights = columns
-    found = beyond_ends(jnp.asarray(vertices, float), jnp.asarray(scan.ends, float))
+    found = _beyond_ends(jnp.asarray(vertices, float), jnp.asarray(scan.ends, float))
     beyond, ahead = (np.asarray(part, float) for part in found)
     outside = beyond > tolerance
     inward = vertices - beyond[:, None] * ahead

@@ -100,7 +100,7 @@ def check_learned(body: Body, motion: Motion) -> list[str]:
         parts[np.asarray(body.skin.bone_weights(skeleton.num_joints)).argmax(1)],
         np.asarray(transforms.rotations, float)[:, moving],
         np.asarray(transforms.translations, float)[:, moving],
-        [skeleton.names[joint] for joint in moving],
+        [skeleton.names[joint] for joint in moving.tolist()],
     )
 
 
