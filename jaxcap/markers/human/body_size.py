@@ -2,8 +2,8 @@
 
 The logarithms of stature and of the lengths of the limbs are jointly normal, as those of adults are, with a mean for people of all sizes. Each
 limb is observed by the distances between markers at both of its ends. The arms of the embedded human are shorter than those of people, its
-legs are not, so that one size for the whole body would make the legs of people too long. Fits begin with the human of this stature and its own proportions: to
-begin with the observed lengths of limbs, which markers that are off their landmarks show, was measured to be worse.
+legs are not, so that one size for the whole body would make the legs of people too long. Fits begin with the human of this stature, with arms of the observed
+lengths. To begin with the observed lengths of the legs, too, was measured to be worse.
 """
 
 from itertools import combinations
@@ -41,6 +41,8 @@ TURNING_SHARE = 0.5
 HINGES = ("ForeArm", "Leg", "Foot")
 #: least change of a distance, as a share of the change of the length of the limb that it shows
 MIN_SLOPE = 0.5
+#: limbs that are shorter in the embedded human than in people
+ARMS = ("upper arm", "forearm")
 #: relative deviation of the size of people of all ages
 SIZE_SPREAD = 0.15
 #: deviations from what the other limbs say from which on a limb's distances do not count
@@ -65,6 +67,13 @@ class PersonSize(NamedTuple):
     #: stature, and its standard deviation, metres
     height: float
     height_deviation: float
+
+    @property
+    def arm_factors(self) -> Float[np.ndarray, "4"]:
+        """Factors of the lengths of the limbs to those of the embedded human with these traits: of the arms only, which are longer in people."""
+        skeleton = human_from_traits(self.traits, RESOLUTION, "tracking").skeleton
+        _, centres = rest_positions([], np.zeros(0), self.traits)
+        return np.where(np.isin(list(LIMBS), ARMS), self.lengths / limb_lengths(skeleton, centres), 1.0)
 
     @property
     def may_be_child(self) -> bool:

@@ -109,10 +109,12 @@ def fit_human(
     known = recognise_markers(frames.labels) if marker_set is None else select_set(marker_set, frames.labels)
     distances = median_distances(np.asarray(frames.positions, float), np.asarray(frames.visible))
     size = person_of_size(known, distances)
-    template = make_human_template(known, size.traits)
-    check_sides(template.subject, known, frames)
+    # arms whose lengths are estimated with wrong labels would explain these
+    usual = make_human_template(known, size.traits).subject
+    check_sides(usual, known, frames)
     check_legs(known, frames)
-    check_arms(template.subject, known, frames)
+    check_arms(usual, known, frames)
+    template = make_human_template(known, size.traits, size.arm_factors)
     landmarks = select_markers(frames, template.subject.labels)
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))

@@ -16,7 +16,7 @@ from ..marker_sets.recognise import MarkerSet
 from ..subject import FREE_DEVIATION, Subject, make_subject
 from .anatomical_prior import BONE_SHARE, CHILD_BONE_SHARE, AnatomicalPrior
 from .body_size import ADULT_AGE
-from .rest_positions import RESOLUTION, bone_ends, placed_markers, rest_positions
+from .rest_positions import RESOLUTION, bone_ends, placed_markers, rest_positions, stretch_fields
 
 #: share of a trait's deviation for its finite differences
 DIFFERENCE_SHARE = 0.5
@@ -30,8 +30,10 @@ class HumanTemplate(NamedTuple):
     traits: Traits
 
 
-def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> HumanTemplate:
-    """Place the recognised markers on the human of given traits."""
+def make_human_template(
+    markers: MarkerSet, traits: Traits = MEAN_TRAITS, factors: Float[np.ndarray, "4"] | None = None
+) -> HumanTemplate:
+    """Place the recognised markers on the human of given traits, with limbs that are longer by given `factors`."""
     chosen = placed_markers(markers)
     labels = [markers.labels[index] for index in chosen]
     names = [str(markers.names[index]) for index in chosen]
@@ -39,10 +41,17 @@ def make_human_template(markers: MarkerSet, traits: Traits = MEAN_TRAITS) -> Hum
     heights, deviations = markers.heights[chosen], markers.deviations[chosen]
     offsets, centres = rest_positions(names, heights, traits)
     skeleton = human_from_traits(traits, RESOLUTION, "tracking").skeleton
+    rows = np.array([skeleton.index(name) for name in bones], int)
+    if factors is not None:
+        fields = stretch_fields(skeleton, centres, rows, offsets)
+        offsets, centres = (
+            rest + np.tensordot(factors - 1.0, field, 1)
+            for rest, field in zip((offsets, centres), fields, strict=True)
+        )
     skeleton = eqx.tree_at(lambda s: s.centres, skeleton, jnp.asarray(centres, skeleton.centres.dtype))
     subject = make_subject(
         skeleton,
-        [skeleton.index(name) for name in bones],
+        rows,
         offsets,
         labels,
         deviations=deviations,
