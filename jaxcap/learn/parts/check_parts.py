@@ -75,7 +75,7 @@ def _describe_alike(alike: Float[np.ndarray, "K K"], names: Sequence[str]) -> st
     """Name the groups of parts that are connected by positive distances, metres."""
     groups = connected_components(scipy.sparse.csr_matrix(alike), directed=False)[1]
     members = [np.flatnonzero(groups == group) for group in np.unique(groups[alike.any(1)])]
-    listed = "; ".join(_listed([names[part] for part in some]) for some in members)
+    listed = "; ".join(_listed([names[part] for part in some.tolist()]) for some in members)
     return (
         f"These parts have the same motion within {1000 * alike.max():.1f} mm in all meshes: {listed}. Give meshes with "
         "relative motion between them, or fewer joints."
