@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 from ..body.body import Body
 from ..body.body_model import BodyModel
 from ..body.pose import Motion, Pose
+from ..energy.data.cloud_extent import TOLERANCE
 from ..energy.energy import AbstractEnergy, terms_of
 from ..errors import InputError, user_message
 from ..fit.correspondence.find_pairs import Matching
@@ -27,7 +28,7 @@ NUM_ADAPTATIONS = 10
 #: Points of a scan are matched with triangles of the body: planes at vertices lie outside of the triangles of a convex body.
 #: Vertices are matched with points, too: without these pairs, parts of the body that have no points leave the scan.
 #: Vertices beyond an end of the scan are matched with this end: without these pairs, soles and finger tips are outside of it.
-TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False), end_tolerance=0.005)
+TO_TRIANGLES = Matching(assignment=NearestOnSurface(exact=False), end_tolerance=TOLERANCE)
 
 
 class AdaptSettings(NamedTuple):
