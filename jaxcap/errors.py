@@ -1,6 +1,7 @@
 """Errors that a user can correct."""
 
 import dis
+from collections.abc import Sequence
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -48,3 +49,8 @@ def is_user_error(error: BaseException) -> bool:
     code = last.tb_frame.f_code
     raised = dis.opname[code.co_code[last.tb_lasti]] == "RAISE_VARARGS"
     return raised and _PACKAGE in Path(code.co_filename).resolve().parents
+
+
+def join_names(names: Sequence[str]) -> str:
+    """Join names as in a sentence: `a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -78,7 +78,7 @@ def find_pairs(
     ]
     width = max(part.vertices.shape[1] for part in found)
     parts = [_weighted_pairs(part, surface, scan, width, normal_threshold, matching) for part in found]
-    if matching.from_body:
+    if matching.from_body and np.isfinite(matching.end_tolerance):
         parts[-1] = _match_ends(parts[-1], vertices, scan, matching.end_tolerance)
     rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return PointPairs(

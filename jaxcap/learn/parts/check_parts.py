@@ -13,6 +13,7 @@ from ...body.body import Body
 from ...body.kinematics import Transforms, forward_kinematics
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
+from ...errors import join_names
 from ...geometry.sampling import even_indices
 
 #: parts that stay within this distance of each other or of their position are not distinguishable, share of
@@ -43,7 +44,7 @@ def check_parts(
     members = [np.flatnonzero(labels == part) for part in range(count)]
     bare = [called[part] for part in range(count) if not members[part].size]
     messages = (
-        [f"No vertex belongs to {_listed(bare)}, so that the motion is poorly determined."] if bare else []
+        [f"No vertex belongs to {join_names(bare)}, so that the motion is poorly determined."] if bare else []
     )
     chosen = [
         (part, rest[rows[even_indices(len(rows), NUM_SAMPLES)]])
@@ -57,7 +58,7 @@ def check_parts(
     still = [part for part, _ in chosen if _spread(carried[part][:, part]) < near]
     if 0 < len(still) < len(chosen):
         guess = "" if len(still) == 1 else "; the joints between them are not determined"
-        messages.append(f"No mesh moves {_listed([called[part] for part in still])}{guess}.")
+        messages.append(f"No mesh moves {join_names([called[part] for part in still])}{guess}.")
     # distances of all pairs that move alike
     alike = np.zeros((count, count))
     for number, (a, _) in enumerate(chosen):
@@ -75,7 +76,7 @@ def _describe_alike(alike: Float[np.ndarray, "K K"], names: Sequence[str]) -> st
     """Name the groups of parts that are connected by positive distances, metres."""
     groups = connected_components(scipy.sparse.csr_matrix(alike), directed=False)[1]
     members = [np.flatnonzero(groups == group) for group in np.unique(groups[alike.any(1)])]
-    listed = "; ".join(_listed([names[part] for part in some.tolist()]) for some in members)
+    listed = "; ".join(join_names([names[part] for part in some.tolist()]) for some in members)
     return (
         f"These parts have the same motion within {1000 * alike.max():.1f} mm in all meshes: {listed}. Give meshes with "
         "relative motion between them, or fewer joints."
@@ -107,10 +108,6 @@ def check_learned(body: Body, motion: Motion) -> list[str]:
 @eqx.filter_jit
 def _transforms(skeleton: Skeleton, poses: Pose) -> Transforms:
     return jax.lax.map(lambda pose: forward_kinematics(skeleton, pose), poses)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _rms(gaps: Float[np.ndarray, "F N 3"]) -> float:

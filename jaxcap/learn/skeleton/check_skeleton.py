@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.body import Body
+from ...errors import join_names
 from ...metrics import scan_to_surface
 
 #: the least winding number of the surface around a joint in the body; it is one inside of a closed surface, zero outside
@@ -22,7 +23,9 @@ def check_skeleton(body: Body) -> list[str]:
     windings = np.abs(winding_numbers(centres[rows], vertices, faces))
     outside = [skeleton.names[j] for j, winding in zip(rows, windings, strict=True) if winding < MIN_WINDING]
     messages = (
-        [f"{_listed(outside)} {'is' if len(outside) == 1 else 'are'} outside of the body."] if outside else []
+        [f"{join_names(outside)} {'is' if len(outside) == 1 else 'are'} outside of the body."]
+        if outside
+        else []
     )
     widths = 2 * scan_to_surface(centres, vertices, faces)
     near = [
@@ -35,7 +38,7 @@ def check_skeleton(body: Body) -> list[str]:
     ]
     if near:
         messages.append(
-            f"Joints are closer to each other than the limb is wide: {_listed(near)}; they may be one joint of a body; "
+            f"Joints are closer to each other than the limb is wide: {join_names(near)}; they may be one joint of a body; "
             "give fewer joints."
         )
     return messages
@@ -56,7 +59,3 @@ def winding_numbers(
         dots = (np.sum(a * b, 1) * lc, np.sum(b * c, 1) * la, np.sum(c * a, 1) * lb)
         found[number] = 2 * np.arctan2(volume, la * lb * lc + sum(dots)).sum() / (4 * np.pi)
     return found
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

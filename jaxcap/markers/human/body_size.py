@@ -82,7 +82,7 @@ class PersonSize(NamedTuple):
 
 
 def person_of_size(markers: MarkerSet, distances: Float[np.ndarray, "M M"]) -> PersonSize:
-    """Find the stature and the lengths of the limbs of a person whose markers are as far apart as observed.
+    """Estimate the stature of a person and the lengths of the limbs from the distances between markers.
 
     A small person is a child: of the ages at which the human has its proportions, that with the most usual stature.
     `distances` between markers, metres, NaN where they are never visible together.
@@ -113,8 +113,8 @@ def observe_limbs(
 ) -> tuple[Float[np.ndarray, "4"], Float[np.ndarray, "4"]]:
     """Estimate the logarithms of the lengths of the limbs, metres, and their variances; NaN where no markers show a limb.
 
-    Markers at both ends of a limb are as far apart as those of a person of a `size` near to the true one, but for the difference of
-    its length. Of all pairs the weighted median counts, as a marker on a wand or with a wrong label is far off.
+    The distance between markers at both ends of a limb is compared with that of a person of a `size` near to the true one; the difference
+    is due to the length of the limb. The result is the weighted median of all pairs, as a marker on a wand or with a wrong label is far off.
     """
     chosen = placed_markers(markers)
     names = [str(markers.names[index]) for index in chosen]
@@ -129,12 +129,12 @@ def observe_limbs(
     places = places + np.tensordot(size.lengths / own - 1.0, fields, 1)
     seen = distances[np.ix_(chosen, chosen)]
     logarithms, spreads = np.full(len(LIMBS), np.nan), np.full(len(LIMBS), np.inf)
+    pairs = [pair for pair in combinations(range(len(chosen)), 2) if np.isfinite(seen[pair])]
     for limb, sides in enumerate(limb_ends(skeleton).tolist()):
+        joints = [sorted(side) for side in sides]
         shown, weights = [], []
-        for a, b in combinations(range(len(chosen)), 2):
-            if sorted((ends[a], ends[b])) not in [sorted(side) for side in sides] or not np.isfinite(
-                seen[a, b]
-            ):
+        for a, b in pairs:
+            if sorted((ends[a], ends[b])) not in joints:
                 continue
             away = places[a] - places[b]
             length = np.linalg.norm(away)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from ...arguments import checked
+from ...errors import join_names
 from ...geometry.procrustes import rigid_fit
 from ...geometry.sampling import even_indices
 from ...observe.markers import MarkerFrames
@@ -93,7 +94,7 @@ def describe_problems(frames: MarkerFrames) -> tuple[str, ...]:
     for chain in find_pieces(frames):
         names = [frames.labels[i] for i in chain]
         messages.append(
-            f"{', '.join(names[:-1])} and {names[-1]} look like one trajectory in {len(names)} pieces; join "
+            f"{join_names(names)} look like one trajectory in {len(names)} pieces; join "
             "them by join_pieces, or by --pieces join of fit and solve."
         )
     return tuple(messages)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...errors import join_names
 from ...geometry.sampling import even_indices
 from .gaps import find_runs, list_runs
 from .pair_distances import median_distances, pair_distance_ranges
@@ -237,7 +238,7 @@ def describe_exchanges(
             )
         else:
             messages.append(
-                f"The labels {', '.join(names[:-1])} and {names[-1]} were exchanged in a cycle {where}; the exchange is corrected."
+                f"The labels {join_names(names)} were exchanged in a cycle {where}; the exchange is corrected."
             )
     return tuple(messages)
 

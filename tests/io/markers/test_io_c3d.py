@@ -36,7 +36,7 @@ def walked(frames=6, markers=4, seed=0):
 
 
 def walked_with_gap():
-    """The same places, and residuals of which those of one marker are a gap in two frames."""
+    """The same places; the residuals of one marker mark a gap in two frames."""
     places = walked()
     residuals = np.zeros(places.shape[:2])
     residuals[2:4, 1] = -1
