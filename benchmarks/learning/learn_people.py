@@ -61,8 +61,8 @@ class MadePerson(NamedTuple):
     others: jc.Motion
 
 
-def make_people(count: int, meshes: int, seed: int, resolution: str) -> list[MadePerson]:
-    """Make people of random builds, each in random poses of one subject."""
+def make_people(count: int, meshes: int, seed: int, resolution: str, single: int = 0) -> list[MadePerson]:
+    """Make people of random builds, each in random poses of one subject; the first `single` but one have a single mesh."""
     rng = np.random.default_rng(seed)
     template = jc.human(resolution="low")
     motion = varied_motion(shared_folder(), template, POSES)
@@ -74,9 +74,9 @@ def make_people(count: int, meshes: int, seed: int, resolution: str) -> list[Mad
         body = jc.Body(body.skeleton, skin, body.vertices[order], faces)
         some = rng.choice(len(motion), meshes + OTHER_POSES, replace=False)
         moved = jc.retarget(select_frames(motion, some), template.skeleton, body.skeleton)
-        frames = np.arange(len(some))
+        frames, own = np.arange(len(some)), 1 if 0 < len(people) <= single else meshes
         people.append(
-            MadePerson(body, select_frames(moved, frames[:meshes]), select_frames(moved, frames[meshes:]))
+            MadePerson(body, select_frames(moved, frames[:own]), select_frames(moved, frames[meshes:]))
         )
     return people
 
@@ -175,7 +175,9 @@ def bound(people: list[MadePerson], others: list[MadePerson]) -> float:
 def run(count: int, options) -> dict[str, float]:
     """Learn from a number of people, and measure."""
     progress(f"{count} people, seed {options.seed}")
-    made = make_people(count + options.others, options.meshes, options.seed, options.resolution)
+    made = make_people(
+        count + options.others, options.meshes, options.seed, options.resolution, options.single
+    )
     own, others = made[:count], made[count:]
     learned, seconds = learn_from(own, options.rounds)
     if options.pictures:
@@ -195,6 +197,7 @@ def main() -> None:
     parser.add_argument("--more", type=int, default=24, help="the same in a second run; 0 for none")
     parser.add_argument("--others", type=int, default=8, help="number of other people")
     parser.add_argument("--meshes", type=int, default=8, help="number of meshes of each person")
+    parser.add_argument("--single", type=int, default=0, help="number of people with a single mesh")
     parser.add_argument("--seed", type=int, default=0, help="seed of builds and poses")
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="low")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
@@ -213,7 +216,7 @@ def main() -> None:
     if options.more:
         figures |= {f"more_{name}": value for name, value in run(options.more, options).items()}
         limits |= {"more_poses_surface_mm": ("<=", 1.0), "more_people_surface_mm": ("<=", 2.0)}
-    sizes = {name: getattr(options, name) for name in ("people", "more", "others", "meshes", "seed")}
+    sizes = {name: getattr(options, name) for name in ("people", "more", "others", "meshes", "single", "seed")}
     finish("learn_people", figures, limits, sizes)
 
 

@@ -27,7 +27,8 @@ from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS
 from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 from .check_people import check_people, find_moving
-from .person import Person, initialise_person, repeat_meshes, repeated_rows
+from .initialise_person import Reference, initialise_person
+from .person import Person, repeat_meshes, repeated_rows
 from .rest_alignment import align_rest_poses, check_rest_alignment
 from .rounds import (
     MeshMetric,
@@ -180,16 +181,14 @@ def _start(
         rounds=min(rounds, REFERENCE_ROUNDS),
     )
     pairs, given = learned.left_right_pairs, _reference_centres(learned, fix_joints)
-    regressor = make_joint_regressor(learned.body)
+    reference = Reference(learned.body, make_joint_regressor(learned.body), pairs, given, FIRST_DAMPING)
     people: list[Person] = []
     for number, sequence in enumerate(sequences):
         if number == first:
             people.append(Person(learned.body, learned.motion.poses, sequence.vertices, given, FIRST_DAMPING))
             continue
         _LOG.info("giving the body the shape of %s", names[number])
-        people.append(
-            initialise_person(learned.body, regressor, sequence.vertices, pairs, given, FIRST_DAMPING)
-        )
+        people.append(initialise_person(reference, sequence.vertices))
     return PeopleState(
         tuple(repeat_meshes(person) for person in people),
         np.asarray(pairs),

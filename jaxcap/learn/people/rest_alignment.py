@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...adapt.shape.joint_regressor import make_joint_regressor, regress_joints
+from ...body.body import Body
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
@@ -38,12 +39,10 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
     mean = mean_body([person.body for person in people])
     regressor = make_joint_regressor(mean)
     can_rotate = not check_rest_alignment(mean.skeleton)
-    shapes = MeshSequence(jnp.stack([person.body.vertices for person in people]), mean.faces)
-    turned = procrustes_poses(mean, shapes)
     aligned = []
-    for number, person in enumerate(people):
+    for person in people:
         if can_rotate:
-            person = rotate_at_rest(person, jax.tree.map(lambda leaf, at=number: leaf[at], turned))
+            person = align_rest_pose(person, mean)
         person = move_to_centre(person, jnp.mean(mean.vertices, 0))
         if not person.given.is_fixed:
             places = jnp.asarray(
@@ -52,6 +51,15 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
             person = person._replace(given=_replace_centres(person.given, places))
         aligned.append(person)
     return aligned
+
+
+def align_rest_pose(person: Person, reference: Body) -> Person:
+    """Rotate the bones of a person at rest as those of a body in the same topology.
+
+    **Arguments:** `reference`, with joints that can rest in any pose (`check_rest_alignment`).
+    """
+    shape = MeshSequence(person.body.vertices[None], reference.faces)
+    return rotate_at_rest(person, jax.tree.map(lambda leaf: leaf[0], procrustes_poses(reference, shape)))
 
 
 def check_rest_alignment(skeleton: Skeleton) -> list[str]:

@@ -1,0 +1,98 @@
+"""The shape and the poses of another person, from meshes in the topology of a body."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...adapt.shape.joint_regressor import JointRegressor
+from ...body.body import Body, posed_vertices
+from ...body.pose import Pose, concatenate_poses, shift_roots, take_poses
+from ...body.symmetry import symmetrise
+from ...fit.fit_meshes import procrustes_poses
+from ...observe.meshes import MeshSequence
+from ..skeleton.joint_centre_prior import GivenCentres
+from ..weights.rest_vertices import fit_rest_vertices
+from .joints_of_surface import joints_of_surface
+from .person import Person, onto_middle
+from .rest_alignment import align_rest_pose, check_rest_alignment
+
+#: alternations of rest vertices and positions of the body
+NUM_ALTERNATIONS = 3
+#: alternations of the shape and the rotations of bones
+NUM_ALIGNMENTS = 3
+
+
+class Reference(NamedTuple):
+    """The body of the first person, which is given the shape of the others."""
+
+    body: Body
+    #: the joints by the surface around them
+    regressor: JointRegressor
+    #: pairs of left and right joints
+    pairs: Int[np.ndarray, "P 2"]
+    #: the joints, with the planes of those on the middle
+    given: GivenCentres
+    #: initial damping of a person
+    damping: float
+
+
+def initialise_person(reference: Reference, targets: Float[Array, "F V 3"]) -> Person:
+    """Give a body the shape and the poses of another person's meshes, without iterations of a solver.
+
+    The rotations of the bones are those that each mesh gives by itself (`_align_mesh`), if joints can rest in any pose; otherwise
+    those of their vertices (`procrustes_poses`).
+    """
+    poses = procrustes_poses(reference.body, MeshSequence(targets, reference.body.faces))
+    if not check_rest_alignment(reference.body.skeleton):
+        single = [slice(frame, frame + 1) for frame in range(len(targets))]
+        poses = concatenate_poses(
+            [_align_mesh(reference, take_poses(poses, frame), targets[frame]) for frame in single]
+        )
+    return _shape_person(reference, poses, targets)
+
+
+def _align_mesh(reference: Reference, pose: Pose, target: Float[Array, "1 V 3"]) -> Pose:
+    """Rotate the bones in one mesh so that those of the shape at rest, which explains it, are rotated as in the reference.
+
+    The Procrustes rotation of a bone counts vertices near a bent joint, which follow two bones: it is up to 25 degrees too small.
+    In the shape at rest, both bones act on these vertices.
+
+    **Arguments:** `pose`, a stack of one pose.
+    """
+    for _ in range(NUM_ALIGNMENTS):
+        pose = align_rest_pose(_shape_person(reference, pose, target), reference.body).poses
+    return pose
+
+
+def _shape_person(reference: Reference, poses: Pose, targets: Float[Array, "F V 3"]) -> Person:
+    """Compute joints and vertices at rest from the rotations of the bones in each mesh.
+
+    Joints are placed by the surface (`joints_of_surface`), and vertices at rest are then linear least squares.
+    """
+    body, given = reference.body, reference.given
+    centres, roots = joints_of_surface(body, reference.regressor, poses, targets)
+    dtype = body.vertices.dtype
+    skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, jnp.asarray(centres, dtype))
+    skeleton = symmetrise(skeleton, reference.pairs)
+    if given.normals is not None:
+        on_middle = onto_middle(skeleton.centres, given)
+        skeleton = eqx.tree_at(lambda s: s.centres, skeleton, on_middle)
+    body = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
+    first = np.array([parent < 0 for parent in skeleton.parents])
+    shifts = np.zeros(poses.translations.shape)
+    shifts[:, first] = roots[:, first] - np.asarray(skeleton.centres, float)[first]
+    poses = eqx.tree_at(lambda p: p.translations, poses, jnp.asarray(shifts, dtype))
+    for _ in range(NUM_ALTERNATIONS):
+        body = eqx.tree_at(lambda b: b.vertices, body, fit_rest_vertices(body, poses, targets))
+        poses = _centred(body, poses, targets)
+    own = GivenCentres(skeleton.centres, given.is_fixed, given.normals)
+    return Person(body, poses, targets, own, reference.damping)
+
+
+@eqx.filter_jit
+def _centred(body: Body, poses: Pose, targets: Float[Array, "F V 3"]) -> Pose:
+    """Move the body in each pose by the mean distance of its vertices from their targets."""
+    return shift_roots(body.skeleton, poses, jnp.mean(targets - posed_vertices(body, poses), 1))
