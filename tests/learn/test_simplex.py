@@ -84,3 +84,19 @@ def test_largest_weights_marks_exactly_so_many():
     np.testing.assert_array_equal(
         largest_weights(weights, 2), [[True, True, False, False], [False, False, True, True]]
     )
+
+
+def test_images_that_cancel_exactly_give_finite_weights(rng):
+    """A vertex that is explained exactly has a singular matrix, whose pivots round to zero or less."""
+    count = 3000
+    image = rng.normal(size=(count, 42))
+    share = rng.uniform(0.05, 0.95, (count, 1))
+    images = np.stack([(1 - share) * image, -share * image, rng.normal(size=(count, 42))], 1)
+    gram = images @ images.transpose(0, 2, 1)
+    # rounding as of longer sums
+    noise = 4 * np.finfo(float).eps * rng.normal(size=gram.shape)
+    gram = jnp.asarray(gram * (1 + noise + noise.transpose(0, 2, 1)))
+    start = np.concatenate([share, 1 - share, np.full((count, 1), 1e-8)], 1)
+    start = jnp.asarray(start / start.sum(1, keepdims=True))
+    found = np.asarray(simplex_least_squares(gram, jnp.zeros((count, 3)), start))
+    np.testing.assert_allclose(found, np.concatenate([share, 1 - share, np.zeros((count, 1))], 1), atol=1e-6)

@@ -111,10 +111,14 @@ def _active_set(gram, linear, start, free, sums):
 
 
 def gauss_jordan_solve(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
-    """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there."""
+    """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there.
+
+    In a nearly singular system, a pivot may be zero or negative by rounding. It is at least one rounding error of the diagonal.
+    """
+    least = jnp.finfo(matrix.dtype).eps * jnp.einsum("iin->in", matrix)
 
     def column(i, table):
-        row = table[i] / table[i, i]
+        row = table[i] / jnp.maximum(table[i, i], least[i])
         rest = table - table[:, i][:, None] * row
         return rest.at[i].set(row)
 
