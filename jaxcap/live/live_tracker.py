@@ -76,7 +76,7 @@ def make_live_tracker(
 class LiveTracker:
     """Track frames as they arrive: the newest frame is tracked, and frames that a newer one overtakes are dropped.
 
-    While more than a tenth of the frames are dropped, only every second row and column of the images is read (`Load`).
+    While frames are dropped often, only every second row and column of the images is read (`Load`).
 
     `push` returns at once. One thread makes the cloud of a frame while another tracks the previous frame. A search for a lost
     body runs next to them (`OnlineTracker`). Use it in a `with` statement, or call `close`.
@@ -114,6 +114,7 @@ class LiveTracker:
         self._idle = threading.Condition(self._lock)
         self._open = 0
         self._surface: Float[np.ndarray, "N 3"] | None = None
+        self._has_start = start is not None
         self._num_lost = 0
         self._failure: BaseException | None = None
         self._incoming, self._ready = Mailbox[_Incoming](), Mailbox[_Ready]()
@@ -169,7 +170,10 @@ class LiveTracker:
             # floor and walls are looked for in the first image of each stream
             self._streams[1].make(list(frame), name="the first frame")
         self._online.warm_up(cloud)
-        np.asarray(posed_vertices(tracker.body, self._online.start))
+        surface = np.asarray(posed_vertices(tracker.body, self._online.start), float)
+        if self._has_start:
+            # near it the first image shows the person
+            self._surface = surface
         return time.perf_counter() - begin
 
     @property

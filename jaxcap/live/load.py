@@ -1,16 +1,17 @@
-"""The load of a live run: whether so many frames are dropped that images are read with fewer pixels."""
+"""The load of a live run: whether frames are dropped so often that images are read with fewer pixels."""
 
 from collections import deque
 
-#: number of frames that are looked at, and the share of dropped ones among them above which images are reduced
-WINDOW, MAX_DROPPED = 20, 0.1
+#: number of frames that are looked at, and how often frames may be dropped among them before images are reduced
+WINDOW, MAX_STALLS = 20, 2
 #: number of frames before whole images are tried again; it doubles up to the second after each attempt that fails
 FIRST_PAUSE, LAST_PAUSE = 150, 4800
 
 
 class Load:
-    """Decides if images are reduced, from the share of dropped frames; the caller excludes simultaneous calls.
+    """Decides if images are reduced, from how often frames are dropped; the caller excludes simultaneous calls.
 
+    Frames that are dropped one after the other count once: a single pause of the computer is no load.
     After each dropped frame the next motion is larger, and the body may be lost. A reduced image only makes the pose slightly
     less accurate. After a pause whole images are tried again, as other programs may have ended.
     """
@@ -19,13 +20,15 @@ class Load:
         #: whether images are reduced
         self.is_high = False
         self._pause, self._since = FIRST_PAUSE, LAST_PAUSE
-        self._dropped: deque[bool] = deque(maxlen=WINDOW)
+        self._last_dropped = False
+        self._stalls: deque[bool] = deque(maxlen=WINDOW)
 
     def count(self, dropped: bool) -> None:
         """Count a frame, which was dropped or not."""
         self._since += 1
-        self._dropped.append(dropped)
-        many = sum(self._dropped) > MAX_DROPPED * WINDOW
+        self._stalls.append(dropped and not self._last_dropped)
+        self._last_dropped = dropped
+        many = sum(self._stalls) > MAX_STALLS
         if many and not self.is_high:
             # an attempt with whole images has failed if it lasted less than the pause before it
             self._pause = min(2 * self._pause, LAST_PAUSE) if self._since < self._pause else FIRST_PAUSE
@@ -35,4 +38,4 @@ class Load:
 
     def _change(self, high: bool) -> None:
         self.is_high, self._since = high, 0
-        self._dropped.clear()
+        self._stalls.clear()
