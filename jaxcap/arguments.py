@@ -20,11 +20,8 @@ from typing import Any, Literal, TypeVar, Union
 import numpy as np
 
 from .errors import InputError, is_user_error, user_message
-from .units import BODY_SIZE, UNIT_NAMES, UNITS, units_within
 
 Function = TypeVar("Function", bound=Callable)
-#: largest width of a body or scene, metres
-MAX_EXTENT = 50.0
 #: length of each named dimension, with the field or argument that has it
 Lengths = dict[str, tuple[Any, str]]
 
@@ -60,34 +57,6 @@ def check_length(module: Any, name: str, length: int, lengths: Lengths, dim: str
     if length != size:
         raise InputError(
             f"{type(module).__name__}: `{name}` has length {length}; expected {size}, dimension {dim} of `{owner}`."
-        )
-
-
-def check_rate(where: str, rate: Any) -> None:
-    """Check that a rate is a positive number of frames per second. Raises `InputError`."""
-    if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
-        raise InputError(f"{where}: `rate` is {rate}; expected a number of frames per second above 0.")
-
-
-def check_metres(where: str, name: str, points: np.ndarray) -> None:
-    """Check that points of one body or scene are in metres: at most 50 m wide, without the outer 5 % at
-    each end.
-
-    **Raises:** `InputError` with the likely unit, or with two where the width fits both.
-    """
-    if len(points) == 0:
-        return
-    extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
-    if extent > MAX_EXTENT:
-        likely = {UNIT_NAMES[unit]: f"{UNITS[unit]:g}" for unit in units_within(extent, *BODY_SIZE)}
-        unit = (
-            f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or give the "
-            "unit when reading the file"
-            if likely
-            else "check the unit"
-        )
-        raise InputError(
-            f"{where}: `{name}` is {extent:.4g} wide; expected metres, at most {MAX_EXTENT:g}; {unit}."
         )
 
 
@@ -354,19 +323,27 @@ def _lengths_fit(dims: tuple[str, ...], shape: tuple, lengths: Lengths, name: st
 
 def _check_joints(where: str, arguments: dict[str, Any]) -> None:
     """Check that poses and motions have as many joints as the one body or skeleton passed with them."""
+    poses = {key: shape for key, value in arguments.items() if (shape := _rotations_shape(value)) is not None}
+    if not poses:
+        return
     owners = {key: count for key, value in arguments.items() if (count := _num_joints(value)) is not None}
     if len(owners) != 1:
         return
     ((owner, count),) = owners.items()
-    for key, value in arguments.items():
-        rotations: Any = getattr(getattr(value, "poses", value), "rotations", None)
-        if key != owner and hasattr(rotations, "shape") and hasattr(getattr(value, "poses", value), "scale"):
-            there = rotations.shape[-2] if len(rotations.shape) > 1 else None
-            if there != count:
-                raise InputError(
-                    f"{where}: `{key}` has {there} joints; expected {count} as in `{owner}`; give one of "
-                    "this skeleton, such as rest_pose(skeleton), or retarget it."
-                )
+    for key, shape in poses.items():
+        there = shape[-2] if len(shape) > 1 else None
+        if key != owner and there != count:
+            raise InputError(
+                f"{where}: `{key}` has {there} joints; expected {count} as in `{owner}`; give one of "
+                "this skeleton, such as rest_pose(skeleton), or retarget it."
+            )
+
+
+def _rotations_shape(value: Any) -> tuple | None:
+    """Return the shape of the rotations of a pose or a motion; None for anything else."""
+    pose = getattr(value, "poses", value)
+    shape = getattr(getattr(pose, "rotations", None), "shape", None)
+    return shape if hasattr(pose, "scale") else None
 
 
 def _num_joints(value: Any, depth: int = 2) -> int | None:

@@ -12,6 +12,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .errors import InputError
+from .units import BODY_SIZE, UNIT_NAMES, UNITS, units_within
+
+#: largest width of a body or scene, metres
+MAX_EXTENT = 50.0
 
 
 def concrete_values(value: Any) -> np.ndarray | None:
@@ -104,3 +108,31 @@ def as_number(value: Any) -> Float[Array, ""]:
 
 def _unit_suffix(unit: str) -> str:
     return f" {unit}" if unit else ""
+
+
+def check_rate(where: str, rate: Any) -> None:
+    """Check that a rate is a positive number of frames per second. Raises `InputError`."""
+    if isinstance(rate, (int, float)) and not 0 < rate < float("inf"):
+        raise InputError(f"{where}: `rate` is {rate}; expected a number of frames per second above 0.")
+
+
+def check_metres(where: str, name: str, points: np.ndarray) -> None:
+    """Check that points of one body or scene are in metres: at most 50 m wide, without the outer 5 % at
+    each end.
+
+    **Raises:** `InputError` with the likely unit, or with two where the width fits both.
+    """
+    if len(points) == 0:
+        return
+    extent = float(np.ptp(np.quantile(points, [0.05, 0.95], axis=0), axis=0).max())
+    if extent > MAX_EXTENT:
+        likely = {UNIT_NAMES[unit]: f"{UNITS[unit]:g}" for unit in units_within(extent, *BODY_SIZE)}
+        unit = (
+            f"it looks like {' or '.join(likely)}: multiply by {' or '.join(likely.values())}, or give the "
+            "unit when reading the file"
+            if likely
+            else "check the unit"
+        )
+        raise InputError(
+            f"{where}: `{name}` is {extent:.4g} wide; expected metres, at most {MAX_EXTENT:g}; {unit}."
+        )

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..arguments import check_fields, check_rate, checked
+from ..arguments import check_fields, checked
 from ..errors import InputError
 from ..geometry import rotation
 from ..stacking import concatenate_trees, stack_trees
+from ..value_checks import check_rate
 from .skeleton import Skeleton
 
 

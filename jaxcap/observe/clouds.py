@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..arguments import as_real_array, check_fields, check_metres, checked, describe
+from ..arguments import as_real_array, check_fields, checked, describe
 from ..errors import InputError
 from ..geometry.sampling import spatial_order
 from ..stacking import stack, stack_trees
+from ..value_checks import check_metres
 from .depth_views import DepthView
 from .planes import estimate_cloud_normals
 

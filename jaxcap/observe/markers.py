@@ -11,11 +11,10 @@ from ..arguments import (
     as_real_array,
     check_fields,
     check_length,
-    check_metres,
-    check_rate,
     checked,
 )
 from ..errors import InputError
+from ..value_checks import check_metres, check_rate
 
 
 class MarkerFrames(eqx.Module):

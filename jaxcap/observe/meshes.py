@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..arguments import as_jax_array, check_fields, check_rate
-from ..value_checks import check_faces
+from ..arguments import as_jax_array, check_fields
+from ..value_checks import check_faces, check_rate
 
 
 class MeshSequence(eqx.Module):

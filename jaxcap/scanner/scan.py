@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..arguments import check_metres, checked
+from ..arguments import checked
 from ..depth.fuse import FusedScan, fuse_cloud, fuse_mesh
 from ..errors import InputError
 from ..geometry.camera import Camera, check_no_lenses
-from ..value_checks import check_faces
+from ..value_checks import check_faces, check_metres
 from .noise import apply_errors
 from .ray_casting import make_ray_mesh, render_depth
 from .rooms import Room

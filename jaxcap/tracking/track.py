@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ..arguments import check_rate, checked
+from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
 from ..energy.check_energies import UserTerms
@@ -17,7 +17,7 @@ from ..observe import Scan
 from ..observe.clouds import Cloud, CloudFrames, as_cloud
 from ..observe.floors_and_walls import without_room
 from ..observe.planes import Plane
-from ..value_checks import check_direction
+from ..value_checks import check_direction, check_rate
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
 from .check_cloud import check_cloud
 from .judge_frame import TrackedFrame
