@@ -216,7 +216,9 @@ def main() -> None:
     if options.more:
         figures |= {f"more_{name}": value for name, value in run(options.more, options).items()}
         limits |= {"more_poses_surface_mm": ("<=", 1.0), "more_people_surface_mm": ("<=", 2.0)}
-    sizes = {name: getattr(options, name) for name in ("people", "more", "others", "meshes", "single", "seed")}
+    sizes = {
+        name: getattr(options, name) for name in ("people", "more", "others", "meshes", "single", "seed")
+    }
     finish("learn_people", figures, limits, sizes)
 
 

@@ -6,13 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..arguments import (
-    as_jax_array,
-    as_real_array,
-    check_fields,
-    check_length,
-    checked,
-)
+from ..arguments import as_jax_array, as_real_array, check_fields, check_length, checked
 from ..errors import InputError
 from ..value_checks import check_metres, check_rate
 

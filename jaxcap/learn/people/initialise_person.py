@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...adapt.shape.joint_regressor import JointRegressor
+from ...adapt.shape.joint_regressor import JointRegressor, regress_joints
 from ...body.body import Body, posed_vertices
 from ...body.pose import Pose, concatenate_poses, shift_roots, take_poses
 from ...body.symmetry import symmetrise
@@ -45,16 +45,22 @@ def initialise_person(reference: Reference, targets: Float[Array, "F V 3"]) -> P
     The rotations of the bones are those that each mesh gives by itself (`_align_mesh`), if joints can rest in any pose; otherwise
     those of their vertices (`procrustes_poses`).
     """
+    around = np.stack([regress_joints(reference.regressor, mesh) for mesh in np.asarray(targets, float)])
     poses = procrustes_poses(reference.body, MeshSequence(targets, reference.body.faces))
     if not check_rest_alignment(reference.body.skeleton):
         single = [slice(frame, frame + 1) for frame in range(len(targets))]
         poses = concatenate_poses(
-            [_align_mesh(reference, take_poses(poses, frame), targets[frame]) for frame in single]
+            [
+                _align_mesh(reference, take_poses(poses, frame), targets[frame], around[frame])
+                for frame in single
+            ]
         )
-    return _shape_person(reference, poses, targets)
+    return _shape_person(reference, poses, targets, around)
 
 
-def _align_mesh(reference: Reference, pose: Pose, target: Float[Array, "1 V 3"]) -> Pose:
+def _align_mesh(
+    reference: Reference, pose: Pose, target: Float[Array, "1 V 3"], around: Float[np.ndarray, "1 J 3"]
+) -> Pose:
     """Rotate the bones in one mesh so that those of the shape at rest, which explains it, are rotated as in the reference.
 
     The Procrustes rotation of a bone counts vertices near a bent joint, which follow two bones: it is up to 25 degrees too small.
@@ -63,17 +69,21 @@ def _align_mesh(reference: Reference, pose: Pose, target: Float[Array, "1 V 3"])
     **Arguments:** `pose`, a stack of one pose.
     """
     for _ in range(NUM_ALIGNMENTS):
-        pose = align_rest_pose(_shape_person(reference, pose, target), reference.body).poses
+        pose = align_rest_pose(_shape_person(reference, pose, target, around), reference.body).poses
     return pose
 
 
-def _shape_person(reference: Reference, poses: Pose, targets: Float[Array, "F V 3"]) -> Person:
+def _shape_person(
+    reference: Reference, poses: Pose, targets: Float[Array, "F V 3"], around: Float[np.ndarray, "F J 3"]
+) -> Person:
     """Compute joints and vertices at rest from the rotations of the bones in each mesh.
 
     Joints are placed by the surface (`joints_of_surface`), and vertices at rest are then linear least squares.
+
+    **Arguments:** `around` as of `joints_of_surface`.
     """
     body, given = reference.body, reference.given
-    centres, roots = joints_of_surface(body, reference.regressor, poses, targets)
+    centres, roots = joints_of_surface(body, around, poses, targets)
     dtype = body.vertices.dtype
     skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, jnp.asarray(centres, dtype))
     skeleton = symmetrise(skeleton, reference.pairs)

@@ -5,7 +5,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...adapt.shape.joint_regressor import JointRegressor, regress_joints
 from ...body.body import Body
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
@@ -20,12 +19,14 @@ MIN_SIZE, MAX_SIZE = 0.6, 1.6
 
 
 def joints_of_surface(
-    body: Body, regressor: JointRegressor, poses: Pose, targets: Float[Array, "F V 3"]
+    body: Body, around: Float[np.ndarray, "F J 3"], poses: Pose, targets: Float[Array, "F V 3"]
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "F J 3"]]:
     """Estimate the joints of a person at rest, and in each mesh, given the rotations of bones.
 
-    A joint that bends little is where the surface around it has it (`regress_joints`), one that bends where its two bones have it
+    A joint that bends little is where the surface around it has it, one that bends where its two bones have it
     (`joints_of_bones`). Bones at rest are the means over the meshes, mostly of those in which their joints bend little.
+
+    **Arguments:** `around`, the joints in each mesh by the surface around them (`regress_joints`).
     """
     skeleton = body.skeleton
     meshes = np.asarray(targets, float)
@@ -35,7 +36,6 @@ def joints_of_surface(
     parents = np.array(skeleton.parents)
     bends[:, parents < 0] = 0.0
     weights = 1.0 / (1.0 + (bends / MAX_BEND) ** 2) ** 2
-    around = np.stack([regress_joints(regressor, mesh) for mesh in meshes])
     between = joints_of_bones(body, turns, meshes)
     between = np.where(np.isfinite(between), between, around)
     posed = between + weights[..., None] * (around - between)
