@@ -86,10 +86,10 @@ def _shape_person(
     centres, roots = joints_of_surface(body, around, poses, targets)
     dtype = body.vertices.dtype
     skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, jnp.asarray(centres, dtype))
-    skeleton = symmetrise(skeleton, reference.pairs)
     if given.normals is not None:
         on_middle = onto_middle(skeleton.centres, given)
         skeleton = eqx.tree_at(lambda s: s.centres, skeleton, on_middle)
+    skeleton = symmetrise(skeleton, reference.pairs)
     body = eqx.tree_at(lambda b: b.skeleton, body, skeleton)
     first = np.array([parent < 0 for parent in skeleton.parents])
     shifts = np.zeros(poses.translations.shape)

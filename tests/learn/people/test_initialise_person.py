@@ -10,6 +10,7 @@ import jaxcap as jc
 from jaxcap.adapt.shape.joint_regressor import make_joint_regressor, regress_joints
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import Pose, stack_poses
+from jaxcap.body.symmetry import bone_pairs, find_left_right_pairs, length_differences
 from jaxcap.geometry import rotation
 from jaxcap.learn.people.initialise_person import Reference, initialise_person
 from jaxcap.learn.people.joints_of_surface import joints_of_bones, joints_of_surface
@@ -80,3 +81,18 @@ def test_a_scaled_and_rotated_body_has_its_joints_exactly(rng):
     np.testing.assert_allclose(
         found[0], 1.3 * np.asarray(body.skeleton.centres) @ np.asarray(turn).T + 0.2, atol=1e-9
     )
+
+
+def test_paired_bones_are_equally_long_next_to_joints_on_the_middle(rng):
+    body = jc.human(resolution="low")
+    skeleton = body.skeleton
+    pairs = np.array(find_left_right_pairs(skeleton))
+    normals = np.zeros((skeleton.num_joints, 3))
+    normals[np.abs(np.asarray(skeleton.centres)[:, 0]) < 1e-3, 0] = 1.0
+    given = GivenCentres(skeleton.centres, normals=jnp.asarray(normals))
+    # a surface that leans to one side
+    vertices = np.asarray(body.vertices, float)
+    leaning = vertices + 0.05 * np.sin(3 * vertices[:, 1:2]) * [1.0, 0, 0]
+    reference = Reference(body, make_joint_regressor(body), pairs, given, 1e-3)
+    found = initialise_person(reference, jnp.asarray(leaning)[None]).body.skeleton
+    assert np.abs(length_differences(found, bone_pairs(skeleton, pairs))[0]).max() < 1e-5
