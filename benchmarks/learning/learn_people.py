@@ -62,7 +62,7 @@ class MadePerson(NamedTuple):
 
 
 def make_people(count: int, meshes: int, seed: int, resolution: str, single: int = 0) -> list[MadePerson]:
-    """Make people of random builds, each in random poses of one subject; the first `single` but one have a single mesh."""
+    """Make people of random builds, each in random poses of one subject; `single` people after the first have a single mesh."""
     rng = np.random.default_rng(seed)
     template = jc.human(resolution="low")
     motion = varied_motion(shared_folder(), template, POSES)
@@ -197,12 +197,16 @@ def main() -> None:
     parser.add_argument("--more", type=int, default=24, help="the same in a second run; 0 for none")
     parser.add_argument("--others", type=int, default=8, help="number of other people")
     parser.add_argument("--meshes", type=int, default=8, help="number of meshes of each person")
-    parser.add_argument("--single", type=int, default=0, help="number of people with a single mesh")
+    parser.add_argument(
+        "--single", type=int, default=0, help="number of people with a single mesh, of those after the first"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of builds and poses")
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="low")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument("--pictures", help="beginning of the names of pictures of the skeletons")
     options = parser.parse_args()
+    if options.single >= options.people:
+        parser.error(f"--single {options.single}: give fewer than --people {options.people}")
     without_cache()
     figures = run(options.people, options)
     limits = {

@@ -87,6 +87,14 @@ class Skeleton(eqx.Module):
         return depth
 
     @property
+    def moving_joints(self) -> tuple[int, ...]:
+        """For each joint the joint itself, or its nearest ancestor that is not fixed."""
+        found: list[int] = []
+        for joint, (parent, kind) in enumerate(zip(self.parents, self.kinds, strict=True)):
+            found.append(found[parent] if kind == "fixed" and parent >= 0 else joint)
+        return tuple(found)
+
+    @property
     def descendants(self) -> np.ndarray:
         """(J, J) of bool: `descendants[a, d]` is true if bone `d` moves with joint `a`."""
         descends = np.eye(self.num_joints, dtype=bool)

@@ -83,7 +83,8 @@ class LiveTracker:
 
     **Arguments:** `tracker` as of `make_live_tracker`; `cameras` of the depth images, which
     do not move; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
-    frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`.
+    frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`. With a `start`, the
+    first images are searched near it.
     """
 
     @checked
@@ -113,8 +114,10 @@ class LiveTracker:
         self._counts, self._lock, self._pushed = StatisticsCounter(), threading.Lock(), 0
         self._idle = threading.Condition(self._lock)
         self._open = 0
+        #: where the next image is expected to show the person
         self._surface: Float[np.ndarray, "N 3"] | None = None
-        self._has_start = start is not None
+        if start is not None and cameras:
+            self._surface = np.asarray(posed_vertices(tracker.body, start), float)
         self._num_lost = 0
         self._failure: BaseException | None = None
         self._incoming, self._ready = Mailbox[_Incoming](), Mailbox[_Ready]()
@@ -170,10 +173,7 @@ class LiveTracker:
             # floor and walls are looked for in the first image of each stream
             self._streams[1].make(list(frame), name="the first frame")
         self._online.warm_up(cloud)
-        surface = np.asarray(posed_vertices(tracker.body, self._online.start), float)
-        if self._has_start:
-            # near it the first image shows the person
-            self._surface = surface
+        np.asarray(posed_vertices(tracker.body, self._online.start))
         return time.perf_counter() - begin
 
     @property

@@ -2,7 +2,7 @@
 
 from collections import deque
 
-#: number of frames that are looked at, and how often frames may be dropped among them before images are reduced
+#: number of tracked frames that are looked at, and number of these that may follow dropped ones before images are reduced
 WINDOW, MAX_STALLS = 20, 2
 #: number of frames before whole images are tried again; it doubles up to the second after each attempt that fails
 FIRST_PAUSE, LAST_PAUSE = 150, 4800
@@ -20,14 +20,18 @@ class Load:
         #: whether images are reduced
         self.is_high = False
         self._pause, self._since = FIRST_PAUSE, LAST_PAUSE
-        self._last_dropped = False
+        self._has_dropped = False
+        #: of each of the last tracked frames, whether frames were dropped before it
         self._stalls: deque[bool] = deque(maxlen=WINDOW)
 
     def count(self, dropped: bool) -> None:
         """Count a frame, which was dropped or not."""
         self._since += 1
-        self._stalls.append(dropped and not self._last_dropped)
-        self._last_dropped = dropped
+        if dropped:
+            self._has_dropped = True
+        else:
+            self._stalls.append(self._has_dropped)
+            self._has_dropped = False
         many = sum(self._stalls) > MAX_STALLS
         if many and not self.is_high:
             # an attempt with whole images has failed if it lasted less than the pause before it

@@ -113,7 +113,7 @@ def _check_motion(name: str, meshes: MeshSequence) -> list[str]:
         return []
     return [
         f"The {len(meshes)} meshes of {name} differ by a rigid motion only, and show no more than one mesh: the joints of this person "
-        "are where the surface has them."
+        "are estimated from the surface alone."
     ]
 
 

@@ -19,7 +19,7 @@ from .joints_of_surface import joints_of_surface
 from .person import Person, onto_middle
 from .rest_alignment import align_rest_pose, check_rest_alignment
 
-#: alternations of rest vertices and positions of the body
+#: alternations of rest vertices and positions of the body, and of equal lengths and joints on the middle
 NUM_ALTERNATIONS = 3
 #: alternations of the shape and the rotations of bones
 NUM_ALIGNMENTS = 3
@@ -45,48 +45,58 @@ def initialise_person(reference: Reference, targets: Float[Array, "F V 3"]) -> P
     The rotations of the bones are those that each mesh gives by itself (`_align_mesh`), if joints can rest in any pose; otherwise
     those of their vertices (`procrustes_poses`).
     """
-    around = np.stack([regress_joints(reference.regressor, mesh) for mesh in np.asarray(targets, float)])
+    surface_joints = np.stack(
+        [regress_joints(reference.regressor, mesh) for mesh in np.asarray(targets, float)]
+    )
     poses = procrustes_poses(reference.body, MeshSequence(targets, reference.body.faces))
     if not check_rest_alignment(reference.body.skeleton):
         single = [slice(frame, frame + 1) for frame in range(len(targets))]
         poses = concatenate_poses(
             [
-                _align_mesh(reference, take_poses(poses, frame), targets[frame], around[frame])
+                _align_mesh(reference, take_poses(poses, frame), targets[frame], surface_joints[frame])
                 for frame in single
             ]
         )
-    return _shape_person(reference, poses, targets, around)
+    return _shape_person(reference, poses, targets, surface_joints)
 
 
 def _align_mesh(
-    reference: Reference, pose: Pose, target: Float[Array, "1 V 3"], around: Float[np.ndarray, "1 J 3"]
+    reference: Reference,
+    pose: Pose,
+    target: Float[Array, "1 V 3"],
+    surface_joints: Float[np.ndarray, "1 J 3"],
 ) -> Pose:
     """Rotate the bones in one mesh so that those of the shape at rest, which explains it, are rotated as in the reference.
 
-    The Procrustes rotation of a bone counts vertices near a bent joint, which follow two bones: it is up to 25 degrees too small.
-    In the shape at rest, both bones act on these vertices.
+    The Procrustes rotation of a bone counts vertices near a bent joint, which follow two bones: it is too small. In the shape at
+    rest, both bones act on these vertices.
 
     **Arguments:** `pose`, a stack of one pose.
     """
     for _ in range(NUM_ALIGNMENTS):
-        pose = align_rest_pose(_shape_person(reference, pose, target, around), reference.body).poses
+        pose = align_rest_pose(_shape_person(reference, pose, target, surface_joints), reference.body).poses
     return pose
 
 
 def _shape_person(
-    reference: Reference, poses: Pose, targets: Float[Array, "F V 3"], around: Float[np.ndarray, "F J 3"]
+    reference: Reference,
+    poses: Pose,
+    targets: Float[Array, "F V 3"],
+    surface_joints: Float[np.ndarray, "F J 3"],
 ) -> Person:
     """Compute joints and vertices at rest from the rotations of the bones in each mesh.
 
     Joints are placed by the surface (`joints_of_surface`), and vertices at rest are then linear least squares.
 
-    **Arguments:** `around` as of `joints_of_surface`.
+    **Arguments:** `surface_joints` as of `joints_of_surface`.
     """
     body, given = reference.body, reference.given
-    centres, roots = joints_of_surface(body, around, poses, targets)
+    centres, roots = joints_of_surface(body, surface_joints, poses, targets)
     dtype = body.vertices.dtype
     skeleton = eqx.tree_at(lambda s: s.centres, body.skeleton, jnp.asarray(centres, dtype))
-    if given.normals is not None:
+    # each moves the joints of the other a little
+    for _ in range(NUM_ALTERNATIONS if given.normals is not None else 0):
+        skeleton = symmetrise(skeleton, reference.pairs)
         on_middle = onto_middle(skeleton.centres, given)
         skeleton = eqx.tree_at(lambda s: s.centres, skeleton, on_middle)
     skeleton = symmetrise(skeleton, reference.pairs)

@@ -113,7 +113,7 @@ def learn_people(
     joints are a linear function of the shape coefficients, as in SMPL (Loper et al. 2015), which regresses them from vertices.
 
     **Arguments:** `people`, the meshes of each person by name, in one topology. A person may have a single mesh, whose joints are
-    then those of the surface, if another one has several. `components`, the number of coefficients, at most one less than
+    then estimated from the surface, if another one has several. `components`, the number of coefficients, at most one less than
     people, which is the default. `resume` continues from a state after a round, with the same result; the first body and its skeleton
     are then those of the state. The others as of `learn_body`; a `Skeleton` is in the pose of the first mesh of the first person.
 

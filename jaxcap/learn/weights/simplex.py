@@ -113,7 +113,8 @@ def _active_set(gram, linear, start, free, sums):
 def gauss_jordan_solve(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
     """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there.
 
-    In a nearly singular system, a pivot may be zero or negative by rounding. It is at least one rounding error of the diagonal.
+    Pivots are raised to at least one rounding error of the diagonal; in a nearly singular system they may be zero or negative by
+    rounding.
     """
     least = jnp.finfo(matrix.dtype).eps * jnp.einsum("iin->in", matrix)
 

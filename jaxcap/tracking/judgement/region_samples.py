@@ -73,7 +73,7 @@ def sample_regions(body: Body, joints: Sequence[int] | None = None) -> RegionSam
     joints = _large_parts(body.skeleton, bones) if joints is None else joints
     regions = _regions(body.skeleton, joints)[bones]
     names = tuple(region_name(body.skeleton.names[joint]) for joint in joints)
-    movers = [_moving_joint(body.skeleton, joint) for joint in joints]
+    movers = [body.skeleton.moving_joints[joint] for joint in joints]
     moving = sorted(set(movers))
     dtype = body.vertices.dtype
     triangles = vertices[corners]
@@ -111,13 +111,6 @@ def sample_regions(body: Body, joints: Sequence[int] | None = None) -> RegionSam
         region_parts=tuple(moving.index(joint) for joint in movers),
         part_parents=tuple(_nearest_ancestor(body.skeleton.parents, joint, moving) for joint in moving),
     )
-
-
-def _moving_joint(skeleton: Skeleton, joint: int) -> int:
-    """Find the joint itself, or its nearest ancestor that is not fixed."""
-    while skeleton.kinds[joint] == "fixed" and skeleton.parents[joint] >= 0:
-        joint = skeleton.parents[joint]
-    return joint
 
 
 def _nearest_ancestor(parents: Sequence[int], joint: int, among: Sequence[int]) -> int:

@@ -1,5 +1,6 @@
 """A body takes the shape and the poses of another person, also from a single mesh with strongly bent joints."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,15 +73,33 @@ def test_bones_place_a_bent_joint_better_than_the_surface_around_it():
     assert away[1] < 0.5 * away[0]
 
 
-def test_a_scaled_and_rotated_body_has_its_joints_exactly(rng):
+@pytest.mark.parametrize("scale", [0.4, 1.3, 2.2])
+def test_a_scaled_and_rotated_body_has_its_joints_exactly(scale, rng):
     body = limb()
     turn = rotation.to_matrix(rotation.normalise(jnp.asarray(rng.normal(size=4))))
-    moved = 1.3 * np.asarray(body.vertices) @ np.asarray(turn).T + 0.2
+    moved = scale * np.asarray(body.vertices) @ np.asarray(turn).T + 0.2
     turns = np.broadcast_to(np.asarray(turn), (1, body.skeleton.num_joints, 3, 3))
     found = joints_of_bones(body, turns, moved[None])
-    np.testing.assert_allclose(
-        found[0], 1.3 * np.asarray(body.skeleton.centres) @ np.asarray(turn).T + 0.2, atol=1e-9
-    )
+    expected = scale * np.asarray(body.skeleton.centres) @ np.asarray(turn).T + 0.2
+    np.testing.assert_allclose(found[0], expected, atol=1e-9)
+
+
+def test_bones_that_are_longer_but_not_wider_have_their_joints_at_their_ends():
+    body, longer = limb(skin="rigid"), limb(1.3, skin="rigid")
+    turns = np.broadcast_to(np.eye(3), (1, 3, 3, 3))
+    found = joints_of_bones(body, turns, np.asarray(longer.vertices, float)[None])
+    np.testing.assert_allclose(found[0], longer.skeleton.centres, atol=1e-9)
+
+
+def test_bones_with_few_vertices_or_none_leave_joints_to_the_others():
+    body = limb(skin="rigid")
+    none = eqx.tree_at(lambda b: b.skin.bones, body, jnp.where(body.skin.bones == 2, 1, body.skin.bones))
+    one = eqx.tree_at(lambda b: b.skin.bones, none, none.skin.bones.at[-1].set(2))
+    turns = np.broadcast_to(np.eye(3), (1, 3, 3, 3))
+    mesh = 1.2 * np.asarray(body.vertices, float)[None]
+    for lacking in (none, one):
+        found = joints_of_bones(lacking, turns, mesh)[0]
+        np.testing.assert_allclose(found, 1.2 * np.asarray(body.skeleton.centres), atol=1e-9)
 
 
 def test_paired_bones_are_equally_long_next_to_joints_on_the_middle(rng):
@@ -95,4 +114,6 @@ def test_paired_bones_are_equally_long_next_to_joints_on_the_middle(rng):
     leaning = vertices + 0.05 * np.sin(3 * vertices[:, 1:2]) * [1.0, 0, 0]
     reference = Reference(body, make_joint_regressor(body), pairs, given, 1e-3)
     found = initialise_person(reference, jnp.asarray(leaning)[None]).body.skeleton
+    sideways = np.asarray(found.centres - skeleton.centres)[normals[:, 0] > 0, 0]
+    assert np.ptp(sideways) < 1e-3
     assert np.abs(length_differences(found, bone_pairs(skeleton, pairs))[0]).max() < 1e-5
