@@ -83,23 +83,13 @@ def check_mesh_sequence(body: Body, sequence: MeshSequence) -> None:
         raise InputError("There is no mesh to fit; give a sequence of at least one mesh.")
 
 
-def moving_bone_weights(body: Body) -> Float[np.ndarray, "V J"]:
-    """Sum the weights of each vertex over the bones that are fixed to each other; zero for fixed joints."""
-    skeleton = body.skeleton
-    weights = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
-    summed = np.zeros_like(weights)
-    np.add.at(summed.T, list(skeleton.moving_joints), weights.T)
-    return summed
-
-
 def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     """Estimate poses stacked over meshes, limb by limb, by orthogonal Procrustes (Adaptation, section 3.2.1).
 
     From the root on, each bone takes the rotation that best aligns its own vertices, weighted by its
     influence on them, with their targets, as far as its joint's type allows. In NumPy and float64.
 
-    The vertices of a fixed joint's bone count for the bone that it is fixed to. A limb whose vertices are collinear, or that has
-    none, follows its parent.
+    A limb whose vertices are collinear, or that has none, follows its parent.
     """
     skeleton = body.skeleton
     rest, positions = np.asarray(body.vertices, float), np.asarray(sequence.vertices, float)
@@ -107,7 +97,7 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     # use the vertices that all meshes have, except for meshes with few known vertices
     whole = np.asarray(known[known.mean(1) > 0.5].all(0))
     positions = np.where(known[:, :, None], positions, 0.0)[:, whole]
-    shares = moving_bone_weights(body).T[:, whole]
+    shares = np.asarray(body.skin.bone_weights(skeleton.num_joints), float).T[:, whole]
     moments = group_moments(shares, rest[whole], np.moveaxis(positions, 0, 1))
     mass = np.where(moments.mass > 0, moments.mass, 1.0)
     cross = moments.cross - moments.target[..., None] * (moments.source / mass[:, None])[:, None, None]
@@ -117,8 +107,7 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     turns, trunk = np.zeros((joints, frames, 3, 3)), nearest_rotation(cross.sum(0))
     for joint, parent in enumerate(skeleton.parents):
         before = trunk if parent < 0 else turns[parent]
-        is_fixed = skeleton.moving_joints[joint] != joint
-        turns[joint] = before if is_fixed else nearest_rotation(cross[joint] + follow * before)
+        turns[joint] = nearest_rotation(cross[joint] + follow * before)
     centres = np.asarray(skeleton.centres, float)
     translations, local = np.zeros((joints, frames, 3)), turns.copy()
     for joint, parent in enumerate(skeleton.parents):

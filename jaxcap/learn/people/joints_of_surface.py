@@ -9,7 +9,6 @@ from ...body.body import Body
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from ...fit.fit_meshes import moving_bone_weights
 from ...geometry.procrustes import Moments, group_moments
 from ..anatomy.joint_evidence import MIN_LENGTH
 
@@ -67,7 +66,7 @@ def joints_of_bones(
     rest = np.asarray(body.vertices, float)
     centres, parents = np.asarray(skeleton.centres, float), np.array(skeleton.parents)
     moving = np.array(skeleton.moving_joints)
-    shares = moving_bone_weights(body).T
+    shares = _moving_bone_weights(body).T
     own = group_moments(shares, rest, rest[:, None])
     posed = group_moments(shares, rest, meshes.swapaxes(0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -88,6 +87,15 @@ def joints_of_bones(
     known = np.isfinite(both)
     counts = known.sum(0)
     return np.where(counts > 0, np.where(known, both, 0.0).sum(0) / np.maximum(counts, 1), np.nan)
+
+
+def _moving_bone_weights(body: Body) -> Float[np.ndarray, "V J"]:
+    """Sum the weights of each vertex over the bones that are fixed to each other; zero for fixed joints."""
+    skeleton = body.skeleton
+    weights = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
+    summed = np.zeros_like(weights)
+    np.add.at(summed.T, list(skeleton.moving_joints), weights.T)
+    return summed
 
 
 def _bone_sizes(
