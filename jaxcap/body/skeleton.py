@@ -87,8 +87,8 @@ class Skeleton(eqx.Module):
         return depth
 
     @property
-    def moving_joints(self) -> tuple[int, ...]:
-        """For each joint the joint itself, or its nearest ancestor that is not fixed."""
+    def moving_ancestors(self) -> tuple[int, ...]:
+        """For each joint the joint itself if it is not fixed, or its nearest ancestor that is not."""
         found: list[int] = []
         for joint, (parent, kind) in enumerate(zip(self.parents, self.kinds, strict=True)):
             found.append(found[parent] if kind == "fixed" and parent >= 0 else joint)

@@ -65,7 +65,7 @@ def joints_of_bones(
     skeleton = body.skeleton
     rest = np.asarray(body.vertices, float)
     centres, parents = np.asarray(skeleton.centres, float), np.array(skeleton.parents)
-    moving = np.array(skeleton.moving_joints)
+    moving = np.array(skeleton.moving_ancestors)
     shares = _moving_bone_weights(body).T
     own = group_moments(shares, rest, rest[:, None])
     posed = group_moments(shares, rest, meshes.swapaxes(0, 1))
@@ -94,7 +94,7 @@ def _moving_bone_weights(body: Body) -> Float[np.ndarray, "V J"]:
     skeleton = body.skeleton
     weights = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
     summed = np.zeros_like(weights)
-    np.add.at(summed.T, list(skeleton.moving_joints), weights.T)
+    np.add.at(summed.T, list(skeleton.moving_ancestors), weights.T)
     return summed
 
 
@@ -127,9 +127,9 @@ def _bone_sizes(
 def _bone_axes(skeleton: Skeleton, means: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
     """Compute the direction of each bone at rest: to its only child, or without children to the mean of its vertices.
 
-    It is zero for a bone with several children, none of which may be preferred.
+    It is zero for a bone with several children, as the choice of one of them would not be symmetric.
     """
-    centres, moving = np.asarray(skeleton.centres, float), skeleton.moving_joints
+    centres, moving = np.asarray(skeleton.centres, float), skeleton.moving_ancestors
     children: dict[int, list[int]] = {}
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0 and moving[joint] == joint:

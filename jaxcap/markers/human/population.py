@@ -15,7 +15,7 @@ LIMBS = {
 }
 #: mean lengths between joint centres, as shares of stature: de Leva (1996), tables 1 to 4, means of women and men
 #: (thigh: men, as the women's hip centre is far below all later estimates). His shank of 0.2525 is longer than in ANSUR II, whose lateral
-#: epicondyles and malleoli are 0.243 of stature apart in height, 0.010 more than the joints of the embedded human: this is the mean of both
+#: epicondyles and malleoli differ in height by 0.243 of stature, 0.010 more than the joints of the embedded human: this is the mean of both
 SHARES = {"upper arm": 0.160, "forearm": 0.153, "thigh": 0.2425, "shank": 0.243}
 #: the same of the embedded human of mean traits, whose arms are shorter
 HUMAN_SHARES = {"upper arm": 0.140, "forearm": 0.1425, "thigh": 0.243, "shank": 0.239}
