@@ -17,7 +17,7 @@ from ..skeleton.joint_centre_prior import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 from .joints_of_surface import joints_of_surface
 from .person import Person, onto_middle
-from .rest_alignment import align_rest_pose, check_rest_alignment
+from .rest_alignment import change_rest_pose, check_rest_alignment, rest_pose_of
 
 #: alternations of rest vertices and positions of the body, and of equal lengths and joints on the middle
 NUM_ALTERNATIONS = 3
@@ -74,7 +74,8 @@ def _align_mesh(
     **Arguments:** `pose`, a stack of one pose.
     """
     for _ in range(NUM_ALIGNMENTS):
-        pose = align_rest_pose(_shape_person(reference, pose, target, surface_joints), reference.body).poses
+        body = _shape_person(reference, pose, target, surface_joints).body
+        pose = change_rest_pose(body.skeleton, pose, rest_pose_of(body, reference.body))
     return pose
 
 

@@ -58,8 +58,13 @@ def align_rest_pose(person: Person, reference: Body) -> Person:
 
     **Arguments:** `reference`, with joints that can rest in any pose (`check_rest_alignment`).
     """
-    shape = MeshSequence(person.body.vertices[None], reference.faces)
-    return rotate_at_rest(person, jax.tree.map(lambda leaf: leaf[0], procrustes_poses(reference, shape)))
+    return rotate_at_rest(person, rest_pose_of(person.body, reference))
+
+
+def rest_pose_of(body: Body, reference: Body) -> Pose:
+    """Estimate the pose of a reference that has the bones rotated as those of a body at rest (`procrustes_poses`)."""
+    shape = MeshSequence(body.vertices[None], reference.faces)
+    return jax.tree.map(lambda leaf: leaf[0], procrustes_poses(reference, shape))
 
 
 def check_rest_alignment(skeleton: Skeleton) -> list[str]:
@@ -75,21 +80,36 @@ def check_rest_alignment(skeleton: Skeleton) -> list[str]:
     ]
 
 
-def rotate_at_rest(person: Person, pose: Pose) -> Person:
-    """Give a person another rest pose: the one from which `pose` leads to the old one, by the rotations of its bones.
+def change_rest_pose(skeleton: Skeleton, poses: Pose, pose: Pose) -> Pose:
+    """Change poses so that bones are rotated as before from another rest pose: the one from which `pose` leads to the old one.
 
     With world rotations `H_b` from the old to the new rest pose, bones rotate by `R_b H_b^T` from the new one.
     """
-    skeleton = person.body.skeleton
+    back = _back_rotations(skeleton, pose)
     first = np.array([parent < 0 for parent in skeleton.parents])
     parents = np.maximum(np.array(skeleton.parents), 0)
-    back = rotation.from_matrix(jnp.swapaxes(forward_kinematics(skeleton, pose).rotations, 1, 2))
     above = jnp.where(first[:, None], rotation.identity(back.dtype), back[parents])
 
     def turned(rotations: Float[Array, "J 4"]) -> Float[Array, "J 4"]:
         return rotation.multiply(rotation.multiply(above, rotations), rotation.conjugate(back))
 
-    local = rotation.normalise(jax.vmap(turned)(person.poses.rotations))
+    return Pose(poses.translations, rotation.normalise(jax.vmap(turned)(poses.rotations)), poses.scale)
+
+
+def _back_rotations(skeleton: Skeleton, pose: Pose) -> Float[Array, "J 4"]:
+    """Compute the world rotations from the pose to rest."""
+    return rotation.from_matrix(jnp.swapaxes(forward_kinematics(skeleton, pose).rotations, 1, 2))
+
+
+def rotate_at_rest(person: Person, pose: Pose) -> Person:
+    """Give a person another rest pose: the one from which `pose` leads to the old one, by the rotations of its bones.
+
+    Bones stay where they are in all poses (`change_rest_pose`).
+    """
+    skeleton = person.body.skeleton
+    first = np.array([parent < 0 for parent in skeleton.parents])
+    parents = np.maximum(np.array(skeleton.parents), 0)
+    back = _back_rotations(skeleton, pose)
     # what is fixed to the parent at a joint, such as its own arm, turns with the parent
     carry = jnp.where(first[:, None], back, back[parents])
     arms = rotation.rotate(carry, skeleton.centres - skeleton.centres[parents])
@@ -100,7 +120,7 @@ def rotate_at_rest(person: Person, pose: Pose) -> Person:
     normals = None if given.normals is None else rotation.rotate(carry, given.normals)
     own = moved + rotation.rotate(carry, given.centres - skeleton.centres)
     body = eqx.tree_at(lambda b: b.skeleton.centres, person.body, moved)
-    poses = Pose(person.poses.translations, local, person.poses.scale)
+    poses = change_rest_pose(skeleton, person.poses, pose)
     body = eqx.tree_at(
         lambda b: b.vertices, body, fit_rest_vertices(body, poses, person.targets, person.frame_weights)
     )
