@@ -235,6 +235,7 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--free-bones", "--pairs", "1:2"], "--free-bones"),
         (["--skeleton", "nowhere.skl"], "nowhere.skl"),
         (["--limits", "limits.npz"], "--limits needs a skeleton"),
+        (["--prior", "prior.npz"], "--prior needs a skeleton"),
         (["--floor", "nan"], "--floor"),
         (["--fix-joints"], "--fix-joints needs a skeleton"),
         (["--skeleton", "none", "--fix-joints"], "--fix-joints needs a skeleton"),

@@ -90,9 +90,7 @@ def test_the_hessian_is_that_of_a_problem_without_residuals(rng):
     place = lambda pose, phi: marker_positions(apply_sliding(subject, y.slides, phi), pose)  # noqa: E731
     places = jax.vmap(place)(y.poses, problem.skin_features)
     exact = eqx.tree_at(lambda p: (p.positions, p.outlier_bound), problem, (places, jnp.asarray(UNBOUNDED)))
-    free = eqx.tree_at(
-        lambda p: p.rotation_prior.precision, exact, jnp.zeros_like(exact.rotation_prior.precision)
-    )
+    free = eqx.tree_at(lambda p: p.rotation_prior.roots, exact, jnp.zeros_like(exact.rotation_prior.roots))
     zero = jax.tree.map(jnp.zeros_like, free.scales())
     arrow = free.normal_equations(y)[2].as_matrix()
     flat, back = ravel_pytree(zero)

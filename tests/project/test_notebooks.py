@@ -20,6 +20,7 @@ NAMES = (
     "learn",
     "limits",
     "markers",
+    "terms",
     "track",
 )
 QUICK = ("gradients", "markers")
@@ -31,6 +32,7 @@ TOLD = {
     "energy": "of 72 directions a hand alone leaves 69 free",
     "limits": "of the frames are beyond",
     "markers": "240 frames solved, 0 lost",
+    "terms": "every fit is higher with the term: True",
 }
 
 

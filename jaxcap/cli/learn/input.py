@@ -1,14 +1,20 @@
-"""Options of `jaxcap learn` as arrays: held-out meshes, and pairs of joints."""
+"""Options of `jaxcap learn` as arrays and energies: held-out meshes, pairs of joints, and further terms."""
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 
-from ...body.skeleton import Skeleton
+from ...body.body import Body
+from ...body.skeleton import Skeleton, make_skeleton
+from ...body.skin import RigidSkin
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...io.archives.journal import hash_file
 from ...io.skinned.clip import split_clip
+from ...observe.meshes import MeshSequence
 from ..sources import is_human_spec
+from ..terms import read_terms
 
 
 def skeleton_digest(spec: Path) -> str:
@@ -48,3 +54,19 @@ def read_pairs(text: str, skeleton: Skeleton | None) -> np.ndarray:
             raise InputError(f"--pairs has '{word}', which pairs a joint with itself.")
         rows.append(row)
     return np.array(rows)
+
+
+def learning_terms(
+    meshes: MeshSequence,
+    skeleton: Skeleton | None,
+    *,
+    limits: Path | None,
+    limit_weight: float,
+    floor: float | None,
+    prior: Path | None,
+) -> tuple[AbstractEnergy, ...]:
+    """Read the energies of learning, for a body with the skeleton in the shape of the first mesh."""
+    bones = make_skeleton(["root"], [-1], ["free"], np.zeros((1, 3))) if skeleton is None else skeleton
+    labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
+    body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
+    return read_terms(body, limits=limits, limit_weight=limit_weight, floor=floor, prior=prior)

@@ -5,18 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import jax.numpy as jnp
 import numpy as np
 
-from ...body.body import Body
 from ...body.pose import Motion
-from ...body.skeleton import Skeleton, make_skeleton
-from ...body.skin import RigidSkin
+from ...body.skeleton import Skeleton
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...fit.fit_meshes import fit_meshes
 from ...io.archives.checkpoint import save_checkpoint
-from ...io.archives.journal import hash_file
+from ...io.archives.journal import hash_files
 from ...io.archives.npz import save_body, save_motion
 from ...io.meshes.meshes import read_named_meshes
 from ...io.system.run_lock import run_lock
@@ -38,9 +35,9 @@ from ..fit import MeshesSpec, OptionalFolder, OptionalRate, check_rate_option
 from ..motions import load_skeleton
 from ..outputs import check_npz, check_parent, is_run_complete, make_folder
 from ..scoring import mesh_hashes, print_scores, score_motion
-from ..terms import FloorHeight, LimitsFile, LimitWeight, read_terms
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile
 from .correctives import add_correctives, check_number_of_meshes
-from .input import read_pairs, skeleton_digest, split_held_out
+from .input import learning_terms, read_pairs, skeleton_digest, split_held_out
 from .joints import evidence_of, say_joints
 from .people import PeopleRun, check_people_options, check_people_skeleton, run_people
 from .people_input import names_people
@@ -102,6 +99,7 @@ class Learn:
     fit."""
     limits: LimitsFile = None
     limit_weight: LimitWeight = 100.0
+    prior: PriorFile = None
     floor: FloorHeight = None
     rounds: Annotated[int, arg(metavar="N")] = 30
     """Largest number of rounds, including rounds on a reduced mesh. Each round updates weights, vertices and joints.
@@ -147,6 +145,7 @@ class Learn:
             "--always-symmetric": self.always_symmetric,
             "--correctives": self.correctives,
             "--limits": self.limits is not None,
+            "--prior": self.prior is not None,
             "--floor": self.floor is not None,
         }
         check_people_options(for_one, self.components)
@@ -228,10 +227,10 @@ class Learn:
             )
         if has_skeleton and self.joints is not None:
             raise InputError("--skeleton defines the joints; omit --joints.")
-        if self.fix_joints and not has_skeleton:
-            raise InputError("--fix-joints needs a skeleton; give it with --skeleton.")
-        if self.limits is not None and not has_skeleton:
-            raise InputError("--limits needs a skeleton; give it with --skeleton.")
+        needing = {"--fix-joints": self.fix_joints, "--limits": self.limits, "--prior": self.prior}
+        for option, given in needing.items():
+            if given and not has_skeleton:
+                raise InputError(f"{option} needs a skeleton; give it with --skeleton.")
         if self.components is not None and not (self.people or names_people(self.meshes)):
             raise InputError("--components is for several people; give --people.")
         if self.free_bones and (has_skeleton or self.pairs is not None):
@@ -274,16 +273,20 @@ class Learn:
         file = self.skeleton_file()
         skeleton = self.skeleton_name() if file is None else skeleton_digest(file)
         skin = "lbs" if self.free_bones else self.skin
-        limits = None if self.limits is None else hash_file(self.limits)
+        hashes = hash_files({"limits": self.limits, "prior": self.prior})
         known = {name: getattr(self, name) for name in names}
-        return {**known, "skin": skin, "skeleton": skeleton, "limits": limits}
+        return {**known, "skin": skin, "skeleton": skeleton, **hashes}
 
     def terms(self, meshes: MeshSequence, skeleton: Skeleton | None) -> tuple[AbstractEnergy, ...]:
         """Make the energies of the options, for a body in the shape of the first mesh."""
-        bones = make_skeleton(["root"], [-1], ["free"], np.zeros((1, 3))) if skeleton is None else skeleton
-        labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
-        body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)
-        return read_terms(body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor)
+        return learning_terms(
+            meshes,
+            skeleton,
+            limits=self.limits,
+            limit_weight=self.limit_weight,
+            floor=self.floor,
+            prior=self.prior,
+        )
 
     def learn(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.pose import Motion
-from ...body.skeleton import Skeleton
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ...io.markers.marker_corrections import read_corrections
 from ...io.markers.subject import save_subject
@@ -35,10 +35,10 @@ from ..console.heartbeat import set_activity
 from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_skeleton
 from ..outputs import make_folder
-from ..terms import FloorHeight, read_terms
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .fit_person import bone_rows, find_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_doubts, print_joints, print_segments
-from .segment_results import joint_figures, write_segments
+from .segments import joint_figures, match_segments, read_symmetry, write_segments
 from .subject_files import check_subject_place, fit_each, has_several, place_of, refuse_all, static_and_moving
 from .takes import (
     Files,
@@ -116,6 +116,9 @@ class Fit:
     rigid: Flag = False
     """Fix the markers on their bones. Without this option, markers may slide as joints rotate, if the data show
     this."""
+    limits: LimitsFile = None
+    limit_weight: LimitWeight = 100.0
+    prior: PriorFile = None
     floor: FloorHeight = None
     unit: OptionalUnit = None
     """Unit of the files' lengths, instead of the unit that they state: m, dm, cm, mm, in or ft."""
@@ -209,17 +212,15 @@ class Fit:
             f"fitting poses, bone lengths and marker positions together in {min(self.frames, len(frames))} of {len(frames)} frames"
         )
         whole = frames if static is None else append_static(frames, static)
-        known, terms = find_landmarks(whole, up), ()
-        if self.floor is not None:
-            shown = select_set(known, visible_markers(whole).labels)
-            terms = read_terms(marker_body(make_human_template(shown).subject), floor=self.floor)
+        known = find_landmarks(whole, up)
+        shown = select_set(known, visible_markers(whole).labels)
         fit = fit_human(
             frames,
             static=static,
             marker_set=known,
             num_frames=self.frames,
             skin=not self.rigid,
-            terms=terms,
+            terms=self.terms(make_human_template(shown).subject),
         )
         print_person(fit)
         notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, fit.calibration.motion_messages)
@@ -236,13 +237,15 @@ class Fit:
         """Find segments and joints, fit a skeleton of them, and write it."""
         set_activity("finding segments and joints")
         corrections = None if self.segments is None else read_corrections(self.segments)
+        bones = None
+        if self.template not in (None, "none") and self.segments is not None:
+            template = load_skeleton(Path(str(self.template)))
+            bones = match_segments(template, corrections or {}, self.segments, str(self.template))
         found = fit_local(
             united,
             threshold=self.threshold,
             method=self.method,
-            template=None
-            if self.template in (None, "none")
-            else self.match_segments(load_skeleton(Path(str(self.template))), corrections or {}),
+            template=bones,
             symmetry=pairs,
             corrections=corrections,
         )
@@ -250,7 +253,7 @@ class Fit:
         print_segments(found)
         print_joints(found)
         fitted: Calibration | MarkerSolution
-        terms = read_terms(marker_body(found.subject), floor=self.floor)
+        terms = self.terms(found.subject)
         if self.local:
             subject = found.subject
             fitted = solve_markers(subject, found.markers, terms=terms)
@@ -284,6 +287,16 @@ class Fit:
             extra = {"local_joints": joint_figures(found)}
             self.draw_report(self.report, result, found.markers, notes, lost, extra)
             say(f"report.json, segments.txt and pictures are in {self.report}")
+
+    def terms(self, subject: Subject) -> tuple[AbstractEnergy, ...]:
+        """Read the energies that the options name, for the skeleton and the markers of a subject."""
+        return read_terms(
+            marker_body(subject),
+            limits=self.limits,
+            limit_weight=self.limit_weight,
+            floor=self.floor,
+            prior=self.prior,
+        )
 
     def print_residuals(
         self,
@@ -371,29 +384,3 @@ class Fit:
         check_new(self.joints, self.overwrite)
         check_folder(self.report)
         return read_symmetry(self.symmetry)
-
-    def match_segments(
-        self, template: Skeleton, corrections: dict[str, tuple[str, float]]
-    ) -> tuple[Skeleton, dict[str, str]]:
-        """Match the segments to the template's bones by name; return both. Raises `InputError`."""
-        given = dict.fromkeys(segment for segment, weight in corrections.values() if weight > 0)
-        bones = {name: name for name in given if name in template.names}
-        if len(bones) < 2:
-            raise InputError(
-                f"{self.segments}: {len(bones)} of its segments have the name of a joint of {self.template}, which has "
-                f"{', '.join(template.names[:12])}{', ...' if len(template.names) > 12 else ''}; name at least two."
-            )
-        return template, bones
-
-
-def read_symmetry(words: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Parse pairs of names from `left:right`, also several separated by commas. Raises `InputError`."""
-    pairs = []
-    for word in (part for words_ in words for part in words_.split(",")):
-        left, colon, right = (side.strip() for side in word.partition(":"))
-        if not colon or not left or not right or left == right:
-            raise InputError(
-                f"--symmetry has '{word}'; give two segments as left:right, such as lthigh:rthigh."
-            )
-        pairs.append((left, right))
-    return tuple(pairs)

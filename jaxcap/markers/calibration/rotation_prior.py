@@ -28,10 +28,14 @@ MAX_VARIANCE_RATIO = 3.0
 
 
 class RotationPrior(eqx.Module):
-    """Mean rotations of T ball joints, and inverse covariances of the rotations about them."""
+    """Mean rotations of T ball joints, and roots `R` of the inverse covariances `R^T R` of the rotations about them.
+
+    In float32 an inverse covariance of 1e9 about one axis, and of zero about another, would round to one with
+    negative eigenvalues.
+    """
 
     means: Float[Array, "T 4"]
-    precision: Float[Array, "T 3 3"]
+    roots: Float[Array, "T 3 3"]
     joints: tuple[int, ...] = eqx.field(static=True)
 
 
@@ -69,27 +73,26 @@ def estimate_rotation_prior(
     shown /= shown.sum(0)
     second = np.einsum("fj,fja,fjb->jab", shown, turns, turns)
     noise = np.einsum("fj,fjab->jab", shown, each) + MIN_ROTATION_NOISE**2 * np.eye(3)
-    precision = np.zeros_like(second)
+    roots = np.zeros_like(second)
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
         # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
-        precision[joint] = (
-            vectors * np.where(values > FREE_VARIANCE_RATIO, 0.0, 1.0 / STIFF_VARIANCE_RATIO)
-        ) @ vectors.T
+        stiff = np.where(values > FREE_VARIANCE_RATIO, 0.0, STIFF_VARIANCE_RATIO**-0.5)
+        roots[joint] = stiff[:, None] * vectors.T
     dtype = skeleton.centres.dtype
-    return RotationPrior(jnp.asarray(means, dtype), jnp.asarray(precision, dtype), free.joints)
+    return RotationPrior(jnp.asarray(means, dtype), jnp.asarray(roots, dtype), free.joints)
 
 
 def rotation_prior_square(prior: RotationPrior, pose: Pose) -> Float[Array, ""]:
     """Compute the squared deviation of a pose's rotations from the means, in standard deviations."""
     turns = _rotation_vectors(prior.means, pose.rotations[np.array(prior.joints, int)])
-    return jnp.einsum("ja,jab,jb->", turns, prior.precision, turns)
+    return jnp.sum(jnp.einsum("jab,jb->ja", prior.roots, turns) ** 2)
 
 
 def rotation_prior_equations(
     skeleton: Skeleton, prior: RotationPrior, pose: Pose
 ) -> tuple[Float[Array, "D D"], Float[Array, "D"]]:
-    """Compute `J^T P J` and `J^T P t` of a pose's rotations `t` about the means, by its tangent."""
+    """Compute `J^T R^T R J` and `J^T R^T R t` of a pose's rotations `t` about the means, by its tangent."""
     joints = np.array(prior.joints, int)
     slots = dof_layout(skeleton).rotations[joints]
     q = pose.rotations[joints]
@@ -101,11 +104,12 @@ def rotation_prior_equations(
     # each joint's rotation vector depends on its own numbers only
     slope, turns = jax.jacfwd(turned, has_aux=True)(jnp.zeros((len(joints), 3), q.dtype))
     slope = jnp.swapaxes(slope, 0, 1)
-    pull = jnp.einsum("jab,jb->ja", prior.precision, turns)
-    blocks = jnp.einsum("jba,jbc,jcd->jad", slope, prior.precision, slope)
+    residual = jnp.einsum("jab,jb->ja", prior.roots, turns)
+    slope = jnp.einsum("jab,jbc->jac", prior.roots, slope)
+    blocks = jnp.einsum("jba,jbc->jac", slope, slope)
     dofs = skeleton.num_dofs
     matrix = jnp.zeros((dofs, dofs), q.dtype).at[slots[:, :, None], slots[:, None, :]].add(blocks)
-    return matrix, jnp.zeros(dofs, q.dtype).at[slots].add(jnp.einsum("jba,jb->ja", slope, pull))
+    return matrix, jnp.zeros(dofs, q.dtype).at[slots].add(jnp.einsum("jba,jb->ja", slope, residual))
 
 
 def mean_rotations(q: Float[np.ndarray, "F T 4"]) -> Float[np.ndarray, "T 4"]:

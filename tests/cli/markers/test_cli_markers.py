@@ -2,6 +2,7 @@
 
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import fails, runs, tree
@@ -11,6 +12,7 @@ from matplotlib.image import imread
 import jaxcap as jc
 from jaxcap.cli import main
 from jaxcap.cli.markers.takes import describe_up
+from jaxcap.geometry import rotation
 from jaxcap.io.markers.up_axis import UpAxis
 from jaxcap.markers.segments.gaps import find_runs as runs_of
 
@@ -163,6 +165,24 @@ def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
     assert (joints[1] - joints[0]).min(1)[low].max() > 0.001
     refused = ("markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / "x.npz")
     assert "--floor is nan" in fails(capsys, *refused, "--floor", "nan")
+
+
+def test_a_fit_takes_a_prior_of_poses(capsys, folder, tmp_path):
+    """A prior of nearly straight joints pulls them from where the markers are."""
+    command = ("markers", "fit", folder / "rom.c3d", "--local", "-o")
+    plain = residual_in(runs(capsys, *command, tmp_path / "plain.npz"))
+    skeleton = jc.io.load_subject(tmp_path / "plain.npz").skeleton
+    turns = 0.2 * np.random.default_rng(3).normal(size=(60, skeleton.num_joints, 3))
+    straight = jc.Pose(jnp.zeros(turns.shape), rotation.exp(jnp.asarray(turns)), jnp.ones(60))
+    prior = tmp_path / "straight.npz"
+    jc.io.save_prior(prior, jc.prior.learn_pair_prior(skeleton, straight))
+    assert residual_in(runs(capsys, *command, tmp_path / "s.npz", "--prior", prior)) > 1.2 * plain
+    other = (folder / "rom.c3d", "-o", tmp_path / "x.npz")
+    assert "no such file" in fails(
+        capsys, "markers", "fit", *other, "--local", "--limits", tmp_path / "none.cst"
+    )
+    subject = tmp_path / "plain.npz"
+    assert "plain.npz" in fails(capsys, "markers", "fit", *other, "--local", "--prior", subject)
 
 
 def test_several_trials_go_into_a_folder(capsys, folder, tmp_path):
