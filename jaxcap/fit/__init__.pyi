@@ -38,6 +38,7 @@ from .free_surface.displacement_prior import make_displacement_prior as make_dis
 from .free_surface.register_surface import SurfaceRegistration as SurfaceRegistration
 from .free_surface.register_surface import register_surface as register_surface
 from .jacobian_check import check_jacobian as check_jacobian
+from .linear_solvers.structured import StructuredCholesky as StructuredCholesky
 from .pose_problem import PoseProblem as PoseProblem
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
 from .sequences.sequence_problem import SequenceProblem as SequenceProblem

@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ from .solvers.levenberg_marquardt import LevenbergMarquardt
 from .solvers.minimise import minimise
 
 _DONE, _UNFINISHED = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
+State = TypeVar("State", bound=tuple)
 _LOG = logging.getLogger(__name__)
 
 #: damping above which steps are too short to be informative
@@ -174,6 +175,26 @@ def reweighted_least_squares(
     first = start, jnp.asarray(solver.damping, dtype), jnp.array(False), jnp.array(0)
     y, _, _, count = jax.lax.while_loop(going_on, improve, first)
     return y, count
+
+
+def iterate_until_converged(
+    step: Callable[[State], State],
+    start: State,
+    max_iterations: int,
+    tolerance: float,
+    min_iterations: int = 1,
+) -> State:
+    """Iterate closed-form steps in NumPy, such as those of reweighted means, until the estimate converges.
+
+    The estimate is the first entry of the state. It converges when it moves by less than `tolerance`, after more than
+    `min_iterations` and at most `max_iterations` iterations.
+    """
+    state = start
+    for turn in range(max_iterations):
+        old, state = state, step(state)
+        if turn >= min_iterations and np.abs(state[0] - old[0]).max() < tolerance:
+            break
+    return state
 
 
 @eqx.filter_jit

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from threadpoolctl import threadpool_limits
 
 from ..arguments import checked
@@ -22,15 +21,8 @@ from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy, Sum, energies, terms_of
 from ..errors import InputError
 from .pose_problem import PoseProblem
-from .solvers.hierarchical_least_squares import Damping, LinearSystem, constrained_step, hierarchical_step
-from .solvers.levenberg_marquardt import tree_where
-from .solvers.minimise import HISTORY_LENGTH
-
-#: largest number of halvings of a step
-MAX_HALVINGS = 8
-#: largest number of corrections that return a candidate to the groups above, which it left along their
-#: curvature
-MAX_CORRECTIONS = 6
+from .solvers.hierarchical_descent import AbstractHierarchicalProblem, hierarchical_move, minimise_hierarchy
+from .solvers.hierarchical_least_squares import Damping, LinearSystem
 
 
 class OrderedSolution(eqx.Module):
@@ -94,38 +86,15 @@ def priority_step(
     """
     dtype = body.vertices.dtype
     none = Damping(jnp.asarray(damping, dtype), jnp.zeros((), dtype))
-    return _step(_PriorityProblem(tuple(groups), body), pose, none)[0]
+    return hierarchical_move(_PriorityProblem(tuple(groups), body), pose, none).y
 
 
 @eqx.filter_custom_jvp
 def _minimise_in_order(groups, body, start, max_steps, damping, rtol, atol) -> OrderedSolution:
-    order = _PriorityProblem(groups, body)
-
-    def going(carry):
-        *_, steps, done = carry
-        return ~done & (steps < max_steps)
-
-    def step(carry):
-        pose, before, share, history, steps, _ = carry
-        pose, after, slack, length, taken = _step(order, pose, Damping(damping, share))
-        flat = (jnp.abs(after - before) <= rtol * before + slack).all()
-        # if no part of a step helps, one nearer to the steepest descent may
-        done = (length < atol) | (flat & ((taken > 0) | (share >= 1.0)))
-        grown = jnp.where(taken > 0, 10.0, 100.0) * jnp.maximum(share, 1e-5)
-        share = jnp.where(taken == 1.0, share / 10, grown)
-        return pose, after, share, history.at[steps].set(after, mode="drop"), steps + 1, done
-
-    pose = project(body.skeleton, start)
-    first = order.values(pose)
-    history = jnp.full((HISTORY_LENGTH, len(groups)), jnp.nan, first.dtype)
-    carry = pose, first, jnp.zeros_like(damping), history, jnp.array(0), jnp.array(False)
-    pose, last, _, history, steps, done = jax.lax.while_loop(going, step, carry)
-    good, bad = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached
-    result = optx.RESULTS.where(done, good, bad)
-    result = optx.RESULTS.where(jnp.isfinite(last).all(), result, optx.RESULTS.nonfinite)
-    return OrderedSolution(
-        pose, energies(_concatenate_terms(groups), pose_body(body, pose)), history, steps, result
-    )
+    problem = _PriorityProblem(groups, body)
+    found = minimise_hierarchy(problem, project(body.skeleton, start), max_steps, damping, rtol, atol)
+    values = energies(_concatenate_terms(groups), pose_body(body, found.y))
+    return OrderedSolution(found.y, values, found.history, found.num_steps, found.result)
 
 
 @_minimise_in_order.def_jvp
@@ -139,113 +108,28 @@ def _refuse_derivative(primals, tangents):
 _solve_in_order = eqx.filter_jit(_minimise_in_order)
 
 
-class _PriorityProblem(eqx.Module):
+class _PriorityProblem(AbstractHierarchicalProblem[Pose]):
     """Groups of energies on a body, with metres and radians in one measure."""
 
     groups: tuple[AbstractEnergy, ...]
     body: Body
 
-    @property
-    def upper(self) -> "_PriorityProblem":
+    def upper(self):
         return _PriorityProblem(self.groups[:-1], self.body)
 
-    def values(self, pose: Pose) -> Float[Array, "G"]:
-        residuals = self.residuals(pose)
-        return jnp.stack([r @ r for r in residuals])
-
-    def residuals(self, pose: Pose) -> list[Float[Array, "R"]]:
-        posed = pose_body(self.body, pose)
+    def residuals(self, y: Pose):
+        posed = pose_body(self.body, y)
         return [group.residual(posed) for group in self.groups]
 
-    def linearise(self, pose: Pose) -> LinearSystem:
-        """Linearise all groups in one pass, concatenated."""
+    def linearise(self, y: Pose):
         problem = PoseProblem(_concatenate_terms(self.groups), self.body)
-        residual, jacobian = problem.linearise(pose)
+        residual, jacobian = problem.linearise(y)
         return LinearSystem(residual, jacobian * problem.scales())
 
-    def linearise_levels(self, pose: Pose) -> list[LinearSystem]:
-        edges = np.cumsum([len(r) for r in jax.eval_shape(self.residuals, pose)])[:-1]
-        parts = (jnp.split(array, edges) for array in self.linearise(pose))
-        return [LinearSystem(r, j) for r, j in zip(*parts, strict=True)]
-
-    def retract(self, pose: Pose, d: Float[Array, "D"]) -> Pose:
+    def retract(self, y: Pose, d: Float[Array, "D"]):
         problem = PoseProblem(_concatenate_terms(self.groups), self.body)
-        return problem.retract(pose, problem.scales() * d)
+        return problem.retract(y, problem.scales() * d)
 
 
 def _concatenate_terms(groups: tuple[AbstractEnergy, ...]) -> Sum:
     return Sum(tuple(term for group in groups for term in terms_of(group)))
-
-
-def _step(order: _PriorityProblem, pose: Pose, damping):
-    """Take one step: `(pose, energies of the groups, their negligible changes, length of the step, share of
-    it taken)`.
-    """
-    levels = order.linearise_levels(pose)
-    before = jnp.stack([level.residual @ level.residual for level in levels])
-    if len(levels) == 1:
-        d, taken = hierarchical_step(levels, damping), levels
-    else:
-        d, taken = constrained_step(levels, lambda d: order.upper.linearise(order.retract(pose, d)), damping)
-    eps = jnp.finfo(d.dtype).eps
-    # rounding, and the change by a move of the root of the precision in the stiffest direction
-    stiffest = jnp.stack([jnp.linalg.norm(level.jacobian.T @ level.jacobian) for level in taken])
-    rounding, smallest = 10 * eps * before, 0.01 * eps * jnp.maximum(stiffest, 1.0)
-    slack = smallest + rounding
-
-    def bounds(share):
-        """Compute the allowed energies: a lower group may rise as far as the linearised step predicts."""
-        linear = [level.residual + share * level.jacobian @ d for level in levels]
-        return jnp.maximum(before, jnp.stack([r @ r for r in linear])).at[0].set(before[0])
-
-    def failed(carry):
-        _, _, better, _, halvings = carry
-        return ~better & (halvings <= MAX_HALVINGS)
-
-    def halve(carry):
-        _, _, _, share, halvings = carry
-        most = bounds(share)
-        moved = order.retract(pose, share * d)
-        candidate, there = _correct(order, moved, before, most, 1e-4 * smallest + rounding, damping)
-        better = _compare_energies(there, before, most, slack)[0]
-        return candidate, there, better, share / 2, halvings + 1
-
-    start = pose, before, jnp.array(False), jnp.ones((), d.dtype), jnp.array(0)
-    candidate, there, better, share, _ = jax.lax.while_loop(failed, halve, start)
-    pose, after = tree_where(better, candidate, pose), jnp.where(better, there, before)
-    return pose, after, slack, jnp.max(jnp.abs(d), initial=0.0), jnp.where(better, 2 * share, 0.0)
-
-
-def _compare_energies(candidate, before, upper_bounds, slack) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Test if a candidate is better, and if a group other than the last rejects it.
-
-    It is better if a group has fallen and none above it has risen. It is also better if none has risen by
-    more than the gains of the groups above it allow, when these gains are too small to show in their own
-    energies.
-    """
-    level, fallen, spoilt = jnp.array(True), jnp.array(False), jnp.array(False)
-    for number in range(len(candidate)):
-        fallen = fallen | (level & (candidate[number] < before[number] - slack[number]))
-        level = level & (candidate[number] <= upper_bounds[number] + slack[number])
-        spoilt = spoilt | (~fallen & ~level) if number < len(candidate) - 1 else spoilt
-    paid = level & (upper_bounds > before + slack).any()
-    return (fallen | paid) & jnp.isfinite(candidate).all(), spoilt
-
-
-def _correct(order: _PriorityProblem, pose: Pose, before, upper_bounds, slack, damping):
-    """Correct a candidate back to its values of the upper groups; also return its energies."""
-    if len(order.groups) == 1:
-        return pose, order.values(pose)
-
-    def spoilt(carry):
-        _, there, rounds = carry
-        return _compare_energies(there, before, upper_bounds, slack)[1] & (rounds < MAX_CORRECTIONS)
-
-    def repair(carry):
-        pose, _, rounds = carry
-        whole = damping._replace(relative=jnp.zeros_like(damping.relative))
-        pose = order.retract(pose, hierarchical_step(order.upper.linearise_levels(pose), whole))
-        return pose, order.values(pose), rounds + 1
-
-    pose, there, _ = jax.lax.while_loop(spoilt, repair, (pose, order.values(pose), jnp.array(0)))
-    return pose, there

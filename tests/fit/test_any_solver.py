@@ -6,6 +6,7 @@ import logging
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import optax
 import optimistix as optx
@@ -133,6 +134,21 @@ def test_a_sequence_is_solved_by_another_solver(scene):
     )
     assert float(theirs.energy) == pytest.approx(float(ours.energy), rel=1e-9)
     np.testing.assert_allclose(theirs.values["size"], ours.values["size"], atol=1e-6)
+
+
+@pytest.mark.parametrize("linear_solver", [lx.CG(1e-9, 1e-9), lx.Cholesky()], ids=["CG", "Cholesky"])
+def test_a_sequence_is_solved_by_linear_solvers_of_lineax(scene, linear_solver):
+    energy, start, _ = scene
+    problem = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()})
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    ours, theirs = (
+        solve_sequence(problem, poses, LevenbergMarquardt(1e-10, 1e-9, linear_solver=chosen), 60)
+        for chosen in (None, linear_solver)
+    )
+    assert float(theirs.energy) == pytest.approx(float(ours.energy), rel=1e-8)
+    bounded = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size(0.9, 1.02)})
+    with pytest.raises(InputError, match="LevenbergMarquardt does not support constraints"):
+        solve_sequence(bounded, poses, LevenbergMarquardt(linear_solver=linear_solver))
 
 
 def test_a_flat_sequence_starts_from_a_motion(scene):

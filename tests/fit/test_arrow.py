@@ -1,12 +1,15 @@
 """Block-arrow equations against dense solutions."""
 
+import jax
 import jax.numpy as jnp
+import lineax as lx
 import numpy as np
 import pytest
 
+from jaxcap.errors import InputError
 from jaxcap.fit.linear_solvers.block_arrow import BlockArrow
 from jaxcap.fit.linear_solvers.block_banded import BlockBanded
-from jaxcap.fit.linear_solvers.structured import damped
+from jaxcap.fit.linear_solvers.structured import StructuredCholesky, damped
 from jaxcap.fit.solvers.equalities import Equalities
 
 
@@ -46,6 +49,21 @@ def test_schur_is_dense_least_squares(rng):
     by_frame, shared = solved(own, common, residual)
     expected = np.linalg.lstsq(dense_of(own, common), residual.ravel(), rcond=None)[0]
     np.testing.assert_allclose(np.append(by_frame.ravel(), shared), expected, rtol=1e-9, atol=1e-11)
+
+
+def test_the_linear_solver_is_differentiable_and_takes_structures_only(rng):
+    own, common, residual = random_rows(rng)
+    _, side = arrow_of(own, common, residual)
+
+    def shared(own):
+        matrix = arrow_of(own, common, residual)[0]
+        return jnp.sum(lx.linear_solve(matrix, side, StructuredCholesky()).value[1] ** 2)
+
+    step = 1e-6 * rng.normal(size=own.shape)
+    slope = float(jnp.vdot(jax.grad(shared)(jnp.asarray(own)), step))
+    assert slope == pytest.approx(float(shared(own + step) - shared(own - step)) / 2, rel=1e-6)
+    with pytest.raises(InputError, match="a MatrixLinearOperator; expected one with a structure"):
+        lx.linear_solve(lx.MatrixLinearOperator(jnp.eye(2)), jnp.ones(2), StructuredCholesky())
 
 
 def test_constraints_hold_and_the_rest_is_least(rng):

@@ -1,7 +1,7 @@
-"""Structured matrices of normal equations, and their solver.
+"""Structured matrices of normal equations, and the linear solver that factorises them.
 
-They are lineax operators, so that optimistix's descents and searches accept them as the Hessian of
-`optx.FunctionInfo.EvalGradHessian`.
+The matrices are lineax operators, so that optimistix's descents and searches accept them as the Hessian of
+`optx.FunctionInfo.EvalGradHessian`, and that every solver of lineax for square systems solves them.
 """
 
 import abc
@@ -14,6 +14,7 @@ import lineax as lx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
+from ...errors import InputError
 from ..solvers.equalities import Equalities
 
 Structured = TypeVar("Structured", bound="AbstractStructuredMatrix")
@@ -60,8 +61,7 @@ class AbstractStructuredMatrix(lx.AbstractLinearOperator):
         """Solve `A x = rhs`, differentiably in both modes: a derivative is one more substitution with the
         same factor.
         """
-        factor = jax.lax.stop_gradient(self).factorise()
-        return jax.lax.custom_linear_solve(self.mv, rhs, lambda _, b: factor.solve(b), symmetric=True)
+        return lx.linear_solve(self, rhs, StructuredCholesky(), throw=False).value
 
     def as_matrix(self) -> Float[Array, "N N"]:
         """Write out the whole matrix, for tests and small problems."""
@@ -77,6 +77,35 @@ class AbstractStructuredMatrix(lx.AbstractLinearOperator):
 
     def out_structure(self):
         return self.in_structure()
+
+
+class StructuredCholesky(lx.AbstractLinearSolver[AbstractFactor]):
+    """Cholesky factors in the structure of the matrix: frame by frame, with the shared unknowns in a Schur complement.
+
+    Sparse matrices over rest vertices have no exact factor; theirs preconditions conjugate gradients.
+    """
+
+    def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> AbstractFactor:
+        del options
+        if not isinstance(operator, AbstractStructuredMatrix):
+            raise InputError(
+                f"StructuredCholesky: the matrix is a {type(operator).__name__}; expected one with a structure, such as "
+                "`problem.information(y).hessian`."
+            )
+        return operator.factorise()
+
+    def compute(self, state: AbstractFactor, vector: PyTree[Array], options: dict[str, Any]):
+        del options
+        return state.solve(vector), lx.RESULTS.successful, {}
+
+    def transpose(self, state: AbstractFactor, options: dict[str, Any]):
+        return state, options
+
+    def conj(self, state: AbstractFactor, options: dict[str, Any]):
+        return state, options
+
+    def assume_full_rank(self) -> bool:
+        return True
 
 
 def damped(matrix: Structured, relative: Float[Array, ""]) -> Structured:

@@ -5,10 +5,11 @@ from typing import Any, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
-from ..linear_solvers.structured import AbstractStructuredMatrix, damped
+from ..linear_solvers.structured import AbstractStructuredMatrix, StructuredCholesky, damped
 from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
 
@@ -36,10 +37,12 @@ class NormalDescent(optx.AbstractDescent):
 
     `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which needs no common scale
     of the unknowns. `ConstrainedInfo` adds bounds or linear equalities; the solution is exact for the damped
-    equations.
+    equations. Equations without constraints are solved by `linear_solver`, those with constraints by
+    `StructuredCholesky`.
     """
 
     relative: bool = eqx.field(static=True, default=False)
+    linear_solver: lx.AbstractLinearSolver = StructuredCholesky()
 
     def init(self, y: PyTree, f_info_struct: Any) -> Any:
         del y
@@ -57,14 +60,21 @@ class NormalDescent(optx.AbstractDescent):
             amounts = jax.tree.map(lambda leaf: jnp.full_like(leaf, share), hessian.diagonal())
             matrix = hessian.add_diagonal(amounts)
         side = jax.tree.map(jnp.negative, state.grad)
-        return _solve(matrix, side, state.constraints), optx.RESULTS.successful
+        return _solve(matrix, side, state.constraints, self.linear_solver), optx.RESULTS.successful
 
 
-def _solve(matrix: AbstractStructuredMatrix, rhs: PyTree, constraints: StepConstraints | None) -> PyTree:
+def _solve(
+    matrix: AbstractStructuredMatrix,
+    rhs: PyTree,
+    constraints: StepConstraints | None,
+    linear_solver: lx.AbstractLinearSolver,
+) -> PyTree:
     equalities = None if constraints is None else constraints.equalities
     if constraints is not None and constraints.low is not None:
         return solve_bounded(matrix, rhs, constraints.low, constraints.high, equalities)
-    return matrix.factorise().solve(rhs, equalities)
+    if equalities is not None:
+        return matrix.factorise().solve(rhs, equalities)
+    return lx.linear_solve(matrix, rhs, linear_solver, throw=False).value
 
 
 def _as_constrained_info(info: Any) -> ConstrainedInfo:

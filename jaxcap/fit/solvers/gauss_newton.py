@@ -45,6 +45,10 @@ class GaussNewton(AbstractManifoldSolver):
     def needs_jacobian(self):
         return True
 
+    @property
+    def handles_constraints(self):
+        return False
+
     def init(self, fn, y, args: Any, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
         energy, length = energy_of(args, y), options.get("history", HISTORY_LENGTH)

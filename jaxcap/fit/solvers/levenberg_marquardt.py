@@ -11,6 +11,7 @@ import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ...errors import InputError
+from ..linear_solvers.structured import StructuredCholesky
 from .descent import NormalDescent
 from .least_squares_problem import AbstractNestedProblem, AbstractProblem
 from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
@@ -19,6 +20,8 @@ from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
 ENERGY_ROUNDINGS = 4
 #: a gain counts as nothing below this power of the precision, as a share of the energy
 GAIN_EXPONENT = 0.75
+#: linear solvers that get the rows of the Jacobian, not the normal equations
+LEAST_SQUARES = lx.QR, lx.SVD, lx.LSMR, lx.Normal, lx.AutoLinearSolver
 
 
 class SolverState(eqx.Module):
@@ -60,10 +63,12 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     after an accepted step.
 
     A problem scales its unknowns to one measure (`AbstractProblem.scales`), because the damping is isotropic;
-    with `relative` it is a share of each curvature. `damping` is that of the first step. `NormalDescent`
-    solves the equations by structured Cholesky on a unit diagonal, 5 to 9 times faster here than QR.
-    `linear_solver=lx.QR()` replaces it for an ill-conditioned problem of one frame. If equations cannot be
-    solved, the damping is raised as after a rejected step.
+    with `relative` it is a share of each curvature. `damping` is that of the first step. The equations are
+    solved by `StructuredCholesky` on a unit diagonal, 5 to 9 times faster here than QR. `linear_solver`
+    replaces it by one of lineax: a solver for square systems, such as `lx.CG(1e-6, 1e-6)`, gets the structured
+    normal equations, if steps have no constraints; a least-squares solver, such as `lx.QR()` for an
+    ill-conditioned problem of one frame, gets the rows of the Jacobian. If equations cannot be solved, the
+    damping is raised as after a rejected step.
 
     Of several `lengths` of each step the best is taken: the line search of Adaptation, 4.1.4. The iteration also ends at a step
     that changes half the energy by less than `energy_atol`, or is expected to: exact data leave nothing but rounding.
@@ -96,14 +101,23 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         self.rtol, self.atol, self.damping, self.lengths = rtol, atol, damping, lengths
         self.energy_atol = energy_atol
         self.norm = optx.max_norm
+        linear_solver = StructuredCholesky() if linear_solver is None else linear_solver
         self.descent = (
-            NormalDescent(relative) if linear_solver is None else optx.DampedNewtonDescent(linear_solver)
+            optx.DampedNewtonDescent(linear_solver)
+            if isinstance(linear_solver, LEAST_SQUARES)
+            else NormalDescent(relative, linear_solver)
         )
         self.search = optx.ClassicalTrustRegion()
 
     @property
     def needs_jacobian(self):
         return not isinstance(self.descent, NormalDescent)
+
+    @property
+    def handles_constraints(self):
+        return isinstance(self.descent, NormalDescent) and isinstance(
+            self.descent.linear_solver, StructuredCholesky
+        )
 
     def init(self, fn, y, args: AbstractProblem, options, f_struct, aux_struct, tags):
         del fn, f_struct, aux_struct, tags
@@ -194,8 +208,8 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         scales = problem.scales()
         if not eqx.is_array(scales):
             raise InputError(
-                "LevenbergMarquardt: `linear_solver` needs unknowns that are one flat array, but those of "
-                f"{type(problem).__name__} are not; leave out `linear_solver`."
+                "LevenbergMarquardt: this `linear_solver` needs unknowns that are one flat array, but those of "
+                f"{type(problem).__name__} are not; give one for square systems, such as `lx.CG`, or none."
             )
         residual, jacobian = problem.linearise(y)
         rows = lx.MatrixLinearOperator(jacobian * scales)

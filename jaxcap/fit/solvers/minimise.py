@@ -31,7 +31,12 @@ class AbstractManifoldSolver(optx.AbstractLeastSquaresSolver):
     @property
     @abc.abstractmethod
     def needs_jacobian(self) -> bool:
-        """True if the solver needs all rows of the Jacobian, and so ignores constraints."""
+        """True if the solver needs all rows of the Jacobian."""
+
+    @property
+    @abc.abstractmethod
+    def handles_constraints(self) -> bool:
+        """True if steps obey the bounds and equalities of a problem."""
 
     def __check_init__(self):
         check_fields(self)
@@ -105,7 +110,7 @@ def _check_solver(problem: AbstractProblem, solver: Any) -> None:
             "least-squares solver or minimiser of optimistix."
         )
     manifold = isinstance(solver, AbstractManifoldSolver)
-    if manifold and not solver.needs_jacobian:
+    if manifold and solver.handles_constraints:
         return
     name, constraint = type(solver).__name__, problem.describe_constraints()
     if constraint is not None:
@@ -113,9 +118,8 @@ def _check_solver(problem: AbstractProblem, solver: Any) -> None:
             f"{name} does not support constraints, but the problem has {constraint}; use "
             "LevenbergMarquardt()."
         )
-    if not isinstance(solver, optx.AbstractMinimiser) and not hasattr(
-        problem, "linearise" if manifold else "residual"
-    ):
+    needs_rows = solver.needs_jacobian if manifold else not isinstance(solver, optx.AbstractMinimiser)
+    if needs_rows and not hasattr(problem, "linearise" if manifold else "residual"):
         raise InputError(
             f"{name} needs the whole Jacobian, which {type(problem).__name__} does not compute; use "
             "LevenbergMarquardt() or a minimiser such as optimistix.BFGS."

@@ -10,8 +10,8 @@ from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...fit.linear_solvers.chebyshev import chebyshev
 from ...fit.linear_solvers.conjugate_gradients import conjugate_gradients
+from ...fit.linear_solvers.gauss_jordan import gauss_jordan_solve
 from ...geometry.laplacian import Conformance, apply_conformance
-from .simplex import gauss_jordan_solve
 
 #: the most steps of conjugate gradients, the degree of the preconditioner in each, and the least gap between
 #: the bounds of its eigenvalues

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ...fit.linear_solvers.gauss_jordan import gauss_jordan_solve
+
 
 @functools.partial(jax.jit, static_argnames="groups")
 def simplex_least_squares(
@@ -108,21 +110,3 @@ def _active_set(gram, linear, start, free, sums):
     begin = (start, start > 0.0, none, jnp.zeros(start.shape[1:], bool), 0)
     weights = jax.lax.while_loop(unfinished, step, begin)[0]
     return weights / (sums.T @ (sums @ weights))
-
-
-def gauss_jordan_solve(matrix: Float[Array, "K K N"], sides: Float[Array, "K S N"]) -> Float[Array, "K S N"]:
-    """Solve N positive definite systems by Gauss-Jordan elimination, which needs no pivoting there.
-
-    Pivots are raised to at least one rounding error of the diagonal; in a nearly singular system they may be zero or negative by
-    rounding.
-    """
-    least = jnp.finfo(matrix.dtype).eps * jnp.einsum("iin->in", matrix)
-
-    def column(i, table):
-        row = table[i] / jnp.maximum(table[i, i], least[i])
-        rest = table - table[:, i][:, None] * row
-        return rest.at[i].set(row)
-
-    count = matrix.shape[0]
-    table = jnp.concatenate([matrix, sides], 1)
-    return jax.lax.fori_loop(0, count, column, table)[:, count:]

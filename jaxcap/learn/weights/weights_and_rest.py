@@ -12,7 +12,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from .simplex import gauss_jordan_solve, simplex_least_squares
+from ...fit.linear_solvers.gauss_jordan import gauss_jordan_solve
+from .simplex import simplex_least_squares
 
 #: the relative decrease below which the steps end; the step lengths that are tried
 MIN_RELATIVE_DECREASE, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...fit.alternate import iterate_until_converged
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
 from .centre_precision import independent_frame_fraction
@@ -11,7 +12,6 @@ from .estimator_parts import (
     MAX_REWEIGHTINGS,
     CentreEstimate,
     geman_mcclure_weights,
-    iterate_until_converged,
     prior_weight,
 )
 

@@ -1,12 +1,9 @@
 """Common parts of the centre estimators: result, robust weights, and weak prior."""
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-
-State = TypeVar("State", bound=tuple)
 
 #: maximal number of reweightings
 MAX_REWEIGHTINGS = 12
@@ -23,27 +20,6 @@ class CentreEstimate(NamedTuple):
     in_child: Float[np.ndarray, "3"] | None
     #: covariance of `in_parent`, metres squared; that of the prior along undetermined directions
     covariance: Float[np.ndarray, "3 3"]
-
-
-def iterate_until_converged(
-    step: Callable[[State], State],
-    start: State,
-    max_iterations: int,
-    tolerance: float,
-    min_iterations: int = 1,
-) -> State:
-    """Iterate a `step` of reweighted least squares until the estimate, the first entry of the state,
-    converges.
-
-    It converges when it moves by less than `tolerance`, after more than `min_iterations` and at most `max_iterations`
-    iterations.
-    """
-    state = start
-    for turn in range(max_iterations):
-        old, state = state, step(state)
-        if turn >= min_iterations and np.abs(state[0] - old[0]).max() < tolerance:
-            break
-    return state
 
 
 def geman_mcclure_weights(distances: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:

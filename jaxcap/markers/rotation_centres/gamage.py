@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...fit.alternate import iterate_until_converged
 from ...geometry.linear import inverse_symmetric, solve_symmetric
 from ..segments.relative_motion import RelativeMotion
 from .centre_precision import independent_frame_fraction
@@ -13,7 +14,6 @@ from .estimator_parts import (
     MIN_PRIOR_WEIGHT,
     CentreEstimate,
     geman_mcclure_weights,
-    iterate_until_converged,
     prior_weight,
 )
 

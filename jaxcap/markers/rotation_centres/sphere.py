@@ -6,10 +6,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
+from ...fit.alternate import iterate_until_converged
 from ...geometry import linear
 from ..segments.relative_motion import RelativeMotion
 from .centre_precision import independent_frame_fraction
-from .estimator_parts import MAX_REWEIGHTINGS, CentreEstimate, geman_mcclure_weights, iterate_until_converged
+from .estimator_parts import MAX_REWEIGHTINGS, CentreEstimate, geman_mcclure_weights
 
 #: number of grid cells along the longest side of a trajectory's bounding box, for densities
 NUM_CELLS = 6

@@ -5,8 +5,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...fit.alternate import iterate_until_converged
 from ...geometry.linear import inverse_symmetric, solve_symmetric
-from ..rotation_centres.estimator_parts import iterate_until_converged
 from .segment_tree import SegmentTree
 
 LengthMethod = Literal["mean", "least_squares", "global"]
