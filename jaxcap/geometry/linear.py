@@ -92,6 +92,15 @@ def least_squares(matrix: Float[np.ndarray, "R N"], rhs: Float[np.ndarray, "R"])
     return np.linalg.lstsq(matrix, rhs, rcond=None)[0]
 
 
+def pseudo_inverse(
+    matrix: Float[np.ndarray, "*B R N"], rtol: float | None = None, symmetric: bool = False
+) -> Float[np.ndarray, "*B N R"]:
+    """Compute the pseudo-inverse of every matrix of a stack, without singular values below the share `rtol` of the largest
+    (by default the rounding error of NumPy), from eigenvectors where the matrix is `symmetric`.
+    """
+    return np.linalg.pinv(matrix, hermitian=symmetric, **({} if rtol is None else {"rcond": rtol}))
+
+
 def low_rank_factors(
     matrix: Float[np.ndarray, "R N"], metric: Float[np.ndarray, "N N"], rank: int
 ) -> tuple[Float[np.ndarray, "R K"], Float[np.ndarray, "K N"]]:

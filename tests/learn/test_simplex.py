@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from jaxcap.learn.weights.simplex import largest_weights, simplex_least_squares
+from jaxcap.fit.solvers.simplex_least_squares import largest_weights, simplex_least_squares
 
 
 def problems(rng, width: int, count: int = 40):

@@ -1,8 +1,10 @@
 """Fit linear blend weights of vertices over few candidate bones each to target positions."""
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.optimize import nnls
+from jaxtyping import Bool, Float, Int
+
+from ...fit.linear_solvers.float64 import in_float64
+from ...fit.solvers.simplex_least_squares import simplex_least_squares
 
 #: vertices per block, to bound memory
 _BLOCK = 1024
@@ -22,10 +24,7 @@ def fit_linear_weights(
     has fewer.
 
     Weights minimise the least-squares error subject to being non-negative and of sum one, at most
-    `influences` of them: the smallest is dropped and the rest fitted again until this holds. As the weights
-    sum to one, `sum w x - y` is `sum w (x - y)`, so with `D` the offsets of the candidates from the target,
-    the solution of `min |D w|^2 + (sum w - 1)^2, w >= 0` divided by its sum is that of `min |D w|^2` on the
-    simplex: along each ray the best value is `|D u|^2 / (1 + |D u|^2)`.
+    `influences` of them: the smallest is dropped and the rest fitted again until this holds.
     """
     weights, errors = np.zeros(candidates.shape), np.zeros(len(vertices))
     for start in range(0, len(vertices), _BLOCK):
@@ -35,18 +34,11 @@ def fit_linear_weights(
         offsets = np.einsum("fvkab,vb->vkfa", bones[..., :3], vertices[part]) + bones[..., 3].transpose(
             1, 2, 0, 3
         )
+        # from the targets: as weights sum to one, the error of a blend is the blend of these
         offsets -= targets[:, None, part].transpose(2, 1, 0, 3)
-        offsets = offsets.reshape(*chosen.shape, -1).transpose(0, 2, 1)
-        # millimetres, to scale them against the row of ones
-        system = np.concatenate([1e3 * offsets, np.ones((len(chosen), 1, chosen.shape[1]))], 1)
-        goal = np.zeros((len(chosen), system.shape[1], 1))
-        goal[:, -1] = 1.0
-        triangle = np.linalg.qr(np.concatenate([system, goal], 2), mode="r")
-        for row, (square, there) in enumerate(zip(triangle, chosen >= 0, strict=True)):
-            weights[start + row, there] = _fit_simplex_weights(
-                square[:, :-1][:, there], square[:, -1], influences
-            )
-        missed = np.einsum("vfk,vk->vf", offsets, weights[part]).reshape(len(chosen), -1, 3)
+        offsets = offsets.reshape(*chosen.shape, -1)
+        weights[part] = _fit_simplex_weights(offsets, chosen >= 0, influences)
+        missed = np.einsum("vkf,vk->vf", offsets, weights[part]).reshape(len(chosen), -1, 3)
         errors[part] = np.linalg.norm(missed, axis=2).max(1)
     return weights, errors
 
@@ -69,14 +61,20 @@ def blend_errors(
     return errors
 
 
-def _fit_simplex_weights(system: np.ndarray, goal: np.ndarray, influences: int) -> np.ndarray:
-    weights = np.zeros(system.shape[1])
-    used = np.arange(system.shape[1])
+def _fit_simplex_weights(
+    offsets: Float[np.ndarray, "V K R"], allowed: Bool[np.ndarray, "V K"], influences: int
+) -> Float[np.ndarray, "V K"]:
+    missing = _BLOCK - len(offsets)
+    gram = np.pad(offsets @ offsets.transpose(0, 2, 1), ((0, missing), (0, 0), (0, 0)))
+    allowed = np.pad(allowed, ((0, missing), (0, 0)), constant_values=True)
+    weights = allowed / allowed.sum(1, keepdims=True)
     while True:
-        part = nnls(system[:, used], goal)[0]
-        used, part = used[part > 0], part[part > 0]
-        if len(used) <= influences:
-            break
-        used = np.delete(used, part.argmin())
-    weights[used] = part / part.sum()
-    return weights
+        weights = np.array(in_float64(simplex_least_squares, gram, np.zeros(weights.shape), weights, allowed))
+        many = (weights > 0).sum(1) > influences
+        if not many.any():
+            return weights[: len(offsets)]
+        smallest = np.where(weights > 0, weights, np.inf).argmin(1)
+        allowed = (weights > 0) | (allowed & ~many[:, None])
+        allowed[many, smallest[many]] = False
+        weights = np.where(allowed, weights, 0.0)
+        weights /= weights.sum(1, keepdims=True)

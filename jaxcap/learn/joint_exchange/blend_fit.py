@@ -5,9 +5,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...body.body import Body
+from ...fit.solvers.simplex_least_squares import simplex_least_squares
 from ...geometry.laplacian import vertex_adjacency
 from ..skeleton.reparent import BoneMotions
-from ..weights.simplex import simplex_least_squares
 
 #: problems per batch, and the multiple to which columns are padded; few shapes are compiled
 BATCH, WIDTH = 2048, 8

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
-from .simplex import largest_weights, simplex_least_squares
+from ...fit.solvers.simplex_least_squares import largest_weights, simplex_least_squares
 
 
 class LinearWeightSolver(eqx.Module):

@@ -18,7 +18,7 @@ from ...body.kinematics import forward_kinematics
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...body.skin import SwingTwistSkin
-from .simplex import simplex_least_squares
+from ...fit.solvers.simplex_least_squares import simplex_least_squares
 
 #: candidates other than slides: the current twists, and two lengths of the Gauss-Newton step
 STEPS = (0.0, 1.0, 0.5)

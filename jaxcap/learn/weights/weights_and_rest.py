@@ -13,7 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from ...fit.linear_solvers.gauss_jordan import gauss_jordan_solve
-from .simplex import simplex_least_squares
+from ...fit.solvers.simplex_least_squares import simplex_least_squares
 
 #: the relative decrease below which the steps end; the step lengths that are tried
 MIN_RELATIVE_DECREASE, LENGTHS = 1e-3, (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)

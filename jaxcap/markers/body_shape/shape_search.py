@@ -24,6 +24,7 @@ from ...fit.alternate import alternate
 from ...fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from ...fit.sequences.unknowns import ShapeCoefficients
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...geometry.linear import pseudo_inverse
 
 #: ranges of the traits; prior mean and standard deviation of people
 MIN_TRAITS = Traits(0.0, AGES["child"], 0.0, 0.0, -1.0)
@@ -117,7 +118,7 @@ def search_shape(
         remake, start, solver, rounds=max_rounds, min_gain=MIN_DECREASE, patience=MAX_IDLE_ROUNDS
     )
     pose = jax.tree.map(lambda leaf: leaf[0], found.y.poses)
-    covariance = np.linalg.pinv(np.asarray(_normal_matrix(found.problem, found.y), float), hermitian=True)
+    covariance = pseudo_inverse(np.asarray(_normal_matrix(found.problem, found.y), float), symmetric=True)
     return traits(found.y.values["traits"]), pose, covariance[skeleton.num_dofs :, skeleton.num_dofs :]
 
 

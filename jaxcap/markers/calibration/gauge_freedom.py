@@ -8,6 +8,7 @@ covariances are reported without these changes.
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry.linear import pseudo_inverse
 from ..subject import Subject
 
 
@@ -85,5 +86,5 @@ def remove_gauge(
     translate. Centres have small weights, as their covariance is the result.
     """
     gauge, rows = gauge_directions(subject, joints), gauge_constraints(subject, joints)
-    kept = np.eye(len(covariance)) - gauge @ np.linalg.pinv(rows @ gauge, 1e-9) @ rows
+    kept = np.eye(len(covariance)) - gauge @ pseudo_inverse(rows @ gauge, 1e-9) @ rows
     return kept @ covariance @ kept.T

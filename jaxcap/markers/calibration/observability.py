@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ...body.pose import Pose
 from ...fit.linear_solvers.float64 import in_float64
+from ...geometry.linear import pseudo_inverse
 from ..robust import OUTLIER_BOUND
 from ..subject import Subject
 from .calibration_parameters import centre_jacobian, equal_length_constraints
@@ -81,7 +82,7 @@ def _condition_on(
 ) -> Float[np.ndarray, "S S"]:
     """Condition a covariance on exact linear constraints."""
     across = covariance @ rows.T
-    return covariance - across @ np.linalg.pinv(rows @ across) @ across.T
+    return covariance - across @ pseudo_inverse(rows @ across) @ across.T
 
 
 def bone_length_deviations(

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.pose import Pose
+from ...geometry.linear import pseudo_inverse
 from ..subject import Subject
 from .rotation_prior import rotation_vectors_from_mean
 
@@ -84,7 +85,7 @@ def initial_slide_deviation(
         if len(left) <= 2 * phi.shape[1] or not phi.size:
             continue
         phi, left = phi - phi.mean(0), left - left.mean(0)
-        projected = float(np.sum((phi @ (np.linalg.pinv(phi, 1e-6) @ left)) ** 2))
+        projected = float(np.sum((phi @ (pseudo_inverse(phi, 1e-6) @ left)) ** 2))
         explained, whole = explained + projected, whole + float(np.sum(left**2))
         chance += phi.shape[1] / len(left) * float(np.sum(left**2))
         squares += float(np.sum(phi**2)) * 3
@@ -108,7 +109,7 @@ def refit_slides(
     result = np.zeros_like(slides)
     for marker in range(slides.shape[1]):
         shifts = old[:, marker] @ slides[:, marker]
-        result[:, marker] = np.linalg.pinv(new[:, marker], 1e-6) @ shifts
+        result[:, marker] = pseudo_inverse(new[:, marker], 1e-6) @ shifts
     return result
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from ...body.skeleton import Skeleton
 from ...body.symmetry import find_left_right_pairs
+from ...geometry.linear import pseudo_inverse
 from ..calibration.calibration_parameters import (
     AbstractTemplatePrior,
     bone_and_placement_jacobian,
@@ -47,7 +48,7 @@ class AnatomicalPrior(AbstractTemplatePrior):
         # Woodbury: the inverse of the sum of the covariances
         pull = free @ modes
         inner = np.eye(modes.shape[1]) + modes.T @ pull
-        return free - pull @ np.linalg.pinv(inner, hermitian=True) @ pull.T
+        return free - pull @ pseudo_inverse(inner, symmetric=True) @ pull.T
 
     def groups(self, template, joints):
         return None
@@ -84,7 +85,7 @@ class AnatomicalPrior(AbstractTemplatePrior):
         """Estimate the traits of a person with the shared unknowns `s`, in standard deviations."""
         free, modes = self.precision_without_traits(template, joints), self.trait_modes(joints)
         pull = modes.T @ free
-        return np.linalg.pinv(np.eye(modes.shape[1]) + pull @ modes, hermitian=True) @ (pull @ shared)
+        return pseudo_inverse(np.eye(modes.shape[1]) + pull @ modes, symmetric=True) @ (pull @ shared)
 
 
 def _partners(skeleton: Skeleton, joints: tuple[int, ...]) -> Int[np.ndarray, "P 2"]:

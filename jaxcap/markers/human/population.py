@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
+from ...geometry.linear import pseudo_inverse
+
 #: segments of limbs, by the joints at their ends on the left
 LIMBS = {
     "upper arm": ("LeftArm", "LeftForeArm"),
@@ -59,8 +61,8 @@ def condition_normal(
     """Condition normal numbers on observed `values` with errors of these `variances`; NaN where a number is not observed."""
     known = np.flatnonzero(np.isfinite(values))
     across = covariance[:, known]
-    gain = across @ np.linalg.pinv(
-        covariance[np.ix_(known, known)] + np.diag(variances[known]), hermitian=True
+    gain = across @ pseudo_inverse(
+        covariance[np.ix_(known, known)] + np.diag(variances[known]), symmetric=True
     )
     return mean + gain @ (values - mean)[known], covariance - gain @ across.T
 

@@ -4,13 +4,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import least_squares
 
 from ...fit.alternate import iterate_until_converged
 from ...geometry import linear
 from ..segments.relative_motion import RelativeMotion
 from .centre_precision import independent_frame_fraction
 from .estimator_parts import MAX_REWEIGHTINGS, CentreEstimate, geman_mcclure_weights
+from .sphere_problem import solve_sphere
 
 #: number of grid cells along the longest side of a trajectory's bounding box, for densities
 NUM_CELLS = 6
@@ -18,8 +18,6 @@ NUM_CELLS = 6
 FLATNESS_RATIO = 0.12
 #: lower limit of a trajectory's residual deviation, metres
 MIN_DEVIATION = 1e-5
-#: relative tolerance of a fit: as near to the minimum as rounding allows
-FIT_TOLERANCE = 1e-15
 
 
 class FittedSphere(NamedTuple):
@@ -68,9 +66,9 @@ def fit_sphere(
 ) -> FittedSphere:
     """Fit a sphere by minimising the sum of `(|v - c| - r)^2`.
 
-    The fit is geometric, so it lacks the bias of the algebraic fit. Levenberg-Marquardt (MINPACK) starts
-    from `prior_centre`, which with `prior_deviation` is also a weak prior of the centre. The weights of outliers and of the
-    prior are updated until convergence.
+    The fit is geometric, so it lacks the bias of the algebraic fit. Levenberg-Marquardt starts from
+    `prior_centre`, which with `prior_deviation` is also a weak prior of the centre. The weights of outliers
+    and of the prior are updated until convergence.
     """
 
     def offsets(x):
@@ -82,16 +80,7 @@ def fit_sphere(
         return np.concatenate([-units, -np.ones((len(track), 1))], 1)
 
     def step(fit: _SphereState) -> _SphereState:
-        root, root_ridge = np.sqrt(fit.weights), np.sqrt(fit.ridge)
-        found = least_squares(
-            lambda x: np.append(root * offsets(x), root_ridge * (x[:3] - prior_centre)),
-            fit.parameters,
-            lambda x: np.concatenate([root[:, None] * slopes(x), root_ridge * np.eye(3, 4)]),  # pyright: ignore[reportArgumentType]
-            method="lm",
-            xtol=FIT_TOLERANCE,
-            ftol=FIT_TOLERANCE,
-            gtol=FIT_TOLERANCE,
-        ).x
+        found = solve_sphere(track, fit.weights, prior_centre, fit.ridge, fit.parameters)
         off = offsets(found)
         updated = weights * geman_mcclure_weights(np.abs(off)) if robust else weights
         variance, share = float(updated @ off**2 / updated.sum()), independent_frame_fraction(off[:, None])

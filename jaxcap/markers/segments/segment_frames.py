@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ...geometry.linear import pseudo_inverse
 from ...geometry.procrustes import nearest_rotation
 from ...geometry.sampling import even_indices
 from ..robust import MEDIAN_SQUARED_LENGTH
@@ -55,7 +56,7 @@ class SegmentFrames(NamedTuple):
             p = self.local_positions[list(members)]
             p = p - p.mean(0)
             inertia = np.sum(p * p) * np.eye(3) - p.T @ p
-            rotation_noise[k] = marker_noise[k] * float(np.trace(np.linalg.pinv(inertia, hermitian=True))) / 3
+            rotation_noise[k] = marker_noise[k] * float(np.trace(pseudo_inverse(inertia, symmetric=True))) / 3
         return marker_noise, rotation_noise
 
 

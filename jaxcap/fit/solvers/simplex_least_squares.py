@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ...fit.linear_solvers.gauss_jordan import gauss_jordan_solve
+from ..linear_solvers.gauss_jordan import gauss_jordan_solve
 
 
 @functools.partial(jax.jit, static_argnames="groups")
