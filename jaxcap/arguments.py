@@ -11,6 +11,7 @@ import functools
 import inspect
 import numbers
 import os
+import sys
 import types
 import typing
 from collections.abc import Callable
@@ -111,8 +112,26 @@ def checked(function: Function) -> Function:
                 raise
             # the name becomes that of the outermost function, which the user has called
             raise InputError(user_message(error), name) from None
+        except TypeError as error:
+            traced = _traced_arguments(error, given)
+            if not traced:
+                raise
+            raise InputError(
+                f"{name}: `{traced[0]}` is traced by jit, grad or vmap, and parts of this function run in NumPy. Call it "
+                "outside of them; solve, solve_sequence and solve_calibration have derivatives."
+            ) from None
 
     return typing.cast(Function, wrapper)
+
+
+def _traced_arguments(error: TypeError, given: dict[str, Any]) -> list[str]:
+    """List the arguments with traced arrays, if these are the reason of an error."""
+    # JAX is loaded where it has raised an error
+    jax = sys.modules.get("jax")
+    if jax is None or not isinstance(error, jax.errors.JAXTypeError):
+        return []
+    is_traced = lambda leaf: isinstance(leaf, jax.core.Tracer)  # noqa: E731
+    return [key for key, value in given.items() if any(map(is_traced, jax.tree.leaves(value)))]
 
 
 def describe_signature(signature: inspect.Signature) -> str:
@@ -130,7 +149,8 @@ def describe(value: Any) -> str:
     if isinstance(value, (str, Path)):
         return f"is {str(value)[:40]!r}"
     if _is_array(value):
-        return f"is {_with_article(_dtype_name(value))} array of shape {_shape(value)}"
+        traced = "traced " if "Tracer" in type(value).__name__ else ""
+        return f"is {_with_article(traced + _dtype_name(value))} array of shape {_shape(value)}"
     if isinstance(value, type):
         return f"is the class {value.__name__} itself"
     return f"is {_with_article(type(value).__name__)}"

@@ -83,11 +83,16 @@ def fit_model(
     `start` poses stacked over the meshes; a vertex that is not finite in a mesh does not count there; `terms` are further
     energies of the posed body, in units of `fit_meshes`.
 
+    It has no derivatives; those of the minimum are of `solve_sequence` with `model_coefficients`.
+
     **Raises:** `InputError` where the meshes have other vertices than the model, or no mesh is given.
     """
     check_mesh_sequence(model.template, sequence)
     dtype = model.template.vertices.dtype
     positions = sequence.vertices.astype(dtype)
+    if start is not None and start.scale.shape != (len(sequence),):
+        given = "a single pose" if start.scale.ndim == 0 else f"{len(start.scale)} poses"
+        raise ValueError(f"`start` is {given}; expected one for each of {len(sequence)} meshes, stacked.")
     poses = procrustes_poses(model.template, sequence) if start is None else start
     own = sum_user_terms("fit_model", terms, model.template)
     few = _take_samples(model)

@@ -1,5 +1,6 @@
 """Body models fitted to registered meshes: exact data, noise, missing vertices, one person or many."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -80,3 +81,29 @@ def test_meshes_of_another_body_are_told(rng):
         jc.fit_model(MODEL, fewer)
     with pytest.raises(jc.InputError, match="There is no mesh to fit"):
         jc.fit_model(MODEL, jc.MeshSequence(sequence.vertices[:0], sequence.faces, 30.0))
+
+
+@pytest.mark.parametrize(
+    ("start", "reason"),
+    [
+        (None, "`sequence` is traced by jit, grad or vmap"),
+        ("given", "the steps of this fit have no derivatives"),
+    ],
+)
+def test_derivatives_are_refused_in_a_sentence(rng, start, reason):
+    sequence, _, poses = meshes(rng)
+    start = None if start is None else poses
+
+    def first(vertices):
+        moved = jc.MeshSequence(vertices, sequence.faces, 30.0)
+        return jc.fit_model(MODEL, moved, start=start).coefficients[0, 0]
+
+    with pytest.raises(jc.InputError, match=reason):
+        jax.grad(first)(sequence.vertices)
+
+
+def test_starts_are_one_for_each_mesh(rng):
+    sequence, _, poses = meshes(rng)
+    one = jc.Pose(poses.translations[0], poses.rotations[0], poses.scale[0])
+    with pytest.raises(jc.InputError, match="`start` is a single pose; expected one for each of 3 meshes"):
+        jc.fit_model(MODEL, sequence, start=one)

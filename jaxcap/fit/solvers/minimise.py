@@ -70,21 +70,35 @@ def minimise(
 ) -> Minimum:
     """Minimise `|r|^2` from a start near the minimum.
 
-    Derivatives through it are undefined; callers define those of the minimum.
+    It has no derivatives; `implicit_minimum` defines those of a minimum.
 
     **Arguments:** `solver`, one of this package or any of optimistix's, which works in `NUM_CHARTS` successive
     charts, each centred at the last result; the steps are shared among them. `damping` of the first step, in
     place of the solver's own: pass that of an earlier `Minimum` to continue from there.
 
     **Raises:** `InputError` for another type of solver, for a solver that needs all rows of the Jacobian
-    where a problem has none, and for one that ignores constraints where a problem has some.
+    where a problem has none, for one that ignores constraints where a problem has some, and where it is
+    differentiated.
     """
     _check_solver(problem, solver)
+    return _minimise_by(problem, start, solver, max_steps, damping)
+
+
+@eqx.filter_custom_jvp
+def _minimise_by(problem, start, solver: AnySolver, max_steps: int, damping) -> Minimum:
     # sums of squares are differences of large numbers, for which accelerators otherwise use fewer digits
     with jax.default_matmul_precision("highest"):
         if not isinstance(solver, AbstractManifoldSolver):
             return _minimise_flat(problem, start, solver, max_steps)
         return _minimise(problem, start, solver, max_steps, damping)
+
+
+@_minimise_by.def_jvp
+def _refuse_derivative(primals, tangents):
+    raise InputError(
+        "the steps of this fit have no derivatives; differentiate `solve`, `solve_sequence` or `solve_calibration`, "
+        "which have those of the minimum."
+    )
 
 
 def _minimise(problem, start, solver: AbstractManifoldSolver, max_steps: int, damping) -> Minimum:
