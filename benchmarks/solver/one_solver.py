@@ -38,7 +38,7 @@ from jaxcap.fit.sequences.unknowns import AbstractUnknown, JointCentres, RestVer
 from jaxcap.fit.solvers.gauss_newton import GaussNewton
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.skeleton.joints import make_curvature
+from jaxcap.learn.skeleton.joints import JointProblem, make_curvature
 from jaxcap.learn.skeleton.solve_joints import solve_joints
 from jaxcap.markers.calibration.calibration_parameters import TemplatePrior, solved_joints
 from jaxcap.markers.calibration.calibration_problem import CalibrationEstimate, make_calibration_problem
@@ -237,7 +237,8 @@ def learning_recipe() -> dict[str, float]:
     @eqx.filter_jit
     def places(changes, body, poses):
         there = eqx.tree_at(lambda m: m.alpha, metric, metric.alpha * (1.0 + changes[0]))
-        found = solve_joints(body, poses, targets.at[2, 700, 1].add(changes[1]), there, curvature, 200)
+        problem = JointProblem(body, targets.at[2, 700, 1].add(changes[1]), there, curvature)
+        found = solve_joints(problem, poses, 200)
         return posed_vertices(found.body, found.poses)[:, ::50], found
 
     zero = jnp.zeros(2)

@@ -1,6 +1,9 @@
 """Adapt a template body to the actor in a sequence of scans."""
 
+from .objective import CoefficientPrior as CoefficientPrior
 from .objective import PoseTerms as PoseTerms
+from .objective import shared_problem as shared_problem
+from .objective import window_problem as window_problem
 from .poses.sliding_window import smooth_poses as smooth_poses
 from .registration.collect import RegisteredMeshes as RegisteredMeshes
 from .registration.collect import collect_registered as collect_registered

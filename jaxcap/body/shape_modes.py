@@ -1,10 +1,13 @@
 """Linear shape modes: joint displacements and vertex displacements of a body at rest, with common coefficients."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..errors import InputError
 from .body import Body
 from .skeleton import Skeleton
 
@@ -43,6 +46,46 @@ def joint_modes(body: Body, move_surface: bool = True) -> ShapeModes:
     vertices = np.einsum("vj,ab->javb", shares, axes).reshape(-1, len(shares), 3)
     dtype = body.vertices.dtype
     return ShapeModes(jnp.asarray(centres, dtype), jnp.asarray(vertices, dtype))
+
+
+def bone_length_modes(body: Body, groups: Sequence[Sequence[int]], move_surface: bool = True) -> ShapeModes:
+    """Create a mode for each group of joints: its coefficient is the relative change of the lengths of the bones from their
+    parents to them.
+
+    Bones keep their directions at rest, and all that is below moves along. Lengths are linear in the coefficients, also those
+    of nested bones. `move_surface` as of `joint_modes`.
+
+    **Raises:** `InputError` for a joint that does not exist, that has no parent, or that is at the same position as it.
+    """
+    skeleton = body.skeleton
+    centres, parents = np.asarray(skeleton.centres, float), skeleton.parents
+    shifts = np.zeros((len(groups), skeleton.num_joints, 3))
+    for group, joints in enumerate(groups):
+        for joint in joints:
+            _check_bone(skeleton, joint)
+            bone = centres[joint] - centres[parents[joint]]
+            shifts[group] += np.outer(skeleton.descendants[joint], bone)
+    shares = (
+        _displacement_weights(body) if move_surface else np.zeros((len(body.vertices), skeleton.num_joints))
+    )
+    dtype = body.vertices.dtype
+    return ShapeModes(
+        jnp.asarray(shifts, dtype), jnp.asarray(np.einsum("vj,kja->kva", shares, shifts), dtype)
+    )
+
+
+def _check_bone(skeleton: Skeleton, joint: int) -> None:
+    if not 0 <= joint < skeleton.num_joints:
+        raise InputError(
+            f"bone lengths: there is no joint {joint}; the body has {skeleton.num_joints}, from 0."
+        )
+    parent = skeleton.parents[joint]
+    if parent < 0:
+        raise InputError(f"bone lengths: {skeleton.names[joint]} has no parent, so no bone ends there.")
+    if not np.linalg.norm(np.asarray(skeleton.centres[joint] - skeleton.centres[parent])) > 0:
+        raise InputError(
+            f"bone lengths: {skeleton.names[joint]} is at the same position as its parent {skeleton.names[parent]}; leave it out."
+        )
 
 
 def _displacement_weights(body: Body) -> Float[np.ndarray, "V J"]:

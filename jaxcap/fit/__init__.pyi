@@ -40,6 +40,7 @@ from .free_surface.register_surface import register_surface as register_surface
 from .jacobian_check import check_jacobian as check_jacobian
 from .linear_solvers.structured import StructuredCholesky as StructuredCholesky
 from .pose_problem import PoseProblem as PoseProblem
+from .sequences.poses_and_shared import AbstractPosesAndShared as AbstractPosesAndShared
 from .sequences.sequence_problem import SequenceEstimate as SequenceEstimate
 from .sequences.sequence_problem import SequenceProblem as SequenceProblem
 from .sequences.solve_sequence import SequenceSolution as SequenceSolution
@@ -54,6 +55,8 @@ from .sequences.unknowns import RestVertices as RestVertices
 from .sequences.unknowns import ShapeCoefficients as ShapeCoefficients
 from .sequences.unknowns import Size as Size
 from .sequences.unknowns import SkinningWeights as SkinningWeights
+from .sequences.unknowns import bone_lengths as bone_lengths
+from .sequences.unknowns import model_coefficients as model_coefficients
 from .solve import Solution as Solution
 from .solvers.gauss_newton import GaussNewton as GaussNewton
 from .solvers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt

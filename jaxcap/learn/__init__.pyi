@@ -12,7 +12,10 @@ from .learn_body import LearnState as LearnState
 from .people.learn_people import LearnedPeople as LearnedPeople
 from .people.learn_people import PeopleState as PeopleState
 from .people.learn_people import learn_people as learn_people
+from .skeleton.joints import JointProblem as JointProblem
+from .skeleton.joints import JointState as JointState
 from .skeleton.solve_joints import JointSolution as JointSolution
+from .skeleton.solve_joints import make_joint_problem as make_joint_problem
 from .skeleton.solve_joints import solve_joints as solve_joints
 from .symmetry.find_symmetry import find_symmetry as find_symmetry
 from .symmetry.surface_symmetry import SurfaceSymmetry as SurfaceSymmetry

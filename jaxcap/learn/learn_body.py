@@ -15,7 +15,7 @@ from ..body.pose import Motion, Pose
 from ..body.skeleton import Skeleton
 from ..compiled import forget_many_compiled
 from ..energy.check_energies import UserTerms, sum_user_terms
-from ..energy.energy import AbstractEnergy, sum_energies, weighted
+from ..energy.energy import AbstractEnergy, sum_energies
 from ..fit.precision import with_precision
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
@@ -32,7 +32,7 @@ from .initialise import (
 )
 from .joint_exchange.exchange_joints import exchange_joints
 from .joint_exchange.insert_and_remove import EditedBody
-from .objective import objective
+from .objective import in_units_of_vertices, objective
 from .parts.find_parts import MAX_SYMMETRY_COST
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
@@ -54,8 +54,6 @@ MIN_DECREASE = 8e-3
 COARSE_SHARE = 2 / 3
 #: below this alpha, bodies with a linear skin are learned by variable projection
 MAX_PROJECTION_ALPHA = 1.0
-#: the weight of a unit of a user's energy for each vertex, metres squared
-UNIT = 1e-3**2
 #: initial damping for joints and poses
 FIRST_DAMPING = 1e-3
 #: updates of joints and poses, some steps each: before the first round, and in each round
@@ -182,7 +180,7 @@ def learn_body(
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("transferring the body to all vertices")
         state = state._replace(body=_refine(state, meshes, coarse, loose))
-    energies = None if whole is None else weighted(UNIT * meshes.vertices.shape[1], whole)
+    energies = in_units_of_vertices(whole, meshes.vertices.shape[1])
     fine = _stage(meshes, alpha, "", energies, mirror)
     # no exchange on the fine mesh after one on the coarse mesh
     if not (thinned and loose):

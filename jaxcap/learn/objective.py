@@ -7,8 +7,16 @@ from jaxtyping import Array, Float
 
 from ..body.body import Body, pose_body
 from ..body.pose import Pose
-from ..energy.energy import AbstractEnergy
+from ..energy.energy import AbstractEnergy, weighted
 from ..geometry.laplacian import Conformance, energy
+
+#: the weight of a unit of a user's energy for each vertex, metres squared
+UNIT = 1e-3**2
+
+
+def in_units_of_vertices(terms: AbstractEnergy | None, num_vertices: int) -> AbstractEnergy | None:
+    """Scale a user's energies: one unit then weighs as much as a mean vertex error of a millimetre."""
+    return None if terms is None else weighted(UNIT * num_vertices, terms)
 
 
 @eqx.filter_jit

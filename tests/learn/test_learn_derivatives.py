@@ -9,7 +9,7 @@ import optimistix as optx
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.geometry.laplacian import make_conformance
-from jaxcap.learn.skeleton.joints import make_curvature
+from jaxcap.learn.skeleton.joints import JointProblem, make_curvature
 from jaxcap.learn.skeleton.solve_joints import solve_joints
 from tests.learn.test_learn_projection import arm
 
@@ -24,7 +24,7 @@ def test_joints_and_poses_by_targets_weights_and_rest_vertices(rng):
     @eqx.filter_jit
     def told(targets, weights, rest):
         there = eqx.tree_at(lambda b: (b.skin, b.vertices), body, (jc.LinearSkin(weights), rest))
-        found = solve_joints(there, poses, targets, metric, curvature)
+        found = solve_joints(JointProblem(there, targets, metric, curvature), poses)
         turns = jnp.abs(found.poses.rotations)
         return jnp.vdot(pick[0], found.body.skeleton.centres) + jnp.vdot(pick[1], turns), found.result
 

@@ -106,7 +106,7 @@ REFUSED = [
     (lambda: jc.edit.make_constraints(BODY, [jc.edit.Constraint(V, (0.0, 0.0, 0.0))]), "make_constraints: There is a constraint on vertex"),
     (lambda: jc.limits.make_joint_ranges(SKELETON, {"knee": [(0, 1)]}), "make_joint_ranges: There is a range for joint 'knee'"),
     (lambda: jc.adapt_body(BODY), "adapt_body: `task` is a Body; expected an AdaptTask"),
-    (lambda: jc.learn.solve_joints(BODY, POSE), "solve_joints: missing a required argument: 'targets'; expected arguments: body, poses,"),
+    (lambda: jc.learn.make_joint_problem(BODY), "make_joint_problem: missing a required argument: 'targets'; expected arguments: body, targets,"),
 ]  # fmt: skip
 
 

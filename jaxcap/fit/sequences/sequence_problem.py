@@ -23,8 +23,8 @@ from ..linearise import BodyTangent, body_tangent
 from ..pose_problem import pose_scales
 from ..solvers.descent import ConstrainedInfo, StepConstraints
 from ..solvers.equalities import Equalities
-from ..solvers.least_squares_problem import AbstractProblem
 from .neighbours import window_equations, window_residuals
+from .poses_and_shared import AbstractPosesAndShared
 from .unknowns import AbstractUnknown, make_body, split_tangent
 
 #: iterations that make mirrored bones equally long
@@ -42,7 +42,7 @@ class SequenceEstimate(eqx.Module):
 SequenceTangent = tuple[Float[Array, "F D"], Float[Array, "S"]]
 
 
-class SequenceProblem(AbstractProblem[SequenceEstimate]):
+class SequenceProblem(AbstractPosesAndShared[SequenceEstimate]):
     """The problem of finding the poses of F frames, and their shared unknowns, that minimise a sum of
     energies.
 
@@ -215,6 +215,20 @@ class SequenceProblem(AbstractProblem[SequenceEstimate]):
                 jnp.einsum("fai,fa->fi", turn, sides, precision="highest"),
             )
         return value, (sides, side), arrow
+
+    def skeleton_of_poses(self):
+        return self.body.skeleton
+
+    def shared_names(self):
+        sizes = {name: self.unknowns[name].size(self.body) for name in sorted(self.unknowns)}
+        return tuple(f"{name}[{number}]" for name, size in sizes.items() for number in range(size))
+
+    def residual_variance(self, y: SequenceEstimate, energy: Float[Array, ""]):
+        rows = jax.eval_shape(self.residual, y).shape[0]
+        return energy / max(rows - self.num_frames * self.body.skeleton.num_dofs - self.num_shared, 1)
+
+    def pose_bases(self, y: SequenceEstimate):
+        return None if self.boxes is None else self.charts(y.poses).basis
 
     def _retract_values(self, values: dict[str, Any], d: Float[Array, "S"]) -> dict[str, Any]:
         parts = split_tangent(self.body, self.unknowns, d)

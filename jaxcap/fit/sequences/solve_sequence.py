@@ -36,6 +36,11 @@ class SequenceSolution(eqx.Module):
     #: function theorem hold
     trustworthy: Bool[Array, ""]
 
+    @property
+    def estimate(self) -> SequenceEstimate:
+        """The unknowns at the solution."""
+        return SequenceEstimate(self.poses, self.values)
+
 
 @checked
 def solve_sequence(

@@ -16,8 +16,7 @@ from ...body.skeleton import dof_layout
 from ...errors import InputError
 from ..linear_solvers.cholesky import diagonal_scale
 from ..solvers.implicit import free_unknowns
-from .sequence_problem import SequenceEstimate, SequenceProblem
-from .solve_sequence import SequenceSolution
+from .poses_and_shared import AbstractPosesAndShared, PosesAndSharedSolution
 
 #: a coordinate is unobservable if its variance, on a unit diagonal, is above this share of the largest
 #: resolvable one
@@ -49,17 +48,20 @@ class SequenceUncertainty(eqx.Module):
 
 @checked
 def sequence_uncertainty(
-    problem: SequenceProblem,
-    solution: SequenceSolution,
+    problem: AbstractPosesAndShared,
+    solution: PosesAndSharedSolution,
     variance: float | Float[Array, ""] | None = None,
     tolerance: float | None = None,
 ) -> SequenceUncertainty:
-    """Compute the first-order uncertainty of a solved sequence, within the problem's bounds and equalities.
+    """Compute the first-order uncertainty of the poses of all frames and of what they share, within the
+    problem's bounds and equalities.
 
     These are the diagonal blocks of `variance (J^T J)^-1`; the rest of it is not formed.
 
-    **Arguments:** `variance` is that of one component of the residual; where not given it is estimated as
-    `|r|^2 / (R - N)`. A direction of the shared unknowns counts as unobservable where its curvature, with
+    **Arguments:** a `SequenceProblem` with the solution of `solve_sequence`, a `CalibrationProblem` with that of
+    `solve_calibration`, or a `JointProblem` with that of `solve_joints`. `variance` is that of one component of
+    the residual; where not given it is estimated as `|r|^2 / (R - N)`, and in a calibration, whose residuals
+    are in standard deviations, it is the number of frames that count as one observation. A direction of the shared unknowns counts as unobservable where its curvature, with
     free poses, is below `tolerance` times the largest on a unit diagonal; where not given that is the
     rounding error of zero. Coordinates with a part in such a direction have an infinite variance.
 
@@ -67,29 +69,24 @@ def sequence_uncertainty(
     """
     if not isinstance(solution.energy, Tracer) and not np.isfinite(solution.energy):
         raise InputError(
-            "sequence_uncertainty: the solution's energy is not finite; check the data for NaN, and "
-            "`SequenceSolution.result`."
+            "sequence_uncertainty: the solution's energy is not finite; check the data for NaN, and the `result` "
+            "of the solution."
         )
-    estimate = SequenceEstimate(solution.poses, solution.values)
-    rows = jax.eval_shape(problem.residual, estimate).shape[0]
-    frames, dofs, count = problem.num_frames, problem.body.skeleton.num_dofs, problem.num_shared
+    skeleton = problem.skeleton_of_poses()
     if variance is None:
-        variance = solution.energy / max(rows - frames * dofs - count, 1)
-    dtype = problem.body.vertices.dtype
+        variance = problem.residual_variance(solution.estimate, solution.energy)
+    dtype = skeleton.centres.dtype
     if tolerance is None:
-        tolerance = max(dofs, 10) * float(jnp.finfo(dtype).eps)
-    found = _covariance_blocks(problem, estimate, jnp.asarray(variance, dtype), jnp.asarray(tolerance, dtype))
-    names = tuple(
-        f"{name}[{number}]"
-        for name in sorted(problem.unknowns)
-        for number in range(problem.unknowns[name].size(problem.body))
+        tolerance = max(skeleton.num_dofs, 10) * float(jnp.finfo(dtype).eps)
+    found = _covariance_blocks(
+        problem, solution.estimate, jnp.asarray(variance, dtype), jnp.asarray(tolerance, dtype)
     )
-    return SequenceUncertainty(*found, solution.trustworthy, names)
+    return SequenceUncertainty(*found, solution.trustworthy, problem.shared_names())
 
 
 @eqx.filter_jit
 @jax.default_matmul_precision("highest")
-def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, tolerance):
+def _covariance_blocks(problem: AbstractPosesAndShared, y: Any, variance, tolerance):
     info = problem.information(y)
     arrow: Any = info.hessian
     units = problem.scales()
@@ -118,8 +115,8 @@ def _covariance_blocks(problem: SequenceProblem, y: SequenceEstimate, variance, 
     poses, still = mask_unobservable(poses, free[0], tolerance)
     shared, _ = mask_unobservable(shared, free[1], tolerance)
     poses = variance * poses * outer(x * units[0])
-    if problem.boxes is not None:
-        turn = problem.charts(y.poses).basis
+    turn = problem.pose_bases(y)
+    if turn is not None:
         poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
     return poses, variance * shared * outer(s * units[1]), directions, unobservable, still
 
@@ -177,7 +174,7 @@ def outer(scale: Float[Array, "*F N"]) -> Float[Array, "*F N N"]:
 
 
 @checked
-def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> list[str]:
+def describe_sequence(problem: AbstractPosesAndShared, result: SequenceUncertainty) -> list[str]:
     """Describe the unobservable parts of a solution, a line each.
 
     A line for each unobservable direction of the shared unknowns, for each coordinate of a pose that no
@@ -192,7 +189,7 @@ def describe_sequence(problem: SequenceProblem, result: SequenceUncertainty) -> 
         parts = [f"{direction[k]:+.2f} {result.names[k]}" for k in largest if abs(direction[k]) > 0.1]
         lines.append("The data do not determine " + ", ".join(parts) + ".")
     still = np.asarray(result.unobservable_poses)
-    for number, name in enumerate(dof_layout(problem.body.skeleton).names):
+    for number, name in enumerate(dof_layout(problem.skeleton_of_poses()).names):
         frames = np.flatnonzero(still[:, number])
         if len(frames) == len(still):
             lines.append(f"The data do not determine {name} in any frame.")

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ...arguments import check_fields
 from ...body.body import Body, scale_body
 from ...body.body_model import BodyModel
-from ...body.shape_modes import ShapeModes, apply_modes
+from ...body.shape_modes import ShapeModes, apply_modes, bone_length_modes
 from ...errors import InputError
 from ...geometry import rotation
 
@@ -175,6 +175,37 @@ def model_coefficients(model: BodyModel) -> ShapeCoefficients:
         None if end is None else end - model.template_coefficients for end in (model.lowest, model.highest)
     )
     return ShapeCoefficients(model.modes, low, high)
+
+
+def bone_lengths(
+    body: Body,
+    joints: Sequence[int | Sequence[int]] | None = None,
+    *,
+    move_surface: bool = True,
+    largest_change: float | None = 0.5,
+) -> ShapeCoefficients:
+    """Make the unknown of relative changes of bone lengths, each from a joint's parent to the joint; directions at rest stay.
+
+    **Arguments:** `joints` J; several joints in one entry, such as left and right, have one common change; by default each bone
+    with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length changes by
+    more than the share `largest_change`; None for no bounds.
+
+    **Raises:** `InputError` for joints without a bone, and for a change that is not above 0.
+    """
+    if largest_change is not None and not largest_change > 0:
+        raise InputError(f"bone_lengths: `largest_change` is {largest_change:g}; expected a share above 0.")
+    if joints is None:
+        skeleton = body.skeleton
+        centres = np.asarray(skeleton.centres)
+        joints = [
+            joint
+            for joint, parent in enumerate(skeleton.parents)
+            if parent >= 0 and np.linalg.norm(centres[joint] - centres[parent]) > 0
+        ]
+    groups = [[each] if isinstance(each, int) else list(each) for each in joints]
+    modes = bone_length_modes(body, groups, move_surface)
+    end = None if largest_change is None else jnp.full(len(groups), largest_change, body.vertices.dtype)
+    return ShapeCoefficients(modes, None if end is None else -end, end)
 
 
 class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):

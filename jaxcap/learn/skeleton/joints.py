@@ -21,9 +21,9 @@ from ...fit.frame_equations import frame_equations
 from ...fit.linear_solvers.block_arrow import BlockArrow, Unknowns
 from ...fit.linear_solvers.block_banded import BlockBanded
 from ...fit.linearise import body_tangent
+from ...fit.sequences.poses_and_shared import AbstractPosesAndShared
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
-from ...fit.solvers.least_squares_problem import AbstractProblem
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import minimise
 from ...geometry import rotation
@@ -81,7 +81,7 @@ class JointState(eqx.Module):
     poses: Pose
 
 
-class JointProblem(AbstractProblem[JointState]):
+class JointProblem(AbstractPosesAndShared[JointState]):
     """Half of Q as a function of joints and poses, with user-defined energies (Adaptation, 3.2.2).
 
     The unknowns are the parameters of all poses and, for each joint below a root, its centre and, if the skin
@@ -139,6 +139,17 @@ class JointProblem(AbstractProblem[JointState]):
         dtype = self.targets.dtype
         shape = len(self.targets), self.body.skeleton.num_dofs
         return jnp.ones(shape, dtype), jnp.ones(len(self.slots), dtype)
+
+    def skeleton_of_poses(self):
+        return self.body.skeleton
+
+    def shared_names(self):
+        numbers = (*(f"centre.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyz"))
+        return tuple(f"{self.body.skeleton.names[slot // 6]}.{numbers[slot % 6]}" for slot in self.slots)
+
+    def residual_variance(self, y: JointState, energy: Float[Array, ""]):
+        unknowns = len(self.targets) * self.body.skeleton.num_dofs + len(self.slots)
+        return energy / max(self.targets.size - unknowns, 1)
 
     def describe_constraints(self):
         lengths = ["bones of equal length"] if self.left_right_pairs else []

@@ -2,16 +2,19 @@
 
 import equinox as eqx
 import jax
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Pose
-from ...fit.solvers.implicit import implicit_minimum, is_trustworthy
+from ...energy.check_energies import UserTerms, sum_user_terms
+from ...fit.solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
-from ...geometry.laplacian import Conformance
-from .joints import Curvature, JointProblem, JointState
+from ...geometry.laplacian import make_conformance
+from ..objective import in_units_of_vertices
+from .joints import JointProblem, JointState, make_curvature
 
 
 class JointSolution(eqx.Module):
@@ -19,31 +22,47 @@ class JointSolution(eqx.Module):
 
     body: Body
     poses: Pose
+    #: Q at the solution, metres squared, with the energies of `terms`
+    energy: Float[Array, ""]
     #: `RESULTS.successful`, or the reason for a stop before convergence; derivatives are valid after
     #: convergence only
     result: optx.RESULTS
     #: true if the solver converged and hardly any decrease is left, so that derivatives are valid
     trustworthy: Bool[Array, ""]
 
+    @property
+    def estimate(self) -> JointState:
+        """The unknowns at the solution."""
+        return JointState(self.body.skeleton.centres, self.body.skeleton.orientations, self.poses)
+
 
 @checked
-def solve_joints(
-    body: Body,
-    poses: Pose,
-    targets: Float[Array, "F V 3"],
-    metric: Conformance,
-    curvature: Curvature,
-    max_steps: int = 64,
-) -> JointSolution:
-    """Minimise Q over joints and poses to convergence, for the weights and rest vertices of a body.
+def make_joint_problem(
+    body: Body, targets: Float[Array, "F V 3"], alpha: float = 100.0, terms: UserTerms = ()
+) -> JointProblem:
+    """Make the problem of joints and poses that `learn_body` solves in each round (Adaptation, 3.2.2), for the weights and
+    rest vertices of a body.
+
+    **Arguments:** registered vertices `targets`; `alpha`, the weight of the shape of the surface relative to the positions of
+    its vertices, and `terms`, as of `learn_body`.
+    """
+    metric = make_conformance(np.asarray(body.faces), len(body.vertices), alpha)
+    own = sum_user_terms("make_joint_problem", terms, body)
+    scaled = in_units_of_vertices(own, len(body.vertices))
+    return JointProblem(body, targets, metric, make_curvature(metric), terms=scaled)
+
+
+@checked
+def solve_joints(problem: JointProblem, poses: Pose, max_steps: int = 64) -> JointSolution:
+    """Minimise Q over joints and poses to convergence, from the joints of the problem's body.
 
     `jax.grad` and `jax.jvp` differentiate the solution by the implicit function theorem, with respect to
     weights, rest vertices, targets and metric. No such derivative exists where the motion does not determine
-    a joint. Left and right bones may differ in length.
+    a joint. Left and right bones may differ in length, except the problem's `left_right_pairs`.
     """
-    start = JointState(*jax.lax.stop_gradient((body.skeleton.centres, body.skeleton.orientations, poses)))
-    problem = JointProblem(body, targets, metric, curvature)
+    start = jax.lax.stop_gradient(problem.start(poses))
     solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)
     found = implicit_minimum(problem, start, solver, max_steps)
     trustworthy = is_trustworthy(problem, found)
-    return JointSolution(problem.body_at(found.y), found.y.poses, found.result, trustworthy)
+    energy = energy_at(problem, found.y)
+    return JointSolution(problem.body_at(found.y), found.y.poses, energy, found.result, trustworthy)

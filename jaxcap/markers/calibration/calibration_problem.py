@@ -18,6 +18,7 @@ from ...fit.frame_equations import frame_equations
 from ...fit.linear_solvers.block_arrow import BlockArrow, Unknowns
 from ...fit.linear_solvers.block_banded import BlockBanded
 from ...fit.linearise import BodyTangent, body_tangent
+from ...fit.sequences.poses_and_shared import AbstractPosesAndShared
 from ...fit.solvers.descent import ConstrainedInfo, StepConstraints
 from ...fit.solvers.equalities import Equalities
 from ...fit.solvers.least_squares_problem import AbstractNestedProblem
@@ -59,7 +60,9 @@ class CalibrationEstimate(eqx.Module):
     slides: Float[Array, "K M 3"]
 
 
-class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
+class CalibrationProblem(
+    AbstractNestedProblem[CalibrationEstimate], AbstractPosesAndShared[CalibrationEstimate]
+):
     """Find the subject and the poses that minimise robust squared marker residuals, in standard deviations.
 
     All frames share `s` of `jaxcap.markers.calibration.calibration_parameters`, then the slides. A marker's
@@ -131,6 +134,23 @@ class CalibrationProblem(AbstractNestedProblem[CalibrationEstimate]):
             equalities = Equalities(jnp.pad(rows, ((0, 0), (0, y.slides.size))), violation)
         constraints = StepConstraints(equalities=equalities)
         return ConstrainedInfo(value, gradient, hessian, constraints=constraints)  # pyright: ignore[reportCallIssue]
+
+    def skeleton_of_poses(self):
+        return self.template.skeleton
+
+    def shared_names(self):
+        joints = [f"centre of {self.template.skeleton.names[joint]}" for joint in self.joints]
+        markers = [f"marker {label}" for label in self.template.labels]
+        slides = [
+            f"sliding of {label} with feature {number}"
+            for number in range(self.skin_features.shape[2])
+            for label in self.template.labels
+        ]
+        return tuple(f"{name}.{axis}" for name in (*joints, *markers, *slides) for axis in "xyz")
+
+    def residual_variance(self, y: CalibrationEstimate, energy: Float[Array, ""]):
+        del y, energy
+        return self.frames_per_observation
 
     def improve_nested(self, y):
         """Take a step of each frame's pose by itself, where it lowers the energy.
