@@ -11,6 +11,7 @@ from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..body.retraction import project
+from ..body.skeleton import Skeleton
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
@@ -87,7 +88,8 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     """Estimate poses stacked over meshes, limb by limb, by orthogonal Procrustes (Adaptation, section 3.2.1).
 
     From the root on, each bone takes the rotation that best aligns its own vertices, weighted by its
-    influence on them, with their targets, as far as its joint's type allows. In NumPy and float64.
+    influence on them, with their targets, as far as its joint's type allows. Vertices of fixed joints count for
+    the bone that these move with. In NumPy and float64.
 
     A limb whose vertices are collinear, or that has none, follows its parent.
     """
@@ -98,6 +100,7 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
     whole = np.asarray(known[known.mean(1) > 0.5].all(0))
     positions = np.where(known[:, :, None], positions, 0.0)[:, whole]
     shares = np.asarray(body.skin.bone_weights(skeleton.num_joints), float).T[:, whole]
+    shares = np.equal.outer(np.arange(skeleton.num_joints), skeleton.moving_ancestors) @ shares
     moments = group_moments(shares, rest[whole], np.moveaxis(positions, 0, 1))
     mass = np.where(moments.mass > 0, moments.mass, 1.0)
     cross = moments.cross - moments.target[..., None] * (moments.source / mass[:, None])[:, None, None]
@@ -109,22 +112,42 @@ def procrustes_poses(body: Body, sequence: MeshSequence) -> Pose:
         before = trunk if parent < 0 else turns[parent]
         turns[joint] = nearest_rotation(cross[joint] + follow * before)
     centres = np.asarray(skeleton.centres, float)
-    translations, local = np.zeros((joints, frames, 3)), turns.copy()
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            local[joint] = np.swapaxes(turns[parent], -1, -2) @ turns[joint]
-        else:
-            arm = moments.source[joint] / mass[joint] - centres[joint]
-            translations[joint] = middles[joint] - turns[joint] @ arm - centres[joint]
+    translations = np.zeros((joints, frames, 3))
+    for joint in (joint for joint, parent in enumerate(skeleton.parents) if parent < 0):
+        arm = moments.source[joint] / mass[joint] - centres[joint]
+        translations[joint] = middles[joint] - turns[joint] @ arm - centres[joint]
     dtype = body.vertices.dtype
-    quaternions = rotation.from_matrix(jnp.asarray(np.swapaxes(local, 0, 1), dtype))
-    shifts = jnp.asarray(np.swapaxes(translations, 0, 1), dtype)
-    return _project_all(body.skeleton, Pose(shifts, quaternions, jnp.ones(frames, dtype)))
+    return _poses_of_rotations(
+        skeleton, *(jnp.asarray(np.swapaxes(part, 0, 1), dtype) for part in (translations, turns))
+    )
 
 
 @eqx.filter_jit
-def _project_all(skeleton, poses: Pose) -> Pose:
-    return jax.vmap(lambda pose: project(skeleton, pose))(poses)
+def _poses_of_rotations(
+    skeleton: Skeleton, translations: Float[Array, "F J 3"], turns: Float[Array, "F J 3 3"]
+) -> Pose:
+    """Compute the poses in which bones are rotated as by `turns`, as far as the types of the joints allow.
+
+    A joint is rotated relative to its parent as its type allows it to be rotated, not as `turns` has it.
+    """
+    levels, parents = skeleton.depths, np.maximum(skeleton.parents, 0)
+    below = (levels > 0)[:, None, None]
+
+    def pose(shifts: Float[Array, "J 3"], turns: Float[Array, "J 3 3"]) -> Pose:
+        scale, one = jnp.ones((), shifts.dtype), jnp.eye(3, dtype=shifts.dtype)
+
+        def descend(level, carry: tuple[Float[Array, "J 3 3"], Pose]):
+            allowed, _ = carry
+            before = jnp.where(below, allowed[parents], one)
+            local = rotation.from_matrix(jnp.swapaxes(before, 1, 2) @ turns)
+            found = project(skeleton, Pose(shifts, local, scale))
+            reached = before @ rotation.to_matrix(found.rotations)
+            return jnp.where((levels == level)[:, None, None], reached, allowed), found
+
+        start = turns, Pose(shifts, rotation.from_matrix(turns), scale)
+        return jax.lax.fori_loop(0, levels.max() + 1, descend, start)[1]
+
+    return jax.vmap(pose)(translations, turns)
 
 
 @eqx.filter_jit

@@ -7,8 +7,8 @@ import pytest
 from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
-from jaxcap.body.body import Body, posed_vertices
-from jaxcap.body.pose import stack_poses
+from jaxcap.body.body import Body, pose_body, posed_vertices
+from jaxcap.body.pose import stack_poses, take_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.errors import InputError
@@ -54,6 +54,22 @@ def test_procrustes_alone_is_exact_for_rigid_limbs(rng):
     best = Rotation.align_vectors(limb - limb.mean(0), rest - rest.mean(0))[0]
     w, x, y, z = np.asarray(found.rotations[2, 0])
     assert (Rotation.from_quat([x, y, z, w]) * best.inv()).magnitude() < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["fixed", "revolute"])
+def test_a_bone_is_rotated_as_its_vertices_below_a_joint_that_is_not(kind):
+    """In another shape the bone between is rotated as its joint, fixed or a hinge, does not allow."""
+    plain = ball_chain()
+    skeleton = make_skeleton(
+        list("abc"), [-1, 0, 1], ["free", kind, "ball"], [[0, 0, 0], [0, 0.4, 0], [0, 0.8, 0]]
+    )
+    body = Body(skeleton, plain.skin, plain.vertices, plain.faces)
+    turns = Rotation.from_rotvec([[0.0, 0.3, 0.2], [0.0, 0.5, -0.3], [0.7, 0.2, 0.1]])
+    limbs = np.asarray(body.vertices).reshape(3, 20, 3)
+    mesh = np.concatenate([turn.apply(limb) for turn, limb in zip(turns, limbs, strict=True)])
+    found = procrustes_poses(body, MeshSequence(mesh[None], body.faces))
+    posed = pose_body(body, take_poses(found, 0))
+    np.testing.assert_allclose(posed.transforms.rotations[2], turns[2].as_matrix(), atol=1e-5)
 
 
 def test_a_limb_without_vertices_follows_its_parent(rng):
