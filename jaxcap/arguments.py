@@ -20,7 +20,7 @@ from typing import Any, Literal, TypeVar, Union
 
 import numpy as np
 
-from .errors import InputError, is_user_error, user_message
+from .errors import InputError, TracedArgumentError, is_user_error, user_message
 
 Function = TypeVar("Function", bound=Callable)
 #: length of each named dimension, with the field or argument that has it
@@ -104,6 +104,10 @@ def checked(function: Function) -> Function:
         _check_joints(name, given)
         try:
             return function(*arguments, **named)
+        except TracedArgumentError as error:
+            # as above, with the argument of that function
+            traced = _traced_arguments(error, given)
+            raise (TracedArgumentError(traced[0], name) if traced else error) from None
         except ValueError as error:
             # an error of another class has fields of its own, and one without a function is of a file
             if type(error) not in (ValueError, InputError) or not is_user_error(error):
@@ -116,19 +120,16 @@ def checked(function: Function) -> Function:
             traced = _traced_arguments(error, given)
             if not traced:
                 raise
-            raise InputError(
-                f"{name}: `{traced[0]}` is traced by jit, grad or vmap, and parts of this function run in NumPy. Call it "
-                "outside of them; solve, solve_sequence and solve_calibration have derivatives."
-            ) from None
+            raise TracedArgumentError(traced[0], name) from None
 
     return typing.cast(Function, wrapper)
 
 
-def _traced_arguments(error: TypeError, given: dict[str, Any]) -> list[str]:
+def _traced_arguments(error: Exception, given: dict[str, Any]) -> list[str]:
     """List the arguments with traced arrays, if these are the reason of an error."""
     # JAX is loaded where it has raised an error
     jax = sys.modules.get("jax")
-    if jax is None or not isinstance(error, jax.errors.JAXTypeError):
+    if jax is None or not isinstance(error, (jax.errors.JAXTypeError, TracedArgumentError)):
         return []
     is_traced = lambda leaf: isinstance(leaf, jax.core.Tracer)  # noqa: E731
     return [key for key, value in given.items() if any(map(is_traced, jax.tree.leaves(value)))]

@@ -24,6 +24,17 @@ class NoPersonError(InputError):
     """A frame that shows no person; other frames of its sequence may be valid."""
 
 
+class TracedArgumentError(InputError):
+    """A traced argument of a function that runs in NumPy."""
+
+    def __init__(self, argument: str, function: str):
+        super().__init__(
+            f"`{argument}` is traced by jit, grad or vmap, and parts of this function run in NumPy. Call it outside of them; "
+            "`solve`, `solve_sequence`, `solve_calibration` and `solve_joints` have derivatives.",
+            function,
+        )
+
+
 def user_message(error: BaseException) -> str:
     """Return the message of an error without the name of a library function.
 

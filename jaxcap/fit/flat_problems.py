@@ -3,11 +3,11 @@
 from typing import Any
 
 from ..arguments import checked
-from ..body.pose import Motion, Pose
+from ..body.pose import Pose
 from ..energy.check_energies import check_energy_arrays
 from ..errors import InputError
 from .pose_problem import PoseProblem
-from .sequences.check_sequence import check_sequence
+from .sequences.check_sequence import check_sequence, check_values
 from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from .solvers.least_squares_problem import AbstractProblem
 from .solvers.single_chart import FlatProblem
@@ -35,8 +35,11 @@ def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
         if not isinstance(start, Pose) or start.scale.ndim:
             raise InputError("flat_problem: `start` is not the pose of one frame, as a PoseProblem needs.")
         check_energy_arrays(problem.energy, problem.body)
-    if isinstance(problem, SequenceProblem) and not isinstance(start, SequenceEstimate):
-        poses = start.poses if isinstance(start, Motion) else start
+    if isinstance(problem, SequenceProblem):
+        poses = start if isinstance(start, Pose) else start.poses
         check_sequence(problem, poses)
-        start = problem.start(poses)
+        if isinstance(start, SequenceEstimate):
+            check_values(problem, start)
+        else:
+            start = problem.start(poses)
     return FlatProblem(problem, start)

@@ -20,7 +20,7 @@ from jaxcap.energy.priors.reference_pose import RestPrior
 from jaxcap.errors import InputError
 from jaxcap.fit.flat_problems import flat_problem
 from jaxcap.fit.pose_problem import PoseProblem
-from jaxcap.fit.sequences.sequence_problem import SequenceProblem
+from jaxcap.fit.sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
@@ -149,6 +149,26 @@ def test_a_sequence_is_solved_by_linear_solvers_of_lineax(scene, linear_solver):
     bounded = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size(0.9, 1.02)})
     with pytest.raises(InputError, match="LevenbergMarquardt does not support constraints"):
         solve_sequence(bounded, poses, LevenbergMarquardt(linear_solver=linear_solver))
+    still = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()}, fixed=jnp.ones(1, bool))
+    with pytest.raises(InputError, match="solves equations without constraints"):
+        solve_sequence(still, poses, LevenbergMarquardt(linear_solver=linear_solver))
+    with pytest.raises(InputError, match="`relative` damps normal equations, which QR"):
+        LevenbergMarquardt(linear_solver=lx.QR(), relative=True)
+    with pytest.raises((InputError, TypeError), match="linear_solver"):
+        LevenbergMarquardt(linear_solver="cg")
+
+
+def test_a_start_without_an_unknown_is_refused(scene):
+    energy, start, _ = scene
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    problem = SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size()})
+    for solve_or_flatten in (solve_sequence, flat_problem):
+        with pytest.raises(
+            InputError, match="the values are of nothing; expected those of the unknowns size"
+        ):
+            solve_or_flatten(problem, SequenceEstimate(poses, {}))
+        with pytest.raises(InputError, match=r"the value of 'size' has the shape \(2,\); expected \(\)"):
+            solve_or_flatten(problem, SequenceEstimate(poses, {"size": jnp.zeros(2)}))
 
 
 def test_a_flat_sequence_starts_from_a_motion(scene):

@@ -8,7 +8,7 @@ from helpers import chain_body, random_pose
 from scipy.spatial.transform import Rotation
 
 from jaxcap.body.body import Body, pose_body, posed_vertices
-from jaxcap.body.pose import stack_poses, take_poses
+from jaxcap.body.pose import Motion, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import RigidSkin
 from jaxcap.errors import InputError
@@ -65,10 +65,10 @@ def test_a_bone_is_rotated_as_its_vertices_below_a_joint_that_is_not(kind):
     )
     body = Body(skeleton, plain.skin, plain.vertices, plain.faces)
     turns = Rotation.from_rotvec([[0.0, 0.3, 0.2], [0.0, 0.5, -0.3], [0.7, 0.2, 0.1]])
-    limbs = np.asarray(body.vertices).reshape(3, 20, 3)
+    limbs = np.array(body.vertices).reshape(3, 20, 3)
     mesh = np.concatenate([turn.apply(limb) for turn, limb in zip(turns, limbs, strict=True)])
     found = procrustes_poses(body, MeshSequence(mesh[None], body.faces))
-    posed = pose_body(body, take_poses(found, 0))
+    posed = pose_body(body, Motion(found)[0])
     np.testing.assert_allclose(posed.transforms.rotations[2], turns[2].as_matrix(), atol=1e-5)
 
 

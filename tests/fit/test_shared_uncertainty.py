@@ -1,5 +1,7 @@
 """Uncertainty of calibrations and of learned joints, against the dense inverse; bone lengths as unknowns."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,13 +10,14 @@ from helpers import chain_body, random_pose
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.body.pose import stack_poses
+from jaxcap.geometry.laplacian import apply_conformance
 from tests.learn.test_learn_projection import arm
 from tests.markers.test_markers_problem import scene
 
 
 def dense_blocks(problem, y):
     """The diagonal blocks of the inverse of the whole matrix, on its equalities."""
-    info = problem.information(y)
+    info = problem.information_of_data(y)
     whole = np.linalg.inv(np.asarray(info.hessian.as_matrix()))
     frames, dofs = info.hessian.diagonal()[0].shape
     if info.constraints is not None and info.constraints.equalities is not None:
@@ -30,16 +33,60 @@ def test_a_calibration_has_an_uncertainty(rng):
     found = jc.markers.solve_calibration(problem, y)
     known = jc.fit.sequence_uncertainty(problem, found)
     poses, shared = dense_blocks(problem, found.estimate)
-    factor = float(problem.frames_per_observation)
-    np.testing.assert_allclose(known.poses, factor * poses, rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose(known.shared, factor * shared, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(known.poses, poses, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(known.shared, shared, rtol=1e-5, atol=1e-12)
+    # frames that are not independent tell less of what they share
+    fewer = eqx.tree_at(lambda p: p.frames_per_observation, problem, jnp.asarray(4.0))
+    lasting = jc.fit.sequence_uncertainty(fewer, jc.markers.solve_calibration(fewer, y))
+    assert 1.2 < np.median(np.diagonal(lasting.shared) / np.diagonal(known.shared)) < 5
+    ratios = np.diagonal(lasting.poses, axis1=1, axis2=2) / np.diagonal(known.poses, axis1=1, axis2=2)
+    assert 1.0 < np.median(ratios) < 2
     assert len(known.names) == known.shared.shape[0]
     assert known.names[0].startswith("centre of ") and known.names[-1].startswith("sliding of ")
     assert jc.fit.describe_sequence(problem, known) == []
 
 
+def test_a_frame_without_markers_is_named(rng):
+    problem, y = scene(rng)
+    hidden = eqx.tree_at(lambda p: p.seen, problem, problem.seen.at[0].set(False))
+    known = jc.fit.sequence_uncertainty(hidden, jc.markers.solve_calibration(hidden, y))
+    assert known.unobservable_poses[0].any() and not known.unobservable_poses[1:].any()
+    lines = jc.fit.describe_sequence(hidden, known)
+    assert lines and all("in frames 0" in line for line in lines)
+
+
+def test_deviations_of_learned_joints_are_their_spread(rng):
+    """For errors that are smooth over the surface, with the inverse of the metric as covariance."""
+    body, poses = arm(rng, 5)
+    clean = posed_vertices(body, poses)
+    problem = jc.learn.make_joint_problem(body, clean, alpha=10.0)
+    root = np.linalg.cholesky(
+        np.linalg.inv(
+            jax.vmap(lambda e: apply_conformance(problem.metric, e[:, None])[:, 0])(
+                np.eye(len(body.vertices))
+            )
+        )
+    )
+
+    @eqx.filter_jit
+    def solve(targets):
+        moved = eqx.tree_at(lambda p: p.targets, problem, targets)
+        found = jc.learn.solve_joints(moved, poses)
+        known = jc.fit.sequence_uncertainty(moved, found)
+        return found.body.skeleton.centres[1:].reshape(-1), jnp.diagonal(known.shared)
+
+    noise = 1e-3 * np.einsum("vw,nfwa->nfva", root, rng.normal(size=(40, *clean.shape)))
+    centres, variances = (
+        np.array(part) for part in zip(*(solve(clean + each) for each in noise), strict=True)
+    )
+    rows = [number for number, name in enumerate(problem.shared_names()) if "centre" in name]
+    spread, told = centres.std(0), np.sqrt(np.median(variances[:, rows], 0))
+    assert np.isfinite(told).sum() >= 3
+    seen = np.isfinite(told)
+    assert 0.7 < np.median(told[seen] / spread[seen]) < 1.4
+
+
 def test_learned_joints_have_an_uncertainty(rng):
-    """The position of a hinge along its axis is observable by nothing, and is named."""
     body, poses = arm(rng, 5)
     targets = posed_vertices(body, poses) + 1e-3 * rng.normal(size=(5, len(body.vertices), 3))
     problem = jc.learn.make_joint_problem(body, targets, alpha=1.0)
@@ -80,7 +127,14 @@ def test_bone_lengths_are_found_with_the_poses(rng):
 
 @pytest.mark.parametrize(
     ("joints", "word"),
-    [([0], "has no parent"), ([99], "there is no joint 99"), ([(1, -1)], "there is no joint -1")],
+    [
+        ([0], "has no parent"),
+        ([99], "there is no joint 99"),
+        ([(1, -1)], "there is no joint -1"),
+        ([3, (2, 3)], "twice; expected each joint once"),
+        ([3, ()], "an entry without joints"),
+        (["knee"], "there is no joint 'knee'"),
+    ],
 )
 def test_bones_that_are_none_are_refused(joints, word):
     with pytest.raises(jc.InputError, match=word):

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
+import pytest
 
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
@@ -42,3 +43,22 @@ def test_joints_and_poses_by_targets_weights_and_rest_vertices(rng):
         # without the error of the second order
         differences = (8 * (at(step) - at(-step)) - (at(2 * step) - at(-2 * step))) / (12 * step)
         np.testing.assert_allclose(jnp.vdot(slope, direction), differences, rtol=1e-5)
+
+
+def test_what_cannot_be_solved_is_a_sentence(rng):
+    body, poses = arm(rng, 5)
+    targets = posed_vertices(body, poses)
+    for wrong, word in (
+        (lambda: jc.learn.make_joint_problem(body, targets[:, 1:]), "vertices; expected the"),
+        (lambda: jc.learn.make_joint_problem(body, targets.at[0, 0].set(jnp.nan)), "not finite"),
+        (
+            lambda: solve_joints(jc.learn.make_joint_problem(body, targets[:3]), poses),
+            "5 poses; expected one for each of 3",
+        ),
+        (
+            lambda: solve_joints(jc.learn.make_joint_problem(body, targets), poses, max_steps=0),
+            "`max_steps` is 0",
+        ),
+    ):
+        with pytest.raises(jc.InputError, match=word):
+            wrong()

@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
@@ -34,6 +35,23 @@ def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
     with explain_errors(first, problem.body):
         _check_dependence(problem, start)
     _check_bounds(problem, start)
+
+
+def check_values(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    """Check that an estimate has a value for each unknown. Raises `InputError`."""
+    if set(start.values) != set(problem.unknowns):
+        raise InputError(
+            f"SequenceEstimate: the values are of {', '.join(sorted(start.values)) or 'nothing'}; expected those of the unknowns "
+            f"{', '.join(sorted(problem.unknowns)) or 'none'}."
+        )
+    for name, unknown in problem.unknowns.items():
+        given, needed = (
+            jax.tree.map(jnp.shape, each) for each in (start.values[name], unknown.start(problem.body))
+        )
+        if given != needed:
+            raise InputError(
+                f"SequenceEstimate: the value of '{name}' has the shape {given}; expected {needed}."
+            )
 
 
 def _check_unknowns(problem: SequenceProblem) -> None:

@@ -6,6 +6,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 from jaxtyping import Array, Bool, Float
 
 from ...body.skeleton import Skeleton
+from ..solvers.descent import ConstrainedInfo
 from ..solvers.least_squares_problem import AbstractProblem
 
 Unknown = TypeVar("Unknown")
@@ -25,6 +26,16 @@ class AbstractPosesAndShared(AbstractProblem[Unknown]):
     @abc.abstractmethod
     def residual_variance(self, y: Unknown, energy: Float[Array, ""]) -> Float[Array, ""]:
         """Estimate the variance of one component of the residual from the energy of a solution."""
+
+    def information_of_data(self, y: Unknown) -> ConstrainedInfo:
+        """Linearise as `information` does, without what only keeps the steps of a solver short."""
+        return self.information(y)
+
+    def variance_inflation(self) -> Float[Array, ""] | float:
+        """Return the number of frames that have the information of one on shared unknowns, as errors of neighbouring frames
+        are not independent.
+        """
+        return 1.0
 
     def pose_bases(self, y: Unknown) -> Float[Array, "F D D"] | None:
         """Compute the directions of the poses' tangents, as columns, where these are not the coordinates of poses."""

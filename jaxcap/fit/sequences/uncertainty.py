@@ -60,8 +60,11 @@ def sequence_uncertainty(
 
     **Arguments:** a `SequenceProblem` with the solution of `solve_sequence`, a `CalibrationProblem` with that of
     `solve_calibration`, or a `JointProblem` with that of `solve_joints`. `variance` is that of one component of
-    the residual; where not given it is estimated as `|r|^2 / (R - N)`, and in a calibration, whose residuals
-    are in standard deviations, it is the number of frames that count as one observation. A direction of the shared unknowns counts as unobservable where its curvature, with
+    the residual; where not given it is estimated as `|r|^2 / (R - N)`. It is one in a calibration, whose residuals
+    are in standard deviations; there the covariance of what is shared is also multiplied by the number of
+    frames that count as one observation. Learned joints assume errors of vertices with the inverse of the
+    metric as covariance, smooth over the surface as those of registrations are; for independent errors and a
+    large `alpha` the deviations are too large. A direction of the shared unknowns counts as unobservable where its curvature, with
     free poses, is below `tolerance` times the largest on a unit diagonal; where not given that is the
     rounding error of zero. Coordinates with a part in such a direction have an infinite variance.
 
@@ -87,7 +90,7 @@ def sequence_uncertainty(
 @eqx.filter_jit
 @jax.default_matmul_precision("highest")
 def _covariance_blocks(problem: AbstractPosesAndShared, y: Any, variance, tolerance):
-    info = problem.information(y)
+    info = problem.information_of_data(y)
     arrow: Any = info.hessian
     units = problem.scales()
     free = free_unknowns(info)
@@ -107,7 +110,7 @@ def _covariance_blocks(problem: AbstractPosesAndShared, y: Any, variance, tolera
     unobservable = (values <= tolerance) & ~fixed
     inverse = jnp.where(fixed, 0.0, 1.0 / jnp.maximum(values, tolerance))
     shared = jnp.einsum("ik,k,jk->ij", directions, inverse, directions, precision="highest")
-    shared = differentiable_inverse(schur, shared)
+    shared = problem.variance_inflation() * differentiable_inverse(schur, shared)
     follow = factor.backward(columns)
     poses = factor.inverse_diagonal_blocks() + jnp.einsum(
         "fis,st,fjt->fij", follow, shared, follow, precision="highest"

@@ -1,8 +1,9 @@
 """Unknowns that the frames of a sequence may share, and the body of their values."""
 
 import abc
+import numbers
 from collections.abc import Sequence
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,10 +12,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ...arguments import check_fields
+from ...arguments import check_fields, checked
 from ...body.body import Body, scale_body
 from ...body.body_model import BodyModel
 from ...body.shape_modes import ShapeModes, apply_modes, bone_length_modes
+from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...geometry import rotation
 
@@ -177,35 +179,62 @@ def model_coefficients(model: BodyModel) -> ShapeCoefficients:
     return ShapeCoefficients(model.modes, low, high)
 
 
+@checked
 def bone_lengths(
     body: Body,
-    joints: Sequence[int | Sequence[int]] | None = None,
+    joints: Sequence[int | str | Sequence[int | str]] | None = None,
     *,
     move_surface: bool = True,
     largest_change: float | None = 0.5,
 ) -> ShapeCoefficients:
     """Make the unknown of relative changes of bone lengths, each from a joint's parent to the joint; directions at rest stay.
 
-    **Arguments:** `joints` J; several joints in one entry, such as left and right, have one common change; by default each bone
-    with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length changes by
+    **Arguments:** `joints` by index or name; several joints in one entry, such as left and right, have one common change; by
+    default each bone with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length changes by
     more than the share `largest_change`; None for no bounds.
 
-    **Raises:** `InputError` for joints without a bone, and for a change that is not above 0.
+    **Raises:** `InputError` for joints without a bone or given twice, and for a change that is not above 0.
     """
     if largest_change is not None and not largest_change > 0:
         raise InputError(f"bone_lengths: `largest_change` is {largest_change:g}; expected a share above 0.")
+    skeleton = body.skeleton
     if joints is None:
-        skeleton = body.skeleton
         centres = np.asarray(skeleton.centres)
         joints = [
             joint
             for joint, parent in enumerate(skeleton.parents)
             if parent >= 0 and np.linalg.norm(centres[joint] - centres[parent]) > 0
         ]
-    groups = [[each] if isinstance(each, int) else list(each) for each in joints]
+    groups = [
+        [
+            _joint_index(skeleton, joint)
+            for joint in (each if isinstance(each, Sequence) and not isinstance(each, str) else [each])
+        ]
+        for each in joints
+    ]
+    given = [joint for group in groups for joint in group]
+    twice = sorted({joint for joint in given if given.count(joint) > 1})
+    if twice:
+        raise InputError(
+            f"bone_lengths: `joints` has {skeleton.names[twice[0]]} twice; expected each joint once."
+        )
+    if not all(groups):
+        raise InputError("bone_lengths: `joints` has an entry without joints; leave it out.")
     modes = bone_length_modes(body, groups, move_surface)
     end = None if largest_change is None else jnp.full(len(groups), largest_change, body.vertices.dtype)
     return ShapeCoefficients(modes, None if end is None else -end, end)
+
+
+def _joint_index(skeleton: Skeleton, joint: Any) -> int:
+    if isinstance(joint, str):
+        if joint not in skeleton.names:
+            raise InputError(
+                f"bone_lengths: there is no joint '{joint}'; the body has {', '.join(skeleton.names)}."
+            )
+        return skeleton.names.index(joint)
+    if not isinstance(joint, numbers.Integral):
+        raise InputError(f"bone_lengths: `joints` has {joint!r}; expected indices or names of joints.")
+    return int(joint)
 
 
 class RestVertices(AbstractUnknown[Float[Array, "C 3"]]):

@@ -9,6 +9,7 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Float, PyTree
 
+from ...errors import InputError
 from ..linear_solvers.structured import AbstractStructuredMatrix, StructuredCholesky, damped
 from .bounded_least_squares import solve_bounded
 from .equalities import Equalities
@@ -36,9 +37,8 @@ class NormalDescent(optx.AbstractDescent):
     """Steps of `(H + D / step_size) d = -g`, the damped Newton step of optimistix on normal equations.
 
     `D` is the identity, or with `relative` the diagonal of `H` (Marquardt 1963), which needs no common scale
-    of the unknowns. `ConstrainedInfo` adds bounds or linear equalities; the solution is exact for the damped
-    equations. Equations without constraints are solved by `linear_solver`, those with constraints by
-    `StructuredCholesky`.
+    of the unknowns. `ConstrainedInfo` adds bounds or linear equalities, which only `StructuredCholesky`
+    supports; the solution is exact for the damped equations.
     """
 
     relative: bool = eqx.field(static=True, default=False)
@@ -70,6 +70,12 @@ def _solve(
     linear_solver: lx.AbstractLinearSolver,
 ) -> PyTree:
     equalities = None if constraints is None else constraints.equalities
+    bounded = equalities is not None or (constraints is not None and constraints.low is not None)
+    if bounded and not isinstance(linear_solver, StructuredCholesky):
+        raise InputError(
+            f"{type(linear_solver).__name__} solves equations without constraints, but this problem has bounds, fixed frames or "
+            "equalities; leave out `linear_solver`."
+        )
     if constraints is not None and constraints.low is not None:
         return solve_bounded(matrix, rhs, constraints.low, constraints.high, equalities)
     if equalities is not None:

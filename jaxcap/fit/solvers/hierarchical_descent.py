@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .hierarchical_least_squares import Damping, LinearSystem, constrained_step, hierarchical_step
 from .levenberg_marquardt import tree_where
-from .minimise import HISTORY_LENGTH
 
 Unknown = TypeVar("Unknown")
 
@@ -107,7 +106,7 @@ def minimise_hierarchy(
         return found.y, found.values, relative, history, steps + 1, done
 
     first = problem.values(start)
-    history = jnp.full((HISTORY_LENGTH, len(first)), jnp.nan, first.dtype)
+    history = jnp.full((max_steps, len(first)), jnp.nan, first.dtype)
     carry = start, first, jnp.zeros_like(damping), history, jnp.array(0), jnp.array(False)
     y, last, _, history, steps, done = jax.lax.while_loop(going, step, carry)
     good, bad = optx.RESULTS.successful, optx.RESULTS.nonlinear_max_steps_reached

@@ -10,6 +10,7 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from ...arguments import describe
 from ...errors import InputError
 from ..linear_solvers.structured import StructuredCholesky
 from .descent import NormalDescent
@@ -102,6 +103,16 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         self.energy_atol = energy_atol
         self.norm = optx.max_norm
         linear_solver = StructuredCholesky() if linear_solver is None else linear_solver
+        if not isinstance(linear_solver, lx.AbstractLinearSolver):
+            raise InputError(
+                f"LevenbergMarquardt: `linear_solver` {describe(linear_solver)}; expected a linear solver of lineax, such as "
+                "`lx.CG(1e-6, 1e-6)`."
+            )
+        if relative and isinstance(linear_solver, LEAST_SQUARES):
+            raise InputError(
+                f"LevenbergMarquardt: `relative` damps normal equations, which {type(linear_solver).__name__} does not get; "
+                "leave out one of them."
+            )
         self.descent = (
             optx.DampedNewtonDescent(linear_solver)
             if isinstance(linear_solver, LEAST_SQUARES)

@@ -96,8 +96,8 @@ def _minimise_by(problem, start, solver: AnySolver, max_steps: int, damping) -> 
 @_minimise_by.def_jvp
 def _refuse_derivative(primals, tangents):
     raise InputError(
-        "the steps of this fit have no derivatives; differentiate `solve`, `solve_sequence` or `solve_calibration`, "
-        "which have those of the minimum."
+        "the steps of this fit have no derivatives; differentiate `solve`, `solve_sequence`, `solve_calibration` or "
+        "`solve_joints`, which have those of the minimum."
     )
 
 

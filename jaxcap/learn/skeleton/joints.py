@@ -176,7 +176,8 @@ class JointProblem(AbstractPosesAndShared[JointState]):
             by_centre = jnp.concatenate([by_centre, slopes])
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
-        constraints = StepConstraints(equalities=Equalities(rows, -differences))
+        equalities = Equalities(rows, -differences) if len(rows) else None
+        constraints = StepConstraints(equalities=equalities)
         gradient = jax.tree.map(jnp.negative, side)
         return ConstrainedInfo(self.value(y), gradient, arrow, constraints=constraints)  # pyright: ignore[reportCallIssue]
 

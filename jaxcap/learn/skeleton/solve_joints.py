@@ -12,7 +12,9 @@ from ...body.pose import Pose
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...fit.solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from ...fit.solvers.minimise import AnySolver
 from ...geometry.laplacian import make_conformance
+from ...value_checks import check_at_least, concrete_values
 from ..objective import in_units_of_vertices
 from .joints import JointProblem, JointState, make_curvature
 
@@ -45,7 +47,18 @@ def make_joint_problem(
 
     **Arguments:** registered vertices `targets`; `alpha`, the weight of the shape of the surface relative to the positions of
     its vertices, and `terms`, as of `learn_body`.
+
+    **Raises:** `InputError` for other vertices than those of the body, and for vertices that are not finite.
     """
+    if targets.shape[1] != len(body.vertices):
+        raise ValueError(
+            f"`targets` has {targets.shape[1]} vertices; expected the {len(body.vertices)} of the body."
+        )
+    numbers = concrete_values(targets)
+    if numbers is not None and not np.isfinite(numbers).all():
+        raise ValueError(
+            "`targets` has values that are not finite; leave out the meshes with missing vertices."
+        )
     metric = make_conformance(np.asarray(body.faces), len(body.vertices), alpha)
     own = sum_user_terms("make_joint_problem", terms, body)
     scaled = in_units_of_vertices(own, len(body.vertices))
@@ -53,15 +66,29 @@ def make_joint_problem(
 
 
 @checked
-def solve_joints(problem: JointProblem, poses: Pose, max_steps: int = 64) -> JointSolution:
+def solve_joints(
+    problem: JointProblem, poses: Pose, solver: AnySolver | None = None, max_steps: int = 64
+) -> JointSolution:
     """Minimise Q over joints and poses to convergence, from the joints of the problem's body.
 
     `jax.grad` and `jax.jvp` differentiate the solution by the implicit function theorem, with respect to
     weights, rest vertices, targets and metric. No such derivative exists where the motion does not determine
     a joint. Left and right bones may differ in length, except the problem's `left_right_pairs`.
+
+    **Arguments:** `poses` stacked over the meshes, to start from; `solver`, `LevenbergMarquardt` where not given;
+    `max_steps` bounds its steps.
+
+    **Raises:** `InputError` where there are more or fewer poses than meshes.
     """
+    check_at_least("solve_joints", 1, max_steps=max_steps)
+    if poses.scale.shape != (len(problem.targets),):
+        given = "a single pose" if poses.scale.ndim == 0 else f"{len(poses.scale)} poses"
+        raise ValueError(
+            f"`poses` is {given}; expected one for each of {len(problem.targets)} meshes, stacked."
+        )
     start = jax.lax.stop_gradient(problem.start(poses))
-    solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)
+    if solver is None:
+        solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)
     found = implicit_minimum(problem, start, solver, max_steps)
     trustworthy = is_trustworthy(problem, found)
     energy = energy_at(problem, found.y)

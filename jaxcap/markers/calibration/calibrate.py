@@ -76,7 +76,7 @@ class Calibration(NamedTuple):
     converged: bool
     #: number of the chosen frames with the information of one with independent errors
     frames_per_observation: float
-    #: the last fit's problem and its solution, in double precision; `solve_calibration(problem, estimate)` has derivatives
+    #: the last fit's problem and its solution; `solve_calibration(problem, estimate)` has derivatives, in float64 only
     problem: CalibrationProblem
     estimate: CalibrationEstimate
 

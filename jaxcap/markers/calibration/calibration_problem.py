@@ -127,7 +127,10 @@ class CalibrationProblem(
         return "bones of equal length" if self.left_right_pairs else None
 
     def information(self, y):
-        value, gradient, hessian = self.normal_equations(y)
+        return self._constrained(y, RIDGE)
+
+    def _constrained(self, y: CalibrationEstimate, ridge: float) -> ConstrainedInfo:
+        value, gradient, hessian = self.normal_equations(y, ridge)
         equalities = None
         if self.left_right_pairs:
             rows, violation = equal_length_constraints(self.subject(y), self.joints, self.left_right_pairs)
@@ -150,7 +153,13 @@ class CalibrationProblem(
 
     def residual_variance(self, y: CalibrationEstimate, energy: Float[Array, ""]):
         del y, energy
+        return jnp.ones((), self.positions.dtype)
+
+    def variance_inflation(self):
         return self.frames_per_observation
+
+    def information_of_data(self, y):
+        return self._constrained(y, 0.0)
 
     def improve_nested(self, y):
         """Take a step of each frame's pose by itself, where it lowers the energy.
@@ -207,8 +216,10 @@ class CalibrationProblem(
 
         return map_batches(of_frame, self._frame_inputs(y), BATCH_SIZE)
 
-    def normal_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
-        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` over batches of frames."""
+    def normal_equations(
+        self, y: CalibrationEstimate, ridge: float = RIDGE
+    ) -> tuple[Float[Array, ""], Unknowns, BlockArrow]:
+        """Sum `|r|^2 / 2`, `J^T r` and `J^T J` over batches of frames, with the information `ridge` on every number of a pose."""
         subject, markers, kinds = self.subject(y), self.template.num_markers, 1 + self.skin_features.shape[2]
         skeleton = subject.skeleton
         dofs, centres = skeleton.num_dofs, 3 * len(self.joints)
@@ -230,7 +241,7 @@ class CalibrationProblem(
             by_own = jnp.einsum("mra,mr,mt->tma", ends, r, shares).reshape(-1)
             pull = flat.T @ r.reshape(-1)
             matrix, side = rotation_prior_equations(skeleton, self.rotation_prior, pose)
-            frame_matrix = gram[:dofs, :dofs] + matrix + RIDGE * jnp.eye(dofs, dtype=r.dtype)
+            frame_matrix = gram[:dofs, :dofs] + matrix + ridge * jnp.eye(dofs, dtype=r.dtype)
             frame_side, coupling = pull[:dofs] + side, jnp.concatenate([gram[:dofs, dofs:], across[:dofs]], 1)
             value = cost + 0.5 * rotation_prior_square(self.rotation_prior, pose)
             summed = value, gram[dofs:, dofs:], across[dofs:], squares, jnp.append(pull[dofs:], by_own)
