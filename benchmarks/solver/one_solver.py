@@ -238,7 +238,7 @@ def learning_recipe() -> dict[str, float]:
     def places(changes, body, poses):
         there = eqx.tree_at(lambda m: m.alpha, metric, metric.alpha * (1.0 + changes[0]))
         problem = JointProblem(body, targets.at[2, 700, 1].add(changes[1]), there, curvature)
-        found = solve_joints(problem, poses, 200)
+        found = solve_joints(problem, poses, max_steps=200)
         return posed_vertices(found.body, found.poses)[:, ::50], found
 
     zero = jnp.zeros(2)
