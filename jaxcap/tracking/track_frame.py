@@ -211,11 +211,11 @@ def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
 
 
 def penalty(tracker: Tracker, cloud: Cloud, pose: Pose) -> Float[Array, ""]:
-    """Compute half the energy of `partial_terms` for each point of the cloud.
+    """Compute half the energy of the tracker's own terms and of `partial_terms` for each point of the cloud.
 
     Subtracted from the mean log-likelihood of the points it compares poses by their posterior density.
     """
-    terms, total = partial_terms(tracker, cloud), jnp.sum(cloud.weights)
+    terms, total = (*tracker.terms, *partial_terms(tracker, cloud)), jnp.sum(cloud.weights)
     if not terms:
         return jnp.zeros((), total.dtype)
     r = Sum(terms).residual(pose_body(tracker.body, pose))

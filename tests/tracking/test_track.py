@@ -20,6 +20,7 @@ from jaxcap.observe import stack_clouds
 from jaxcap.observe.clouds import Cloud, make_cloud, missing_cloud
 from jaxcap.tracking import advance, judge_frame
 from jaxcap.tracking.batch import fit_batch, scan_track
+from jaxcap.tracking.expectation_maximisation.pose_log_density import pose_log_density
 from jaxcap.tracking.judgement.verdict import NO_PERSON
 from jaxcap.tracking.track import track, track_frames
 from jaxcap.tracking.track_frame import make_tracker, start_state
@@ -279,3 +280,20 @@ def test_searches_that_do_not_help_become_rare():
     for _ in range(7):
         patience = patience.advance(good=True)
     assert patience.extend().wait == 2
+
+
+class Below(AbstractEnergy):
+    """Joints above a height, in standard deviations of 5 mm."""
+
+    def residual(self, posed):
+        return jnp.maximum(posed.joints[:, 1] - 0.5, 0.0) / 0.005
+
+
+def test_poses_are_compared_with_a_users_terms(rng):
+    pose = rest_pose(SKELETON)
+    cloud = scan(pose, rng)
+    plain, bounded = (make_tracker(BODY, terms=terms) for terms in ((), (Below(),)))
+    r = Below().residual(_pose_body(BODY, pose))
+    loss = pose_log_density(plain, pose, cloud) - pose_log_density(bounded, pose, cloud)
+    assert float(loss) == pytest.approx(0.5 * float(r @ r) / POINTS, rel=1e-4)
+    assert float(loss) > 0.1
