@@ -180,6 +180,22 @@ def test_weights_are_the_best_ones_on_the_simplex(rng):
     np.testing.assert_allclose(two.sum(1), 1.0)
 
 
+def test_of_bones_that_move_alike_one_is_enough(rng):
+    frames = np.concatenate([Rotation.random(15, random_state=2).as_matrix().reshape(5, 3, 3, 3)] * 2, 1)[
+        :, :4
+    ]
+    frames = np.concatenate([frames, 0.2 * rng.normal(size=(5, 4, 3, 1))], 3)
+    frames[:, 3] = frames[:, 2]
+    vertices, known = rng.normal(size=(6, 3)), np.array([0.15, 0.25, 0.6])
+    homogeneous = np.concatenate([vertices, np.ones((6, 1))], 1)
+    targets = np.einsum("b,fbac,vc->fva", known, frames[:, :3], homogeneous)
+    weights, errors = fit_linear_weights(
+        vertices, targets, frames, np.tile(np.arange(4), (6, 1)), influences=3
+    )
+    assert errors.max() < 1e-6
+    np.testing.assert_allclose(weights[:, :2], np.tile(known[:2], (6, 1)), atol=1e-5)
+
+
 def test_what_blends_linearly_already_stays(rng):
     body = chain_body("linear")
     poses = stack_poses([random_pose(body.skeleton, rng) for _ in range(3)])

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...fit.linear_solvers.float64 import in_float64
 from ...fit.solvers.simplex_least_squares import simplex_least_squares
+from ...geometry.linear import inverse_symmetric
 
 #: vertices per block, to bound memory
 _BLOCK = 1024
@@ -24,7 +25,7 @@ def fit_linear_weights(
     has fewer.
 
     Weights minimise the least-squares error subject to being non-negative and of sum one, at most
-    `influences` of them: the smallest is dropped and the rest fitted again until this holds.
+    `influences` of them: the one that is missed least is dropped and the rest fitted again until this holds.
     """
     weights, errors = np.zeros(candidates.shape), np.zeros(len(vertices))
     for start in range(0, len(vertices), _BLOCK):
@@ -66,15 +67,36 @@ def _fit_simplex_weights(
 ) -> Float[np.ndarray, "V K"]:
     missing = _BLOCK - len(offsets)
     gram = np.pad(offsets @ offsets.transpose(0, 2, 1), ((0, missing), (0, 0), (0, 0)))
-    allowed = np.pad(allowed, ((0, missing), (0, 0)), constant_values=True)
+    allowed = np.pad(allowed, ((0, missing), (0, 0)))
+    allowed[len(offsets) :, 0] = True
     weights = allowed / allowed.sum(1, keepdims=True)
     while True:
         weights = np.array(in_float64(simplex_least_squares, gram, np.zeros(weights.shape), weights, allowed))
         many = (weights > 0).sum(1) > influences
         if not many.any():
             return weights[: len(offsets)]
-        smallest = np.where(weights > 0, weights, np.inf).argmin(1)
         allowed = (weights > 0) | (allowed & ~many[:, None])
-        allowed[many, smallest[many]] = False
+        allowed[many, _removal_costs(gram[many], weights[many]).argmin(1)] = False
         weights = np.where(allowed, weights, 0.0)
         weights /= weights.sum(1, keepdims=True)
+
+
+def _removal_costs(
+    gram: Float[np.ndarray, "V K K"], weights: Float[np.ndarray, "V K"]
+) -> Float[np.ndarray, "V K"]:
+    """Compute how much the squared error rises if a weight becomes zero and the others adjust; infinite for weights of zero.
+
+    Of two bones that move alike, either can be dropped without an error, however large its weight is.
+    """
+    used = weights > 0
+    sizes = np.einsum("vkk->vk", gram)
+    ridge = 1e-12 * sizes.max(1, keepdims=True) + 1e-30
+    matrix = np.where(used[:, :, None] & used[:, None], gram, 0.0)
+    matrix = matrix + np.eye(used.shape[1]) * np.where(used, ridge, 1.0)[:, None]
+    inverse = inverse_symmetric(matrix)
+    # weights keep their sum
+    sums = np.where(used, (inverse * used[:, None]).sum(2), 0.0)
+    spread = np.einsum("vkk->vk", inverse) - sums**2 / np.maximum(
+        sums.sum(1, keepdims=True), np.finfo(float).tiny
+    )
+    return np.where(used, weights**2 / np.maximum(spread, np.finfo(float).tiny), np.inf)
