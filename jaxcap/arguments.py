@@ -104,10 +104,12 @@ def checked(function: Function) -> Function:
         _check_joints(name, given)
         try:
             return function(*arguments, **named)
-        except TracedArgumentError as error:
-            # as above, with the argument of that function
+        except (TracedArgumentError, TypeError) as error:
+            # as below, with the argument of that function
             traced = _traced_arguments(error, given)
-            raise (TracedArgumentError(traced[0], name) if traced else error) from None
+            if not traced:
+                raise
+            raise TracedArgumentError(traced[0], name) from None
         except ValueError as error:
             # an error of another class has fields of its own, and one without a function is of a file
             if type(error) not in (ValueError, InputError) or not is_user_error(error):
@@ -116,11 +118,6 @@ def checked(function: Function) -> Function:
                 raise
             # the name becomes that of the outermost function, which the user has called
             raise InputError(user_message(error), name) from None
-        except TypeError as error:
-            traced = _traced_arguments(error, given)
-            if not traced:
-                raise
-            raise TracedArgumentError(traced[0], name) from None
 
     return typing.cast(Function, wrapper)
 
@@ -179,7 +176,8 @@ def as_real_array(where: str, name: str, value: Any) -> np.ndarray:
             return given.astype(float)
         value = given
     except (TypeError, ValueError):
-        pass
+        if "Tracer" in type(value).__name__:
+            raise TracedArgumentError(name, where) from None
     raise InputError(f"{where}: `{name}` {describe(value)}; expected an array of real numbers.")
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
+from ..arguments import checked
 from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..body.shape_modes import ShapeModes
@@ -62,6 +63,7 @@ def pose_problem(body: Body, pairs: PointPairs, terms: PoseTerms) -> PoseProblem
     return PoseProblem(_sum(data, weighted(terms.weight, terms.prior), user), body, terms.boxes)
 
 
+@checked
 def window_problem(
     body: Body,
     pairs: PointPairs,
@@ -88,6 +90,7 @@ def window_problem(
     )
 
 
+@checked
 def shared_problem(
     body: Body,
     pairs: PointPairs,

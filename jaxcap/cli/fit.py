@@ -30,7 +30,7 @@ from .console.options import BodySpec, Flag, Unit, arg
 from .outputs import check_npz, make_folder
 from .scoring import print_scores, score_motion
 from .sources import load_body
-from .terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from .terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, check_floor, read_terms
 
 MeshesSpec = tyro.conf.Positional[Annotated[tuple[str, ...], arg(metavar="MESHES...", help_behavior_hint="")]]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
@@ -86,6 +86,7 @@ class Fit:
         body = load_body(self.body, unit=self.unit)[0] if model is None else model.template
         sequence, names = read_named_meshes(self.meshes, self.unit, self.rate)
         check_mesh_size(body, sequence, self.meshes[0])
+        check_floor(self.floor, np.asarray(sequence.vertices))
         terms = read_terms(
             body, limits=self.limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
         )
@@ -98,6 +99,11 @@ class Fit:
                 fit = fit_model(model, sequence, same_person=not self.each_person, terms=terms)
         except ValueError as error:
             raise InputError(f"{self.meshes[0]}: {user_message(error)}") from None
+        if not np.asarray(fit.converged).any():
+            raise InputError(
+                f"{self.meshes[0]}: none of {len(sequence)} meshes could be fitted; check that their vertices have the order of "
+                f"those of {self.body}, the unit, and --floor, --limits and --prior."
+            )
         if not same_triangles(np.asarray(body.faces), np.asarray(sequence.faces)):
             warn(
                 f"{self.meshes[0]}: the triangles differ from those of {self.body}; vertices are matched by their order"

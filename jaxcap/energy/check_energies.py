@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array, Float
 
 from ..arguments import describe
 from ..body.body import Body, pose_body
@@ -109,6 +110,26 @@ def sum_user_terms(where: str, terms: UserTerms, body: Body) -> AbstractEnergy |
             _check_finite(part)
             _check_residual(part, body, rest_pose(body.skeleton))
     return sum_energies(given)
+
+
+def check_finite_residuals(where: str, terms: AbstractEnergy | None, body: Body, pose: Pose) -> None:
+    """Check that the residual of each of a user's terms is finite in a pose; nothing is checked where arrays are traced.
+
+    **Raises:** `InputError` with the term and the number of its rows that are not finite.
+    """
+    for term in () if terms is None else flat_terms(terms):
+        rows = concrete_values(_residual_in(term, body, pose))
+        if rows is not None and not np.isfinite(rows).all():
+            bad = int((~np.isfinite(rows)).sum())
+            raise InputError(
+                f"{where}: the residual of {energy_name(term)} is not finite in {bad} of {len(rows)} rows, in a pose of this fit; "
+                "guard its square roots and divisions, and give missing data the weight zero."
+            )
+
+
+@eqx.filter_jit
+def _residual_in(term: AbstractEnergy, body: Body, pose: Pose) -> Float[Array, "R"]:
+    return term.residual(pose_body(body, pose))
 
 
 def _check_finite(term: AbstractEnergy) -> None:

@@ -55,7 +55,7 @@ from .sequences.unknowns import RestVertices as RestVertices
 from .sequences.unknowns import ShapeCoefficients as ShapeCoefficients
 from .sequences.unknowns import Size as Size
 from .sequences.unknowns import SkinningWeights as SkinningWeights
-from .sequences.unknowns import bone_lengths as bone_lengths
+from .sequences.unknowns import bone_length_changes as bone_length_changes
 from .sequences.unknowns import model_coefficients as model_coefficients
 from .solve import Solution as Solution
 from .solvers.gauss_newton import GaussNewton as GaussNewton

@@ -12,7 +12,7 @@ from ..body.body import Body, pose_body
 from ..body.pose import Motion, Pose
 from ..body.retraction import project
 from ..body.skeleton import Skeleton
-from ..energy.check_energies import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, check_finite_residuals, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..errors import InputError
@@ -45,7 +45,7 @@ def fit_meshes(
     body: Body,
     sequence: MeshSequence,
     *,
-    start: Pose | None = None,
+    start: Pose | Motion | None = None,
     vertices: Int[Array | np.ndarray, "C"] | None = None,
     max_steps: int = 40,
     terms: UserTerms = (),
@@ -60,16 +60,32 @@ def fit_meshes(
     square distance of a millimetre. `converged` marks the meshes that could be fitted; the others do not
     affect them.
 
-    **Raises:** `InputError` where the meshes have other vertices than the body, or no mesh is given.
+    With `start`, `jax.grad` differentiates the poses, by vertices, body and terms.
+
+    **Raises:** `InputError` where the meshes have other vertices than the body, no mesh is given, or there are more or fewer
+    poses than meshes.
     """
     check_mesh_sequence(body, sequence)
     count = body.vertices.shape[0]
     positions = sequence.vertices.astype(body.vertices.dtype)
-    poses = procrustes_poses(body, sequence) if start is None else start
+    poses = procrustes_poses(body, sequence) if start is None else poses_of_meshes(start, sequence)
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
     own = sum_user_terms("fit_meshes", terms, body)
+    if own is not None:
+        check_finite_residuals("fit_meshes", own, body, Motion(poses)[0])
     poses, rmse, steps, converged = _fit_all(body, poses, positions, chosen, own, max_steps)
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
+
+
+def poses_of_meshes(start: Pose | Motion, sequence: MeshSequence) -> Pose:
+    """Return the poses to start from, one for each mesh. Raises `InputError` where there are more or fewer."""
+    poses = start.poses if isinstance(start, Motion) else start
+    if poses.scale.shape != (len(sequence),):
+        given = "a single pose" if poses.scale.ndim == 0 else f"{len(poses.scale)} poses"
+        raise InputError(
+            f"`start` is {given}; expected one for each of {len(sequence)} meshes, stacked, such as stack_poses([...])."
+        )
+    return poses
 
 
 def check_mesh_sequence(body: Body, sequence: MeshSequence) -> None:

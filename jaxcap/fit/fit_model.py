@@ -14,14 +14,14 @@ from ..arguments import checked
 from ..body.body import Body, pose_body, take_vertices
 from ..body.body_model import BodyModel, shape_from_template
 from ..body.pose import Motion, Pose, take_poses
-from ..energy.check_energies import UserTerms, sum_user_terms
+from ..energy.check_energies import UserTerms, check_finite_residuals, sum_user_terms
 from ..energy.data.landmarks import VertexLandmarks
 from ..energy.energy import AbstractEnergy, Sum, terms_of
 from ..energy.stacked import NormalPrior, Stacked
 from ..geometry.sampling import even_indices
 from ..observe.meshes import MeshSequence
 from ..parallel import parallel_map
-from .fit_meshes import DATA_WEIGHT, check_mesh_sequence, procrustes_poses
+from .fit_meshes import DATA_WEIGHT, check_mesh_sequence, poses_of_meshes, procrustes_poses
 from .linear_solvers.float64 import in_float64
 from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
 from .sequences.unknowns import ShapeCoefficients, model_coefficients
@@ -70,7 +70,7 @@ def fit_model(
     sequence: MeshSequence,
     *,
     same_person: bool = True,
-    start: Pose | None = None,
+    start: Pose | Motion | None = None,
     max_steps: int = 40,
     terms: UserTerms = (),
 ) -> ModelFit:
@@ -90,11 +90,10 @@ def fit_model(
     check_mesh_sequence(model.template, sequence)
     dtype = model.template.vertices.dtype
     positions = sequence.vertices.astype(dtype)
-    if start is not None and start.scale.shape != (len(sequence),):
-        given = "a single pose" if start.scale.ndim == 0 else f"{len(start.scale)} poses"
-        raise ValueError(f"`start` is {given}; expected one for each of {len(sequence)} meshes, stacked.")
-    poses = procrustes_poses(model.template, sequence) if start is None else start
+    poses = procrustes_poses(model.template, sequence) if start is None else poses_of_meshes(start, sequence)
     own = sum_user_terms("fit_model", terms, model.template)
+    if own is not None:
+        check_finite_residuals("fit_model", own, model.template, Motion(poses)[0])
     few = _take_samples(model)
     if same_person:
         begun = _begin_in_both(_begin_together, few, poses, positions[:, few.vertices], max_steps)

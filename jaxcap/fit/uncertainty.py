@@ -12,6 +12,7 @@ from ..body.pose import Pose
 from ..body.skeleton import Skeleton, dof_layout
 from ..energy.check_energies import check_energy_arrays, explain_errors
 from ..energy.energy import AbstractEnergy
+from ..value_checks import check_positive
 from .pose_problem import PoseProblem
 from .sequences.uncertainty import differentiable_inverse, mask_unobservable, outer, unit_diagonal_scale
 
@@ -31,7 +32,11 @@ class Uncertainty(eqx.Module):
 
 @checked
 def uncertainty(
-    energy: AbstractEnergy, body: Body, pose: Pose, variance=None, tolerance: float | None = None
+    energy: AbstractEnergy,
+    body: Body,
+    pose: Pose,
+    variance: float | Float[Array, ""] | None = None,
+    tolerance: float | None = None,
 ) -> Uncertainty:
     """Compute the first-order uncertainty of a solved pose.
 
@@ -42,6 +47,7 @@ def uncertainty(
 
     The covariance has derivatives; curvatures and directions count as constants.
     """
+    check_positive("uncertainty", variance=variance)
     check_energy_arrays(energy, body)
     problem = PoseProblem(energy, body)
     with explain_errors(energy, body, pose):

@@ -11,7 +11,8 @@ import numpy as np
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
-from ..energy.check_energies import UserTerms
+from ..energy.check_energies import UserTerms, check_finite_residuals
+from ..energy.energy import Sum
 from ..errors import InputError
 from ..observe import Scan
 from ..observe.clouds import Cloud, CloudFrames, as_cloud
@@ -67,6 +68,8 @@ def track_frames(
     """
     check_sigma("track_frames", sigma)
     check_direction("track_frames", up=up)
+    if tracker.terms and isinstance(start, Pose):
+        check_finite_residuals("track_frames", Sum(tracker.terms), tracker.body, start)
     return _track_frames(
         tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin, planes
     )

@@ -128,6 +128,8 @@ def test_fit_refuses_what_does_not_fit(inputs, tmp_path, capsys):
     assert "no such file" in fails(capsys, "fit", inputs / "bar.npz", tmp_path / "nowhere.npz", *out)
     assert "--unit" in fails(capsys, "fit", inputs / "bar.npz", inputs / "meshes.npz", *out, "--unit", "mm")
     assert "meshes.npz" in fails(capsys, "fit", inputs / "meshes.npz", inputs / "meshes.npz", *out)
+    bar_of_meshes = ("fit", inputs / "bar.npz", inputs / "meshes.npz", *out)
+    assert "--floor is 820 m, and the data are between" in fails(capsys, *bar_of_meshes, "--floor", "820")
     assert ".bvh" in fails(capsys, "fit", inputs / "bar.npz", inputs / "meshes.npz", "-o", tmp_path / "m.bvh")
     assert list(tmp_path.iterdir()) == [tmp_path / "other.npz"]
 
@@ -237,6 +239,7 @@ def test_a_run_killed_while_it_writes_is_resumed(inputs, tmp_path, capsys, slow_
         (["--limits", "limits.npz"], "--limits needs a skeleton"),
         (["--prior", "prior.npz"], "--prior needs a skeleton"),
         (["--floor", "nan"], "--floor"),
+        (["--floor", "820"], "--floor is 820 m, and the data are between"),
         (["--fix-joints"], "--fix-joints needs a skeleton"),
         (["--skeleton", "none", "--fix-joints"], "--fix-joints needs a skeleton"),
         (["--skeleton", "human", "--joints", "3"], "omit --joints"),

@@ -25,6 +25,7 @@ from jaxcap.fit.sequences.solve_sequence import solve_sequence
 from jaxcap.fit.sequences.unknowns import Size
 from jaxcap.fit.solve import solve
 from jaxcap.fit.solvers.levenberg_marquardt import LevenbergMarquardt
+from jaxcap.fit.uncertainty import uncertainty
 
 with pytest.warns(DeprecationWarning, match="JAXopt is no longer maintained"):
     import jaxopt
@@ -156,6 +157,15 @@ def test_a_sequence_is_solved_by_linear_solvers_of_lineax(scene, linear_solver):
         LevenbergMarquardt(linear_solver=lx.QR(), relative=True)
     with pytest.raises((InputError, TypeError), match="linear_solver"):
         LevenbergMarquardt(linear_solver="cg")
+
+
+def test_a_class_in_place_of_an_unknown_and_a_wrong_variance_are_refused(scene):
+    energy, start, found = scene
+    poses = jax.tree.map(lambda leaf: leaf[None], start)
+    with pytest.raises((InputError, TypeError), match="Size"):
+        solve_sequence(SequenceProblem(BODY, energy, jnp.arange(1.0), {"size": Size}), poses)
+    with pytest.raises(InputError, match="`variance` is -1; expected a finite number above 0"):
+        uncertainty(energy, BODY, found.pose, variance=-1.0)
 
 
 def test_a_start_without_an_unknown_is_refused(scene):

@@ -297,3 +297,19 @@ def test_poses_are_compared_with_a_users_terms(rng):
     loss = pose_log_density(plain, pose, cloud) - pose_log_density(bounded, pose, cloud)
     assert float(loss) == pytest.approx(0.5 * float(r @ r) / POINTS, rel=1e-4)
     assert float(loss) > 0.1
+
+
+class HeightRoot(AbstractEnergy):
+    """A square root that is NaN below half a metre."""
+
+    def residual(self, posed):
+        return jnp.sqrt(posed.vertices[:, 1] - 0.5)
+
+
+def test_terms_that_are_not_finite_and_traced_points_are_sentences(rng):
+    pose = rest_pose(SKELETON)
+    cloud = scan(pose, rng)
+    with pytest.raises(InputError, match="the residual of HeightRoot is not finite in"):
+        track(BODY, [cloud], pose, terms=[HeightRoot()])
+    with pytest.raises(InputError, match="make_cloud: `points` is traced by jit, grad or vmap"):
+        jax.grad(lambda points: make_cloud(points).points.sum())(cloud.points)

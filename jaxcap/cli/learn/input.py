@@ -14,7 +14,7 @@ from ...io.archives.journal import hash_file
 from ...io.skinned.clip import split_clip
 from ...observe.meshes import MeshSequence
 from ..sources import is_human_spec
-from ..terms import read_terms
+from ..terms import check_floor, read_terms
 
 
 def skeleton_digest(spec: Path) -> str:
@@ -66,6 +66,7 @@ def learning_terms(
     prior: Path | None,
 ) -> tuple[AbstractEnergy, ...]:
     """Read the energies of learning, for a body with the skeleton in the shape of the first mesh."""
+    check_floor(floor, np.asarray(meshes.vertices))
     bones = make_skeleton(["root"], [-1], ["free"], np.zeros((1, 3))) if skeleton is None else skeleton
     labels = jnp.zeros(meshes.vertices.shape[1], jnp.int32)
     body = Body(bones, RigidSkin(labels), meshes.vertices[0], meshes.faces)

@@ -35,7 +35,7 @@ from ..console.heartbeat import set_activity
 from ..console.options import SKELETON_FORMATS, Flag, OptionalFile, OptionalUnit, arg
 from ..motions import load_skeleton
 from ..outputs import make_folder
-from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, check_floor, read_terms
 from .fit_person import bone_rows, find_landmarks, print_person
 from .result_tables import describe_strays, print_bones, print_doubts, print_joints, print_segments
 from .segments import joint_figures, match_segments, read_symmetry, write_segments
@@ -150,6 +150,7 @@ class Fit:
         read = [read_take(path, self.unit, self.subject, self.up, self.pieces, several=not one) for path in self.files]  # fmt: skip
         takes, ups = [take.frames for take in read], {take.up for take in read}
         united = merge_takes(takes)
+        check_floor(self.floor, np.asarray(united.positions))
         split = SubjectSplit((), (), ()) if one else split_subjects(united)
         if self.subject is not None and len(split.props) == 1:
             split = split._replace(props=(split.props[0]._replace(name=self.subject),))

@@ -27,7 +27,7 @@ from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..console.options import Flag, OptionalFile, OptionalUnit, arg
 from ..outputs import check_parent, is_run_complete, make_folder, names_folder
-from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, check_floor, read_terms
 from .filled_markers import deviations_path, write_filled
 from .opensim import SUFFIX as OSIM_SUFFIX
 from .opensim import SolvedModel, load_subject_or_model
@@ -174,6 +174,8 @@ class Solve:
         # an invalid trial is reported before any has results; later changes of a file are not read
         digests = {path: hash_file(path) for path in self.trials}
         trials = [read(path) for path in self.trials]
+        for trial in trials:
+            check_floor(self.floor, np.asarray(trial.frames.positions))
         if self.into_folder:
             make_folder(self.out)
         with run_lock(*((self.out,) if self.into_folder else (self.out, *self.joints, *self.filled))):

@@ -56,9 +56,14 @@ def check_values(problem: SequenceProblem, start: SequenceEstimate) -> None:
 
 def _check_unknowns(problem: SequenceProblem) -> None:
     given, body = problem.unknowns, problem.body
+    for name, unknown in given.items() if isinstance(given, dict) else ():
+        if isinstance(unknown, type):
+            raise InputError(
+                f"SequenceProblem: `unknowns[{name!r}]` is the class {unknown.__name__} itself; make one, as by {unknown.__name__}(...)."
+            )
     if not isinstance(given, dict) or not all(isinstance(each, AbstractUnknown) for each in given.values()):
         raise InputError(
-            f"SequenceProblem: `unknowns` is {type(given).__name__} of {', '.join(type(each).__name__ for each in given) or 'nothing'}; "
+            f"SequenceProblem: `unknowns` is {type(given).__name__} of {', '.join(type(each).__name__ for each in (given.values() if isinstance(given, dict) else given)) or 'nothing'}; "
             "expected a dict of unknowns by name, such as {'size': Size()}."
         )
     counts: dict[str, int] = {"joints": body.skeleton.num_joints, "vertices": len(body.vertices)}

@@ -220,8 +220,11 @@ class SequenceProblem(AbstractPosesAndShared[SequenceEstimate]):
         return self.body.skeleton
 
     def shared_names(self):
-        sizes = {name: self.unknowns[name].size(self.body) for name in sorted(self.unknowns)}
-        return tuple(f"{name}[{number}]" for name, size in sizes.items() for number in range(size))
+        return tuple(
+            f"{name}[{component}]"
+            for name in sorted(self.unknowns)
+            for component in self.unknowns[name].component_names(self.body)
+        )
 
     def residual_variance(self, y: SequenceEstimate, energy: Float[Array, ""]):
         rows = jax.eval_shape(self.residual, y).shape[0]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from ...arguments import checked
 from ...body.skeleton import dof_layout
 from ...errors import InputError
+from ...value_checks import check_positive
 from ..linear_solvers.cholesky import diagonal_scale
 from ..solvers.implicit import free_unknowns
 from .poses_and_shared import AbstractPosesAndShared, PosesAndSharedSolution
@@ -75,6 +76,7 @@ def sequence_uncertainty(
             "sequence_uncertainty: the solution's energy is not finite; check the data for NaN, and the `result` "
             "of the solution."
         )
+    check_positive("sequence_uncertainty", variance=variance)
     skeleton = problem.skeleton_of_poses()
     if variance is None:
         variance = problem.residual_variance(solution.estimate, solution.energy)

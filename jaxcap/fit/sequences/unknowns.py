@@ -37,6 +37,10 @@ class AbstractUnknown(eqx.Module, Generic[Value]):
     def size(self, body: Body) -> int:
         """Count the components N of a tangent."""
 
+    def component_names(self, body: Body) -> tuple[str, ...]:
+        """Name the components of a tangent, by their numbers unless an unknown has better names."""
+        return tuple(map(str, range(self.size(body))))
+
     @abc.abstractmethod
     def start(self, body: Body) -> Value:
         """Make the value that leaves a body unchanged."""
@@ -150,6 +154,11 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
     modes: ShapeModes
     lowest: Float[Array, "K"] | None = None
     highest: Float[Array, "K"] | None = None
+    #: of the coefficients, for descriptions; their numbers if empty
+    names: tuple[str, ...] = eqx.field(static=True, default=())
+
+    def component_names(self, body):
+        return self.names or super().component_names(body)
 
     def size(self, body):
         return len(self.modes.centres)
@@ -171,6 +180,7 @@ class ShapeCoefficients(AbstractUnknown[Float[Array, "K"]]):
         return low, high if self.highest is None else self.highest - value
 
 
+@checked
 def model_coefficients(model: BodyModel) -> ShapeCoefficients:
     """Make the unknown of a model's coefficients, relative to the template's, within the bounds of the model."""
     low, high = (
@@ -180,14 +190,16 @@ def model_coefficients(model: BodyModel) -> ShapeCoefficients:
 
 
 @checked
-def bone_lengths(
+def bone_length_changes(
     body: Body,
     joints: Sequence[int | str | Sequence[int | str]] | None = None,
     *,
     move_surface: bool = True,
     largest_change: float | None = 0.5,
 ) -> ShapeCoefficients:
-    """Make the unknown of relative changes of bone lengths, each from a joint's parent to the joint; directions at rest stay.
+    """Make the unknown of relative changes of bone lengths; directions at rest stay.
+
+    The bone of a joint is the one that ends at it, from its parent: that of a knee is the thigh.
 
     **Arguments:** `joints` by index or name; several joints in one entry, such as left and right, have one common change; by
     default each bone with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length changes by
@@ -196,7 +208,9 @@ def bone_lengths(
     **Raises:** `InputError` for joints without a bone or given twice, and for a change that is not above 0.
     """
     if largest_change is not None and not largest_change > 0:
-        raise InputError(f"bone_lengths: `largest_change` is {largest_change:g}; expected a share above 0.")
+        raise InputError(
+            f"bone_length_changes: `largest_change` is {largest_change:g}; expected a share above 0."
+        )
     skeleton = body.skeleton
     if joints is None:
         centres = np.asarray(skeleton.centres)
@@ -216,24 +230,25 @@ def bone_lengths(
     twice = sorted({joint for joint in given if given.count(joint) > 1})
     if twice:
         raise InputError(
-            f"bone_lengths: `joints` has {skeleton.names[twice[0]]} twice; expected each joint once."
+            f"bone_length_changes: `joints` has {skeleton.names[twice[0]]} twice; expected each joint once."
         )
     if not all(groups):
-        raise InputError("bone_lengths: `joints` has an entry without joints; leave it out.")
+        raise InputError("bone_length_changes: `joints` has an entry without joints; leave it out.")
     modes = bone_length_modes(body, groups, move_surface)
     end = None if largest_change is None else jnp.full(len(groups), largest_change, body.vertices.dtype)
-    return ShapeCoefficients(modes, None if end is None else -end, end)
+    names = tuple("+".join(skeleton.names[joint] for joint in group) for group in groups)
+    return ShapeCoefficients(modes, None if end is None else -end, end, names)
 
 
 def _joint_index(skeleton: Skeleton, joint: Any) -> int:
     if isinstance(joint, str):
         if joint not in skeleton.names:
             raise InputError(
-                f"bone_lengths: there is no joint '{joint}'; the body has {', '.join(skeleton.names)}."
+                f"bone_length_changes: there is no joint '{joint}'; the body has {', '.join(skeleton.names)}."
             )
         return skeleton.names.index(joint)
     if not isinstance(joint, numbers.Integral):
-        raise InputError(f"bone_lengths: `joints` has {joint!r}; expected indices or names of joints.")
+        raise InputError(f"bone_length_changes: `joints` has {joint!r}; expected indices or names of joints.")
     return int(joint)
 
 

@@ -149,6 +149,18 @@ def bone_and_placement_jacobian(
     return np.vstack([by_joint, by_marker])
 
 
+def parameter_names(template: Subject, joints: tuple[int, ...], num_features: int) -> tuple[str, ...]:
+    """Name each number of `s`, and of the sliding of skin with each feature."""
+    centres = [f"centre of {template.skeleton.names[joint]}" for joint in joints]
+    markers = [f"marker {label}" for label in template.labels]
+    slides = [
+        f"sliding of {label} with feature {number}"
+        for number in range(num_features)
+        for label in template.labels
+    ]
+    return tuple(f"{name}.{axis}" for name in (*centres, *markers, *slides) for axis in "xyz")
+
+
 def equal_length_constraints(
     subject: Subject, joints: tuple[int, ...], pairs: tuple[tuple[int, int], ...]
 ) -> tuple[Float[Array, "B S"], Float[Array, "B"]]:

@@ -29,6 +29,7 @@ from .calibration_parameters import (
     AbstractTemplatePrior,
     TemplatePrior,
     equal_length_constraints,
+    parameter_names,
     shift_subject,
 )
 from .prior_scales import ScaledGroups, scaled_groups
@@ -142,17 +143,9 @@ class CalibrationProblem(
         return self.template.skeleton
 
     def shared_names(self):
-        joints = [f"centre of {self.template.skeleton.names[joint]}" for joint in self.joints]
-        markers = [f"marker {label}" for label in self.template.labels]
-        slides = [
-            f"sliding of {label} with feature {number}"
-            for number in range(self.skin_features.shape[2])
-            for label in self.template.labels
-        ]
-        return tuple(f"{name}.{axis}" for name in (*joints, *markers, *slides) for axis in "xyz")
+        return parameter_names(self.template, self.joints, self.skin_features.shape[2])
 
     def residual_variance(self, y: CalibrationEstimate, energy: Float[Array, ""]):
-        del y, energy
         return jnp.ones((), self.positions.dtype)
 
     def variance_inflation(self):
@@ -193,7 +186,6 @@ class CalibrationProblem(
 
     def pose_equations(self, y: CalibrationEstimate) -> tuple[Float[Array, "F D D"], Float[Array, "F D"]]:
         """Compute `J^T J` and `J^T r` of each frame with respect to its own pose, all else fixed."""
-
         subject = self.subject(y)
 
         def of_frame(frame):

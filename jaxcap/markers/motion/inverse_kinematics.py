@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...energy.check_energies import UserTerms, sum_user_terms
+from ...energy.check_energies import UserTerms, check_finite_residuals, sum_user_terms
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
 from ...stacking import concatenate
@@ -74,6 +74,9 @@ def solve_markers(
     _LOG.info("solving %d frames", len(positions))
     energy = sum_user_terms("solve_markers", terms, marker_body(subject))
     solved = _solve_in_chunks(subject, positions, jnp.asarray(used & enough[:, None]), search, energy)
+    if energy is not None:
+        for frame in (0, len(positions) - 1):
+            check_finite_residuals("solve_markers", energy, marker_body(subject), Motion(solved.pose)[frame])
     _LOG.info("solving poorly fitted frames again")
     solved = _solve_doubtful_frames(subject, positions, used, enough, solved, energy)
     lost = (

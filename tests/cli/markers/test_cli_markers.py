@@ -165,6 +165,7 @@ def test_markers_stay_above_a_floor(capsys, folder, scene, tmp_path):
     assert (joints[1] - joints[0]).min(1)[low].max() > 0.001
     refused = ("markers", "solve", folder / "subject.npz", folder / "trial.c3d", "-o", tmp_path / "x.npz")
     assert "--floor is nan" in fails(capsys, *refused, "--floor", "nan")
+    assert "--floor is 820 m, and the data are between" in fails(capsys, *refused, "--floor", "820")
 
 
 def test_a_fit_takes_a_prior_of_poses(capsys, folder, tmp_path):

@@ -107,7 +107,7 @@ def test_bone_lengths_are_found_with_the_poses(rng):
     """The middle two bones are longer, both by one factor, and the next is shorter."""
     body = chain_body()
     groups = [(1, 2), 3]
-    unknown = jc.fit.bone_lengths(body, groups)
+    unknown = jc.fit.bone_length_changes(body, groups)
     truth = jnp.array([0.12, -0.1])
     poses = stack_poses([random_pose(body.skeleton, rng, 0.4) for _ in range(4)], 30.0).poses
     places = posed_vertices(unknown.apply(body, truth), poses)
@@ -138,6 +138,6 @@ def test_bone_lengths_are_found_with_the_poses(rng):
 )
 def test_bones_that_are_none_are_refused(joints, word):
     with pytest.raises(jc.InputError, match=word):
-        jc.fit.bone_lengths(chain_body(), joints)
+        jc.fit.bone_length_changes(chain_body(), joints)
     with pytest.raises(jc.InputError, match="`largest_change` is 0"):
-        jc.fit.bone_lengths(chain_body(), largest_change=0.0)
+        jc.fit.bone_length_changes(chain_body(), largest_change=0.0)
