@@ -65,11 +65,11 @@ def sequence_uncertainty(
     are in standard deviations; there the covariance of what is shared is also multiplied by the number of
     frames that count as one observation. Learned joints assume errors of vertices with the inverse of the
     metric as covariance, smooth over the surface as those of registrations are; for independent errors and a
-    large `alpha` the deviations are too large. A direction of the shared unknowns counts as unobservable where its curvature, with
-    free poses, is below `tolerance` times the largest on a unit diagonal; where not given that is the
-    rounding error of zero. Coordinates with a part in such a direction have an infinite variance.
+    large `alpha` the deviations are too large. A direction of the shared unknowns counts as unobservable where
+    its curvature, with free poses, is below `tolerance` times the largest on a unit diagonal; where not given
+    that is the rounding error of zero. Coordinates with a part in such a direction have an infinite variance.
 
-    **Raises:** `InputError` for a solution with an energy that is not finite.
+    **Raises:** `InputError` for a solution with an energy that is not finite, and for a variance that is not above 0.
     """
     if not isinstance(solution.energy, Tracer) and not np.isfinite(solution.energy):
         raise InputError(
@@ -112,9 +112,9 @@ def _covariance_blocks(problem: AbstractPosesAndShared, y: Any, variance, tolera
     unobservable = (values <= tolerance) & ~fixed
     inverse = jnp.where(fixed, 0.0, 1.0 / jnp.maximum(values, tolerance))
     shared = jnp.einsum("ik,k,jk->ij", directions, inverse, directions, precision="highest")
-    shared = problem.variance_inflation() * differentiable_inverse(schur, shared)
-    follow = factor.backward(columns)
-    poses = factor.inverse_diagonal_blocks() + jnp.einsum(
+    shared = differentiable_inverse(schur, shared)
+    follow, inflation = factor.backward(columns), problem.variance_inflation()
+    poses = factor.inverse_diagonal_blocks() + inflation * jnp.einsum(
         "fis,st,fjt->fij", follow, shared, follow, precision="highest"
     )
     poses, still = mask_unobservable(poses, free[0], tolerance)
@@ -123,7 +123,7 @@ def _covariance_blocks(problem: AbstractPosesAndShared, y: Any, variance, tolera
     turn = problem.pose_bases(y)
     if turn is not None:
         poses = jnp.einsum("fai,fij,fbj->fab", turn, poses, turn, precision="highest")
-    return poses, variance * shared * outer(s * units[1]), directions, unobservable, still
+    return poses, inflation * variance * shared * outer(s * units[1]), directions, unobservable, still
 
 
 def unit_diagonal_scale(diagonal: Float[Array, "*S"], tolerance) -> Float[Array, "*S"]:

@@ -202,8 +202,8 @@ def bone_length_changes(
     The bone of a joint is the one that ends at it, from its parent: that of a knee is the thigh.
 
     **Arguments:** `joints` by index or name; several joints in one entry, such as left and right, have one common change; by
-    default each bone with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length changes by
-    more than the share `largest_change`; None for no bounds.
+    default each bone with a length is an unknown of its own. With `move_surface` the surface stretches with the bones. No length
+    changes by more than the share `largest_change`; None for no bounds.
 
     **Raises:** `InputError` for joints without a bone or given twice, and for a change that is not above 0.
     """
