@@ -195,6 +195,21 @@ def test_a_flat_sequence_starts_from_a_motion(scene):
         flat_problem(problem, jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), start))
 
 
+def test_a_pose_is_solved_on_divided_devices(scene):
+    energy, start, known = scene
+    starts = jax.tree.map(lambda leaf: leaf[None], start)
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("batch",))
+    part = jax.sharding.PartitionSpec("batch")
+
+    def of_device(starts):
+        return jax.lax.map(lambda one: solve(energy, BODY, one).pose, starts)
+
+    found = jax.jit(jax.shard_map(of_device, mesh=mesh, in_specs=part, out_specs=part, check_vma=False))(
+        starts
+    )
+    np.testing.assert_allclose(found.rotations[0], known.pose.rotations, atol=1e-4)
+
+
 def test_what_is_no_solver_is_told(scene):
     energy, start, _ = scene
     with pytest.raises((InputError, TypeError), match="Newton"):

@@ -61,7 +61,8 @@ class AbstractStructuredMatrix(lx.AbstractLinearOperator):
         """Solve `A x = rhs`, differentiably in both modes: a derivative is one more substitution with the
         same factor.
         """
-        return lx.linear_solve(self, rhs, StructuredCholesky(), throw=False).value
+        factor = jax.lax.stop_gradient(self).factorise()
+        return jax.lax.custom_linear_solve(self.mv, rhs, lambda _, b: factor.solve(b), symmetric=True)
 
     def as_matrix(self) -> Float[Array, "N N"]:
         """Write out the whole matrix, for tests and small problems."""

@@ -78,7 +78,8 @@ def _solve(
         )
     if constraints is not None and constraints.low is not None:
         return solve_bounded(matrix, rhs, constraints.low, constraints.high, equalities)
-    if equalities is not None:
+    # not through lineax, which refuses arrays that are divided among devices
+    if isinstance(linear_solver, StructuredCholesky):
         return matrix.factorise().solve(rhs, equalities)
     return lx.linear_solve(matrix, rhs, linear_solver, throw=False).value
 
