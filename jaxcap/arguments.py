@@ -128,8 +128,12 @@ def _traced_arguments(error: Exception, given: dict[str, Any]) -> list[str]:
     jax = sys.modules.get("jax")
     if jax is None or not isinstance(error, (jax.errors.JAXTypeError, TracedArgumentError)):
         return []
-    is_traced = lambda leaf: isinstance(leaf, jax.core.Tracer)  # noqa: E731
-    return [key for key, value in given.items() if any(map(is_traced, jax.tree.leaves(value)))]
+    tracer = jax.core.Tracer
+    return [
+        key
+        for key, value in given.items()
+        if any(isinstance(leaf, tracer) for leaf in jax.tree.leaves(value))
+    ]
 
 
 def describe_signature(signature: inspect.Signature) -> str:

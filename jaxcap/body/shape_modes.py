@@ -42,7 +42,7 @@ def joint_modes(body: Body, move_surface: bool = True) -> ShapeModes:
     count = body.skeleton.num_joints
     axes = np.eye(3)
     centres = np.einsum("ij,ab->iajb", np.eye(count), axes).reshape(-1, count, 3)
-    shares = _displacement_weights(body) if move_surface else np.zeros((len(body.vertices), count))
+    shares = _displacement_weights(body, move_surface)
     vertices = np.einsum("vj,ab->javb", shares, axes).reshape(-1, len(shares), 3)
     dtype = body.vertices.dtype
     return ShapeModes(jnp.asarray(centres, dtype), jnp.asarray(vertices, dtype))
@@ -65,9 +65,7 @@ def bone_length_modes(body: Body, groups: Sequence[Sequence[int]], move_surface:
             _check_bone(skeleton, joint)
             bone = centres[joint] - centres[parents[joint]]
             shifts[group] += np.outer(skeleton.descendants[joint], bone)
-    shares = (
-        _displacement_weights(body) if move_surface else np.zeros((len(body.vertices), skeleton.num_joints))
-    )
+    shares = _displacement_weights(body, move_surface)
     dtype = body.vertices.dtype
     return ShapeModes(
         jnp.asarray(shifts, dtype), jnp.asarray(np.einsum("vj,kja->kva", shares, shifts), dtype)
@@ -88,13 +86,15 @@ def _check_bone(skeleton: Skeleton, joint: int) -> None:
         )
 
 
-def _displacement_weights(body: Body) -> Float[np.ndarray, "V J"]:
-    """Compute the weight of each joint's displacement for each vertex.
+def _displacement_weights(body: Body, move_surface: bool) -> Float[np.ndarray, "V J"]:
+    """Compute the weight of each joint's displacement for each vertex; zero if the surface does not move.
 
     A bone's influence is interpolated between the joints at its two ends, by the position of the vertex
     along the bone.
     """
     skeleton: Skeleton = body.skeleton
+    if not move_surface:
+        return np.zeros((len(body.vertices), skeleton.num_joints))
     influence = np.asarray(body.skin.bone_weights(skeleton.num_joints), float)
     vertices, centres = np.asarray(body.vertices, float), np.asarray(skeleton.centres, float)
     shares = np.zeros_like(influence)

@@ -112,12 +112,12 @@ def sum_user_terms(where: str, terms: UserTerms, body: Body) -> AbstractEnergy |
     return sum_energies(given)
 
 
-def check_finite_residuals(where: str, terms: AbstractEnergy | None, body: Body, pose: Pose) -> None:
+def check_finite_residuals(where: str, terms: AbstractEnergy, body: Body, pose: Pose) -> None:
     """Check that the residual of each of a user's terms is finite in a pose; nothing is checked where arrays are traced.
 
     **Raises:** `InputError` with the term and the number of its rows that are not finite.
     """
-    for term in () if terms is None else flat_terms(terms):
+    for term in flat_terms(terms):
         rows = concrete_values(_residual_in(term, body, pose))
         if rows is not None and not np.isfinite(rows).all():
             bad = int((~np.isfinite(rows)).sum())

@@ -68,7 +68,7 @@ def fit_meshes(
     check_mesh_sequence(body, sequence)
     count = body.vertices.shape[0]
     positions = sequence.vertices.astype(body.vertices.dtype)
-    poses = procrustes_poses(body, sequence) if start is None else poses_of_meshes(start, sequence)
+    poses = procrustes_poses(body, sequence) if start is None else poses_of_meshes(start, len(sequence))
     chosen = jnp.arange(count) if vertices is None else jnp.asarray(vertices)
     own = sum_user_terms("fit_meshes", terms, body)
     if own is not None:
@@ -77,13 +77,15 @@ def fit_meshes(
     return MeshFit(Motion(poses, sequence.rate), rmse, steps, converged)
 
 
-def poses_of_meshes(start: Pose | Motion, sequence: MeshSequence) -> Pose:
-    """Return the poses to start from, one for each mesh. Raises `InputError` where there are more or fewer."""
+def poses_of_meshes(start: Pose | Motion, count: int, name: str = "start") -> Pose:
+    """Return the poses to start from, the argument `name`, one for each of `count` meshes. Raises `ValueError` where there are
+    more or fewer.
+    """
     poses = start.poses if isinstance(start, Motion) else start
-    if poses.scale.shape != (len(sequence),):
+    if poses.scale.shape != (count,):
         given = "a single pose" if poses.scale.ndim == 0 else f"{len(poses.scale)} poses"
-        raise InputError(
-            f"`start` is {given}; expected one for each of {len(sequence)} meshes, stacked, such as stack_poses([...])."
+        raise ValueError(
+            f"`{name}` is {given}; expected one for each of {count} meshes, stacked, such as stack_poses([...])."
         )
     return poses
 

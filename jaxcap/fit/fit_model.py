@@ -90,7 +90,9 @@ def fit_model(
     check_mesh_sequence(model.template, sequence)
     dtype = model.template.vertices.dtype
     positions = sequence.vertices.astype(dtype)
-    poses = procrustes_poses(model.template, sequence) if start is None else poses_of_meshes(start, sequence)
+    poses = (
+        procrustes_poses(model.template, sequence) if start is None else poses_of_meshes(start, len(sequence))
+    )
     own = sum_user_terms("fit_model", terms, model.template)
     if own is not None:
         check_finite_residuals("fit_model", own, model.template, Motion(poses)[0])

@@ -7,8 +7,8 @@ from ..body.pose import Pose
 from ..energy.check_energies import check_energy_arrays
 from ..errors import InputError
 from .pose_problem import PoseProblem
-from .sequences.check_sequence import check_sequence, check_values
-from .sequences.sequence_problem import SequenceEstimate, SequenceProblem
+from .sequences.check_sequence import checked_start
+from .sequences.sequence_problem import SequenceProblem
 from .solvers.least_squares_problem import AbstractProblem
 from .solvers.single_chart import FlatProblem
 
@@ -36,10 +36,5 @@ def flat_problem(problem: AbstractProblem, start: Any) -> FlatProblem:
             raise InputError("flat_problem: `start` is not the pose of one frame, as a PoseProblem needs.")
         check_energy_arrays(problem.energy, problem.body)
     if isinstance(problem, SequenceProblem):
-        poses = start if isinstance(start, Pose) else start.poses
-        check_sequence(problem, poses)
-        if isinstance(start, SequenceEstimate):
-            check_values(problem, start)
-        else:
-            start = problem.start(poses)
+        start = checked_start(problem, start)
     return FlatProblem(problem, start)

@@ -8,7 +8,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.interpreters.partial_eval import dce_jaxpr
 
-from ...body.pose import Pose
+from ...body.pose import Motion, Pose
 from ...energy.check_energies import check_energy_arrays, check_indices, explain_errors
 from ...energy.stacked import NormalPrior, frame_counts, join_frame, split_frames
 from ...errors import InputError
@@ -37,8 +37,20 @@ def check_sequence(problem: SequenceProblem, poses: Pose) -> None:
     _check_bounds(problem, start)
 
 
-def check_values(problem: SequenceProblem, start: SequenceEstimate) -> None:
-    """Check that an estimate has a value for each unknown. Raises `InputError`."""
+def checked_start(problem: SequenceProblem, start: Pose | Motion | SequenceEstimate) -> SequenceEstimate:
+    """Return the estimate from which a problem is solved, from poses or an estimate, after the checks of `check_sequence` and
+    of its values. Raises `InputError`.
+    """
+    poses = start if isinstance(start, Pose) else start.poses
+    check_sequence(problem, poses)
+    if isinstance(start, SequenceEstimate):
+        _check_values(problem, start)
+        return start
+    return problem.start(poses)
+
+
+def _check_values(problem: SequenceProblem, start: SequenceEstimate) -> None:
+    """Check that an estimate has a value for each unknown."""
     if set(start.values) != set(problem.unknowns):
         raise InputError(
             f"SequenceEstimate: the values are of {', '.join(sorted(start.values)) or 'nothing'}; expected those of the unknowns "

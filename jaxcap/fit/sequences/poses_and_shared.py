@@ -45,7 +45,7 @@ class AbstractPosesAndShared(AbstractProblem[Unknown]):
 
 @runtime_checkable
 class PosesAndSharedSolution(Protocol):
-    """What the solution of such a problem has."""
+    """A solution of an `AbstractPosesAndShared`: its unknowns, its energy, and if it has converged."""
 
     @property
     def estimate(self) -> Any: ...

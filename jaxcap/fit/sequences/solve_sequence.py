@@ -14,7 +14,7 @@ from ..precision import with_precision
 from ..solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ..solvers.levenberg_marquardt import LevenbergMarquardt
 from ..solvers.minimise import AnySolver
-from .check_sequence import check_sequence, check_values
+from .check_sequence import checked_start
 from .sequence_problem import SequenceEstimate, SequenceProblem
 
 
@@ -64,14 +64,9 @@ def solve_sequence(
     # data may have another precision than the body
     dtype = problem.body.vertices.dtype
     problem, start = with_precision((problem, start), dtype)
-    poses = start if isinstance(start, Pose) else start.poses
-    check_sequence(problem, poses)
+    start = checked_start(problem, start)
     check_at_least("solve_sequence", 1, max_steps=max_steps)
     solver = LevenbergMarquardt() if solver is None else solver
-    if isinstance(start, SequenceEstimate):
-        check_values(problem, start)
-    else:
-        start = problem.start(poses)
     found = implicit_minimum(problem, problem.project_feasible(start), solver, max_steps, _project_poses)
     trustworthy = is_trustworthy(problem, found)
     estimate, energy = found.y, energy_at(problem, found.y)

@@ -68,7 +68,7 @@ class HierarchicalMinimum(eqx.Module):
 
 
 class HierarchicalStep(NamedTuple):
-    """One step on all levels."""
+    """The result of a step on all levels."""
 
     y: Any
     #: `|r|^2` of every level

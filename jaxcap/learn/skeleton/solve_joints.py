@@ -10,6 +10,7 @@ from ...arguments import checked
 from ...body.body import Body
 from ...body.pose import Pose
 from ...energy.check_energies import UserTerms, sum_user_terms
+from ...fit.fit_meshes import poses_of_meshes
 from ...fit.solvers.implicit import energy_at, implicit_minimum, is_trustworthy
 from ...fit.solvers.levenberg_marquardt import LevenbergMarquardt
 from ...fit.solvers.minimise import AnySolver
@@ -81,11 +82,7 @@ def solve_joints(
     **Raises:** `InputError` where there are more or fewer poses than meshes.
     """
     check_at_least("solve_joints", 1, max_steps=max_steps)
-    if poses.scale.shape != (len(problem.targets),):
-        given = "a single pose" if poses.scale.ndim == 0 else f"{len(poses.scale)} poses"
-        raise ValueError(
-            f"`poses` is {given}; expected one for each of {len(problem.targets)} meshes, stacked."
-        )
+    poses = poses_of_meshes(poses, len(problem.targets), "poses")
     start = jax.lax.stop_gradient(problem.start(poses))
     if solver is None:
         solver = LevenbergMarquardt(rtol=0.0, atol=1e-12, damping=1e-3, relative=True)

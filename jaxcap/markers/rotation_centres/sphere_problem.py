@@ -30,14 +30,14 @@ class SphereProblem(AbstractProblem[Float[Array, "4"]]):
     prior_weight: Float[Array, ""]
 
     def value(self, y):
-        away = jnp.linalg.norm(self.track - y[:3], axis=1) - y[3]
+        offsets = jnp.linalg.norm(self.track - y[:3], axis=1) - y[3]
         gap = y[:3] - self.prior_centre
-        return 0.5 * (self.weights @ away**2 + self.prior_weight * (gap @ gap))
+        return 0.5 * (self.weights @ offsets**2 + self.prior_weight * (gap @ gap))
 
     def information(self, y):
-        apart = self.track - y[:3]
-        lengths = jnp.linalg.norm(apart, axis=1)
-        units = apart / jnp.maximum(lengths, 1e-12)[:, None]
+        differences = self.track - y[:3]
+        lengths = jnp.linalg.norm(differences, axis=1)
+        units = differences / jnp.maximum(lengths, 1e-12)[:, None]
         rows = jnp.concatenate([-units, -jnp.ones((len(units), 1), units.dtype)], 1)
         pull = rows.T @ (self.weights * (lengths - y[3]))
         pull = pull.at[:3].add(self.prior_weight * (y[:3] - self.prior_centre))
