@@ -21,6 +21,8 @@ from .minimise import HISTORY_LENGTH, AbstractManifoldSolver
 ENERGY_ROUNDINGS = 4
 #: a gain counts as nothing below this power of the precision, as a share of the energy
 GAIN_EXPONENT = 0.75
+#: roundings of the unknowns, relative to their measure, up to which a step counts as rounding
+STEP_ROUNDINGS = 10
 #: linear solvers that get the rows of the Jacobian, not the normal equations
 LEAST_SQUARES = lx.QR, lx.SVD, lx.LSMR, lx.Normal, lx.AutoLinearSolver
 
@@ -77,7 +79,9 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     The energy near a minimum is flat, so that rounding hides the effect of steps shorter than about the root
     of the precision. Steps go on there, with the same damping, as long as each is shorter than the one
     before. With `rtol=0` the solver therefore comes as near to the minimum as its gradient can be computed,
-    which derivatives of the solution need.
+    which derivatives of the solution need. If the residuals themselves are roundings, as of exact data, any step may raise
+    the energy. A rejected step with little damping ends the iteration if its predicted gain is at most the energy that
+    rounding of the unknowns causes.
     """
 
     rtol: float
@@ -194,6 +198,9 @@ class LevenbergMarquardt(AbstractManifoldSolver):
         gain = jnp.abs(info.compute_grad_dot(step))
         nothing = gain <= eps**GAIN_EXPONENT * jnp.abs(before)
         small = ((length < self.atol) & (accept | nothing)) | (gain < self.energy_atol)
+        # much damping alone would make the gain as small
+        rounding = (STEP_ROUNDINGS * eps) ** 2 * _total_curvature(info)
+        rounded = (gain <= rounding) & (state.step_size >= 1.0)
         flat = change < self.rtol * jnp.abs(before) + self.energy_atol
         # the largest damping; if a smaller one was too little for a factor, this one is too
         most = state.step_size <= jnp.finfo(step_size.dtype).eps
@@ -205,7 +212,7 @@ class LevenbergMarquardt(AbstractManifoldSolver):
             hidden_length=jnp.where(hidden & shorter, length, jnp.inf),
             length=jnp.where(accept, length, state.length),
             num_steps=state.num_steps + 1,
-            terminate=small | (accept & flat) | (hidden & ~shorter) | (most & ~accept),
+            terminate=small | (accept & flat) | (hidden & ~shorter) | ((rounded | most) & ~accept),
             result=_outcome(before, jnp.isfinite(length) | ~most, accept | ~most),
             history=state.history.at[state.num_steps].set(
                 2.0 * jnp.where(accept, after, before), mode="drop"
@@ -253,6 +260,13 @@ class LevenbergMarquardt(AbstractManifoldSolver):
     def postprocess(self, fn, y, aux, args, options, state, tags, result) -> tuple[Any, Any, dict]:
         del fn, args, options, tags, result
         return y, aux, {"history": state.history, "damping": 1.0 / state.step_size, "length": state.length}
+
+
+def _total_curvature(info: Any) -> Float[Array, ""]:
+    """Compute the trace of the Hessian of half the energy, in scaled unknowns."""
+    if isinstance(info, optx.FunctionInfo.ResidualJac):
+        return jnp.sum(info.jac.as_matrix() ** 2)
+    return jax.tree.reduce(jnp.add, jax.tree.map(jnp.sum, info.hessian.diagonal()))
 
 
 def _outcome(value: Float[Array, ""], solvable: Bool[Array, ""], able: Bool[Array, ""]) -> optx.RESULTS:
