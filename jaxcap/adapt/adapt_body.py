@@ -12,6 +12,7 @@ from ..body.body import Body, scale_body
 from ..body.pose import Motion, Pose, stack_poses
 from ..body.retraction import difference, retract
 from ..body.skeleton import Skeleton
+from ..compiled import forget_many_compiled
 from ..fit.correspondence.nearest_assignment import IndexedScan
 from ..tracking.compare_poses import likelier_pose
 from ..tracking.limb_flips import flip_limb_ends
@@ -67,6 +68,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
     for number, stage in enumerate(stages):
         if state is not None and number < state.done:
             continue
+        forget_many_compiled()
         _LOG.info("adapting, stage %d of %d: %s", number + 1, len(stages), stage)
         if stage.name == "size":
             state = _estimate_size(task)

@@ -11,6 +11,7 @@ import numpy as np
 from ..arguments import checked
 from ..body.body import Body
 from ..body.pose import Motion, Pose, rest_pose, stack_poses
+from ..compiled import forget_many_compiled
 from ..energy.check_energies import UserTerms, check_finite_residuals
 from ..energy.energy import Sum
 from ..errors import InputError
@@ -89,6 +90,7 @@ def _track_frames(
     planes: Sequence[Plane] | None,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
+    forget_many_compiled()
     follower = make_follower(tracker, up, on_search)
     frame = start if isinstance(start, TrackedFrame) else None
     # where the first frame with a person starts

@@ -13,8 +13,10 @@ from ..body.retraction import difference, retract
 from ..energy.check_energies import UserTerms, sum_user_terms
 from ..energy.data.free_space import FreeSpace
 from ..energy.energy import AbstractEnergy, Sum, terms_of, weighted
+from ..energy.priors.flexion_limits import human_flexion_limits
 from ..energy.priors.gaussian_pose_prior import GaussianPrior
 from ..energy.priors.human_prior import human_prior
+from ..energy.priors.joint_limits import JointLimits
 from ..energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
@@ -42,6 +44,8 @@ POINTS_PER_MEASUREMENT = 180.0
 NUM_TESTED, FREE_SPACE_WEIGHT, FREE_SPACE_DEVIATION = 1500, 0.8, 0.02
 #: weight of a depth of one standard deviation inside of another part of the body, for each point of a cloud
 COLLISION_WEIGHT = 1e-2
+#: weight of a flexion of one radian beyond its range, for each point of a cloud
+FLEXION_WEIGHT = 2.0
 #: largest initial standard deviation in metres: larger ones are in another unit
 MAX_SIGMA = 5.0
 
@@ -60,6 +64,8 @@ class Tracker(eqx.Module):
     #: of bodies that are seen in part: the prior of people's poses, and limbs inside of other parts
     pose_prior: GaussianPrior | None
     collision: SelfCollision | None
+    #: of a person's knees and elbows, which do not bend backwards
+    flexion_limits: JointLimits | None
     #: share of the last change in the prediction of a frame
     momentum: Float[Array, ""]
     #: factor on the last frame's sigma at the start of a frame, and its least value in metres
@@ -111,7 +117,8 @@ def make_tracker(
     **Arguments:** `motion_deviation` standard deviations of a frame from its prediction, metres for the root
     and radians for joints; `rest_deviation` in radians, standard deviation from rest of joints without known
     anatomy (`body.people.anatomy`); `partial`, the clouds show a part of the body, as those of one depth camera
-    do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`), and the embedded human
+    do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`) and the ranges of knees
+    and elbows (`human_flexion_limits`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
@@ -139,6 +146,7 @@ def make_tracker(
         rest_deviations=jnp.asarray(rest_deviations(body.skeleton, rest_deviation), body.vertices.dtype),
         pose_prior=human_prior(body.skeleton) if partial else None,
         collision=make_self_collision(body) if partial else None,
+        flexion_limits=human_flexion_limits(body.skeleton) if partial else None,
         momentum=as_number(momentum),
         sigma_growth=as_number(sigma_growth),
         sigma_start=as_number(sigma_start),
@@ -195,10 +203,12 @@ def frame_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
 
 
 def partial_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
-    """Return the terms that determine unobserved joints: pose prior, self-collision, and free space."""
+    """Return the terms that determine unobserved joints: pose prior, limits, self-collision, and free space."""
     total, terms = jnp.sum(cloud.weights), []
     if tracker.pose_prior is not None:
         terms.append(weighted(total / POINTS_PER_MEASUREMENT, tracker.pose_prior))
+    if tracker.flexion_limits is not None:
+        terms.append(weighted(FLEXION_WEIGHT * total, tracker.flexion_limits))
     if tracker.collision is not None:
         terms.append(weighted(COLLISION_WEIGHT * total, tracker.collision))
     if cloud.views:

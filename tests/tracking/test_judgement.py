@@ -296,3 +296,12 @@ def test_a_fault_at_the_limit_does_not_flicker(rng):
         float(update_baseline(mark_flagged(baseline), gather_evidence(SURFACE, REST, cloud, NOBODY)).flagged)
         == 0.0
     )
+
+
+@pytest.mark.parametrize(
+    "build", [{"sex": "female", "weight": 0.2, "height": 1.58}, {"muscle": 0.8, "height": 1.88}]
+)
+def test_people_of_all_builds_have_the_same_regions(build):
+    """Another structure would compile every function of tracking again for each person."""
+    trackers = [make_tracker(human(resolution="low", joints="tracking", **traits)) for traits in ({}, build)]
+    assert jax.tree.structure(trackers[0]) == jax.tree.structure(trackers[1])

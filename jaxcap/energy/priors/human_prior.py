@@ -53,14 +53,20 @@ def human_prior(skeleton: Skeleton) -> GaussianPrior | None:
 
 def _own_prior(skeleton: Skeleton) -> GaussianPrior | None:
     """Select the joints of a skeleton with the names and the rest pose of the embedded human; None for another one."""
-    if not set(REQUIRED_JOINTS) <= set(skeleton.names):
+    if not has_human_frames(skeleton):
         return None
-    names, frames, mean, covariance = _marginal_prior(skeleton)
+    names, _, mean, covariance = _marginal_prior(skeleton)
     joints = [skeleton.index(name) for name in names]
-    angles = rotation.distance(jnp.asarray(frames), skeleton.orientations[jnp.asarray(joints)])
-    if float(jnp.max(angles)) > MAX_FRAME_ANGLE:
-        return None
     return _make_prior(skeleton, joints, mean, inverse_symmetric(covariance), names)
+
+
+def has_human_frames(skeleton: Skeleton) -> bool:
+    """Test if a skeleton has the joint names of the embedded human, with the same frames at rest."""
+    if not set(REQUIRED_JOINTS) <= set(skeleton.names):
+        return False
+    names, frames, _, _ = _marginal_prior(skeleton)
+    own = skeleton.orientations[jnp.asarray([skeleton.index(name) for name in names])]
+    return float(jnp.max(rotation.distance(jnp.asarray(frames), own))) <= MAX_FRAME_ANGLE
 
 
 def _make_prior(
@@ -100,12 +106,21 @@ def _carry_samples(source: Skeleton, skeleton: Skeleton, plan: RetargetPlan) -> 
     turns = Rotation.from_rotvec(turns.apply(vectors.reshape(-1, 3))).as_quat(scalar_first=True)
     rotations = np.tile([1.0, 0, 0, 0], (count, source.num_joints, 1))
     rotations[:, joints] = turns.reshape(count, -1, 4)
-    poses = Pose(jnp.zeros((count, source.num_joints, 3)), jnp.asarray(rotations), jnp.ones(count))
+    turns = retarget_rotation_vectors(source, skeleton, plan, jnp.asarray(rotations))
+    frames = Rotation.from_quat(np.tile(_scipy(skeleton.orientations), (count, 1)))
+    found = frames.inv().apply(turns.reshape(-1, 3)).reshape(count, -1, 3)
+    return _nearest_turns(found[1:], found[0])
+
+
+def retarget_rotation_vectors(
+    source: Skeleton, skeleton: Skeleton, plan: RetargetPlan, rotations: Float[Array, "N S 4"]
+) -> Samples:
+    """Retarget rotations of the joints of `source` from rest; return rotation vectors in the rest frame of the world."""
+    count = len(rotations)
+    poses = Pose(jnp.zeros((count, source.num_joints, 3)), rotations, jnp.ones(count))
     followed = follow_joints(skeleton, plan, joint_transforms(source, poses)[1], np.zeros((count, 3)))
     turns = Rotation.from_quat(_scipy(followed.rotations).reshape(-1, 4)).as_rotvec()
-    frames = Rotation.from_quat(np.tile(_scipy(skeleton.orientations), (count, 1)))
-    found = frames.inv().apply(turns).reshape(count, -1, 3)
-    return _nearest_turns(found[1:], found[0])
+    return turns.reshape(count, -1, 3)
 
 
 def _scipy(quaternions: Float[Array, "... 4"]) -> Float[np.ndarray, "... 4"]:

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from ...arguments import checked
 from ...body.pose import Motion, take_poses
 from ...body.symmetry import bone_pairs
+from ...compiled import forget_many_compiled
 from ...energy.check_energies import UserTerms, sum_user_terms
 from ...observe.markers import MarkerFrames
 from ..motion.inverse_kinematics import marker_residuals_of_frames, solve_markers
@@ -122,6 +123,7 @@ def calibrate(
     **Raises:** `ValueError` where frames and template share no label, fewer than three markers are ever
     visible, a name in `symmetry` is not a joint's, or `frame_weights` are not one number above zero for each frame.
     """
+    forget_many_compiled()
     # threads of BLAS and of XLA wait for each other, and the matrices of frames are small
     with threadpool_limits(1, "blas"):
         sum_user_terms("calibrate", terms, marker_body(subject))

@@ -21,7 +21,12 @@ NUM_SAMPLES = 1536
 #: stride of the samples that are tested for self-intersection, and half their distance, as a share of the
 #: body's size
 STRIDE, MIN_DISTANCE = 2, 0.016
-#: parts with a smaller share of the area are judged together with their parent
+#: joints of a person's parts that are judged by themselves, without their side: the same for every build, so that nothing is
+#: compiled again for another person
+PERSON_PARTS = frozenset(
+    ("Hips", "LowerBack", "Spine", "Spine1", "Head", "Arm", "ForeArm", "FingerBase", "UpLeg", "Leg", "Foot")
+)
+#: parts of another body with a smaller share of the area are judged together with their parent
 MIN_AREA = 0.012
 _SIDES = {"Left": "left", "Right": "right", "L": "left", "R": "right"}
 
@@ -181,6 +186,9 @@ def _sampled_bones(
 def _large_parts(skeleton: Skeleton, bones: Int[np.ndarray, "S"]) -> tuple[int, ...]:
     """Find the joints of the parts that remain after the smallest are joined to their parents."""
     share = np.bincount(bones, minlength=skeleton.num_joints) / len(bones)
+    plain = [name.removeprefix("Left").removeprefix("Right") for name in skeleton.names]
+    if set(plain) >= PERSON_PARTS:
+        share = np.isin(plain, list(PERSON_PARTS)).astype(float)
     into = np.arange(skeleton.num_joints)
     for joint in np.argsort(-skeleton.depths, kind="stable"):
         parent = skeleton.parents[joint]
