@@ -15,6 +15,7 @@ from .data.soft_object import soft_distance as soft_distance
 from .data.sufficient_statistics import RigidMoments as RigidMoments
 from .data.sufficient_statistics import rigid_moments as rigid_moments
 from .data.vertices import AbstractVertexEnergy as AbstractVertexEnergy
+from .priors.flexion_limits import human_flexion_limits as human_flexion_limits
 from .priors.gaussian_pose_prior import GaussianPrior as GaussianPrior
 from .priors.human_prior import human_prior as human_prior
 from .priors.reference_pose import PosePrior as PosePrior

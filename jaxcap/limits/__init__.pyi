@@ -3,6 +3,7 @@
 from .abstract_limits import AbstractLimits as AbstractLimits
 from .abstract_limits import AllLimits as AllLimits
 from .abstract_limits import allowed as allowed
+from .axis_ranges import AxisRanges as AxisRanges
 from .compare import compare_samples as compare_samples
 from .distance_from_samples import sample_distance as sample_distance
 from .distance_from_samples import sample_distance_frames as sample_distance_frames

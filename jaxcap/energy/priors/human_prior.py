@@ -66,7 +66,7 @@ def has_human_frames(skeleton: Skeleton) -> bool:
         return False
     names, frames, _, _ = _marginal_prior(skeleton)
     own = skeleton.orientations[jnp.asarray([skeleton.index(name) for name in names])]
-    return float(jnp.max(rotation.distance(jnp.asarray(frames), own))) <= MAX_FRAME_ANGLE
+    return bool(jnp.max(rotation.distance(jnp.asarray(frames), own)) <= MAX_FRAME_ANGLE)
 
 
 def _make_prior(
