@@ -32,6 +32,8 @@ MIN_PAUSE, MAX_PAUSE = 2.0, 128.0
 MAX_OUTLIER_SHARE = 0.5
 #: the largest share of the tolerance that faults in clothes have in a first frame: it is doubtful, not lost
 DOUBTFUL_BY_CLOTHES = 0.99
+#: gain of the log-density of a pose, for each point, that counts more than faults
+MUCH_LIKELIER = 0.1
 
 track_frame_jit = eqx.filter_jit(track_frame)
 
@@ -209,9 +211,13 @@ def needs_search(frame: TrackedFrame) -> bool:
 
 
 def choose_better(tracker: Tracker, cloud: Cloud, found: TrackedFrame, frame: TrackedFrame) -> TrackedFrame:
-    """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller."""
+    """Choose between two poses of one frame: `found` if it is likelier and its worst fault is smaller, or if it is much likelier.
+
+    Two poses may have the same worst fault, such as hair that the body does not have.
+    """
     before, after = (float(pose_log_density(tracker, one.pose, cloud)) for one in (frame, found))
-    return found if after >= before and found.judgement.worst < frame.judgement.worst else frame
+    is_better = after >= before and found.judgement.worst < frame.judgement.worst
+    return found if is_better or after >= before + MUCH_LIKELIER else frame
 
 
 def is_finite(pose: Pose) -> bool:
