@@ -7,11 +7,13 @@ from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
 from .compare_poses import choose_likeliest, likelier_pose
+from .expectation_maximisation.pose_log_density import pose_log_density
 from .judge_frame import (
     SearchHistory,
     TrackedFrame,
@@ -35,6 +37,9 @@ _LOG = logging.getLogger(__name__)
 FirstSearch = Literal["auto"] | bool
 #: standard deviation at which a pose that a search found is tracked, metres
 FOUND_SIGMA = 0.03
+#: searches for the first pose of a partly seen person at most, and the difference of the log-densities of two poses, for each
+#: point, below which they are equally likely
+FIRST_SEARCHES, AGREEMENT = 5, 0.01
 
 
 class Search(NamedTuple):
@@ -99,10 +104,8 @@ def find_first_frame(
         frame = track_first_frame(tracker, surface, cloud, pose, sigma, occluders)
     if frame is None or (search == "auto" and frame.verdict != "good"):
         coarse = follower.begin_search(number, () if frame is None else frame.reasons, 0.0)
-        pose, _ = initialise(tracker, cloud, up=follower.up, coarse=coarse)
-        found = track_first_frame(tracker, surface, cloud, pose, FOUND_SIGMA, occluders)
-        frame = found if frame is None else choose_better(tracker, cloud, found, frame)
-        frame = eqx.tree_at(lambda f: f.searches.count, frame, 1.0)
+        frame = _search_first_frame(follower, coarse, frame, cloud, occluders)
+        frame = eqx.tree_at(lambda f: f.searches, frame, SearchHistory(count=1.0))
     if candidates is not None:
         reached = frame.state, frame.statistics
         state, statistics = choose_likeliest(tracker, *reached, candidates, pose, cloud, margin)
@@ -111,6 +114,37 @@ def find_first_frame(
             searches = SearchHistory(count=frame.searches.count)
             frame = judge_frame(surface, cloud, state, statistics, baseline, searches, occluders)
             frame = finish_frame(tracker, frame, pose)
+    return frame
+
+
+def _search_first_frame(
+    follower: Follower,
+    coarse: Tracker,
+    frame: TrackedFrame | None,
+    cloud: Cloud,
+    occluders: Float[Array, "O 4"] | None,
+) -> TrackedFrame:
+    """Search for the pose of a first frame, and return the better of what is found and of `frame`.
+
+    A partly seen person may look alike from two sides, and one search may end at the wrong one. Searches from other starts
+    follow, with the clothes that the best frame has shown, until the two likeliest poses are equally likely and good.
+    """
+    alone = follower.tracker.pose_prior is None
+    densities: list[float] = []
+    for attempt in range(1 if alone else FIRST_SEARCHES):
+        tracker, few = follower.tracker, coarse
+        if frame is not None:
+            tracker, few = (with_clothes(each, frame.state.estimate.clothes) for each in (tracker, coarse))
+        if attempt:
+            _LOG.info("searching from other starts, search %d of at most %d", attempt + 1, FIRST_SEARCHES)
+        pose, _ = initialise(tracker, cloud, up=follower.up, coarse=few, key=jax.random.key(attempt))
+        found = track_first_frame(tracker, follower.surface, cloud, pose, FOUND_SIGMA, occluders)
+        densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))
+        frame = found if frame is None else choose_better(tracker, cloud, found, frame)
+        likeliest = sorted(densities)[-2:]
+        if frame.verdict == "good" and len(likeliest) == 2 and np.ptp(likeliest) < AGREEMENT:
+            break
+    assert frame is not None
     return frame
 
 
