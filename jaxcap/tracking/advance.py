@@ -104,7 +104,7 @@ def find_first_frame(
         frame = track_first_frame(tracker, surface, cloud, pose, sigma, occluders)
     if frame is None or (search == "auto" and frame.verdict != "good"):
         coarse = follower.begin_search(number, () if frame is None else frame.reasons, 0.0)
-        frame = _search_first_frame(follower, coarse, frame, cloud, occluders)
+        frame = search_first_frame(follower, coarse, frame, cloud, occluders)
         frame = eqx.tree_at(lambda f: f.searches, frame, SearchHistory(count=1.0))
     if candidates is not None:
         reached = frame.state, frame.statistics
@@ -117,12 +117,12 @@ def find_first_frame(
     return frame
 
 
-def _search_first_frame(
+def search_first_frame(
     follower: Follower,
     coarse: Tracker,
     frame: TrackedFrame | None,
     cloud: Cloud,
-    occluders: Float[Array, "O 4"] | None,
+    occluders: Float[Array, "O 4"] | None = None,
 ) -> TrackedFrame:
     """Search for the pose of a first frame, and return the better of what is found and of `frame`.
 

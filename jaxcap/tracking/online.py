@@ -9,7 +9,7 @@ import jax
 from ..body.pose import Pose, rest_pose
 from ..observe.clouds import Cloud
 from ..value_checks import check_at_least, check_direction
-from .advance import FOUND_SIGMA, follow_frame, make_follower
+from .advance import follow_frame, make_follower, search_first_frame
 from .check_cloud import check_cloud
 from .compare_poses import track_from
 from .expectation_maximisation.pose_log_density import pose_log_density
@@ -23,7 +23,6 @@ from .judge_frame import (
 )
 from .judgement.baseline import initial_baseline
 from .search.catch_up import catch_up
-from .search.initialise import initialise
 from .search.search_frame import search_frame
 from .track_frame import Tracker, check_sigma, with_clothes
 
@@ -127,9 +126,7 @@ class OnlineTracker:
             tracker = self.tracker if before is None else with_clothes(self.tracker, worn)
             coarse = self._follower.coarse()
             if before is None:
-                pose, _ = initialise(self.tracker, cloud, up=self._follower.up, coarse=coarse)
-                first = track_first_frame(self.tracker, self._follower.surface, cloud, pose, FOUND_SIGMA)
-                return first, True
+                return search_first_frame(self._follower, coarse, None, cloud), True
             coarse = with_clothes(coarse, worn)
             key, surface = jax.random.key(number), self._follower.surface
             caught = catch_up(tracker, surface, coarse, frame, before, cloud, jax.random.fold_in(key, 1))

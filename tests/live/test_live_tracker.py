@@ -191,7 +191,7 @@ def test_no_frame_waits_for_a_search(monkeypatch):
         assert go.wait(60)
         return pose_at(5.0), jnp.asarray(0.0)
 
-    monkeypatch.setattr(online, "initialise", slow)
+    monkeypatch.setattr(advance, "initialise", slow)
     monkeypatch.setattr(advance, "coarse_tracker", lambda tracker: tracker)
     away = retract(BODY.skeleton, pose_at(5.0), jnp.zeros(BODY.skeleton.num_dofs).at[:3].set(0.9))
     tracking = OnlineTracker(TRACKER, away, sigma=0.01)

@@ -13,6 +13,7 @@ from jaxcap.body.retraction import difference, retract
 from jaxcap.body.skeleton import dof_layout
 from jaxcap.cli.track.frame_records import pack, row_template, unpack
 from jaxcap.energy.energy import AbstractEnergy
+from jaxcap.energy.priors.human_prior import human_prior
 from jaxcap.errors import InputError
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
@@ -267,6 +268,53 @@ def test_the_first_pose_is_searched_for_where_the_start_explains_nothing(scene, 
     assert len(searched) == 2
     assert announced[0].frame == 0 and announced[0].reasons
     assert announced[1].reasons == ()
+
+
+@pytest.mark.parametrize(
+    ("densities", "bad", "count", "best"),
+    [
+        # as in real depth images of a person from behind: the first search ends back to front, and explains the image
+        ((5.232, 5.319, 5.319), (), 3, 1),
+        ((5.061, 5.056, 5.255, 5.224, 5.354), (0, 1), 5, 4),
+        ((5.329, 5.329), (), 2, 0),
+    ],
+)
+def test_searches_of_a_partly_seen_person_end_where_two_agree(
+    tracked, monkeypatch, densities, bad, count, best
+):
+    frame, cloud, searched = tracked[0][1], tracked[2][1], []
+    assert frame.verdict == "good"
+
+    def found(tracker, cloud, *, key, **options):
+        searched.append(int(jax.random.key_data(key)[-1]))
+        return numbered(len(searched) - 1).pose, None
+
+    def numbered(number):
+        moved = frame.pose.translations.at[0, 0].set(float(number))
+        judged = eqx.tree_at(lambda f: f.pose.translations, frame, moved)
+        return eqx.tree_at(lambda f: f.lost, judged, number in bad)
+
+    def density(tracker, pose, cloud):
+        return jnp.asarray(densities[int(pose.translations[0, 0]) % len(densities)])
+
+    for name, fake in (
+        ("initialise", found),
+        (
+            "track_first_frame",
+            lambda tracker, surface, cloud, pose, *rest: numbered(int(pose.translations[0, 0])),
+        ),
+        ("pose_log_density", density),
+        ("choose_better", lambda t, c, new, old: max(old, new, key=lambda f: float(density(t, f.pose, c)))),
+    ):
+        monkeypatch.setattr(advance, name, fake)
+    follower = advance.make_follower(
+        eqx.tree_at(lambda t: t.pose_prior, TRACKER, human_prior(SKELETON), is_leaf=lambda x: x is None)
+    )
+    chosen = advance.search_first_frame(follower, TRACKER, None, cloud)
+    assert (searched, int(chosen.pose.translations[0, 0])) == (list(range(count)), best)
+    # a person who is seen whole is searched for once
+    advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
+    assert len(searched) == count + 1
 
 
 def test_searches_that_do_not_help_become_rare():
