@@ -8,7 +8,7 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
-from .depth.intrinsics import camera_of_intrinsics, is_intrinsics, make_lens
+from .depth.intrinsics import ROTATION_TOLERANCE, camera_of_intrinsics, is_intrinsics, make_lens
 from .depth.recording import is_recording
 from .depth.recordings import open_recording
 from .kinds import check_kind
@@ -20,8 +20,8 @@ FORMAT = "jaxcap cameras"
 #: arrays of each camera, with their shapes
 _ARRAY_SHAPES = {"rotation": (3, 3), "translation": (3,), "focal": (2,), "principal_point": (2,)}
 _SIZES = ("width", "height")
-#: largest error of a rotation matrix, as files round their numbers
-ROTATION_TOLERANCE = 1e-4
+#: largest distance of a camera from the origin, metres
+MAX_DISTANCE = 100.0
 
 
 @checked
@@ -60,11 +60,25 @@ def read_cameras(path: str | Path) -> list[Camera]:
     check_kind(path, "cameras", (".json",))
     content = read_json(path)
     if isinstance(content, dict) and is_intrinsics(content):
-        return [camera_of_intrinsics(content, str(path))]
+        return [_near(camera_of_intrinsics(content, str(path)), f"{path}: the camera")]
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: the file has no list 'cameras'; write a list of at least one camera.")
-    return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
+    return [
+        _near(_camera(row, f"{path}: camera {number}"), f"{path}: camera {number}")
+        for number, row in enumerate(rows)
+    ]
+
+
+def _near(camera: Camera, where: str) -> Camera:
+    """Return a camera whose distance from the origin may be in metres. Raises `InputError` for another one."""
+    distance = float(np.linalg.norm(camera.translation))
+    if distance > MAX_DISTANCE:
+        raise InputError(
+            f"{where} is {distance:.4g} m from the origin; expected at most {MAX_DISTANCE:g} m. Translations are in metres: divide "
+            "millimetres by 1000, or move the origin to the cameras."
+        )
+    return camera
 
 
 def _camera(row: object, where: str) -> Camera:

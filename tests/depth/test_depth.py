@@ -2,6 +2,7 @@
 
 import json
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import jaxcap as jc
 from jaxcap.depth import cloud_of_depths, find_person, make_depth_view
 from jaxcap.errors import InputError, NoPersonError
 from jaxcap.geometry.camera import look_at, project_points
-from jaxcap.io.cameras import read_cameras
+from jaxcap.io.cameras import read_cameras, write_cameras
 from jaxcap.io.depth.sequence import read_depths
 from jaxcap.metrics import scan_to_surface
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
@@ -193,6 +194,32 @@ def test_intrinsics_of_other_programs(content, tmp_path):
     # a point before the camera, above its axis, is high in the image
     pixel, depth = project_points(camera, jnp.array([0.0, 0.5, -2.0]))
     assert float(depth) == pytest.approx(2.0) and float(pixel[1]) < 239.5
+
+
+def test_extrinsics_of_open3d(tmp_path):
+    """Column by column, from the world to the camera; the identity is that of files without extrinsics."""
+    path = tmp_path / "camera.json"
+    inner = {"width": 640, "height": 480, "intrinsic_matrix": [525, 0, 0, 0, 525, 0, 319.5, 239.5, 1]}
+    true = look_at([0.5, 1.2, 2.0], [0.0, 1.0, 0.0], 640, 480, 60)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = true.rotation, true.translation
+    for given in (matrix.T.reshape(-1), matrix):
+        path.write_text(json.dumps({"intrinsic": inner, "extrinsic": given.tolist()}))
+        (camera,) = read_cameras(path)
+        np.testing.assert_allclose(camera.rotation, true.rotation, atol=1e-6)
+        np.testing.assert_allclose(camera.translation, true.translation, atol=1e-6)
+    path.write_text(json.dumps({"intrinsic": inner, "extrinsic": np.eye(4).reshape(-1).tolist()}))
+    np.testing.assert_array_equal(read_cameras(path)[0].rotation, np.diag([1.0, -1.0, -1.0]))
+    path.write_text(json.dumps({"intrinsic": inner, "extrinsic": (2 * np.eye(4)).reshape(-1).tolist()}))
+    with pytest.raises(InputError, match="'extrinsic' is no rotation and translation"):
+        read_cameras(path)
+
+
+def test_translations_in_millimetres_are_refused(tmp_path):
+    path = tmp_path / "camera.json"
+    write_cameras(path, [eqx.tree_at(lambda c: c.translation, CAMERA, jnp.array([0.0, 1000.0, 0.0]))])
+    with pytest.raises(InputError, match="camera 0 is 1000 m from the origin; .* divide millimetres by 1000"):
+        read_cameras(path)
 
 
 def test_incomplete_intrinsics_are_refused(tmp_path):

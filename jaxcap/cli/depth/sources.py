@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-from ...depth.background import MAX_FRAMES, MIN_FRAMES, Background, estimate_background
+from ...depth.background import MAX_FRAMES, Background, estimate_background
 from ...errors import InputError
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
@@ -127,14 +127,14 @@ def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> lis
 
 
 def choose_frames(sources: DepthSources) -> list[int]:
-    """Choose frames for the background of the sequence itself; none if they are too few, or the person is known."""
+    """Choose frames for the background of the sequence itself; none if the person is known."""
     numbers = even_indices(len(sources.images), MAX_FRAMES, nearest=True).tolist()
     try:
         known = all(mask is not None for mask in sources.images[0].masks)
     except InputError:
         # tracking reports it
         return []
-    return [] if known or len(numbers) < MIN_FRAMES else numbers
+    return [] if known else numbers
 
 
 def estimate_backgrounds(sources: DepthSources, numbers: Sequence[int]) -> list[Background | None]:

@@ -4,6 +4,7 @@ from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ...errors import InputError
 from ...geometry.camera import Camera, check_image_size
@@ -12,6 +13,8 @@ from ..kinds import INTRINSICS_KEYS
 
 #: rotation of a camera without extrinsics, at the origin: it looks along -z, with y up
 FORWARD = np.diag([1.0, -1.0, -1.0])
+#: largest error of a rotation matrix, as files round their numbers
+ROTATION_TOLERANCE = 1e-4
 #: names of the distortion coefficients, and of their model
 COEFFICIENT_KEYS = (
     "coeffs", "distortion_coefficients", "dist_coeffs", "dist_coeff", "distortion", "dist", "D",
@@ -42,7 +45,7 @@ def is_intrinsics(content: object) -> bool:
 def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
     """Make a camera from intrinsics, at the origin if the file has no extrinsics.
 
-    Known are `intrinsic_matrix` (Open3D, column by column), `fx, fy, ppx, ppy` (RealSense) or `fx, fy, cx, cy`, and
+    Known are `intrinsic_matrix` and `extrinsic` (Open3D, column by column), `fx, fy, ppx, ppy` (RealSense) or `fx, fy, cx, cy`, and
     `camera_matrix` (OpenCV); with `width` and `height` or `image_width` and `image_height`. Distortion coefficients make
     the camera's lens.
 
@@ -74,15 +77,39 @@ def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
     if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0):
         raise InputError(f"{where}: the focal lengths are {numbers[:2]}; expected finite numbers above 0.")
     check_image_size(size[0], size[1], where)
+    rotation, translation = _extrinsic(content.get("extrinsic"), where)
     return Camera(
-        jnp.asarray(FORWARD),
-        jnp.zeros(3),
+        jnp.asarray(rotation),
+        jnp.asarray(translation),
         jnp.asarray(numbers[:2]),
         jnp.asarray(numbers[2:]),
         size[0],
         size[1],
         _lens(inner, where),
     )
+
+
+def _extrinsic(content: object, where: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Read the extrinsics that Open3D writes, column by column; without any, and for the identity, the camera is at the origin."""
+    if content is None:
+        return FORWARD, np.zeros(3)
+    try:
+        numbers = np.asarray(content, float)
+        matrix = numbers.reshape(4, 4)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: 'extrinsic' is not a matrix of 4 x 4 numbers; write one.") from None
+    matrix = matrix.T if numbers.ndim == 1 else matrix
+    turn = matrix[:3, :3]
+    is_rigid = np.array_equal(matrix[3], [0, 0, 0, 1]) and np.isfinite(matrix).all()
+    if (
+        not is_rigid
+        or np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE
+        or np.linalg.det(turn) < 0
+    ):
+        raise InputError(
+            f"{where}: 'extrinsic' is no rotation and translation; expected the matrix from the world to the camera, metres."
+        )
+    return (FORWARD, np.zeros(3)) if np.array_equal(matrix, np.eye(4)) else (turn, matrix[:3, 3])
 
 
 def make_lens(coefficients: object, model: str, where: str) -> Lens | None:
