@@ -40,5 +40,6 @@ def check_depth_scale(depth: Float[np.ndarray, "*frames H W"], where: str) -> No
     wrong, right = ("large", "larger") if median > MAX_MEDIAN else ("small", "smaller")
     raise InputError(
         f"{where}: the median depth is {median:.3g} m; expected {MIN_MEDIAN:g} to {MAX_MEDIAN:g} m. Depths seem to be "
-        f"{factor:g} times too {wrong}; give a depth scale that is {factor:g} times {right} (units in a metre)."
+        f"{factor:g} times too {wrong}; give a depth scale that is {factor:g} times {right} (units in a metre). "
+        "Images of floating-point numbers have none: convert them to metres."
     )

@@ -127,7 +127,7 @@ _COUNTED = {
     "joints": ("joints", "frame", "frames"),
 }
 #: keys of the intrinsics of a camera, as other programs write them
-INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx")
+INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx", "width", "image_width")
 #: names of formats in an `.npz`
 _FORMATS = ("body", "body model", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays

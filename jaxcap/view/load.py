@@ -56,7 +56,8 @@ ADVICE_BY_KIND = {
 }
 #: the same by suffix
 ADVICE_BY_SUFFIX = {
-    **dict.fromkeys((".html", ".png", ".svg"), "this is a report; open it in a browser"),
+    **dict.fromkeys((".html", ".svg"), "this is a report; open it in a browser"),
+    ".png": "this is a picture; `jaxcap view --depth FILES --cameras CAMERAS.json` shows depth images",
     ".cst": "this file contains joint limits; give it to a command by --limits",
     ".vj": "this file assigns vertices to joints; give the mesh next to it by --body",
     ".csv": "this file contains the statistics of a run; give the folder of the run",

@@ -228,6 +228,9 @@ def test_incomplete_intrinsics_are_refused(tmp_path):
     with pytest.raises(InputError, match="intrinsics of the camera are incomplete"):
         read_cameras(path)
     good = {"width": 640, "height": 480, "fx": 525, "fy": 520, "ppx": 319.5, "ppy": 239.5}
+    path.write_text(json.dumps({"width": 640, "height": 480, "K": [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}))
+    with pytest.raises(InputError, match="intrinsics of the camera are incomplete"):
+        read_cameras(path)
     path.write_text(json.dumps(good | {"fx": -1}))
     with pytest.raises(InputError, match="focal lengths"):
         read_cameras(path)
