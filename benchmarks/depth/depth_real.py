@@ -4,7 +4,7 @@ The body is the embedded human, of no known build, and no start is given. It is 
 frames, then tracked (`--as-it-is` tracks it without). The person is given by masks, or is found in
 each image (`--find-person`). Measured are the heading of the shoulders against the true turn, the overlap of the
 rendered body with the mask within the part of the image that the sensor measures, and the distance from the person's
-points to the surface. `--picture FILE` writes every fifth frame: red is the mask, green the body, and below each frame
+points to the surface. Every fourth frame is also searched for by itself, as a first one. `--picture FILE` writes every fifth frame: red is the mask, green the body, and below each frame
 stands the body from the left.
 """
 
@@ -26,6 +26,8 @@ from jaxcap.tracking.track import track_frames
 
 #: every so many-th frame is drawn
 PICTURE_STEP = 5
+#: error of the heading above which the pose of a single frame is wrong, degrees
+WRONG_HEADING = 30.0
 
 
 def read_frames(shared: Path) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
@@ -58,6 +60,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--find-person", action="store_true", help="find the person in the images")
     parser.add_argument("--as-it-is", action="store_true", help="do not fit the human to the person's shape")
+    parser.add_argument(
+        "--starts", type=int, default=4, help="also search for the pose of each so many-th frame alone"
+    )
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
     camera, depths, masks, turn = read_frames(shared_folder())
@@ -95,6 +100,13 @@ def main() -> None:
     if options.picture is not None:
         draw_overlays(options.picture, pictures)
     turned = np.unwrap(headings, period=360) - headings[0]
+    wrong_starts = []
+    for number in range(0, len(clouds), options.starts):
+        first = next(iter(track_frames(tracker, clouds[number : number + 1], search=True)))
+        error = abs((heading(body, first.pose) - headings[0] - turn[number] + 180) % 360 - 180)
+        progress(f"searched in frame {number} alone: {first.verdict}, heading {error:.0f} degrees off")
+        if error > WRONG_HEADING:
+            wrong_starts.append(number)
     figures = {
         "heading_error_degrees": float(np.abs(turned - turn[: len(turned)]).max()),
         "overlap_mean": float(np.mean(overlaps)),
@@ -102,12 +114,14 @@ def main() -> None:
         "scan_to_surface_mm": 1000 * float(np.median(distances)),
         "num_lost": verdicts.count("lost"),
         "num_doubtful": verdicts.count("doubtful"),
+        "num_wrong_starts": len(wrong_starts),
     }
     limits = {
         "heading_error_degrees": ("<=", 8.0),
         "overlap_mean": (">=", 0.90),
         "overlap_worst": (">=", 0.84),
         "scan_to_surface_mm": ("<=", 8.0),
+        "num_wrong_starts": ("==", 0),
     }
     sizes = {"frames": len(headings), "points": len(clouds[0].points), "vertices": len(body.vertices)}
     taken = {"first_frame": seconds[0], "median_frame": float(np.median(seconds[1:]))}
