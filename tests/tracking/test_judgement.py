@@ -29,6 +29,7 @@ from jaxcap.tracking.judgement.evidence import _visible_in_camera, gather_eviden
 from jaxcap.tracking.judgement.region_samples import _even_samples, region_name, sample_regions
 from jaxcap.tracking.judgement.self_penetration import inside_degrees
 from jaxcap.tracking.judgement.verdict import judge_evidence
+from jaxcap.tracking.track_frame import make_tracker
 
 BODY = human(resolution="low", joints="tracking")
 SKELETON = BODY.skeleton
