@@ -300,7 +300,11 @@ def test_a_fault_at_the_limit_does_not_flicker(rng):
 
 
 @pytest.mark.parametrize(
-    "build", [{"sex": "female", "weight": 0.2, "height": 1.58}, {"muscle": 0.8, "height": 1.88}]
+    "build",
+    [
+        {"sex": "female", "weight": 0.2, "height": 1.58},
+        {"age": 28, "weight": 0.4, "muscle": 0.8, "height": 1.88},
+    ],
 )
 def test_people_of_all_builds_have_the_same_regions(build):
     """Another structure would compile every function of tracking again for each person."""
