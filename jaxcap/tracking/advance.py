@@ -123,20 +123,22 @@ def search_first_frame(
     frame: TrackedFrame | None,
     cloud: Cloud,
     occluders: Float[Array, "O 4"] | None = None,
+    most: int = FIRST_SEARCHES,
 ) -> TrackedFrame:
     """Search for the pose of a first frame, and return the better of what is found and of `frame`.
 
     A partly seen person may look alike from two sides, and one search may end at the wrong one. Searches from other starts
-    follow, with the clothes that the best frame has shown, until the two likeliest poses are equally likely and good.
+    follow, with the clothes that the best frame has shown, until the two likeliest poses are equally likely and good, at `most` so
+    many.
     """
     alone = follower.tracker.pose_prior is None
     densities: list[float] = []
-    for attempt in range(1 if alone else FIRST_SEARCHES):
+    for attempt in range(1 if alone else most):
         tracker, few = follower.tracker, coarse
         if frame is not None:
             tracker, few = (with_clothes(each, frame.state.estimate.clothes) for each in (tracker, coarse))
         if attempt:
-            _LOG.info("searching from other starts, search %d of at most %d", attempt + 1, FIRST_SEARCHES)
+            _LOG.info("searching from other starts, search %d of at most %d", attempt + 1, most)
         pose, _ = initialise(tracker, cloud, up=follower.up, coarse=few, key=jax.random.key(attempt))
         found = track_first_frame(tracker, follower.surface, cloud, pose, FOUND_SIGMA, occluders)
         densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))

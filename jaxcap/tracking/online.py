@@ -27,6 +27,8 @@ from .search.search_frame import search_frame
 from .track_frame import Tracker, check_sigma, with_clothes
 
 _LOG = logging.getLogger(__name__)
+#: searches for the first pose of a partly seen person at most, while the person moves on
+FIRST_SEARCHES = 2
 
 
 class OnlineTracker:
@@ -126,7 +128,7 @@ class OnlineTracker:
             tracker = self.tracker if before is None else with_clothes(self.tracker, worn)
             coarse = self._follower.coarse()
             if before is None:
-                return search_first_frame(self._follower, coarse, None, cloud), True
+                return search_first_frame(self._follower, coarse, None, cloud, most=FIRST_SEARCHES), True
             coarse = with_clothes(coarse, worn)
             key, surface = jax.random.key(number), self._follower.surface
             caught = catch_up(tracker, surface, coarse, frame, before, cloud, jax.random.fold_in(key, 1))
