@@ -4,8 +4,8 @@ The body is the embedded human, of no known build, and no start is given. It is 
 frames, then tracked (`--as-it-is` tracks it without). The person is given by masks, or is found in
 each image (`--find-person`). Measured are the heading of the shoulders against the true turn, the overlap of the
 rendered body with the mask within the part of the image that the sensor measures, and the distance from the person's
-points to the surface. Every fourth frame is also searched for by itself, as a first one. `--picture FILE` writes every fifth frame: red is the mask, green the body, and below each frame
-stands the body from the left.
+points to the surface. Every fourth frame is also searched for by itself, as a first one. `--picture FILE` writes every
+fifth frame: red is the mask, green the body, and below each frame stands the body from the left.
 """
 
 import argparse

@@ -8,7 +8,7 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
-from .depth.intrinsics import ROTATION_TOLERANCE, camera_of_intrinsics, is_intrinsics, make_lens
+from .depth.intrinsics import camera_of_intrinsics, is_intrinsics, is_rotation, make_lens
 from .depth.recording import is_recording
 from .depth.recordings import open_recording
 from .kinds import check_kind
@@ -60,25 +60,23 @@ def read_cameras(path: str | Path) -> list[Camera]:
     check_kind(path, "cameras", (".json",))
     content = read_json(path)
     if isinstance(content, dict) and is_intrinsics(content):
-        return [_near(camera_of_intrinsics(content, str(path)), f"{path}: the camera")]
+        camera = camera_of_intrinsics(content, str(path))
+        _check_distance(camera, f"{path}: the camera")
+        return [camera]
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: the file has no list 'cameras'; write a list of at least one camera.")
-    return [
-        _near(_camera(row, f"{path}: camera {number}"), f"{path}: camera {number}")
-        for number, row in enumerate(rows)
-    ]
+    return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
 
 
-def _near(camera: Camera, where: str) -> Camera:
-    """Return a camera whose distance from the origin may be in metres. Raises `InputError` for another one."""
+def _check_distance(camera: Camera, where: str) -> None:
+    """Check that the distance of a camera from the origin can be in metres. Raises `InputError`."""
     distance = float(np.linalg.norm(camera.translation))
     if distance > MAX_DISTANCE:
         raise InputError(
             f"{where} is {distance:.4g} m from the origin; expected at most {MAX_DISTANCE:g} m. Translations are in metres: divide "
             "millimetres by 1000, or move the origin to the cameras."
         )
-    return camera
 
 
 def _camera(row: object, where: str) -> Camera:
@@ -97,8 +95,7 @@ def _camera(row: object, where: str) -> Camera:
                 f"{where}: '{name}' is {shortened(repr(size))}; expected a whole number of pixels, at least {MIN_SIDE_PIXELS}."
             )
     check_image_size(sizes["width"], sizes["height"], where)
-    turn = arrays["rotation"]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
+    if not is_rotation(arrays["rotation"]):
         raise InputError(
             f"{where}: 'rotation' is not a rotation matrix; expected rows that are orthonormal and "
             "right-handed."
@@ -106,7 +103,9 @@ def _camera(row: object, where: str) -> Camera:
     if (arrays["focal"] <= 0).any():
         raise InputError(f"{where}: 'focal' is not above zero; give focal lengths in pixels.")
     lens = make_lens(row.get("distortion", []), str(row.get("distortion_model", "")), where)
-    return Camera(**arrays, **sizes, lens=lens)
+    camera = Camera(**arrays, **sizes, lens=lens)
+    _check_distance(camera, where)
+    return camera
 
 
 def _lens_row(camera: Camera) -> dict[str, object]:

@@ -35,6 +35,11 @@ DEVIATIONS: dict[str, tuple[float, float, float]] = {
 }
 
 
+def without_side(name: str) -> str:
+    """Remove the side from the name of one of the embedded human's joints."""
+    return name.removeprefix("Left").removeprefix("Right")
+
+
 def rest_deviations(skeleton: Skeleton, default: float = 1.0) -> Float[np.ndarray, "J 3"]:
     """Return standard deviations of every joint about the axes of its own frame, radians.
 
@@ -43,7 +48,7 @@ def rest_deviations(skeleton: Skeleton, default: float = 1.0) -> Float[np.ndarra
     """
     deviations = np.full((skeleton.num_joints, 3), default)
     for joint, name in enumerate(skeleton.names):
-        plain = name.removeprefix("Left").removeprefix("Right")
+        plain = without_side(name)
         plain = "Thumb" if plain.endswith("Thumb") else plain
         if plain in DEVIATIONS:
             deviations[joint] = DEVIATIONS[plain]

@@ -100,16 +100,17 @@ def _extrinsic(content: object, where: str) -> tuple[Float[np.ndarray, "3 3"], F
         raise InputError(f"{where}: 'extrinsic' is not a matrix of 4 x 4 numbers; write one.") from None
     matrix = matrix.T if numbers.ndim == 1 else matrix
     turn = matrix[:3, :3]
-    is_rigid = np.array_equal(matrix[3], [0, 0, 0, 1]) and np.isfinite(matrix).all()
-    if (
-        not is_rigid
-        or np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE
-        or np.linalg.det(turn) < 0
-    ):
+    if not (np.array_equal(matrix[3], [0, 0, 0, 1]) and np.isfinite(matrix).all() and is_rotation(turn)):
         raise InputError(
             f"{where}: 'extrinsic' is no rotation and translation; expected the matrix from the world to the camera, metres."
         )
     return (FORWARD, np.zeros(3)) if np.array_equal(matrix, np.eye(4)) else (turn, matrix[:3, 3])
+
+
+def is_rotation(matrix: Float[np.ndarray, "3 3"]) -> bool:
+    """Test if the rows of a matrix are orthonormal and right-handed, within the rounding of files."""
+    error = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    return bool(error <= ROTATION_TOLERANCE and np.linalg.det(matrix) >= 0)
 
 
 def make_lens(coefficients: object, model: str, where: str) -> Lens | None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.body import Body
-from ...body.people.anatomy import BODY_REGIONS
+from ...body.people.anatomy import BODY_REGIONS, without_side
 from ...body.skeleton import Skeleton
 from ...geometry.mesh import area_normals, unit_vectors
 from ...geometry.sampling import spatial_order
@@ -186,7 +186,7 @@ def _sampled_bones(
 def _large_parts(skeleton: Skeleton, bones: Int[np.ndarray, "S"]) -> tuple[int, ...]:
     """Find the joints of the parts that remain after the smallest are joined to their parents."""
     share = np.bincount(bones, minlength=skeleton.num_joints) / len(bones)
-    plain = [name.removeprefix("Left").removeprefix("Right") for name in skeleton.names]
+    plain = [without_side(name) for name in skeleton.names]
     if set(plain) >= PERSON_PARTS:
         share = np.isin(plain, list(PERSON_PARTS)).astype(float)
     into = np.arange(skeleton.num_joints)
