@@ -48,7 +48,7 @@ def test_cameras_that_are_none(folder, capsys):
     [
         (look_at([0, 0.5, 2.5], [0, 0.5, 5.0], 320, 240, 60), "points away"),
         (look_at([0, 0.5, 2.5], [2.5, 0.5, 2.0], 320, 240, 60), "outside of its image"),
-        (look_at([0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60), "give translations in metres"),
+        (look_at([0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60), "Translations are in metres"),
     ],
 )
 def test_cameras_that_took_other_scans(folder, capsys, camera, what):
@@ -64,6 +64,9 @@ def test_cameras_that_see_little_of_the_scans():
     near = look_at([0.0, 0.0, 1.3], [0, 0, 0], 320, 240, 30)
     with pytest.raises(jc.InputError, match="% of the scans' points are outside the images of all cameras"):
         check_cameras([near], [points], "c.json")
+    far = look_at([0.0, 500.0, 2500.0], [0, 0, 0], 320, 240, 60)
+    with pytest.raises(jc.InputError, match="give translations in metres"):
+        check_cameras([far], [points], "c.json")
     check_cameras(RING, [points], "c.json")
 
 
