@@ -30,6 +30,7 @@ from jaxcap.geometry.camera import Camera, look_at, project_points
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import scan_scene
 from jaxcap.tracking.track import track_frames
+from jaxcap.tracking.track_frame import replace_body
 
 Scenario = Literal["whole", "hips_up", "turning"]
 SCENARIOS: tuple[Scenario, ...] = ("whole", "hips_up", "turning")
@@ -69,6 +70,8 @@ class Scene(NamedTuple):
 
     camera: Camera
     clouds: list[jc.Cloud]
+    #: the floor that the first frame shows
+    floor: jc.observe.Plane | None
     joints: np.ndarray
     visible: np.ndarray
     masks: list[np.ndarray]
@@ -138,15 +141,18 @@ def make_scene(shared: Path, number: int, scenario: Scenario, frames: int, outfi
         target[1] = eye[1] + away * np.tan(np.radians(half) - np.arctan(0.4 / away))
     camera = look_at(eye, target, *sensor.resolution, sensor.field_of_view)
     clouds, visible, masks, found = [], [], [], []
+    floor = None
     for frame, mesh in enumerate(meshes):
         (image,) = scan_scene(sensor.errors, [camera], [mesh, (room.vertices, room.faces)], number, frame)
         mask = jc.depth.find_person(camera, image.depth, f"frame {frame}")
         truth = image.labels == 0
         found.append(float(np.sum(mask & truth) / np.sum(mask | truth)))
         clouds.append(jc.depth.cloud_of_depths([camera], [image.depth], [mask], name=f"frame {frame}"))
+        if frame == 0:
+            floor = jc.depth.find_floor_of_person([camera], [image.depth], clouds[0])
         visible.append(visible_joints(camera, joints[frame], np.where(truth, image.depth, 0.0)))
         masks.append(truth)
-    return Scene(camera, clouds, joints, np.array(visible), masks, found)
+    return Scene(camera, clouds, floor, joints, np.array(visible), masks, found)
 
 
 def visible_joints(camera: Camera, joints: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -175,13 +181,18 @@ def sides_are_right(found: np.ndarray, truth: np.ndarray, visible: np.ndarray, s
 
 def track_scene(body: jc.Body, scene: Scene, with_images: bool, fit_shape: bool, clothes: bool) -> Result:
     """Track the frames of a scene, and compare joints with the truth."""
-    tracker = jc.make_tracker(body, partial=True, clothes=clothes)
+    terms = (
+        ()
+        if scene.floor is None
+        else (jc.energy.make_floor(body, scene.floor.offset, tuple(scene.floor.normal.tolist()), 0.02),)
+    )
+    tracker = jc.make_tracker(body, terms=terms, partial=True, clothes=clothes)
     clouds = scene.clouds
     if not with_images:
         clouds = [eqx.tree_at(lambda c: c.views, cloud, ()) for cloud in clouds]
     if fit_shape:
         body = jc.adapt.estimate_shape(tracker, clouds)
-        tracker = jc.make_tracker(body, partial=True, clothes=clothes)
+        tracker = replace_body(tracker, body)
     skeleton, faces = body.skeleton, np.asarray(body.faces)
     errors, verdicts, sides, headings, overlaps, seconds = [], [], [], [], [], []
     pictures, drawn = [], (0, len(clouds) // 2, len(clouds) - 1)

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..arguments import checked
 from .clouds import Cloud, ordered_cloud
-from .planes import MAX_FLOOR_TILT, MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room, refine_plane
+from .floor import MAX_FLOOR_TILT
+from .planes import MIN_ROOM_SHARE, PLANE_DISTANCE, Plane, find_planes, in_room, refine_plane
 
 
 @checked

@@ -26,8 +26,6 @@ MAX_BEHIND = 0.05
 MIN_ALIGNED_SHARE, MAX_NORMAL_ANGLE = 0.5, 30.0
 #: least share of the rectangle around a floor or wall that its points fill
 MIN_FILLED_SHARE = 0.6
-#: largest angle between the normal of a floor and the vertical, degrees
-MAX_FLOOR_TILT = 35.0
 
 
 class Plane(NamedTuple):
@@ -127,21 +125,6 @@ def on_planes(planes: list[Plane], points: Float[np.ndarray, "*points 3"]) -> Bo
     for plane in planes:
         on |= np.abs(points @ plane.normal - plane.offset) < PLANE_DISTANCE
     return on
-
-
-@checked
-def find_floor(
-    planes: list[Plane], up: tuple[float, float, float] = (0.0, 1.0, 0.0), max_tilt: float = MAX_FLOOR_TILT
-) -> Plane | None:
-    """Find the floor: of the planes whose normals are nearly vertical the lowest one; None if there is none.
-
-    **Arguments:** `planes` of `find_planes`; `up`, the vertical; `max_tilt`, degrees: cameras without extrinsics may be
-    tilted.
-    """
-    vertical = np.asarray(up, float) / np.linalg.norm(up)
-    level = [plane for plane in planes if plane.normal @ vertical >= np.cos(np.radians(max_tilt))]
-    # the height at which a plane intersects the vertical through the origin
-    return min(level, key=lambda plane: plane.offset / (plane.normal @ vertical), default=None)
 
 
 @checked

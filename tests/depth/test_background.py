@@ -5,7 +5,9 @@ import pytest
 from depth_room import CAMERA, LOW, VERTICES, see
 
 from jaxcap.depth import (
+    cloud_of_depths,
     estimate_background,
+    find_floor_of_person,
     find_person,
     search_person,
 )
@@ -13,7 +15,7 @@ from jaxcap.depth.back_projection import world_points
 from jaxcap.depth.background import MIN_FRAMES, MIN_TOLERANCE, farthest_depths, is_background
 from jaxcap.depth.candidates import PERSON, TOO_LARGE
 from jaxcap.errors import InputError, NoPersonError
-from jaxcap.observe import find_floor, find_planes, refine_plane
+from jaxcap.observe import find_floor, find_planes, is_floor_of, missing_cloud, refine_plane
 
 #: where a person walks, metres
 STEPS = np.linspace(-0.5, 0.7, 12)
@@ -122,6 +124,22 @@ def test_the_floor_is_the_lowest_level_plane(walk):
     # in a world with z up
     turned = floor._replace(normal=np.array([0.0, 0.0, 1.0]))
     assert find_floor([floor, turned], (0.0, 0.0, 1.0)) is turned
+
+
+def test_the_floor_below_a_person_is_no_table_in_front_of_one(walk):
+    depth, mask = walk[0]
+    floor = find_floor_of_person([CAMERA], [depth], cloud_of_depths([CAMERA], [depth], [mask]))
+    assert floor is not None and floor.normal[1] > 0.9999 and abs(floor.offset - LOW) < 2e-3
+    person = world_points(CAMERA, depth)[mask]
+    assert is_floor_of(floor, person)
+    # feet that the camera does not see; a table in front of the person; a level plane through the person; a person who lies
+    assert is_floor_of(floor, person[person[:, 1] > LOW + 0.3])
+    above = LOW + 0.75
+    assert not is_floor_of(floor._replace(offset=above), person[person[:, 1] > above])
+    assert not is_floor_of(floor._replace(offset=LOW + 0.2), person)
+    assert not is_floor_of(floor, person[:, [1, 0, 2]] + [0.0, LOW + 0.3, 0.0])
+    empty = missing_cloud("nobody", ())
+    assert find_floor_of_person([CAMERA], [depth], empty) is None
 
 
 def test_each_step_of_the_search_can_be_looked_at(walk):

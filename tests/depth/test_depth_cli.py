@@ -7,6 +7,7 @@ import jax
 import numpy as np
 import pytest
 from command_line import fails, runs
+from depth_room import CAMERA, LOW, VERTICES, see
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
@@ -68,6 +69,19 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
     assert [frame["verdict"] for frame in frames] == ["good", "good"]
     assert "LeftFoot" in frames[0]["unseen"]
     assert np.abs(np.asarray(motion[1].translations)[0]).max() < 0.03
+
+
+def test_feet_stay_above_the_floor_that_the_images_show(captured, tmp_path, capsys):
+    depth, mask = see([VERTICES], things=False)
+    np.savez(tmp_path / "depth.npz", depth=(1000 * depth[None]).astype(np.uint16), mask=mask[None])
+    write_cameras(tmp_path / "cameras.json", [CAMERA])
+    words = [
+        "track", captured / "body.npz", "--depth", tmp_path / "depth.npz", "--cameras", tmp_path / "cameras.json",
+        "--initialise", "never",
+    ]  # fmt: skip
+    printed = runs(capsys, *words, "-o", tmp_path / "found")
+    assert f"a floor was found at the height {LOW:.2f} m, tilted by 0 degrees" in printed
+    assert "a floor was found" not in runs(capsys, *words, "--floor", -100, "-o", tmp_path / "off")
 
 
 def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tmp_path, capsys):

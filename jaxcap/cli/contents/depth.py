@@ -18,7 +18,8 @@ from ...io.cameras import read_cameras
 from ...io.depth.recording import is_recording
 from ...io.depth.rectify import rectify_depths
 from ...io.depth.sequence import DepthFrame, read_depths
-from ...observe.planes import find_floor, find_planes, refine_plane
+from ...observe.floor import find_floor
+from ...observe.planes import find_planes, refine_plane
 from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
 

@@ -116,14 +116,16 @@ def background_frames(sources: DepthSources, journal: Path, resume: bool) -> lis
 
 def check_some_person(clouds: LazyFrames[Cloud], first: Cloud) -> None:
     """Check that the first frame, or one of some spread ones, shows a person. Raises `InputError`."""
-    if not first.missing:
-        return
+    if first.missing and first_person(clouds) is None:
+        count = len(even_indices(len(clouds), MAX_FRAMES, nearest=True))
+        raise InputError(f"{first.missing} The same holds for all of the {count} frames that were tried.")
+
+
+def first_person(clouds: LazyFrames[Cloud]) -> int | None:
+    """Return the number of the first frame that shows a person, among at most `MAX_FRAMES` spread ones; None if none does."""
     set_activity("searching for a frame with a person")
     numbers = even_indices(len(clouds), MAX_FRAMES, nearest=True).tolist()
-    if not any(_shows_person(clouds, number) for number in numbers):
-        raise InputError(
-            f"{first.missing} The same holds for all of the {len(numbers)} frames that were tried."
-        )
+    return next((number for number in numbers if _shows_person(clouds, number)), None)
 
 
 def _shows_person(clouds: LazyFrames[Cloud], number: int) -> bool:

@@ -12,12 +12,11 @@ import numpy as np
 
 from ...body.body import Body
 from ...body.pose import Motion
+from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
 from ...io.archives.journal import Journal
 from ...io.lazy_frames import LazyFrames
-from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
-from ...limits.abstract_limits import AbstractLimits
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
@@ -55,14 +54,10 @@ from ..depth.sources import (
     DepthScale,
     Empty,
     Masks,
-    describe_doubts,
-    estimate_backgrounds,
-    open_depth_sources,
-    read_empty,
 )
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
-from ..sources import Clouds, load_body, print_room
-from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from ..sources import load_body, print_room
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, print_floor, read_terms
 from .announce import make_announcer, warn_without_prior
 from .check_options import check_options, is_in_chunks
 from .chunk_files import ChunkedRun
@@ -70,13 +65,11 @@ from .chunks import ChunkOptions, track_in_chunks
 from .depth import (
     BACKGROUND_KEY,
     announce_missing,
-    background_frames,
     check_some_person,
-    depth_clouds,
-    people_clouds,
 )
 from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
+from .input import floor_below_person, open_input
 from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
 from .person_shape import find_shapes, warn_of_size
@@ -193,10 +186,13 @@ class Track:
         body, limits = load_body(
             self.body, self.skl, self.vj, self.limits, vertices=self.vertices, unit=self.unit, up=self.up
         )
-        tracker = self.tracker(body, limits)
+        terms = read_terms(
+            body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
+        )
         rate = find_rate(self.rate, self.clouds, self.depth)
         others: set[int] = set()
-        clouds, images, doubts = self.open_clouds(body, others)
+        found = open_input(self, body, others, self.out / JOURNAL)
+        clouds = found.clouds
         # the first cloud shows most input errors, before any file is written
         begun = clouds[0]
         clouds = clouds.with_loaded(0, begun)
@@ -205,9 +201,12 @@ class Track:
             divide_frames(len(clouds), self.chunks, self.overlap)
         make_writable(self.out)
         print_rate(rate)
-        for doubt in doubts:
+        for doubt in found.doubts:
             warn(doubt)
         planes = print_room(begun, self.keep_planes)
+        if self.floor is None:
+            terms += print_floor(body, floor_below_person(found._replace(clouds=clouds), planes))
+        tracker = self.tracker(body, terms)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
             trackers = self.trackers(tracker, clouds)
@@ -215,7 +214,7 @@ class Track:
                 **self.settings(),
                 **fingerprint(trackers, begun),
                 **pose_layout(body.skeleton),
-                BACKGROUND_KEY: images,
+                BACKGROUND_KEY: found.images,
                 **({IN_CHUNKS: True} if is_in_chunks(self) else {}),
             }
             if self.people is None:
@@ -231,30 +230,6 @@ class Track:
         model = load_model_of(self.body, self.vertices)
         bodies = find_shapes(self.out, model, tracker, clouds, count, several=self.people is not None)
         return [replace_body(tracker, body) for body in bodies]
-
-    def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
-        """Open the clouds, or the depth images with their backgrounds.
-
-        Return also the names of the images that show the background of the sequence itself, and what is not known of it,
-        in sentences. Frames that show a second person are added to `others` as they are read. Raises `InputError`.
-        """
-        if not self.depth:
-            return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up), [], []
-        frames = (self.first, self.last)
-        sources = open_depth_sources(self.depth, self.cameras, self.masks, self.depth_scale, frames, self.up)
-        numbers: list[int] = []
-        if self.empty:
-            backgrounds = read_empty(sources, self.empty, self.depth_scale)
-        else:
-            if self.background == "auto":
-                numbers = background_frames(sources, self.out / JOURNAL, self.resume)
-            backgrounds = estimate_backgrounds(sources, numbers)
-        names = [Path(sources.images.names[number]).name for number in numbers]
-        if self.people is None:
-            clouds = depth_clouds(sources, backgrounds, body, others)
-        else:
-            clouds = people_clouds(sources, backgrounds, body, read_count(self.people) or MAX_PEOPLE)
-        return clouds, names, describe_doubts(backgrounds)
 
     def track(
         self,
@@ -346,10 +321,7 @@ class Track:
         """Collect the settings that affect the result, by the names of the options."""
         return {name: getattr(self, name) for name in SETTINGS}
 
-    def tracker(self, body: Body, limits: AbstractLimits | None) -> Tracker:
-        terms = read_terms(
-            body, limits=limits, limit_weight=self.limit_weight, floor=self.floor, prior=self.prior
-        )
+    def tracker(self, body: Body, terms: tuple[AbstractEnergy, ...]) -> Tracker:
         mixture = make_mixture_settings(
             normal_threshold=float(np.cos(np.radians(self.normal_angle))),
             outlier=self.outlier,

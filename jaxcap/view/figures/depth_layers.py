@@ -14,7 +14,7 @@ from ...depth.candidates import PERSON, PIECE, Candidate, join_candidates
 from ...depth.person import search_person
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
-from ...observe.planes import find_floor
+from ...observe.floor import find_floor
 from .clouds import sample_rows
 
 MEASURED, PLANES, BACKGROUND = "measured points", "floors and walls", "background"
