@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -34,6 +34,7 @@ from .models.human_models import is_human_spec as is_human_spec
 from .models.human_models import load_human
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+UPS: tuple[Up, ...] = get_args(Up)
 #: description of body files in help texts and errors
 BODY_FORMATS = (
     "`human` (with options, as in `human:female,height=1.7`, or `human:betas=20` for a build that is fitted), `human:anny`, a body .npz, a body model of SMPL's family (.npz or "

@@ -9,15 +9,18 @@ import subprocess
 import time
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import FRAMES, PYTHON, fails, runs, write_inputs
 
+import jaxcap as jc
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli.sources import Clouds, load_body
-from jaxcap.cli.track import person_shape
+from jaxcap.cli.track import advice
 from jaxcap.cli.track import track as track_module
+from jaxcap.cli.track.frame_records import Results
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion, load_skeleton
 from jaxcap.io.meshes.clouds import read_clouds
@@ -176,7 +179,7 @@ def test_the_shape_of_a_person_is_written_and_used_again(inputs, finished, tmp_p
         given.append(len(clouds))
         return eqx.tree_at(lambda b: b.vertices, tracker.body, 1.001 * tracker.body.vertices)
 
-    monkeypatch.setattr(person_shape, "estimate_shape", estimate)
+    monkeypatch.setattr(advice, "estimate_shape", estimate)
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
         fails(capsys, *command(inputs, out, "--fit-shape"), code=130)
@@ -302,7 +305,7 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
             yield dataclasses.replace(frame, lost=True)
 
     monkeypatch.setattr(track_module, "track_frames", losing)
-    monkeypatch.setattr(person_shape, "search_size", lambda *_: 1.0)
+    monkeypatch.setattr(track_module, "warn_of_other_vertical", lambda *_: True)
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in command(inputs, tmp_path / "out")])
     assert stop.value.code == 2
@@ -313,21 +316,68 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
 
 def test_a_person_of_another_size_is_told_if_the_first_frame_is_not_good(inputs, capsys, monkeypatch):
     sought = []
-    monkeypatch.setattr(person_shape, "search_size", lambda *_: sought.append(1) or 0.8)
+    monkeypatch.setattr(advice, "search_size", lambda *_: sought.append(1) or 0.8)
     body, clouds = load_body(str(inputs / "body.npz"))[0], read_clouds(inputs / "clouds.npz")
     frames = (make_tracker(body), Clouds(clouds, body), ())
     with monkeypatch.context() as patch:
         # without the joints of a person, the shape cannot be fitted
-        patch.setattr(person_shape, "human_prior", lambda _: None)
-        person_shape.warn_of_size(*frames, "doubtful")
-    person_shape.warn_of_size(*frames, "good")
+        patch.setattr(advice, "human_prior", lambda _: None)
+        advice.warn_of_size(*frames, "doubtful")
+    advice.warn_of_size(*frames, "good")
     assert not sought and not capsys.readouterr().err
-    person_shape.warn_of_size(*frames, "doubtful")
+    advice.warn_of_size(*frames, "doubtful")
     told = capsys.readouterr().err
     assert "about 0.8 times the size of the body" in told and "--fit-shape" in told
-    monkeypatch.setattr(person_shape, "search_size", lambda *_: 1.0)
-    person_shape.warn_of_size(*frames, "lost")
+    monkeypatch.setattr(advice, "search_size", lambda *_: 1.0)
+    advice.warn_of_size(*frames, "lost")
     assert not capsys.readouterr().err
+
+
+def test_a_person_who_lies_is_asked_for_the_vertical(inputs, capsys):
+    """A turn of the trunk by 90 degrees in two of three frames, of which the data's vertical is z."""
+    skeleton = load_body(str(inputs / "body.npz"))[0].skeleton
+    rest = jc.rest_pose(skeleton)
+    half = np.sqrt(0.5)
+    turned = eqx.tree_at(
+        lambda p: p.rotations, rest, rest.rotations.at[0].set(jnp.array([half, half, 0.0, 0.0]))
+    )
+    results = Results(
+        np.zeros(3),
+        jc.stack_poses([rest, turned, turned], 30.0).poses,
+        None,
+        [("good", ())] * 3,
+        [()] * 3,
+        [False] * 3,
+    )
+    assert advice.warn_of_vertical(results, "y")
+    assert "in 67% of the frames the trunk points along z of the data" in (told := capsys.readouterr().err)
+    assert "give --up=z" in told
+    # y of these poses is z of the data
+    assert advice.warn_of_vertical(results, "z") and "give --up=-y" in capsys.readouterr().err
+    upright = results._replace(verdicts=[("good", ()), ("good", ()), ("lost", ())])
+    assert not advice.warn_of_vertical(upright, "y") and not capsys.readouterr().err
+
+
+def test_another_vertical_is_named_if_a_person_is_much_likelier_with_it(inputs, capsys, monkeypatch):
+    """The stand-in for a search prefers clouds that are long along y, and finds the person upright."""
+    body, clouds = load_body(str(inputs / "body.npz"))[0], read_clouds(inputs / "clouds.npz")
+    monkeypatch.setattr(
+        advice,
+        "initialise",
+        lambda _, cloud: (jc.rest_pose(body.skeleton), np.ptp(np.asarray(cloud.points), axis=0)[1]),
+    )
+    tracker = make_tracker(body)
+    frames = Clouds(clouds, body)
+    longest = "xyz"[np.argmax(np.ptp(np.asarray(frames[0].points), axis=0))]
+    for up in "xyz":
+        turned = Clouds(clouds, body, up)
+        warned = advice.warn_of_other_vertical(tracker, turned, (), "lost", up)
+        printed = capsys.readouterr().err
+        assert (
+            warned == (up != longest)
+            and (f"give --up={longest}" in printed or f"give --up=-{longest}" in printed) == warned
+        )
+        assert not advice.warn_of_other_vertical(tracker, turned, (), "good", up)
 
 
 def test_a_search_is_announced_with_its_reason(capsys):

@@ -1,23 +1,18 @@
 """The shapes of the people, estimated before tracking."""
 
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 
 from ...adapt.shape.people_shapes import estimate_people_shapes
 from ...adapt.shape.tracked_shape import estimate_shape
 from ...body.body import Body
 from ...body.body_model import BodyModel
-from ...energy.priors.human_prior import human_prior
 from ...errors import InputError
 from ...io.archives.npz import save_body
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
-from ...observe.floors_and_walls import remove_planes
-from ...observe.planes import Plane
-from ...tracking.search.initialise import search_size
 from ...tracking.track_frame import Tracker
-from ..console.console import pluralise, say, warn
+from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
 from ..sources import load_body
 from .results import PERSON, make_writable, person_folder
@@ -54,25 +49,6 @@ def find_person_shape(
         say(f"the shape of the person is in {path}; the frames are now tracked with it")
     # the written body, so that a resumed run has the same one
     return load_body(str(path))[0]
-
-
-def warn_of_size(tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[Plane], verdict: str) -> None:
-    """Warn if a person of another size explains the first cloud better, whose pose has a `verdict` other than `good`.
-
-    Only for bodies with the joints of a person, whose shape can be fitted.
-    """
-    if verdict == "good" or human_prior(tracker.body.skeleton) is None:
-        return
-    first = first_readable(clouds, 1)
-    if not first:
-        return
-    set_activity("comparing sizes of the body")
-    size = search_size(tracker, remove_planes(first[0], planes))
-    if size != 1:
-        warn(
-            f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "
-            "size are wrong; --fit-shape fits a human body to the person; otherwise check --unit, or give a body of this size"
-        )
 
 
 def find_people_shapes(

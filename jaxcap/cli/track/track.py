@@ -58,6 +58,7 @@ from ..depth.sources import (
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, print_floor, read_terms
+from .advice import warn_of_other_vertical, warn_of_size, warn_of_vertical
 from .announce import make_announcer, warn_without_prior
 from .check_options import check_options, is_in_chunks
 from .chunk_files import ChunkedRun
@@ -72,7 +73,7 @@ from .frame_records import pack, pose_layout, results_width, row_template, row_w
 from .input import floor_below_person, open_input
 from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
-from .person_shape import find_shapes, warn_of_size
+from .person_shape import find_shapes
 from .results import (
     CHUNKS,
     PARAMETERS,
@@ -273,8 +274,13 @@ class Track:
             f"statistics.json are in {self.out}"
         )
         warn_of_results(results)
-        if len(rows) and tracker.pose_prior is None and not (self.fit_shape or self.initialise == "never"):
-            warn_of_size(tracker, clouds, planes, results.verdicts[0][0])
+        if len(rows) and self.initialise != "never":
+            verdict = results.verdicts[0][0]
+            vertical = warn_of_vertical(results, self.up) or warn_of_other_vertical(
+                tracker, clouds, planes, verdict, self.up
+            )
+            if not (vertical or self.fit_shape):
+                warn_of_size(tracker, clouds, planes, verdict)
         if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
             raise InputError(
                 f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
