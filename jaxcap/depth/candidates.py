@@ -11,6 +11,11 @@ MAX_PIECE_GAP = 0.25
 #: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres;
 #: a smaller area than this next to other pieces, square metres, may be as far away as a piece: a head above raised arms
 MAX_SMALL_GAP, HEAD_AREA = 0.12, 0.03
+#: a surface of a hand's size that nothing supports may be as far away as the length of a forearm, which a hand that is stretched
+#: out towards the camera hides; its least area, square metres, and largest extent, metres
+MAX_HAND_GAP, MIN_HAND_AREA, MAX_HAND_EXTENT = 0.5, 2e-3, 0.3
+#: what supports a surface is nearer than this, metres; largest number of such points, as a share of those of the surface
+SUPPORT_DISTANCE, MAX_SUPPORT_SHARE = 0.1, 0.1
 #: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
 MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
 #: farther surface is no person, metres; smaller surface is noise, square metres
@@ -35,6 +40,8 @@ class Candidate(NamedTuple):
     distance: float
     #: one of the constants above
     found: str
+    #: whether it has the size of a hand and no other surface is near it
+    floats: bool = False
 
 
 def list_candidates(
@@ -48,7 +55,7 @@ def list_candidates(
     **Arguments:** `areas`, that of each pixel's surface, square metres; `eye`, the position of the camera, metres.
     """
     total = np.bincount(labels.reshape(-1), areas.reshape(-1))
-    candidates = []
+    candidates, measured = [], np.any(points != 0, axis=-1)
     for label in np.flatnonzero(total >= MIN_PIECE_AREA):
         if label == 0:
             continue
@@ -62,7 +69,9 @@ def list_candidates(
             found = TOO_SMALL
         else:
             found = TOO_FAR if distance > MAX_DISTANCE else OTHER
-        candidates.append(Candidate(int(label), few, area, extent, distance, found))
+        is_hand = MIN_HAND_AREA <= area < HEAD_AREA and extent < MAX_HAND_EXTENT
+        floats = is_hand and is_unsupported(few, points[measured & (labels != label)])
+        candidates.append(Candidate(int(label), few, area, extent, distance, found, floats))
     return candidates
 
 
@@ -85,7 +94,17 @@ def choose_person(candidates: list[Candidate]) -> list[Candidate]:
 
 def chain_gap(one: Candidate) -> float:
     """Return the largest distance of a surface from other pieces of a person, metres."""
+    if one.floats:
+        return MAX_HAND_GAP
     return MAX_PIECE_GAP if one.area < HEAD_AREA else MAX_SMALL_GAP
+
+
+def is_unsupported(points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "M 3"]) -> bool:
+    """Test if next to no other points are near a surface. Things on a table or a wall are supported by it."""
+    if not len(others):
+        return True
+    near = KDTree(points).query(others, distance_upper_bound=SUPPORT_DISTANCE)[0] < np.inf
+    return int(near.sum()) < MAX_SUPPORT_SHARE * len(points)
 
 
 def join_candidates(parts: list[Candidate]) -> Candidate:
