@@ -64,6 +64,7 @@ from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import Clouds, load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from .announce import make_announcer, warn_without_prior
+from .camera_agreement import describe_disagreement
 from .check_options import check_options, is_in_chunks
 from .chunk_files import ChunkedRun
 from .chunks import ChunkOptions, track_in_chunks
@@ -235,8 +236,8 @@ class Track:
     def open_clouds(self, body: Body, others: set[int]) -> tuple[LazyFrames[Cloud], list[str], list[str]]:
         """Open the clouds, or the depth images with their backgrounds.
 
-        Return also the names of the images that show the background of the sequence itself, and what is not known of it,
-        in sentences. Frames that show a second person are added to `others` as they are read. Raises `InputError`.
+        Return also the names of the images that show the background of the sequence itself, and what is not known of it or
+        of the cameras, in sentences. Frames that show a second person are added to `others` as they are read. Raises `InputError`.
         """
         if not self.depth:
             return Clouds(read_clouds(self.clouds, self.first, self.last, self.unit), body, self.up), [], []
@@ -254,7 +255,7 @@ class Track:
             clouds = depth_clouds(sources, backgrounds, body, others)
         else:
             clouds = people_clouds(sources, backgrounds, body, read_count(self.people) or MAX_PEOPLE)
-        return clouds, names, describe_doubts(backgrounds)
+        return clouds, names, describe_doubts(backgrounds) + describe_disagreement(clouds)
 
     def track(
         self,
