@@ -16,12 +16,14 @@ NUM_COMPARED, MIN_SEEN = 5, 200
 MIN_EMPTY_SHARE = 0.08
 
 
-def describe_disagreement(clouds: LazyFrames[Cloud]) -> list[str]:
+def describe_disagreement(clouds: LazyFrames[Cloud], num_cameras: int) -> list[str]:
     """Describe which cameras see the person in space that another one saw empty, in some spread frames that show the person.
 
     The list has one sentence without a full stop, with the largest share of such points, or none. Frames that cannot be read
     are left out: tracking reports them.
     """
+    if num_cameras < 2:
+        return []
     set_activity("comparing the cameras")
     shares = {pair: share for pair, share in _empty_shares(clouds).items() if share >= MIN_EMPTY_SHARE}
     if not shares:
@@ -38,12 +40,9 @@ def _empty_shares(clouds: LazyFrames[Cloud]) -> dict[tuple[int, int], float]:
     seen, empty, count = Counter[tuple[int, int]](), Counter[tuple[int, int]](), 0
     for number in even_indices(len(clouds), MAX_FRAMES, nearest=True).tolist():
         try:
-            views = clouds[number].views
+            found = compare_views(clouds[number].views)
         except InputError:
             continue
-        if len(views) < 2:
-            break
-        found = compare_views(views)
         for pair, one in found.items():
             seen[pair] += one.seen
             empty[pair] += one.empty

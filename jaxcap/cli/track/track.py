@@ -255,7 +255,7 @@ class Track:
             clouds = depth_clouds(sources, backgrounds, body, others)
         else:
             clouds = people_clouds(sources, backgrounds, body, read_count(self.people) or MAX_PEOPLE)
-        return clouds, names, describe_doubts(backgrounds) + describe_disagreement(clouds)
+        return clouds, names, describe_doubts(backgrounds) + describe_disagreement(clouds, len(self.depth))
 
     def track(
         self,
