@@ -7,7 +7,9 @@ from typing import Annotated
 import tyro
 
 from ..io.depth.images import SUFFIXES as IMAGE_SUFFIXES
+from ..io.depth.open_exr import EXR_SUFFIX
 from ..io.depth.recording import RECORDING_SUFFIXES
+from ..io.depth.sequence import shows_organised_points
 from ..io.kinds import identify, wrong_kind_error
 from ..io.meshes.mesh import SUFFIXES
 from ..io.registry import (
@@ -57,7 +59,7 @@ KNOWN = tuple(
             ".vj",
             ".json",
             ".txt",
-            ".exr",
+            EXR_SUFFIX,
             *RECORDING_SUFFIXES,
         )
     )
@@ -77,7 +79,7 @@ class Info:
 
     def run(self) -> None:
         kind, unit = self.describe()
-        say(suggest_commands(kind, self.file, unit))
+        say(suggest_commands(kind, self.file, unit, self.depth_options()))
 
     def describe(self) -> Contents:
         """Print a description of the contents, and return their kind, and the unit that the next command needs. Raises
@@ -89,10 +91,16 @@ class Info:
         if is_human_spec(self.file):
             describe_body(load_body(self.file)[0])
             return Contents("body")
+        if shows_organised_points(self.file):
+            if self.cameras is not None:
+                return Contents(describe_camera_depth(self.file, options))
+            say(
+                "the points are organised in rows of an image; give --cameras to describe it as a depth image"
+            )
         if path.is_dir():
             return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():
-            if path.suffix.lower() in IMAGE_SUFFIXES:
+            if path.suffix.lower() in (*IMAGE_SUFFIXES, EXR_SUFFIX):
                 return Contents(describe_camera_depth(self.file, options))
             return describe_clouds(self.file, unit)
         kind, suffix = identify(path), path.suffix.lower()
@@ -140,6 +148,8 @@ class Info:
             case "text":
                 return describe_text(path)
             case "depth" if path.suffix.lower() != ".npz":
+                return describe_camera_depth(self.file, self.depth_options())
+            case "picture" if self.cameras is not None and path.suffix.lower() in IMAGE_SUFFIXES:
                 return describe_camera_depth(self.file, self.depth_options())
             case "picture":
                 return "picture"

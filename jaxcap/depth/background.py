@@ -11,7 +11,7 @@ from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.sampling import even_indices
 from .attached import find_attached
-from .check_depths import check_depth_scale, check_image_size_of
+from .check_depths import check_depth_scale, check_image_size_of, keep_measured
 
 #: largest number of frames of a sequence that are compared, and of their values in memory
 MAX_FRAMES, MAX_VALUES = 30, 64_000_000
@@ -71,7 +71,7 @@ def estimate_background(
     for number in even_indices(len(depths), most, nearest=True).tolist():
         name = f"{where}, image {number}"
         check_image_size_of(camera, depths[number], "image", name)
-        frames.append(np.asarray(depths[number], np.float32))
+        frames.append(keep_measured(depths[number]).astype(np.float32))
     images = np.stack(frames)
     check_depth_scale(images, where)
     if not empty and len(images) < MIN_FRAMES:

@@ -1,4 +1,4 @@
-"""Checks that a depth image fits its camera, and that its depths can be in metres."""
+"""Checks that a depth image fits its camera, that its depths can be in metres, and which of its pixels were measured."""
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +8,8 @@ from ..geometry.camera import Camera, check_rectified
 
 #: range of the median depth of an image, metres, and a usual one
 MIN_MEDIAN, MAX_MEDIAN, USUAL_MEDIAN = 0.1, 30.0, 2.0
+#: depths from this on are what renderers write where they see nothing, metres; millimetres by mistake are below it
+NOTHING = 1e6
 
 
 def check_image_size_of(camera: Camera, image: np.ndarray, name: str, where: str) -> None:
@@ -21,8 +23,14 @@ def check_image_size(camera: Camera, image: np.ndarray, name: str, where: str) -
     if image.shape != (camera.height, camera.width):
         raise InputError(
             f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "
-            f"{camera.height}, as the camera."
+            f"{camera.height}, as the camera. Give the intrinsics of images of this size, or resize the {name}."
         )
+
+
+def keep_measured(depth: Float[np.ndarray, "*frames H W"]) -> Float[np.ndarray, "*frames H W"]:
+    """Set depths to zero whose pixels were not measured: those not above zero, not a number, infinite or as good as that."""
+    measured = (depth > 0) & (depth < NOTHING)
+    return depth if measured.all() else np.where(measured, depth, 0.0)
 
 
 def check_depth_scale(depth: Float[np.ndarray, "*frames H W"], where: str) -> None:

@@ -12,7 +12,7 @@ from ..observe.clouds import Cloud, make_cloud, missing_cloud
 from ..observe.depth_views import DepthView
 from .back_projection import measured_points
 from .background import Background
-from .check_depths import check_depth_scale, check_image_size_of
+from .check_depths import check_depth_scale, check_image_size_of, keep_measured
 from .fuse import fuse_cloud
 from .person import PersonSearch, check_found, check_measured, search_person
 from .views import blank_view, make_depth_view
@@ -61,6 +61,7 @@ def cloud_of_depths(
             raise InputError(
                 f"{name}: there are {len(depths)} depth images of {len(number)} {what}; expected one of each."
             )
+    depths = [keep_measured(depth) for depth in depths]
     nothing = [None] * len(depths)
     masks = nothing if masks is None else masks
     backgrounds = nothing if backgrounds is None else backgrounds

@@ -20,6 +20,7 @@ from .candidates import (
     is_piece,
     surface_gap,
 )
+from .check_depths import keep_measured
 from .person import check_measured, mask_of, nobody, segment_surfaces
 
 #: people who touch are one surface, whose longest side may be larger than a person's by this factor
@@ -50,6 +51,7 @@ def find_people(
     person.
     """
     check_at_least("find_people", 1, count=count)
+    depth = keep_measured(depth)
     check_measured(camera, depth, where)
     search = segment_surfaces(camera, depth, background, where)
     people = [[one] for one in choose_people(search.candidates, count, up)]

@@ -12,7 +12,7 @@ from ..observe.planes import Plane, find_planes, on_planes
 from .back_projection import world_points
 from .background import Background, is_background
 from .candidates import PERSON, PIECE, Candidate, choose_person, list_candidates
-from .check_depths import check_depth_scale, check_image_size_of
+from .check_depths import check_depth_scale, check_image_size_of, keep_measured
 from .surfaces import CONTINUITY, connect_pixels, search_step
 
 
@@ -51,6 +51,7 @@ def search_person(
 
     **Raises:** `InputError` if an image has another size than the camera's, or depths that cannot be in metres.
     """
+    depth = keep_measured(depth)
     search = segment_surfaces(camera, depth, background, where)
     candidates = choose_person(search.candidates)
     kept = [one.label for one in candidates if one.found in (PERSON, PIECE)]

@@ -10,6 +10,7 @@ from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.lens import Lens, distort, largest_radius
+from .check_depths import keep_measured
 
 #: largest tangent of the angle between a rectified ray and the optical axis, 75 degrees
 MAX_TANGENT = 3.7
@@ -77,6 +78,7 @@ def make_rectification(camera: Camera) -> Rectification:
 @checked
 def rectify_depth(rectification: Rectification, depth: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "H W"]:
     """Rectify a depth image, metres: interpolated on surfaces, the nearest pixel at edges; zero where nothing was measured."""
+    depth = keep_measured(depth)
     corner = np.clip(
         np.floor(rectification.pixels).astype(int), 0, np.array([depth.shape[1], depth.shape[0]]) - 2
     )

@@ -8,7 +8,7 @@ from ..arguments import checked
 from ..errors import NoPersonError
 from ..geometry.camera import Camera
 from ..observe import DepthView
-from .check_depths import check_image_size_of
+from .check_depths import check_image_size_of, keep_measured
 from .shadows import fill_shadows
 
 #: longest side of the images of a view, pixels: larger images are reduced
@@ -38,12 +38,12 @@ def make_depth_view(
     """
     check_image_size_of(camera, depth, "image", where)
     check_image_size_of(camera, person, "mask", where)
-    measured = np.isfinite(depth) & (depth > 0)
-    if not (person & measured).any():
+    depth = keep_measured(depth)
+    if not (person & (depth > 0)).any():
         raise NoPersonError(
             f"{where}: no pixel of the person was measured; give another mask, or leave out the frame."
         )
-    depth = fill_shadows(np.where(measured, depth, 0.0), person, float(camera.focal[0]))
+    depth = fill_shadows(depth, person, float(camera.focal[0]))
     step = view_step(*depth.shape)
     images = view_images(depth, person, step)
     return DepthView(reduce_camera(camera, step), *images)  # pyright: ignore[reportArgumentType]

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -16,7 +17,8 @@ from jaxcap.cli import view
 from jaxcap.cli.adapt import adapt
 from jaxcap.cli.console.errors import report_errors
 from jaxcap.cli.console.verbs import Verb
-from jaxcap.cli.contents.next_verb import COMMANDS
+from jaxcap.cli.contents.depth import DepthOptions
+from jaxcap.cli.contents.next_verb import COMMANDS, suggest_commands
 from jaxcap.cli.info import Info
 from jaxcap.errors import InputError
 from jaxcap.io.skinned.clip import split_clip
@@ -149,8 +151,11 @@ def test_info_knows_every_file(inside, name):
 @pytest.mark.parametrize("kind", COMMANDS)
 def test_the_next_command_can_be_typed(kind):
     """Every command that `info` names is understood as it stands, with nothing missing."""
-    for line, _ in COMMANDS[kind]:
-        words = shlex.split(line.format(file="'a file'", folder="there", stem="body.npz"))
+    said = suggest_commands(kind, "a file", depth=DepthOptions(Path("a camera.json"), 500.0))
+    commands = re.findall("`jaxcap (.*?)`", said)
+    assert len(commands) == len(COMMANDS[kind])
+    for line in commands:
+        words = shlex.split(line)
         depth = 2 if words[0] in ("markers", "limits", "prior", "edit") else 1
         tyro.cli(verb_named(words[:depth]), args=words[depth:], config=(tyro.conf.FlagCreatePairsOff,))
 

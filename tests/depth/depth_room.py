@@ -1,4 +1,4 @@
-"""A room with a box of a person's size in front of people, seen by one depth camera."""
+"""A room with a box of a person's size in front of people, seen by a depth camera."""
 
 import numpy as np
 import trimesh
@@ -15,7 +15,7 @@ CAMERA = look_at([0.0, 0.4, 3.2], [0.0, 0.0, 0.0], 160, 120, 60)
 FRONT = np.array([0.3, LOW, 0.6])
 
 
-def see(people, things=True) -> tuple[np.ndarray, np.ndarray]:
+def see(people, things=True, camera=CAMERA) -> tuple[np.ndarray, np.ndarray]:
     """Render people, given by their vertices, behind a box of a person's size: depths, and the people's pixels."""
     box, room = (
         make_box(FRONT, FRONT + [0.5, 0.9, 0.4]),
@@ -28,7 +28,7 @@ def see(people, things=True) -> tuple[np.ndarray, np.ndarray]:
         np.concatenate([vertices for vertices, _ in surfaces]),
         np.concatenate([faces + first for (_, faces), first in zip(surfaces, count, strict=False)]),
     )
-    image = render_depth(CAMERA, mesh)
+    image = render_depth(camera, mesh)
     first = sum(len(faces) for _, faces in surfaces[: len(surfaces) - len(people)])
     return image.depth, (image.depth > 0) & (image.triangles >= first)
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import jaxcap as jc
-from jaxcap.depth import cloud_of_depths, find_person, make_depth_view
+from jaxcap.depth import cloud_of_depths, estimate_background, find_person, make_depth_view
 from jaxcap.errors import InputError, NoPersonError
 from jaxcap.geometry.camera import look_at, project_points
 from jaxcap.io.cameras import read_cameras, write_cameras
@@ -105,6 +105,23 @@ def test_cameras_that_see_people_at_different_places_are_named():
         cloud_of_depths([CAMERA, other], [depth, depth], [person, person])
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("nothing", [np.nan, np.inf, -np.inf, np.finfo(np.float32).max])
+def test_depths_that_are_not_finite_were_not_measured(nothing, tmp_path):
+    depth, person = room()
+    depth[50:55, 70:90] = depth[:10] = 0.0
+    bad = np.where(depth > 0, depth, nothing)
+    for masks in (None, [person]):
+        right, found = (cloud_of_depths([CAMERA], [image], masks) for image in (depth, bad))
+        np.testing.assert_array_equal(found.points, right.points)
+    right, found = (estimate_background(CAMERA, [image] * 10) for image in (depth, bad))
+    np.testing.assert_array_equal(found.depth, right.depth)
+    np.savez(tmp_path / "depth.npz", depth=bad[None].astype(np.float32))
+    Image.fromarray(bad.astype(np.float32)).save(tmp_path / "depth.tiff")
+    for name in ("depth.npz", "depth.tiff"):
+        np.testing.assert_array_equal(read_depths(tmp_path / name)[0].depths[0], depth.astype(np.float32))
+
+
 def test_large_images_are_reduced_to_the_nearest_surface():
     camera = look_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], 640, 480, 60)
     depth = np.full((480, 640), 3.0)
@@ -146,14 +163,26 @@ def test_pictures_and_missing_images_are_refused(tmp_path):
     Image.fromarray(np.zeros((12, 16, 3), np.uint8)).save(tmp_path / "photo.png")
     with pytest.raises(InputError, match="3 channels, so it is a picture and no depth image"):
         read_depths(str(tmp_path / "photo.png"))[0]
-    (tmp_path / "broken.png").write_bytes(b"\x89PNG nothing")
-    with pytest.raises(InputError, match="cannot be read"):
+    Image.fromarray(np.zeros((12, 16), np.uint8)).save(tmp_path / "grey.png")
+    with pytest.raises(InputError, match=r"8 bits: 256 numbers are too few .* Give the 16-bit images"):
+        read_depths(str(tmp_path / "grey.png"))[0]
+    Image.fromarray(np.arange(192, dtype=np.uint16).reshape(12, 16)).save(tmp_path / "broken.png")
+    whole = (tmp_path / "broken.png").read_bytes()
+    (tmp_path / "broken.png").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(
+        InputError, match=r"broken.png: the image cannot be read: .*\. .* copy it again, or leave out"
+    ):
         read_depths(str(tmp_path / "broken.png"))[0]
     with pytest.raises(InputError, match="there are no images"):
         read_depths(str(tmp_path / "none*.png"))
     np.savez(tmp_path / "other.npz", points=np.zeros((3, 3)))
-    with pytest.raises(InputError, match="no array 'depth'"):
+    with pytest.raises(InputError, match=r"no array 'depth' among its arrays \(points\)"):
         read_depths(tmp_path / "other.npz")
+    np.savez(tmp_path / "flat.npz", depth=np.zeros((12, 16)))
+    with pytest.raises(
+        InputError, match=r"the depths have the shape \(12, 16\) .* \(F, H, W\), also a single one"
+    ):
+        read_depths(tmp_path / "flat.npz")
     Image.fromarray(np.zeros((12, 16), np.uint16)).save(tmp_path / "one.png")
     with pytest.raises(InputError, match="masks of 2 cameras"):
         read_depths(str(tmp_path / "one.png"), [str(tmp_path / "one.png")] * 2)

@@ -146,11 +146,21 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
         ),
         (
             ["--depth", "other.npz", "--cameras", "cameras.json"],
-            "the image has 160 x 119 pixels; expected 160 x 120, as the camera",
+            "other.npz[0]: the image has 160 x 119 pixels; expected 160 x 120, as the camera. Give the intrinsics of images of "
+            "this size",
         ),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "other.npz"],
-            "other.npz, image 0: the image has 160 x 119 pixels",
+            "other.npz[0]: the image has 160 x 119 pixels",
+        ),
+        (
+            ["--depth", "wall.npz", "other.npz", "--cameras", "two.json"],
+            "other.npz[0]: the image has 160 x 119 pixels",
+        ),
+        (
+            ["--depth", "wall.npz", "--cameras", "cameras.json", "--people", "2"],
+            "wall.npz[0]: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks. "
+            "The same holds for all of the 3 frames",
         ),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "wall.npz", "wall.npz"],

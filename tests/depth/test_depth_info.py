@@ -2,18 +2,23 @@
 
 import numpy as np
 import pytest
+from command_line import fails
 from PIL import Image
 
 from jaxcap.cli import main
 from jaxcap.errors import InputError
+from jaxcap.geometry.camera import look_at
+from jaxcap.io.cameras import write_cameras
 from jaxcap.io.depth.sequence import read_depths
 from jaxcap.io.kinds import identify
+
+CAMERA = look_at([0.0, 0.0, 0.0], [0.0, 0.0, -1.0], 8, 8, 60)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Write two depth images of 8 x 6 pixels, whose left half is measured at 1.5 m."""
-    depth = np.zeros((6, 8), np.uint16)
+    """Write two depth images of 8 x 8 pixels, whose left half is measured at 1.5 m."""
+    depth = np.zeros((8, 8), np.uint16)
     depth[:, :4] = 1500
     (tmp_path / "cam").mkdir()
     for number in range(2):
@@ -29,8 +34,8 @@ def write_masks(folder, mask):
 
 
 def test_images_of_sixteen_bits_are_depth_images(folder):
-    Image.fromarray(np.zeros((6, 8), np.uint8)).save(folder / "picture.png")
-    np.savez(folder / "stack.npz", depth=np.ones((2, 6, 8)))
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(folder / "picture.png")
+    np.savez(folder / "stack.npz", depth=np.ones((2, 8, 8)))
     assert identify(folder / "cam" / "0.png") == "depth"
     assert identify(folder / "picture.png") == "picture"
     assert identify(folder / "stack.npz") == "depth"
@@ -40,13 +45,52 @@ def test_images_of_sixteen_bits_are_depth_images(folder):
 def test_info_describes_depth_images_and_names_the_verb(folder, source, capsys):
     main(["info", f"{folder}/{source}"])
     said = capsys.readouterr().out
-    assert "8 x 6 pixels" in said and "1.50 to 1.50 m" in said and "50 %" in said
+    assert "8 x 8 pixels" in said and "1.50 to 1.50 m" in said and "50 %" in said
     assert "track human --depth" in said
+
+
+def test_the_next_command_repeats_the_cameras_and_the_scale(folder, capsys):
+    write_cameras(folder / "camera 0.json", [CAMERA])
+    main(["info", f"{folder}/cam", "--cameras", f"{folder}/camera 0.json", "--depth-scale", "500"])
+    said = capsys.readouterr().out
+    options = f"--depth {folder}/cam --cameras '{folder}/camera 0.json' --depth-scale 500"
+    assert f"`jaxcap track human {options} -o tracked`" in said and f"`jaxcap view {options}`" in said
+
+
+def test_organised_points_are_depth_images_with_cameras(folder, capsys):
+    from pypcd4 import PointCloud
+
+    points = np.ones((64, 3), np.float32)
+    points[:32] = np.nan
+    for name, size in (("organised", (8, 8)), ("single", (64, 1))):
+        cloud = PointCloud.from_xyz_points(points)
+        cloud.metadata.width, cloud.metadata.height = size
+        (folder / name).mkdir()
+        cloud.save(folder / name / "0.pcd")
+    write_cameras(folder / "camera.json", [CAMERA])
+    for source in ("organised", "organised/*.pcd", "organised/0.pcd"):
+        main(["info", f"{folder}/{source}"])
+        said = capsys.readouterr().out
+        assert "organised in rows of an image; give --cameras" in said and "cloud" in said
+        main(["info", f"{folder}/{source}", "--cameras", f"{folder}/camera.json"])
+        said = capsys.readouterr().out
+        assert "1 depth image of 8 x 8 pixels" in said and "50 %" in said and "track human --depth" in said
+    main(["info", f"{folder}/single/0.pcd", "--cameras", f"{folder}/camera.json"])
+    assert "cloud: 32 vertices" in capsys.readouterr().out
+
+
+def test_pictures_are_refused_as_depth_images_where_cameras_are_given(folder, capsys):
+    (folder / "grey").mkdir()
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(folder / "grey" / "0.png")
+    write_cameras(folder / "camera.json", [CAMERA])
+    for source in ("grey", "grey/0.png"):
+        message = fails(capsys, "info", folder / source, "--cameras", folder / "camera.json")
+        assert "grey/0.png: the image has 8 bits" in message
 
 
 def test_a_mask_of_another_size_is_named(folder):
     images = read_depths(folder / "cam", write_masks(folder, np.ones((3, 4))))
     with pytest.raises(
-        InputError, match=r"masks/0.png: the mask has 4 x 3 pixels, but the depth image .*cam/0.png has 8 x 6"
+        InputError, match=r"masks/0.png: the mask has 4 x 3 pixels, but the depth image .*cam/0.png has 8 x 8"
     ):
         images[0]

@@ -243,7 +243,7 @@ def test_damaged_images_and_images_of_other_times_are_sentences(tmp_path):
         read_depths([tmp_path / "a.mkv", tmp_path / "b.mkv"])
 
 
-def test_depths_of_renderers(tmp_path):
+def test_depths_of_renderers(tmp_path, capsys):
     open_exr = pytest.importorskip("OpenEXR")
     depth = np.linspace(1.0, 3.0, 48 * 64, dtype=np.float32).reshape(48, 64)
     depth[0, 0] = 1e10
@@ -252,6 +252,7 @@ def test_depths_of_renderers(tmp_path):
         open_exr.File({"type": open_exr.scanlineimage}, channels).write(str(tmp_path / name))
 
     write("z.exr", {"ViewLayer.Depth.Z": depth})
+    assert "1 depth image of 64 x 48 pixels" in runs(capsys, "info", tmp_path / "*.exr")
     found = jc.io.read_depths(tmp_path / "z.exr")[0].depths[0]
     np.testing.assert_allclose(found, np.where(depth < 1e3, depth, 0.0))
     write("grey.exr", {"R": depth, "G": depth, "B": depth})

@@ -9,7 +9,7 @@ import numpy as np
 from ...depth.back_projection import world_points
 from ...depth.background import Background, estimate_background, farthest_depths
 from ...depth.candidates import PERSON, PIECE, join_candidates
-from ...depth.check_depths import check_depth_scale, check_image_size_of
+from ...depth.check_depths import check_depth_scale
 from ...depth.person import search_person
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
@@ -97,8 +97,6 @@ def describe_camera_depth(source: str | Path, options: DepthOptions) -> str:
 
 def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
     depths = [frame.depths[0] for frame in frames.values()]
-    for depth, frame in zip(depths, frames.values(), strict=True):
-        check_image_size_of(camera, depth, "image", frame.name)
     background = estimate_background(camera, depths)
     far, _ = farthest_depths(np.stack(depths), 1)
     eye = np.asarray(camera.eye, float)

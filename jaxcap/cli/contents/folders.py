@@ -47,7 +47,8 @@ def describe_folder(folder: Path, unit: str | None, options: DepthOptions) -> Co
             f"{folder}: this folder has no file that a verb reads; `jaxcap demo -o {folder}/demo` makes an "
             "example."
         )
-    if there["depth"] == sum(there.values()):
+    # with cameras, pictures are refused as depth images
+    if there["depth"] + (options.cameras is not None) * there["picture"] == sum(there.values()):
         return Contents(describe_camera_depth(folder, options))
     for one, count in there.most_common():
         say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")

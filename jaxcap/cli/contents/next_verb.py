@@ -2,14 +2,17 @@
 
 from pathlib import Path
 
+from .depth import DepthOptions
 from .folders import first_file_of_kind
 
+#: of depth images, where none were given
+NO_OPTIONS = DepthOptions()
 _DEPTH = (
     (
-        "track human --depth {file} --cameras CAMERAS.json -o tracked",
+        "track human --depth {file} --cameras {cameras}{depth_scale} -o tracked",
         "fits a body, given the intrinsics of the camera",
     ),
-    ("view --depth {file} --cameras CAMERAS.json", "shows how the person is found"),
+    ("view --depth {file} --cameras {cameras}{depth_scale}", "shows how the person is found"),
 )
 #: commands for each kind of content, with `{file}` in place of its name, and their purposes
 COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -60,8 +63,8 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "depth": _DEPTH,
     "folder of depth": _DEPTH,
     "depth recording": (
-        ("track human --depth {file} -o tracked", "fits a body"),
-        ("view --depth {file}", "shows how the person is found"),
+        ("track human --depth {file}{other_cameras}{depth_scale} -o tracked", "fits a body"),
+        ("view --depth {file}{other_cameras}{depth_scale}", "shows how the person is found"),
     ),
     "asf": (("limits check MOTION.amc -l {file}", "reports where a motion violates its limits"),),
     "osim": (
@@ -111,11 +114,11 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
     "scans": (("track human {file} -o tracked", "fits a body"), ("view {file}", "shows them")),
     "depth scans": (
         (
-            "track human --depth {file}/depth0 --cameras {file}/cameras.json -o tracked",
+            "track human --depth {file}/depth0 --cameras {file}/cameras.json{depth_scale} -o tracked",
             "fits a body to one camera's images",
         ),
         (
-            "view --depth {file}/depth0 --cameras {file}/cameras.json",
+            "view --depth {file}/depth0 --cameras {file}/cameras.json{depth_scale}",
             "shows how the person is found, if there is one camera",
         ),
     ),
@@ -136,10 +139,10 @@ NO_COMMAND_SENTENCES = {
 }
 
 
-def suggest_commands(kind: str, file: str, unit: str | None = None) -> str:
+def suggest_commands(kind: str, file: str, unit: str | None = None, depth: DepthOptions = NO_OPTIONS) -> str:
     """Return a line with the suggested commands for a file of some kind, or a sentence about its use.
 
-    **Arguments:** `unit` of lengths, if the commands need it.
+    **Arguments:** `unit` of lengths, if the commands need it; `depth`, the options of depth images, which are repeated.
     """
     if kind not in COMMANDS and kind.startswith(FOLDER_PREFIX):
         one = first_file_of_kind(Path(file), kind.removeprefix(FOLDER_PREFIX))
@@ -150,10 +153,14 @@ def suggest_commands(kind: str, file: str, unit: str | None = None) -> str:
         )
     if kind not in COMMANDS:
         return NO_COMMAND_SENTENCES.get(kind, "no verb reads this")
+    cameras = "" if depth.cameras is None else _quoted(str(depth.cameras))
     words = {
         "file": _quoted(file),
         "folder": _quoted(str(Path(file).parent)),
         "stem": _quoted(file.removesuffix(".partial")),
+        "cameras": cameras or "CAMERAS.json",
+        "other_cameras": cameras and f" --cameras {cameras}",
+        "depth_scale": "" if depth.scale == 1000 else f" --depth-scale {depth.scale:.12g}",
     }
     ending = "" if unit is None else f" --unit {unit}"
     return "next: " + "; ".join(

@@ -152,13 +152,12 @@ def estimate_backgrounds(sources: DepthSources, numbers: Sequence[int]) -> list[
             frames.append(sources.images[number].depths)
         except InputError:
             continue
-    found = nothing
-    for number, camera in enumerate(sources.cameras):
-        shape = camera.height, camera.width
-        depths = [images[number] for images in frames if images[number].shape == shape]
-        if depths:
-            found[number] = estimate_background(camera, depths, where=sources.names[number])
-    return found
+    if not frames:
+        return nothing
+    return [
+        estimate_background(camera, [images[number] for images in frames], where=sources.names[number])
+        for number, camera in enumerate(sources.cameras)
+    ]
 
 
 def describe_doubts(backgrounds: Sequence[Background | None]) -> list[str]:

@@ -11,7 +11,8 @@ from ...depth.background import MAX_FRAMES, Background
 from ...depth.clouds import cloud_of_depths
 from ...depth.people import choose_people, find_people
 from ...depth.person import PersonSearch
-from ...errors import InputError, NoPersonError
+from ...depth.views import blank_view
+from ...errors import InputError, NoPersonError, user_message
 from ...geometry.camera import Camera
 from ...geometry.sampling import even_indices
 from ...io.archives.journal import read_header
@@ -62,11 +63,17 @@ def people_clouds(
 
     def load(number: int) -> Cloud:
         frame = sources.images[number]
-        found = zip(sources.cameras, frame.depths, backgrounds, frame.masks, strict=True)
-        masks = [
-            _mask(depth, _people(camera, depth, background, count, frame.name)) if mask is None else mask
-            for camera, depth, background, mask in found
-        ]
+        masks, reasons = [], []
+        for camera, depth, background, mask, file in zip(
+            sources.cameras, frame.depths, backgrounds, frame.masks, frame.files, strict=True
+        ):
+            try:
+                masks.append(_people(camera, depth, background, count, file) if mask is None else mask)
+            except NoPersonError as error:
+                masks.append(np.zeros(depth.shape, bool))
+                reasons.append(user_message(error))
+        if len(reasons) == len(masks):
+            return missing_cloud(reasons[0], tuple(blank_view(camera) for camera in sources.cameras))
         # two cameras may see different people
         cloud = cloud_of_depths(
             sources.cameras, frame.depths, masks, name=frame.name, keep_missing=True, max_apart=np.inf
@@ -78,16 +85,9 @@ def people_clouds(
 
 def _people(
     camera: Camera, depth: Float[np.ndarray, "H W"], background: Background | None, count: int, where: str
-) -> list[Bool[np.ndarray, "H W"]]:
-    """Find at most `count` people in an image; none if it shows nobody."""
-    try:
-        return find_people(camera, depth, count, where, background=background)
-    except NoPersonError:
-        return []
-
-
-def _mask(depth: Float[np.ndarray, "H W"], people: list[Bool[np.ndarray, "H W"]]) -> Bool[np.ndarray, "H W"]:
-    return np.any([np.zeros(depth.shape, bool), *people], axis=0)
+) -> Bool[np.ndarray, "H W"]:
+    """Find the pixels of at most `count` people in an image. Raises `InputError` as `find_people`."""
+    return np.any(find_people(camera, depth, count, where, background=background), axis=0)
 
 
 def _check(cloud: Cloud, body: Body, name: str) -> Cloud:

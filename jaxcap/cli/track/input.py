@@ -23,6 +23,7 @@ from ..depth.sources import (
     read_empty,
 )
 from ..sources import Clouds
+from .camera_agreement import describe_disagreement
 from .depth import background_frames, depth_clouds, first_person, people_clouds
 from .people import read_count
 
@@ -35,7 +36,7 @@ class TrackInput(NamedTuple):
     sources: DepthSources | None
     #: names of the images that show the background of the sequence itself
     images: list[str]
-    #: what is not known of the background, in sentences without full stops
+    #: what is not known of the background or of the cameras, in sentences without full stops
     doubts: list[str]
 
 
@@ -61,7 +62,8 @@ def open_input(track: Any, body: Body, others: set[int], journal: Path) -> Track
     else:
         clouds = people_clouds(sources, backgrounds, body, read_count(track.people) or MAX_PEOPLE)
     names = [Path(sources.images.names[number]).name for number in numbers]
-    return TrackInput(clouds, sources, names, describe_doubts(backgrounds))
+    doubts = describe_doubts(backgrounds) + describe_disagreement(clouds, len(track.depth))
+    return TrackInput(clouds, sources, names, doubts)
 
 
 def floor_below_person(found: TrackInput, planes: Sequence[Plane]) -> Plane | None:

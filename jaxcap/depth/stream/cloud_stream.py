@@ -11,7 +11,7 @@ from ...geometry.camera import Camera
 from ...observe import DepthView
 from ...observe.clouds import Cloud, ordered_cloud, padded_size
 from ...value_checks import check_at_least
-from ..check_depths import check_image_size_of
+from ..check_depths import check_image_size_of, keep_measured
 from ..clouds import GAP, VOXEL
 from ..fuse import average_in_voxels
 from ..person import check_found, search_person
@@ -84,7 +84,7 @@ class CloudStream:
         for number, (fixed, depth) in enumerate(zip(self.cameras, depths, strict=True)):
             where = name if len(depths) == 1 else f"{name}, camera {number}"
             check_image_size_of(self._whole[number], depth, "image", where)
-            depth = depth[:: self.pixel_step, :: self.pixel_step]
+            depth = keep_measured(depth[:: self.pixel_step, :: self.pixel_step])
             box, person = self._person(fixed, depth, surface, where)
             # single precision is enough for pixels of one image, and faster
             here = depth[box.rows, box.columns].astype(np.float32)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...arguments import checked
+from ...depth.check_depths import keep_measured
 from ...errors import InputError
 from ...geometry.camera import MAX_PIXELS
 from ..system.atomic import atomic_path
@@ -40,18 +41,21 @@ def read_depth_image(path: str | Path, depth_scale: float = 1000.0) -> Float[np.
     """
     image = _read(path)
     if image.ndim != 2 or image.dtype in (np.uint8, np.bool_):
-        found = f"{image.shape[2]} channels" if image.ndim > 2 else "8 bits"
+        found = (
+            f"{image.shape[2]} channels, so it is a picture"
+            if image.ndim > 2
+            else "8 bits: 256 numbers are too few for depths, so it is a picture"
+        )
         raise InputError(
-            f"{path}: the image has {found}, so it is a picture and no depth image; expected one channel of 16 bits."
+            f"{path}: the image has {found} and no depth image; expected one channel of 16 bits. Give the 16-bit images of "
+            "the depth camera."
         )
     return depths_in_metres(image, depth_scale)
 
 
 def depths_in_metres(image: np.ndarray, depth_scale: float) -> Float[np.ndarray, "*F H W"]:
     """Convert depths to metres: whole numbers by their scale; zero where they are not finite or not above zero."""
-    metres = image / depth_scale if image.dtype.kind in "iu" else image.astype(float)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(metres) & (metres > 0), metres, 0.0)
+    return keep_measured(image / depth_scale if image.dtype.kind in "iu" else image.astype(float))
 
 
 @reader_of("a mask")
@@ -84,6 +88,14 @@ def write_mask(path: str | Path, mask: Bool[np.ndarray, "H W"]) -> None:
     _write(path, np.where(mask, 255, 0).astype(np.uint8))
 
 
+def damaged_image(path: str | Path, error: Exception) -> InputError:
+    """Make the error of an image that a library cannot read."""
+    return InputError(
+        f"{path}: the image cannot be read: {str(error).rstrip('.')}. It may be incomplete or damaged: copy it again, or leave "
+        "out the frame."
+    )
+
+
 def _write(path: str | Path, image: np.ndarray) -> None:
     from PIL import Image
 
@@ -106,4 +118,4 @@ def _read(path: str | Path) -> np.ndarray:
                 )
             return np.array(image)
     except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: the image cannot be read: {error}.") from None
+        raise damaged_image(path, error) from None

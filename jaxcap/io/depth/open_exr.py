@@ -8,7 +8,7 @@ from jaxtyping import Float
 from ...errors import InputError
 from ...geometry.camera import MAX_PIXELS
 from ..system.reader_errors import reader_of
-from .images import depths_in_metres
+from .images import damaged_image, depths_in_metres
 
 EXR_SUFFIX = ".exr"
 #: depths beyond it are what renderers write where they see nothing, metres
@@ -40,7 +40,7 @@ def read_exr_depth(path: str | Path) -> Float[np.ndarray, "H W"]:
             parts = [file.channels(number) for number in range(len(file.parts))]
             channels = {name: np.asarray(one.pixels) for part in parts for name, one in part.items()}
     except Exception as error:  # a parser of another library: whatever it raises is a fault of the file
-        raise InputError(f"{path}: the image cannot be read: {error}.") from None
+        raise damaged_image(path, error) from None
     depth = _depth_channel(channels)
     if depth is None or depth.ndim != 2 or depth.dtype.kind != "f":
         raise InputError(

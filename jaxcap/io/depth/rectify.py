@@ -40,12 +40,12 @@ def make_rectifier(cameras: Sequence[Camera]) -> tuple[list[Camera], Callable[[D
             )
         depths, masks = list(frame.depths), list(frame.masks)
         for i, (camera, one) in enumerate(zip(cameras, made, strict=True)):
+            check_image_size(camera, depths[i], "image", frame.files[i] if frame.files else frame.name)
             if one is None:
                 continue
-            check_image_size(camera, depths[i], "image", frame.name)
             depths[i] = rectify_depth(one, depths[i])
             mask = masks[i]
             masks[i] = None if mask is None else rectify_mask(one, mask)
-        return DepthFrame(frame.name, tuple(depths), tuple(masks))
+        return frame._replace(depths=tuple(depths), masks=tuple(masks))
 
-    return rectified, rectify if any(one is not None for one in made) else lambda frame: frame
+    return rectified, rectify if cameras else lambda frame: frame

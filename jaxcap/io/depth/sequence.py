@@ -11,13 +11,15 @@ from jaxtyping import Bool, Float
 from ...arguments import checked
 from ...errors import InputError
 from ...value_checks import check_positive
-from ..archives.archive import load_arrays
+from ..archives.archive import array_names, load_arrays
 from ..lazy_frames import LazyFrames
-from ..meshes.point_files import read_organised_depth
+from ..meshes.point_files import is_organised, read_organised_depth
 from ..system.paths import natural_sort_key, select_range
 from ..system.reader_errors import reader_of
+from ..text import shortened
 from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
 from .open_exr import EXR_SUFFIX, read_exr_depth
+from .pairing import check_same_numbers
 from .recording import is_recording
 from .recordings import open_recording
 
@@ -37,6 +39,8 @@ class DepthFrame(NamedTuple):
     depths: tuple[Float[np.ndarray, "H W"], ...]
     #: the pixels of the person in each; None where they are not known
     masks: tuple[Bool[np.ndarray, "H W"] | None, ...]
+    #: the image of each camera in messages; the frame's name where they are not known
+    files: tuple[str, ...] = ()
 
 
 @checked
@@ -55,8 +59,12 @@ def read_depths(
     RealSense or of ROS (`.bag`, `.db3`) or of an Azure Kinect (`.mkv`); `masks`, if they are known, likewise, as images;
     `first` and `last`, both included, count frames from 0; `depth_scale`, the number of the file's units in a metre.
 
-    **Raises:** `InputError` if nothing is found, or cameras have different numbers of frames; also, when it is loaded,
-    if an image is invalid.
+    Images with the same position in their sequences are one frame. Numbers in their names have to agree.
+
+    **Raises:** `InputError` if nothing is found, cameras have different numbers of frames, or images of one frame have
+    different numbers in their names (`check_same_numbers`); also, when it is loaded, if an image is invalid.
+
+    **Warns:** `UserWarning` if one sequence counts from 0 and another one from 1.
     """
     check_positive("read_depths", "units in a metre", depth_scale=depth_scale)
     cameras = [_open(source, depth_scale) for source in _listed(sources)]
@@ -67,6 +75,10 @@ def read_depths(
         raise InputError(
             f"There are masks of {len(known)} cameras, but depth images of {len(cameras)}; give masks of each camera."
         )
+    for camera in cameras[1:]:
+        check_same_numbers(cameras[0].paths, camera.paths)
+    for camera, paths in zip(cameras, known, strict=False):
+        check_same_numbers(camera.paths, paths)
     count = len(cameras[0].names)
     for names in (*(camera.names for camera in cameras), *known):
         if len(names) != count:
@@ -85,7 +97,8 @@ def read_depths(
             people = [read_mask(paths[frame]) for paths in known]
             for camera, paths, (depth, _), person in zip(cameras, known, shown, people, strict=True):
                 _check_mask(person, paths[frame], depth, camera.names[frame])
-        return DepthFrame(cameras[0].names[frame], tuple(depth for depth, _ in shown), tuple(people))
+        files = tuple(camera.names[frame] for camera in cameras)
+        return DepthFrame(files[0], tuple(depth for depth, _ in shown), tuple(people), files)
 
     return LazyFrames([cameras[0].names[frame] for frame in chosen], load)
 
@@ -98,6 +111,15 @@ def read_depth_file(path: Path, depth_scale: float) -> Float[np.ndarray, "H W"]:
     return read_exr_depth(path) if suffix == EXR_SUFFIX else read_depth_image(path, depth_scale)
 
 
+def shows_organised_points(source: str | Path) -> bool:
+    """Test if a file, or the first one of a folder or a glob, is a .pcd whose points are organised in rows of an image."""
+    try:
+        first = _image_files(source, DEPTH_SUFFIXES)[0]
+    except InputError:
+        return False
+    return first.suffix.lower() == ORGANISED and is_organised(first)
+
+
 class _Images(NamedTuple):
     """The images of one camera: loads depth and mask of a frame."""
 
@@ -105,6 +127,8 @@ class _Images(NamedTuple):
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]]
     #: the time of each, seconds, if it is known
     times: Float[np.ndarray, "F"] | None = None
+    #: the file of each, if each has one
+    paths: Sequence[Path] = ()
 
 
 def _check_simultaneous(cameras: Sequence[_Images]) -> None:
@@ -153,7 +177,7 @@ def _open(source: str | Path, depth_scale: float) -> _Images:
     def load(frame: int):
         return read_depth_file(paths[frame], depth_scale), None
 
-    return _Images([str(path) for path in paths], load)
+    return _Images([str(path) for path in paths], load, paths=paths)
 
 
 def _image_files(source: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
@@ -169,12 +193,24 @@ def _image_files(source: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> li
     return sorted(found, key=natural_sort_key)
 
 
+def _wrong_arrays(path: Path, depth: np.ndarray | None) -> InputError:
+    """Make the error of an `.npz` whose array of depths is missing, or has another shape or type."""
+    if depth is not None:
+        found = f"the depths have the shape {depth.shape} and the type {depth.dtype}"
+    else:
+        names = ", ".join(shortened(name) for name in array_names(path)[:8])
+        found = f"there is no array 'depth' among its arrays ({names or 'none'})"
+    return InputError(
+        f"{path}: {found}. Save depth images as an array 'depth' of numbers (F, H, W), also a single one."
+    )
+
+
 def _stack(path: Path, depth_scale: float) -> _Images:
     arrays = load_arrays(path, lambda name: name in (*DEPTH_ARRAYS, *_MASK_NAMES))
     depth = next((arrays[name] for name in DEPTH_ARRAYS if name in arrays), None)
     mask = next((arrays[name] for name in _MASK_NAMES if name in arrays), None)
     if depth is None or depth.ndim != 3 or depth.dtype.kind not in "fiu":
-        raise InputError(f"{path}: the file has no array 'depth' of numbers (F, H, W).")
+        raise _wrong_arrays(path, depth)
     if mask is not None and mask.shape != depth.shape and mask.dtype == np.uint8:
         # eight pixels of a row in a byte
         mask = np.unpackbits(mask, axis=-1, count=depth.shape[-1])

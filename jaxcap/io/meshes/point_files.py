@@ -1,13 +1,17 @@
 """Point clouds without faces: text files of coordinates (.xyz), and the files of PCL (.pcd) by pypcd4."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from ...depth.check_depths import keep_measured
 from ...errors import InputError
 from ..system.reader_errors import reader_of
 
+#: the line of a .pcd's header with the number of rows, and the largest size of a header, bytes
+_ROWS, _MAX_HEADER = re.compile(rb"^HEIGHT\s+(\d+)\s*$", re.MULTILINE), 4096
 #: names of the coordinates of a point, and of its normal, in a .pcd
 _POINT, _NORMAL = ("x", "y", "z"), ("normal_x", "normal_y", "normal_z")
 
@@ -51,6 +55,13 @@ def read_pcd(path: Path):
     return points[measured], np.zeros((0, 3), int), None if normals is None else normals[measured]
 
 
+def is_organised(path: Path) -> bool:
+    """Test by its header if the points of a .pcd are organised in rows of an image."""
+    with open(path, "rb") as file:
+        found = _ROWS.search(file.read(_MAX_HEADER))
+    return found is not None and int(found[1]) > 1
+
+
 @reader_of("a PCL point cloud")
 def read_organised_depth(path: str | Path) -> Float[np.ndarray, "H W"]:
     """Read the depth image of an organised .pcd, metres along z; zero where nothing was measured.
@@ -66,9 +77,7 @@ def read_organised_depth(path: str | Path) -> Float[np.ndarray, "H W"]:
             f"{path}: the points are not organised in rows of an image (HEIGHT 1), so they are no depth image; give the file "
             "as a cloud."
         )
-    depth = depth.reshape(height, width)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
+    return keep_measured(depth.reshape(height, width))
 
 
 def _load(path: Path):
