@@ -86,6 +86,7 @@ from .results import (
     REPORT,
     check_complete,
     check_folder,
+    check_some_found,
     fingerprint,
     last_frame,
     make_writable,
@@ -244,7 +245,7 @@ class Track:
         sources = open_depth_sources(self.depth, self.cameras, self.masks, self.depth_scale, frames, self.up)
         numbers: list[int] = []
         if self.empty:
-            backgrounds = read_empty(sources, self.empty, self.depth_scale)
+            backgrounds = read_empty(sources.cameras, sources.recorded, self.empty, self.depth_scale)
         else:
             if self.background == "auto":
                 numbers = background_frames(sources, self.out / JOURNAL, self.resume)
@@ -300,11 +301,7 @@ class Track:
         warn_of_results(results)
         if len(rows) and tracker.pose_prior is None and not (self.fit_shape or self.initialise == "never"):
             warn_of_size(tracker, clouds, planes, results.verdicts[0][0])
-        if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
-            raise InputError(
-                f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
-                "Check the unit, the up axis and the body."
-            )
+        check_some_found(self.out, results.verdicts)
         check_complete(len(rows), clouds)
 
     def track_people(
