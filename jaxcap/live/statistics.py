@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from ..tracking.judge_frame import TrackedFrame
 
-#: seconds over which the current rate is measured
-RATE_SECONDS = 2.0
+#: seconds over which the current rate is measured, at most and at least
+RATE_SECONDS, MIN_RATE_SECONDS = 2.0, 1.0
 #: least number of frames for a 99th percentile
 MIN_FRAMES = 100
 #: number of latencies that are kept: an hour at 30 frames per second
@@ -40,7 +40,7 @@ class LiveStatistics(NamedTuple):
     tracked: int
     dropped: int
     failed: int
-    #: frames tracked per second of late; NaN where fewer than two were
+    #: frames tracked per second of late; NaN before a second of tracking
     rate: float
     #: median and 99th percentile of the latency of frames that arrived after `LiveTracker.warm_up`, seconds; NaN before the first
     latency_median: float
@@ -96,7 +96,7 @@ class StatisticsCounter:
         if failure:
             self.failed += 1
             self.last_failure = failure
-        while self._times and self._last - self._times[0] > RATE_SECONDS:
+        while len(self._times) > 2 and self._last - self._times[0] > RATE_SECONDS:
             self._times.popleft()
 
     def latencies(self) -> Float[np.ndarray, "N"]:
@@ -105,12 +105,9 @@ class StatisticsCounter:
 
     def summary(self) -> LiveStatistics:
         """Compute the statistics so far."""
-        # up to the last frame, as nothing is known of the time without one
-        rate = (
-            (len(self._times) - 1) / max(self._last - self._times[0], 1e-3)
-            if len(self._times) > 1
-            else np.nan
-        )
+        # up to the last frame, as nothing is known of the time after it
+        span = self._last - self._times[0] if self._times else 0.0
+        rate = (len(self._times) - 1) / span if span >= MIN_RATE_SECONDS and len(self._times) > 1 else np.nan
         latencies = self.latencies()
         median, late = np.percentile(latencies, [50, 99]) if len(latencies) else (np.nan, np.nan)
         return LiveStatistics(
