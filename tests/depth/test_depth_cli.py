@@ -140,7 +140,7 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
         ),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "wall.npz", "wall.npz"],
-            "--empty names 2 sequences of images, but --depth 1",
+            "--empty names 2 sequences of images, but there are 1 cameras",
         ),
         (["depth.npz", "--empty", "wall.npz"], "--empty is for depth images"),
     ],

@@ -163,6 +163,18 @@ def test_a_damaged_first_image_is_skipped_and_frames_during_compilation_are_coun
     assert counts["dropped_before_ready"] == counts["dropped"]
 
 
+def test_images_of_another_size_than_the_camera_are_named(captured, tmp_path, capsys):
+    camera = look_at([0.0, 0.2, 2.4], [0.0, 0.1, 0.0], 80, 60, 60)
+    write_cameras(tmp_path / "small.json", [camera])
+    words = ("--cameras", tmp_path / "small.json", "--watch", captured / "depth.npz", "--replay", "50")
+    with pytest.raises(SystemExit):
+        runs(capsys, "live", captured / "body.npz", *words, "-o", tmp_path / "out")
+    assert (
+        "depth.npz[0]: the image has 160 x 120 pixels; expected 80 x 60, as the camera. Give images of this size, or the "
+        "intrinsics for 160 x 120 pixels." in capsys.readouterr().err
+    )
+
+
 def test_a_run_in_which_the_body_was_never_found_fails(captured, tmp_path, capsys):
     words = ("--cameras", captured / "cameras.json", "--num-points", "512", "--no-search", "--up", "z")
     with pytest.raises(SystemExit) as stop:

@@ -25,8 +25,8 @@ from ...tracking.track_frame import Tracker
 from ..console.compiled import count_kept_functions
 from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity, write_status
-from ..console.options import BodySpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from ..depth.sources import DepthScale, Empty, read_empty
+from ..console.options import BodySpec, DepthSpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from ..depth.sources import DepthScale, read_empty
 from ..sources import load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from ..track.frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
@@ -62,7 +62,9 @@ class Live:
     written by `jaxcap scan`. A connected camera states its own intrinsics."""
     replay: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Replay recorded files, which --watch names as `track --depth` does, or clouds, at this rate, frames per second."""
-    empty: Empty = ()
+    empty: DepthSpec = ()
+    """Depth images that show nobody, for each camera a source as for `track --depth`: the background, which is not taken for
+    the person. Without them floor and walls alone are known."""
     depth_scale: DepthScale = 1000.0
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of the written motion; dropped frames are interpolated. Default: the rate of --replay, else 30."""
