@@ -1,6 +1,7 @@
 """Frames that arrive: streams of arrays, growing folders, replayed recordings, and cameras of a package."""
 
 import io
+import os
 import subprocess
 import sys
 import threading
@@ -139,6 +140,16 @@ def test_frames_of_two_cameras_are_paired_and_a_watch_ends_after_its_timeout(tmp
     assert found == [[0, 10], [1, 11]]
     with pytest.raises(InputError, match="this folder cannot be read"):
         next(watch_depth_folders([tmp_path / "none"], 1000.0, threading.Event()))
+
+
+def test_a_copy_with_the_time_of_its_original_arrives_when_it_is_seen(tmp_path):
+    (tmp_path / "new").write_bytes(png(5))
+    os.utime(tmp_path / "new", (1e9, 1e9))
+    begin = time.monotonic()
+    frames = watch_depth_folders([tmp_path], 1000.0, threading.Event(), timeout=5.0)
+    timer = threading.Timer(0.05, lambda: (tmp_path / "new").rename(tmp_path / "0.png"))
+    timer.start()
+    assert begin <= next(frames).arrived <= time.monotonic()
 
 
 def test_a_folder_of_clouds_grows(tmp_path):

@@ -109,7 +109,8 @@ def _watch(
         while all(folder.complete for folder in watched):
             files = [folder.complete.popleft() for folder in watched]
             paths, written = [file.path for file in files], max(file.written for file in files)
-            arrived = time.monotonic() - max(time.time() - written, 0.0)
+            age = time.time() - max(file.arrived for file in files)
+            arrived = time.monotonic() - max(age, 0.0)
             yield Arrival(str(paths[0]), written - begin, arrived, lambda paths=paths: read(paths))
             if stop.is_set():
                 return
@@ -124,6 +125,8 @@ class _File(NamedTuple):
     path: Path
     #: the time of its last change, seconds since the epoch
     written: float
+    #: the same, but not before the look that did not see it: a copy may have the time of the original
+    arrived: float
 
 
 class _Folder:
@@ -132,17 +135,22 @@ class _Folder:
     def __init__(self, folder: Path, suffixes: Sequence[str], with_existing: bool = False):
         self.folder, self.suffixes = folder, suffixes
         self.complete: deque[_File] = deque()
-        self._growing: list[Path] = []
+        #: files that are not complete, each with the time of the last look without it
+        self._growing: list[tuple[Path, float]] = []
+        self._looked = time.time()
         self._changed = 0.0
         self._known = set() if with_existing else set(self._names())
 
     def look(self) -> None:
         """Look for new files, and move those that are complete."""
+        before, self._looked = self._looked, time.time()
         new = [name for name in self._names() if name not in self._known]
         self._known.update(new)
-        self._growing += sorted((self.folder / name for name in new), key=natural_sort_key)
-        while self._growing and (written := _completed(self._growing[0])) is not None:
-            self.complete.append(_File(self._growing.pop(0), written))
+        paths = sorted((self.folder / name for name in new), key=natural_sort_key)
+        self._growing += [(path, before) for path in paths]
+        while self._growing and (written := _completed(self._growing[0][0])) is not None:
+            path, unseen = self._growing.pop(0)
+            self.complete.append(_File(path, written, max(written, unseen)))
 
     def _names(self) -> list[str]:
         """List the files of the folder if it may have changed since the last look. Raises `InputError`."""
