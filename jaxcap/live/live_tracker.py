@@ -182,7 +182,11 @@ class LiveTracker:
             self._streams[1].make(list(frame), name=name)
         self._online.warm_up(cloud)
         np.asarray(posed_vertices(tracker.body, self._online.start))
-        self._ready_since = time.monotonic()
+        with self._lock:
+            self._ready_since = time.monotonic()
+            self._counts.begin()
+            # frames that were dropped until now are no load
+            self._load = Load()
         return time.perf_counter() - begin
 
     @property
@@ -305,9 +309,11 @@ class LiveTracker:
     ) -> None:
         """Count a frame that is done."""
         with self._idle:
-            self._counts.add(latency, dropped, failure, early=frame.arrived < self._ready_since)
+            early = frame.arrived < self._ready_since
+            self._counts.add(latency, dropped, failure, early)
             if latency is not None:
                 self._counts.reduced += self._is_reduced
-            self._load.count(dropped)
+            if not early:
+                self._load.count(dropped)
             self._open -= 1
             self._idle.notify_all()

@@ -81,6 +81,11 @@ class StatisticsCounter:
         self._times: deque[float] = deque()
         self._last = 0.0
 
+    def begin(self) -> None:
+        """Count all frames so far as early, without their latencies."""
+        self.early = self.dropped
+        self._latencies.clear()
+
     def add(
         self, latency: float | None, dropped: bool = False, failure: str = "", early: bool = False
     ) -> None:
