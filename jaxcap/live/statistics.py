@@ -61,8 +61,8 @@ class LiveStatistics(NamedTuple):
             measured.append(f"{self.rate:.1f} frames per second")
         if not math.isnan(self.latency_median):
             measured.append(f"latency {1000 * self.latency_median:.0f} ms")
-        if self.tracked >= MIN_FRAMES:
-            measured.append(f"99 % within {1000 * self.latency_p99:.0f} ms")
+            if self.tracked >= MIN_FRAMES:
+                measured.append(f"99 % within {1000 * self.latency_p99:.0f} ms")
         early = f" ({self.dropped_before_ready} during compilation)" if self.dropped_before_ready else ""
         failed = f", {self.failed} failed" if self.failed else ""
         counts = f"{self.tracked} tracked, {self.dropped} dropped{early}{failed}"
