@@ -121,7 +121,7 @@ class View:
         """Add depth images with the steps of the search for the person. Raises `InputError`."""
         sources = open_depth_sources(self.depth, self.cameras, self.masks, self.depth_scale, up=self.up)
         if self.empty:
-            backgrounds = read_empty(sources, self.empty, self.depth_scale)
+            backgrounds = read_empty(sources.cameras, sources.recorded, self.empty, self.depth_scale)
         else:
             numbers = choose_frames(sources) if self.background == "auto" else []
             backgrounds = estimate_backgrounds(sources, numbers)

@@ -103,7 +103,18 @@ def unknown_background(camera: Camera, doubt: str) -> Background:
 
 def is_background(background: Background, depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Test which pixels are not in front of a known background."""
-    return (background.depth > 0) & (depth > background.depth - background.tolerance)
+    return depth > nearest_background(background)
+
+
+def nearest_background(background: Background) -> Float[np.ndarray, "H W"]:
+    """Compute the depth beyond which a pixel shows background, metres; infinite where it is not known."""
+    return np.where(background.depth > 0, background.depth - background.tolerance, np.inf)
+
+
+def take_background(background: Background, step: int) -> Background:
+    """Take every `step`-th row and column of a background."""
+    depth, tolerance, support = (image[::step, ::step] for image in background[:3])
+    return Background(depth, tolerance, support, background.doubt)
 
 
 def farthest_depths(

@@ -23,7 +23,8 @@ def check_image_size(camera: Camera, image: np.ndarray, name: str, where: str) -
     if image.shape != (camera.height, camera.width):
         raise InputError(
             f"{where}: the {name} has {image.shape[1]} x {image.shape[0]} pixels; expected {camera.width} x "
-            f"{camera.height}, as the camera. Give the intrinsics of images of this size, or resize the {name}."
+            f"{camera.height}, as the camera. Give images of this size, or the intrinsics for {image.shape[1]} x "
+            f"{image.shape[0]} pixels."
         )
 
 

@@ -110,7 +110,7 @@ def _person(
         search = search_person(camera, depth, background, where)
         if on_search is not None:
             on_search(search)
-        return check_found(search, where).person
+        return check_found(search, where, takes_masks=True).person
     check_image_size_of(camera, depth, "image", where)
     check_image_size_of(camera, mask, "mask", where)
     check_depth_scale(depth, where)

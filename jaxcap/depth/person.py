@@ -115,20 +115,26 @@ def check_measured(camera: Camera, depth: Float[np.ndarray, "H W"], where: str) 
     """
     check_image_size_of(camera, depth, "image", where)
     if not (depth > 0).any():
-        raise NoPersonError(f"{where}: nothing was measured; leave out this frame.")
+        raise NoPersonError(
+            f"{where}: nothing was measured; check that the camera is not covered, or leave out this frame."
+        )
 
 
-def check_found(search: PersonSearch, where: str) -> PersonSearch:
-    """Return a search that found a person. Raises `NoPersonError`."""
+def check_found(search: PersonSearch, where: str, takes_masks: bool = False) -> PersonSearch:
+    """Return a search that found a person. Raises `NoPersonError` as of `nobody`."""
     if not search.person.any():
-        raise nobody(where)
+        raise nobody(where, takes_masks)
     return search
 
 
-def nobody(where: str) -> NoPersonError:
-    """Make the error of an image in which no surface has the size of a person."""
+def nobody(where: str, takes_masks: bool = False) -> NoPersonError:
+    """Make the error of an image in which no surface has the size of a person.
+
+    It advises masks only if the caller `takes_masks`.
+    """
+    masks = ", or give masks" if takes_masks else ""
     return NoPersonError(
-        f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics, or give masks."
+        f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics{masks}."
     )
 
 

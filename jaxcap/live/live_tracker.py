@@ -1,5 +1,6 @@
 """Tracking of frames as they arrive, in two threads."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from ..arguments import checked
 from ..body.body import Body, posed_vertices
 from ..body.pose import Pose
+from ..depth.background import Background
 from ..depth.stream.cloud_stream import NUM_POINTS, CloudStream
 from ..energy.check_energies import UserTerms
 from ..errors import InputError, user_message
@@ -82,7 +84,7 @@ class LiveTracker:
     body runs next to them (`OnlineTracker`). Use it in a `with` statement, or call `close`.
 
     **Arguments:** `tracker` as of `make_live_tracker`; `cameras` of the depth images, which
-    do not move; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
+    do not move; `backgrounds` of the cameras, of `estimate_background`; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
     frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`. With a `start`, the
     first images are searched near it.
     """
@@ -93,6 +95,7 @@ class LiveTracker:
         tracker: Tracker,
         cameras: Sequence[Camera] = (),
         *,
+        backgrounds: Sequence[Background | None] | None = None,
         num_points: int = NUM_POINTS,
         on_frame: Callable[[LiveFrame], None] | None = None,
         start: Pose | None = None,
@@ -106,7 +109,9 @@ class LiveTracker:
         )
         steps = (1, REDUCED_STEP) if cameras else ()
         # of whole images, and of reduced ones
-        self._streams = [CloudStream(list(cameras), num_points, pixel_step=step) for step in steps]
+        self._streams = [
+            CloudStream(list(cameras), num_points, pixel_step=step, backgrounds=backgrounds) for step in steps
+        ]
         self._load = Load()
         self.num_points, self.on_frame = num_points, on_frame
         #: the newest tracked frame
@@ -120,6 +125,8 @@ class LiveTracker:
             self._surface = np.asarray(posed_vertices(tracker.body, start), float)
         self._num_lost = 0
         self._failure: BaseException | None = None
+        #: the end of the last warm-up, `time.monotonic()`
+        self._ready_since = -math.inf
         self._incoming, self._ready = Mailbox[_Incoming](), Mailbox[_Ready]()
         self._threads = [
             threading.Thread(
@@ -155,25 +162,31 @@ class LiveTracker:
         there = _Incoming(
             number, name or f"frame {number}", now if seconds is None else float(seconds), now, read
         )
-        if self._incoming.replace(there) is not None:
-            self._finish(dropped=True)
+        if (overtaken := self._incoming.replace(there)) is not None:
+            self._finish(overtaken, dropped=True)
 
-    def warm_up(self, frame: Observation) -> float:
+    def warm_up(self, frame: Observation, name: str = "the first frame") -> float:
         """Compile everything that a frame of this size needs but the search, and return the seconds that this takes.
 
-        The frame itself is not counted, and no later frame starts from it.
+        The frame itself is not counted, and no later frame starts from it. Frames that arrive before the end are counted as
+        `dropped_before_ready` if they are dropped, and their latencies are left out. `name` is for messages.
 
         **Raises:** `InputError` for a frame that cannot be tracked.
         """
         begin, tracker = time.perf_counter(), self._online.tracker
-        cloud = self._cloud(frame, "the first frame")
+        cloud = self._cloud(frame, name)
         for stream in self._streams:
             stream.warm_up()
         if not isinstance(frame, (Cloud, Scan)):
             # floor and walls are looked for in the first image of each stream
-            self._streams[1].make(list(frame), name="the first frame")
+            self._streams[1].make(list(frame), name=name)
         self._online.warm_up(cloud)
         np.asarray(posed_vertices(tracker.body, self._online.start))
+        with self._lock:
+            self._ready_since = time.monotonic()
+            self._counts.begin()
+            # frames that were dropped until now are no load
+            self._load = Load()
         return time.perf_counter() - begin
 
     @property
@@ -239,7 +252,7 @@ class LiveTracker:
             try:
                 cloud = self._cloud(incoming.read(), incoming.name)
             except InputError as error:
-                self._finish(failure=user_message(error))
+                self._finish(incoming, failure=user_message(error))
                 continue
             if not self._ready.put(_Ready(incoming, cloud, time.perf_counter() - begin)):
                 return
@@ -260,7 +273,7 @@ class LiveTracker:
             try:
                 tracked = self._online.track(ready.cloud, incoming.name)
             except InputError as error:
-                self._finish(failure=user_message(error))
+                self._finish(incoming, failure=user_message(error))
                 continue
             done = time.monotonic()
             computed = ready.computed + time.perf_counter() - begin
@@ -276,7 +289,7 @@ class LiveTracker:
             self.newest = frame
             if self.on_frame is not None:
                 self.on_frame(frame)
-            self._finish(latency=frame.latency)
+            self._finish(incoming, latency=frame.latency)
 
     def _followed_surface(self, tracked: TrackedFrame, cloud: Cloud) -> Float[np.ndarray, "N 3"] | None:
         """Return the surface near which the next image shows the person; None if the whole image is to be searched.
@@ -291,16 +304,16 @@ class LiveTracker:
         points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
         return None if self._num_lost % SEARCH_EVERY == 0 else points
 
-    def _finish(self, latency: float | None = None, dropped: bool = False, failure: str = "") -> None:
+    def _finish(
+        self, frame: _Incoming, latency: float | None = None, dropped: bool = False, failure: str = ""
+    ) -> None:
         """Count a frame that is done."""
         with self._idle:
+            early = frame.arrived < self._ready_since
+            self._counts.add(latency, dropped, failure, early)
             if latency is not None:
-                self._counts.add(latency)
                 self._counts.reduced += self._is_reduced
-            self._counts.dropped += dropped
-            self._load.count(dropped)
-            if failure:
-                self._counts.failed += 1
-                self._counts.last_failure = failure
+            if not early:
+                self._load.count(dropped)
             self._open -= 1
             self._idle.notify_all()

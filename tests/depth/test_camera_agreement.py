@@ -5,8 +5,8 @@ import pytest
 from depth_room import BODY, CAMERA, VERTICES, see
 from scipy.spatial.transform import Rotation
 
+from jaxcap.cli.depth.camera_agreement import describe_disagreement
 from jaxcap.cli.depth.sources import open_depth_sources
-from jaxcap.cli.track.camera_agreement import describe_disagreement
 from jaxcap.cli.track.depth import depth_clouds, people_clouds
 from jaxcap.depth.background import default_noise
 from jaxcap.geometry.camera import Camera, look_at

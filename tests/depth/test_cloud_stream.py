@@ -1,11 +1,12 @@
 """Clouds of successive depth images: the person is followed, and its points are thinned by what they tell."""
 
+import depth_room
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from test_depth import BODY, CAMERA, room
 
-from jaxcap.depth import cloud_of_depths, find_person
+from jaxcap.depth import cloud_of_depths, estimate_background, find_person
 from jaxcap.depth.back_projection import measured_points
 from jaxcap.depth.fuse import image_normals
 from jaxcap.depth.person import search_person
@@ -14,8 +15,8 @@ from jaxcap.depth.stream.fixed_camera import FixedCamera, ImageBox
 from jaxcap.depth.stream.follow_person import follow_person
 from jaxcap.depth.stream.pixel_surface import pixel_surface
 from jaxcap.depth.stream.thin import thin_points
-from jaxcap.errors import InputError
-from jaxcap.live.live_tracker import LiveTracker
+from jaxcap.errors import InputError, NoPersonError
+from jaxcap.live.live_tracker import LiveTracker, _Incoming
 from jaxcap.metrics import scan_to_surface
 from jaxcap.tracking.track_frame import make_tracker
 
@@ -100,9 +101,10 @@ def test_a_live_run_reads_fewer_pixels_while_frames_are_dropped():
     with LiveTracker(make_tracker(BODY, partial=True), [CAMERA], search=False) as live:
         assert not live.statistics.is_reduced
         whole = live._cloud([depth], "a frame")
+        a_frame = _Incoming(0, "a frame", 0.0, 0.0, lambda: [depth])
         # every second frame
         for number in range(10):
-            live._finish(latency=None if number % 2 else 0.05, dropped=number % 2 == 1)
+            live._finish(a_frame, latency=None if number % 2 else 0.05, dropped=number % 2 == 1)
         assert live.statistics.is_reduced and "half their resolution" in live.statistics.sentence()
         reduced = live._cloud([depth], "a frame")
     # nothing is compiled for it
@@ -144,3 +146,36 @@ def test_images_that_do_not_fit_are_refused():
         stream.make([depth[:, 1:]])
     with pytest.raises(InputError, match="pixel_step"):
         CloudStream([CAMERA], pixel_step=0)
+    with pytest.raises(InputError, match="2 backgrounds of 1 cameras"):
+        CloudStream([CAMERA], backgrounds=[None, None])
+    small = estimate_background(CAMERA, [depth], empty=True)
+    small = small._replace(depth=small.depth[:, 1:])
+    with pytest.raises(InputError, match="camera 0: the background has 159 x 120 pixels"):
+        CloudStream([CAMERA], backgrounds=[small])
+    with pytest.raises(
+        NoPersonError, match="frame.png: nothing was measured; check that the camera is not covered"
+    ):
+        stream.make([np.zeros_like(depth)], name="frame.png")
+    # masks cannot be given here
+    with pytest.raises(
+        NoPersonError, match="frame.png: no surface has the size of a person; .* the intrinsics.$"
+    ):
+        stream.make([np.full_like(depth, 3.0)], name="frame.png")
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_furniture_of_a_known_background_is_not_the_person(step):
+    """A box of a person's size in front of the person, and next to the person in the second image."""
+    camera, faces = depth_room.CAMERA, depth_room.FACES
+    near = depth_room.VERTICES + [0.1, 0.0, 0.7]
+    background = estimate_background(camera, [depth_room.see([])[0]], empty=True)
+    # at half the resolution the box is not connected to the person
+    for backgrounds, expected in ((None, [False, step == 2]), ([background], [True, True])):
+        stream = CloudStream([camera], 512, pixel_step=step, backgrounds=backgrounds)
+        first = stream.make([depth_room.see([depth_room.VERTICES])[0]])
+        second = stream.make([depth_room.see([near])[0]], near)
+        found = []
+        for cloud, vertices in ((first, depth_room.VERTICES), (second, near)):
+            points = np.asarray(cloud.points)[np.asarray(cloud.weights) > 0]
+            found.append(bool(np.mean(scan_to_surface(points, vertices, faces) > 0.03) < 0.02))
+        assert found == expected

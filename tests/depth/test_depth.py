@@ -44,8 +44,14 @@ def test_a_person_is_found_before_floor_and_wall():
 
 def test_a_room_without_a_person_is_refused():
     depth, _ = room((0.0, 50.0, 0.0))
-    with pytest.raises(InputError, match="no surface has the size of a person; check the unit"):
-        find_person(CAMERA, np.where(depth > 0, depth, 3.0))
+    empty, sentence = (
+        np.where(depth > 0, depth, 3.0),
+        "no surface has the size of a person; check the unit of depth and ",
+    )
+    with pytest.raises(NoPersonError, match=f"{sentence}the intrinsics.$"):
+        find_person(CAMERA, empty)
+    with pytest.raises(NoPersonError, match=f"{sentence}the intrinsics, or give masks.$"):
+        cloud_of_depths([CAMERA], [empty])
     with pytest.raises(InputError, match="nothing was measured"):
         find_person(CAMERA, np.zeros_like(depth))
 
@@ -64,7 +70,10 @@ def test_a_cloud_of_depths_is_on_the_surface_and_keeps_the_view():
 
 def test_images_that_do_not_fit_their_camera_are_refused():
     depth, person = room()
-    with pytest.raises(InputError, match="the image has 159 x 120 pixels; expected 160 x 120, as the camera"):
+    with pytest.raises(
+        InputError,
+        match="the image has 159 x 120 pixels; expected 160 x 120, as the camera. .* the intrinsics for 159 x 120",
+    ):
         cloud_of_depths([CAMERA], [depth[:, 1:]])
     with pytest.raises(InputError, match="2 depth images of 1 cameras"):
         cloud_of_depths([CAMERA], [depth, depth])

@@ -146,8 +146,8 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
         ),
         (
             ["--depth", "other.npz", "--cameras", "cameras.json"],
-            "other.npz[0]: the image has 160 x 119 pixels; expected 160 x 120, as the camera. Give the intrinsics of images of "
-            "this size",
+            "other.npz[0]: the image has 160 x 119 pixels; expected 160 x 120, as the camera. Give images of this size, or the "
+            "intrinsics for 160 x 119 pixels.",
         ),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "other.npz"],
@@ -164,7 +164,7 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
         ),
         (
             ["--depth", "depth.npz", "--cameras", "cameras.json", "--empty", "wall.npz", "wall.npz"],
-            "--empty names 2 sequences of images, but --depth 1",
+            "--empty names 2 sequences of images, but there are 1 cameras",
         ),
         (["depth.npz", "--empty", "wall.npz"], "--empty is for depth images"),
     ],

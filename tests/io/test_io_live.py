@@ -1,6 +1,7 @@
 """Frames that arrive: streams of arrays, growing folders, replayed recordings, and cameras of a package."""
 
 import io
+import os
 import subprocess
 import sys
 import threading
@@ -141,6 +142,16 @@ def test_frames_of_two_cameras_are_paired_and_a_watch_ends_after_its_timeout(tmp
         next(watch_depth_folders([tmp_path / "none"], 1000.0, threading.Event()))
 
 
+def test_a_copy_with_the_time_of_its_original_arrives_when_it_is_seen(tmp_path):
+    (tmp_path / "new").write_bytes(png(5))
+    os.utime(tmp_path / "new", (1e9, 1e9))
+    begin = time.monotonic()
+    frames = watch_depth_folders([tmp_path], 1000.0, threading.Event(), timeout=5.0)
+    timer = threading.Timer(0.05, lambda: (tmp_path / "new").rename(tmp_path / "0.png"))
+    timer.start()
+    assert begin <= next(frames).arrived <= time.monotonic()
+
+
 def test_a_folder_of_clouds_grows(tmp_path):
     frames = watch_cloud_folder(tmp_path, "mm", threading.Event(), timeout=0.5)
     timer = threading.Timer(0.05, lambda: (tmp_path / "a.xyz").write_text("1 2 3\n4 5 6\n"))
@@ -148,6 +159,40 @@ def test_a_folder_of_clouds_grows(tmp_path):
     (frame,) = [frame.read() for frame in frames]
     assert isinstance(frame, Scan)
     np.testing.assert_allclose(frame.points, np.array([[1, 2, 3], [4, 5, 6]]) / 1000)
+
+
+def test_images_in_a_folder_of_clouds_are_refused_when_they_are_seen(tmp_path):
+    # a texture is no depth image
+    Image.fromarray(np.zeros((9, 9, 3), np.uint8)).save(tmp_path / "texture.png")
+    assert list(watch_cloud_folder(tmp_path, "m", threading.Event(), timeout=0.1)) == []
+    timer = threading.Timer(0.05, lambda: (tmp_path / "new.png").write_bytes(png(5)))
+    timer.start()
+    begin, sentence = time.monotonic(), "needs the intrinsics of the camera; give these with --cameras"
+    for _ in range(2):
+        # new ones, and those that are there already
+        with pytest.raises(InputError, match=f"new.png: this is a depth image, which {sentence}"):
+            next(watch_cloud_folder(tmp_path, "m", threading.Event(), timeout=9.0))
+    assert time.monotonic() - begin < 5
+    (tmp_path / "new.png").rename(tmp_path / "new.txt")
+    np.save(tmp_path / "a.npy", np.zeros((9, 9)))
+    with pytest.raises(
+        InputError, match="a.npy: arrays are not read from a folder; write them to standard input"
+    ):
+        next(watch_cloud_folder(tmp_path, "m", threading.Event(), timeout=9.0))
+
+
+def test_the_timeout_of_a_watch_begins_when_the_frame_before_is_done(tmp_path):
+    frames = watch_depth_folders([tmp_path], 1000.0, threading.Event(), timeout=0.2)
+    timer = threading.Timer(0.05, lambda: (tmp_path / "0.png").write_bytes(png(5)))
+    timer.start()
+    names = []
+    for arrival in frames:
+        names.append(arrival.name)
+        if len(names) == 1:
+            # as compilation does
+            time.sleep(0.4)
+            (tmp_path / "1.png").write_bytes(png(6))
+    assert names == [str(tmp_path / f"{k}.png") for k in range(2)]
 
 
 def test_a_replay_keeps_its_rate_also_for_a_slow_reader():

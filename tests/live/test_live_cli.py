@@ -4,6 +4,8 @@ import io
 import itertools
 import json
 import sys
+import threading
+import time
 import types
 
 import jax
@@ -11,10 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import fails, runs
+from PIL import Image
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.people.human import human
 from jaxcap.body.pose import Pose, rest_pose
+from jaxcap.cli import main
 from jaxcap.cli.live import sources
 from jaxcap.cli.live.slots import fill_slots, frame_slots
 from jaxcap.cli.track.frame_records import Results
@@ -23,6 +27,7 @@ from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
 from jaxcap.io.live.arrivals import replay
+from jaxcap.io.live.growing_folder import PNG_END, watch_depth_folders
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.tracking.expectation_maximisation.em_step import FrameStatistics
 from jaxcap.view.live import follow_run
@@ -43,6 +48,7 @@ def captured(tmp_path_factory):
         depth = render_depth(camera, make_ray_mesh(vertices + [0.01 * step, 0.0, 0.0], faces)).depth
         images.append(np.round(1000 * np.where(depth > 0, depth, 4.0)).astype(np.uint16))
     np.savez(folder / "depth.npz", depth=np.stack(images))
+    np.savez(folder / "empty.npz", depth=np.full((3, 120, 160), 4000, np.uint16))
     write_cameras(folder / "cameras.json", [camera])
     save_body(folder / "body.npz", body)
     return folder
@@ -105,12 +111,82 @@ def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch
             np.save(data, image)
     data.seek(0)
     monkeypatch.setattr(sys, "stdin", types.SimpleNamespace(buffer=data))
-    runs(capsys, "live", *words, "--watch", "-", "--rate", "2", "-o", tmp_path / "pipe")
+    empty = ("--empty", captured / "empty.npz")
+    runs(capsys, "live", *words, *empty, "--watch", "-", "--rate", "2", "-o", tmp_path / "pipe")
     # the frames arrive at once, so that the first one may be dropped; times are one second apart
     assert len(load_motion(tmp_path / "pipe" / "motion.npz")) in (1, 3)
     assert "give --overwrite" in fails(
         capsys, "live", *words, "--watch", captured / "depth.npz", "--replay", "9", "-o", tmp_path / "pipe"
     )
+
+
+def png(image: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, format="PNG")
+    return file.getvalue()
+
+
+def test_a_damaged_first_image_is_skipped_and_frames_during_compilation_are_counted(
+    captured, tmp_path, capsys, monkeypatch
+):
+    (tmp_path / "images").mkdir()
+    with np.load(captured / "depth.npz") as file:
+        image = png(file["depth"][0])
+    data = [image[:400] + PNG_END, *[image] * 30]
+
+    def write():
+        for number, content in enumerate(data):
+            (tmp_path / "images" / f"{number}.png").write_bytes(content)
+            # the damaged one is seen alone
+            time.sleep(0 if number else 0.5)
+
+    def watch(*arguments):
+        threading.Timer(0.2, write).start()
+        yield from watch_depth_folders(*arguments)
+
+    monkeypatch.setattr(sources, "watch_depth_folders", watch)
+    words = ("--cameras", captured / "cameras.json", "--num-points", "512", "--no-search", "--timeout", "1")
+    main(
+        [
+            *("live", str(captured / "body.npz"), "--watch", str(tmp_path / "images")),
+            *(*map(str, words), "-o", str(tmp_path / "out")),
+        ]
+    )
+    found = capsys.readouterr()
+    assert found.err.count("0.png: the image cannot be read") == 1
+    assert found.out.startswith("ready after ")
+    assert "that arrived during compilation were dropped" in found.out
+    with open(tmp_path / "out" / "statistics.json") as file:
+        counts = json.load(file)["live"]
+    assert counts["failed"] == 1 and counts["tracked"] > 0
+    assert counts["tracked"] + counts["dropped"] == 30
+    assert counts["dropped_before_ready"] == counts["dropped"]
+
+
+def test_images_of_another_size_than_the_camera_are_named(captured, tmp_path, capsys):
+    camera = look_at([0.0, 0.2, 2.4], [0.0, 0.1, 0.0], 80, 60, 60)
+    write_cameras(tmp_path / "small.json", [camera])
+    words = ("--cameras", tmp_path / "small.json", "--watch", captured / "depth.npz", "--replay", "50")
+    with pytest.raises(SystemExit):
+        runs(capsys, "live", captured / "body.npz", *words, "-o", tmp_path / "out")
+    assert (
+        "depth.npz[0]: the image has 160 x 120 pixels; expected 80 x 60, as the camera. Give images of this size, or the "
+        "intrinsics for 160 x 120 pixels." in capsys.readouterr().err
+    )
+
+
+def test_a_run_in_which_the_body_was_never_found_fails(captured, tmp_path, capsys):
+    words = ("--cameras", captured / "cameras.json", "--num-points", "512", "--no-search", "--up", "z")
+    with pytest.raises(SystemExit) as stop:
+        runs(
+            capsys, "live", captured / "body.npz", *words, "--watch", captured / "depth.npz", "--replay", "2", "-o", tmp_path / "out"
+        )  # fmt: skip
+    assert stop.value.code == 2
+    assert (
+        "the body was found in none of the 4 frames, so the written results are useless. Check the unit, the up axis"
+        in capsys.readouterr().err
+    )
+    assert (tmp_path / "out" / "motion.npz").is_file()
 
 
 @pytest.mark.parametrize(
@@ -124,6 +200,11 @@ def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch
         (
             ["--watch", "a", "b", "--cameras", "cameras.json"],
             "there are 1 cameras, but --watch names 2 sources",
+        ),
+        (["--watch", "-", "--empty", "depth.npz"], "--empty is for depth images; give --cameras"),
+        (
+            ["--watch", "-", "--cameras", "cameras.json", "--empty", "depth.npz", "depth.npz"],
+            "--empty names 2 sequences of images, but there are 1 cameras",
         ),
         (["--watch", "realsense"], "the package pyrealsense2 of this camera is not installed"),
         (["--watch", "-", "--num-points", "0"], "--num-points is 0; it must be at least 1"),

@@ -17,6 +17,7 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.live.live_tracker import SEARCH_EVERY, LiveTracker
 from jaxcap.live.load import FIRST_PAUSE, LAST_PAUSE, WINDOW, Load
 from jaxcap.live.mailbox import Mailbox
+from jaxcap.live.statistics import StatisticsCounter
 from jaxcap.observe.clouds import Cloud, make_cloud
 from jaxcap.tracking import advance, online
 from jaxcap.tracking.online import OnlineTracker
@@ -155,6 +156,48 @@ def test_latency_counts_from_the_arrival():
         live.push(CLOUDS[0], arrived=time.monotonic() - 1.5)
         live.wait(60)
         assert live.latencies[0] > 1.5
+
+
+def test_frames_that_arrive_during_compilation_are_counted_and_have_no_latency():
+    with LiveTracker(TRACKER, search=False) as live:
+        before = time.monotonic()
+        live._load.is_high = True
+        live.push(CLOUDS[0])
+        assert live.wait(60) and len(live.latencies) == 1
+        live.warm_up(CLOUDS[0])
+        assert not live._load.is_high and not len(live.latencies)
+        for number in range(50):
+            live.push(CLOUDS[number % len(CLOUDS)], arrived=before)
+        assert live.wait(60)
+        statistics = live.statistics
+        assert not len(live.latencies)
+        live.push(CLOUDS[0])
+        assert live.wait(60) and len(live.latencies) == 1
+    assert statistics.tracked + statistics.dropped == 51
+    assert statistics.dropped_before_ready == statistics.dropped > 0
+    assert statistics.sentence().endswith(
+        f"tracked, {statistics.dropped} dropped ({statistics.dropped} during compilation)"
+    )
+    assert "latency" not in statistics.sentence()
+
+
+def test_a_rate_is_stated_only_if_it_is_known(monkeypatch):
+    times = iter(np.concatenate([[0.0], np.arange(1, 101) / 30, [60.0]]))
+    monkeypatch.setattr(time, "monotonic", lambda: next(times))
+    counter = StatisticsCounter()
+    counter.add(0.05)
+    assert counter.summary().sentence() == "latency 50 ms; 1 tracked, 0 dropped"
+    counter.add(0.05)
+    # one interval of a thirtieth of a second is no rate
+    assert counter.summary().sentence() == "latency 50 ms; 2 tracked, 0 dropped"
+    for _ in range(99):
+        counter.add(0.05)
+    # also if the run ends long after its last frame
+    expected = "30.0 frames per second, latency 50 ms, 99 % within 50 ms; 101 tracked, 0 dropped"
+    assert counter.summary().sentence() == expected
+    # a minute in which nothing could be tracked
+    counter.add(None, failure="x.png: the image cannot be read.")
+    assert counter.summary().rate == pytest.approx(1 / (60.0 - 99 / 30), rel=1e-3)
 
 
 def test_a_frame_that_cannot_be_read_is_counted_and_the_next_one_tracked():

@@ -60,6 +60,14 @@ def make_cache_folder() -> Path:
     return folder
 
 
+def count_kept_functions() -> int:
+    """Count the compiled functions that are kept for later runs; 0 without a cache."""
+    try:
+        return len(os.listdir(os.environ["JAX_COMPILATION_CACHE_DIR"]))
+    except (KeyError, OSError):
+        return 0
+
+
 def make_private(folder: Path) -> Path:
     """Make a folder, or check an existing one, that only its user can write to. Raises `OSError`."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)

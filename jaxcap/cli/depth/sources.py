@@ -107,17 +107,25 @@ def read_depth_cameras(depths: Sequence[str], cameras: Path | None, option: str,
     return [upright_camera(camera, up) for path in paths for camera in read_cameras(path)]
 
 
-def read_empty(sources: DepthSources, empty: Sequence[str], scale: float) -> list[Background | None]:
-    """Read the backgrounds of all cameras from images that show nobody. Raises `InputError`."""
-    if len(empty) != len(sources.cameras):
+def read_empty(
+    cameras: Sequence[Camera], recorded: Sequence[Camera], empty: Sequence[str], scale: float
+) -> list[Background | None]:
+    """Read the backgrounds of all cameras from images that show nobody.
+
+    **Arguments:** `cameras`, without lenses; `recorded`, the same cameras as they recorded; `empty`, a source of images for each;
+    `scale`, units of the images in a metre.
+
+    **Raises:** `InputError` for another number of sources than of cameras, or images that do not fit.
+    """
+    if len(empty) != len(cameras):
         raise InputError(
-            f"--empty names {len(empty)} sequences of images, but --depth {len(sources.cameras)}; give empty frames of each "
+            f"--empty names {len(empty)} sequences of images, but there are {len(cameras)} cameras; give empty frames of each "
             "camera."
         )
     set_activity("reading the empty frames")
     found: list[Background | None] = []
-    for camera, recorded, source in zip(sources.cameras, sources.recorded, empty, strict=True):
-        _, images = rectify_depths([recorded], read_depths(source, depth_scale=scale))
+    for camera, original, source in zip(cameras, recorded, empty, strict=True):
+        _, images = rectify_depths([original], read_depths(source, depth_scale=scale))
         depths = [
             images[number].depths[0]
             for number in even_indices(len(images), MAX_FRAMES, nearest=True).tolist()

@@ -3,29 +3,34 @@
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from ...depth.background import Background
 from ...depth.stream.cloud_stream import NUM_POINTS
 from ...errors import InputError, user_message
 from ...io.archives.journal import Journal, create_journal
+from ...io.depth.sequence import DepthFrame
 from ...io.system.run_lock import run_lock
 from ...live.live_tracker import LiveTracker, make_live_tracker
-from ...live.statistics import LiveFrame, LiveStatistics
+from ...live.statistics import LiveFrame
+from ...observe.clouds import Scan
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.track import unseen_sentences, verdict_sentences
 from ...tracking.track_frame import Tracker
+from ..console.compiled import count_kept_functions
 from ..console.console import pluralise, say, warn
 from ..console.heartbeat import set_activity, write_status
-from ..console.options import BodySpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
-from ..depth.sources import DepthScale
+from ..console.options import BodySpec, DepthSpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
+from ..depth.sources import DepthScale, read_empty
 from ..sources import load_body
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
 from ..track.frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
-from ..track.results import check_folder, make_writable, write_results
+from ..track.results import check_folder, check_some_found, make_writable, write_results
 from ..track.track import JOURNAL
 from .slots import fill_slots, frame_slots
 from .sources import Source, observation, open_source
@@ -57,6 +62,9 @@ class Live:
     written by `jaxcap scan`. A connected camera states its own intrinsics."""
     replay: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Replay recorded files, which --watch names as `track --depth` does, or clouds, at this rate, frames per second."""
+    empty: DepthSpec = ()
+    """Depth images that show nobody, for each camera a source as for `track --depth`: the background, which is not taken for
+    the person. Without them floor and walls alone are known."""
     depth_scale: DepthScale = 1000.0
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of the written motion; dropped frames are interpolated. Default: the rate of --replay, else 30."""
@@ -109,13 +117,18 @@ class Live:
                 self.timeout,
                 stop,
             )
+            if self.empty and not source.cameras:
+                raise InputError("--empty is for depth images; give --cameras.")
+            backgrounds = None
+            if self.empty:
+                backgrounds = read_empty(source.cameras, source.recorded, self.empty, self.depth_scale)
             partial = self.partial or self.clothes or bool(source.cameras)
             tracker = make_live_tracker(
                 body, terms, partial=partial, iterations=self.iterations, clothes=self.clothes
             )
             template = row_template(tracker, num_cameras=len(source.cameras))
             with create_journal(path, pose_layout(body.skeleton), row_width(template)) as journal:
-                run = LiveRun(tracker, source, journal, self)
+                run = LiveRun(tracker, source, backgrounds, journal, self)
                 run.follow(stop)
                 set_activity("writing the results")
                 self.write(template, tracker, journal, run)
@@ -165,36 +178,52 @@ class Live:
         )
         for sentence in (*verdict_sentences(tracked.verdicts), *unseen_sentences(tracked.unseen)):
             warn(sentence)
+        check_some_found(self.out, tracked.verdicts)
 
 
 class LiveRun:
     """A live run: passes frames on, keeps them in the journal, and prints its status."""
 
-    def __init__(self, tracker: Tracker, source: Source, journal: Journal, options: Live):
+    def __init__(
+        self,
+        tracker: Tracker,
+        source: Source,
+        backgrounds: Sequence[Background | None] | None,
+        journal: Journal,
+        options: Live,
+    ):
         self.source, self.journal, self.options = source, journal, options
         #: time and name of each tracked frame
         self.frames: list[tuple[float, str]] = []
-        self.statistics = LiveStatistics(0, 0, 0, 0.0, np.nan, np.nan, "")
         self._live = LiveTracker(
             tracker,
             source.cameras,
+            backgrounds=backgrounds,
             num_points=options.num_points,
             on_frame=self._keep,
             search=not options.no_search,
         )
+        self.statistics = self._live.statistics
         self._printed = 0.0
         self._failure = ""
+        self._is_ready, self._has_counted = False, False
+        #: the end of the last attempt to warm up, `time.monotonic()`
+        self._since = -np.inf
 
     def follow(self, stop: threading.Event) -> None:
         """Track frames until the source ends or Ctrl-C."""
         live, up = self._live, self.options.up
         try:
             if self.source.sample is not None:
-                self._warm_up(observation(self.source.sample, up))
+                self._warm_up(self.source.sample)
             set_activity("waiting for frames")
-            for number, arrival in enumerate(self.source.arrivals):
-                if number == 0 and self.source.sample is None:
-                    self._warm_up(observation(arrival.read(), up))
+            for arrival in self.source.arrivals:
+                # a frame that has arrived during an attempt is too old for the next one
+                is_fresh = arrival.arrived >= self._since
+                if is_fresh and not self._is_ready:
+                    self._warm_up(arrival.read)
+                elif is_fresh:
+                    self._print_dropped()
                 live.push(
                     lambda arrival=arrival: observation(arrival.read(), up),
                     arrival.seconds,
@@ -203,6 +232,7 @@ class LiveRun:
                 )
                 self._print_status()
             live.wait(END_SECONDS)
+            self._print_dropped()
         except KeyboardInterrupt:
             warn("stopped; the frames so far are written")
         except InputError as error:
@@ -214,14 +244,33 @@ class LiveRun:
             self.statistics = live.statistics
             live.close()
 
-    def _warm_up(self, frame) -> None:
+    def _warm_up(self, read: Callable[[], DepthFrame | Scan]) -> None:
+        """Compile with a frame; one that cannot be read, or shows nobody, is reported and leaves this to a later one."""
+        # the frames before use the same clouds
+        self._live.wait(END_SECONDS)
         set_activity("compiling for the first frame")
+        kept = count_kept_functions()
         try:
-            seconds = self._live.warm_up(frame)
+            frame = read()
+            seconds = self._live.warm_up(observation(frame, self.options.up), frame.name)
+            self._is_ready = True
+            later = "; later starts are faster, as the compiled functions are kept"
+            say(f"ready after {seconds:.1f} s{later if count_kept_functions() > kept else ''}")
         except InputError as error:
-            warn(user_message(error))
-            return
-        say(f"ready after {seconds:.1f} s")
+            if not self._failure:
+                self._failure = user_message(error)
+                warn(self._failure)
+        self._since = time.monotonic()
+        set_activity("waiting for frames")
+
+    def _print_dropped(self) -> None:
+        """Print once how many frames were dropped during compilation."""
+        early = self._live.statistics.dropped_before_ready
+        if early and not self._has_counted:
+            say(
+                f"{pluralise(early, 'frame')} that arrived during compilation {'was' if early == 1 else 'were'} dropped"
+            )
+        self._has_counted = True
 
     def _keep(self, frame: LiveFrame) -> None:
         """Write a tracked frame to the journal."""

@@ -34,9 +34,12 @@ class Source(NamedTuple):
     """The frames of a source, and its cameras if it has depth images."""
 
     arrivals: Iterator[Arrival]
+    #: without lenses
     cameras: list[Camera]
-    #: a frame for the compilation, if one is there before the first arrives
-    sample: DepthFrame | Scan | None
+    #: the same cameras as they recorded
+    recorded: list[Camera]
+    #: reads a frame for the compilation, if one is there before the first arrives
+    sample: Callable[[], DepthFrame | Scan] | None = None
 
 
 def open_source(
@@ -55,18 +58,19 @@ def open_source(
     """
     name = watch[0]
     is_recorded = all(map(is_recording, watch))
-    known = [] if cameras is None and not is_recorded else read_depth_cameras(watch, cameras, "--watch", up)
-    known, rectify = make_rectifier(known)
+    own = [] if cameras is None and not is_recorded else read_depth_cameras(watch, cameras, "--watch", up)
+    known, rectify = make_rectifier(own)
     if name in PACKAGES:
         _check_alone(watch, replay_rate)
         device = open_device(name, stop)
         if not known:
-            known, rectify = make_rectifier([upright_camera(device.camera, up)])
-        return Source(_rectified(device.frames, rectify), known, None)
+            own = [upright_camera(device.camera, up)]
+            known, rectify = make_rectifier(own)
+        return Source(_rectified(device.frames, rectify), known, own)
     if name == PIPE:
         _check_alone(watch, replay_rate)
         frames = read_array_stream(sys.stdin.buffer, "standard input", depth_scale, stop)
-        return Source(_rectified(frames, rectify), known, None)
+        return Source(_rectified(frames, rectify), known, own)
     if known and len(known) != len(watch):
         raise InputError(
             f"{cameras}: there are {len(known)} cameras, but --watch names {len(watch)} sources; give one for each camera."
@@ -79,9 +83,8 @@ def open_source(
         recorded: LazyFrames[DepthFrame] | LazyFrames[Scan] = (
             read_depths(list(watch), depth_scale=depth_scale) if known else read_clouds(name, unit=unit)
         )
-        first = recorded[0]
-        sample = rectify(first) if isinstance(first, DepthFrame) else first
-        return Source(_rectified(replay(recorded, replay_rate, stop), rectify), known, sample)
+        sample = functools.partial(_read, lambda: recorded[0], rectify)
+        return Source(_rectified(replay(recorded, replay_rate, stop), rectify), known, own, sample)
     if not all(Path(one).is_dir() for one in watch):
         raise InputError(
             f"{next(one for one in watch if not Path(one).is_dir())}: this is no folder to watch; make it, or give "
@@ -92,17 +95,19 @@ def open_source(
         if known
         else watch_cloud_folder(name, unit, stop, timeout)
     )
-    return Source(_rectified(arrivals, rectify), known, None)
+    return Source(_rectified(arrivals, rectify), known, own)
 
 
 def _rectified(arrivals: Iterator[Arrival], rectify: Callable[[DepthFrame], DepthFrame]) -> Iterator[Arrival]:
     """Rectify the depth images of arrivals when they are read."""
+    return (arrival._replace(read=functools.partial(_read, arrival.read, rectify)) for arrival in arrivals)
 
-    def read(arrival: Arrival) -> DepthFrame | Scan:
-        frame = arrival.read()
-        return rectify(frame) if isinstance(frame, DepthFrame) else frame
 
-    return (arrival._replace(read=functools.partial(read, arrival)) for arrival in arrivals)
+def _read(
+    read: Callable[[], DepthFrame | Scan], rectify: Callable[[DepthFrame], DepthFrame]
+) -> DepthFrame | Scan:
+    frame = read()
+    return rectify(frame) if isinstance(frame, DepthFrame) else frame
 
 
 def _check_alone(watch: Sequence[str], replay_rate: float | None) -> None:

@@ -15,6 +15,7 @@ from ...observe.floor import find_floor, is_floor_of
 from ...observe.floors_and_walls import remove_planes
 from ...observe.planes import Plane
 from ...tracking.people.track_people import MAX_PEOPLE
+from ..depth.camera_agreement import describe_disagreement
 from ..depth.sources import (
     DepthSources,
     describe_doubts,
@@ -23,7 +24,6 @@ from ..depth.sources import (
     read_empty,
 )
 from ..sources import Clouds
-from .camera_agreement import describe_disagreement
 from .depth import background_frames, depth_clouds, first_person, people_clouds
 from .people import read_count
 
@@ -52,7 +52,7 @@ def open_input(track: Any, body: Body, others: set[int], journal: Path) -> Track
     sources = open_depth_sources(track.depth, track.cameras, track.masks, track.depth_scale, frames, track.up)
     numbers: list[int] = []
     if track.empty:
-        backgrounds = read_empty(sources, track.empty, track.depth_scale)
+        backgrounds = read_empty(sources.cameras, sources.recorded, track.empty, track.depth_scale)
     else:
         if track.background == "auto":
             numbers = background_frames(sources, journal, track.resume)

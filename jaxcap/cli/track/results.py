@@ -199,6 +199,15 @@ def warn_of_results(results: Results) -> None:
         warn(sentence)
 
 
+def check_some_found(folder: Path, verdicts: Sequence[tuple[str, Sequence[str]]]) -> None:
+    """Check that the body was found in some frame of the written results. Raises `InputError`."""
+    if len(verdicts) and all(verdict == "lost" for verdict, _ in verdicts):
+        raise InputError(
+            f"{folder}: the body was found in none of the {len(verdicts)} frames, so the written results are useless. "
+            "Check the unit, the up axis and the body."
+        )
+
+
 def check_complete(count: int, clouds: Sequence) -> None:
     """Report that tracking was stopped before the last frame, by a `KeyboardInterrupt`."""
     if count < len(clouds):

@@ -80,6 +80,7 @@ from .results import (
     REPORT,
     check_complete,
     check_folder,
+    check_some_found,
     fingerprint,
     last_frame,
     make_writable,
@@ -281,11 +282,7 @@ class Track:
             )
             if not (vertical or self.fit_shape):
                 warn_of_size(tracker, clouds, planes, verdict)
-        if len(rows) and all(verdict == "lost" for verdict, _ in results.verdicts):
-            raise InputError(
-                f"{self.out}: the body was found in none of the {len(rows)} frames, so the written results are useless. "
-                "Check the unit, the up axis and the body."
-            )
+        check_some_found(self.out, results.verdicts)
         check_complete(len(rows), clouds)
 
     def track_people(

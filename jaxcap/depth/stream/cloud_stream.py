@@ -11,10 +11,11 @@ from ...geometry.camera import Camera
 from ...observe import DepthView
 from ...observe.clouds import Cloud, ordered_cloud, padded_size
 from ...value_checks import check_at_least
+from ..background import Background, take_background
 from ..check_depths import check_image_size_of, keep_measured
 from ..clouds import GAP, VOXEL
 from ..fuse import average_in_voxels
-from ..person import check_found, search_person
+from ..person import check_found, check_measured, search_person
 from ..shadows import fill_shadows
 from ..views import NUM_LEVELS, reduce_camera, take_pixels, view_images, view_step
 from .fixed_camera import FixedCamera, ImageBox
@@ -36,9 +37,9 @@ class CloudStream:
     (`thin_points`).
 
     **Arguments:** `voxel`, side of the cubes that keep one point each, metres; `pixel_step`: only every so-many-th row and column
-    of an image is read.
+    of an image is read; `backgrounds`, one for each camera, of `estimate_background`, whose surface is not of the person.
 
-    **Raises:** `InputError` for no cameras, or a `pixel_step` below one.
+    **Raises:** `InputError` for no cameras, a `pixel_step` below one, or other numbers or sizes of backgrounds than of cameras.
     """
 
     @checked
@@ -48,13 +49,25 @@ class CloudStream:
         num_points: int = NUM_POINTS,
         voxel: float = VOXEL,
         pixel_step: int = 1,
+        backgrounds: Sequence[Background | None] | None = None,
     ):
         if not cameras:
             raise InputError("There are no cameras; give one for each sequence of depth images.")
         check_at_least("CloudStream", 1, pixel_step=pixel_step)
         self._whole = list(cameras)
+        backgrounds = [None] * len(cameras) if backgrounds is None else backgrounds
+        if len(backgrounds) != len(cameras):
+            raise InputError(
+                f"There are {len(backgrounds)} backgrounds of {len(cameras)} cameras; give one of each."
+            )
+        for number, (camera, known) in enumerate(zip(cameras, backgrounds, strict=True)):
+            if known is not None:
+                check_image_size_of(camera, known.depth, "background", f"camera {number}")
         cameras = [take_pixels(camera, pixel_step) for camera in cameras]
-        self.cameras = [FixedCamera(camera) for camera in cameras]
+        self.cameras = [
+            FixedCamera(camera, None if known is None else take_background(known, pixel_step))
+            for camera, known in zip(cameras, backgrounds, strict=True)
+        ]
         self.num_points, self.voxel, self.pixel_step = num_points, voxel, pixel_step
         self._views = [reduce_camera(camera, view_step(camera.height, camera.width)) for camera in cameras]
 
@@ -116,7 +129,8 @@ class CloudStream:
             followed = follow_person(fixed, depth, surface)
         if followed is not None:
             return followed
-        found = check_found(search_person(fixed.camera, depth, where=where), where)
+        check_measured(fixed.camera, depth, where)
+        found = check_found(search_person(fixed.camera, depth, fixed.background, where), where)
         fixed.set_planes(found.planes)
         height, width = depth.shape
         return ImageBox(slice(0, height), slice(0, width), 0.0, np.inf), found.person

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from ...geometry.camera import Camera
 from ...observe.planes import PLANE_DISTANCE, Plane
 from ..back_projection import camera_rays
+from ..background import Background, nearest_background
 
 
 class ImageBox(NamedTuple):
@@ -21,10 +22,10 @@ class ImageBox(NamedTuple):
 
 
 class FixedCamera:
-    """A camera with its rays, and with the floor and the walls that it sees."""
+    """A camera with its rays, and with the floor, the walls and the `background` that it sees."""
 
-    def __init__(self, camera: Camera):
-        self.camera = camera
+    def __init__(self, camera: Camera, background: Background | None = None):
+        self.camera, self.background = camera, background
         self.rotation, self.translation = (
             np.asarray(a, float) for a in (camera.rotation, camera.translation)
         )
@@ -32,6 +33,8 @@ class FixedCamera:
         self.rays = camera_rays(camera)
         self._slopes = np.zeros((0, camera.height, camera.width), np.float32)
         self._offsets: list[float] = []
+        #: depths from which on a pixel shows background
+        self._limit = None if background is None else nearest_background(background).astype(np.float32)
         #: whether floor and walls were looked for
         self.is_searched = False
 
@@ -47,13 +50,15 @@ class FixedCamera:
             for plane, normal in zip(planes, normals, strict=True)
         ]
 
-    def on_planes(
+    def on_room(
         self, depth: Float[np.ndarray, "h w"], box: ImageBox, step: int = 1
     ) -> Bool[np.ndarray, "h w"]:
-        """Test which pixels of a box, every `step`-th with these depths, are on the floor or on a wall."""
+        """Test which pixels of a box, every `step`-th with these depths, are on the floor, on a wall or on the background."""
         on = np.zeros(depth.shape, bool)
         for slope, offset in zip(self._slopes, self._offsets, strict=True):
             on |= np.abs(depth * slope[box.rows, box.columns][::step, ::step] - offset) < PLANE_DISTANCE
+        if self._limit is not None:
+            on |= depth > self._limit[box.rows, box.columns][::step, ::step]
         return on
 
     def points(

@@ -27,7 +27,7 @@ def follow_person(
 ) -> tuple[ImageBox, Bool[np.ndarray, "h w"]] | None:
     """Find the pixels of the person near its last surface; None if too little of it is found.
 
-    Connected surfaces without floor and walls belong to the person if they are near the last `surface`, points of the posed
+    Connected surfaces without floor, walls and background belong to the person if they are near the last `surface`, points of the posed
     body in the world. The mask is that of the returned box.
     """
     step = search_step(depth.shape)
@@ -37,7 +37,7 @@ def follow_person(
     here = depth[box.rows, box.columns]
     small = here[::step, ::step]
     small = np.where(
-        (small > box.nearest) & (small < box.farthest) & ~fixed.on_planes(small, box, step), small, 0.0
+        (small > box.nearest) & (small < box.farthest) & ~fixed.on_room(small, box, step), small, 0.0
     )
     labels = connect_pixels(small, small > 0)
     points = fixed.points(small, box, step)
@@ -74,7 +74,7 @@ def _enlarge(
     ]
     there = ImageBox(across[0], across[1], box.nearest, box.farthest)
     here = depth[inner]
-    free = (here > box.nearest) & (here > 0) & (here < box.farthest) & ~fixed.on_planes(here, there)
+    free = (here > box.nearest) & (here > 0) & (here < box.farthest) & ~fixed.on_room(here, there)
     person = np.zeros(depth.shape, bool)
     person[inner] = enlarge_mask(small[rows, columns], small_depth[rows, columns], here, free, step)
     return person

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 from ...errors import InputError
 from ...observe.clouds import Scan
+from ..depth.images import SUFFIXES as IMAGE_SUFFIXES
+from ..depth.images import is_depth_image
+from ..depth.open_exr import EXR_SUFFIX
 from ..depth.sequence import DEPTH_SUFFIXES, DepthFrame, read_depth_file
 from ..meshes.clouds import read_clouds
 from ..meshes.mesh import SUFFIXES as MESH_SUFFIXES
@@ -22,6 +25,8 @@ POLL_SECONDS, SETTLE_SECONDS = 0.004, 0.03
 FOLDER_CLOCK_SECONDS = 0.05
 #: seconds after which a file that is still incomplete is read anyway, and refused by its reader
 MAX_WAIT_SECONDS = 2.0
+#: files of arrays, which are frames of streams only
+ARRAY_SUFFIX = ".npy"
 #: the last bytes of a complete PNG
 PNG_END = b"IEND\xaeB`\x82"
 
@@ -50,8 +55,40 @@ def watch_depth_folders(
 def watch_cloud_folder(
     folder: str | Path, unit: str, stop: threading.Event, timeout: float | None = None
 ) -> Iterator[Arrival]:
-    """Yield the clouds that are added to a folder, as `watch_depth_folders` yields images."""
-    return _watch([folder], MESH_SUFFIXES, lambda paths: read_clouds(paths[0], unit=unit)[0], stop, timeout)
+    """Yield the clouds that are added to a folder, as `watch_depth_folders` yields images.
+
+    **Raises:** `InputError` if the folder does not exist, or has a depth image.
+    """
+
+    def read(paths: Sequence[Path]) -> Scan:
+        return read_clouds(paths[0], unit=unit)[0]
+
+    return _watch([folder], MESH_SUFFIXES, read, stop, timeout, _refuse_depth_images(Path(folder)))
+
+
+def _refuse_depth_images(folder: Path) -> Callable[[], None]:
+    """Make a function that looks at the images that are new in a folder of clouds, at first at all of them.
+
+    Pictures, such as textures of meshes, are left out. The function raises `InputError` for a depth image.
+    """
+    images = _Folder(folder, (*IMAGE_SUFFIXES, EXR_SUFFIX, ARRAY_SUFFIX), with_existing=True)
+
+    def look() -> None:
+        images.look()
+        while images.complete:
+            path = images.complete.popleft().path
+            if path.suffix.lower() == ARRAY_SUFFIX:
+                raise InputError(
+                    f"{path}: arrays are not read from a folder; write them to standard input (--watch -), or write depth "
+                    "images as PNG and give --cameras."
+                )
+            if path.suffix.lower() == EXR_SUFFIX or is_depth_image(path):
+                raise InputError(
+                    f"{path}: this is a depth image, which needs the intrinsics of the camera; give these with --cameras. Without "
+                    f"them the files of the folder are clouds ({', '.join(MESH_SUFFIXES)})."
+                )
+
+    return look
 
 
 def _watch(
@@ -60,20 +97,25 @@ def _watch(
     read: Callable[[Sequence[Path]], DepthFrame | Scan],
     stop: threading.Event,
     timeout: float | None,
+    refuse: Callable[[], None] = lambda: None,
 ) -> Iterator[Arrival]:
+    """Yield frames; `refuse` is called at each look, and raises `InputError` for files that do not belong here."""
     watched = [_Folder(Path(folder), suffixes) for folder in folders]
     last, begin = time.monotonic(), time.time()
     while not stop.is_set():
+        refuse()
         for folder in watched:
             folder.look()
         while all(folder.complete for folder in watched):
             files = [folder.complete.popleft() for folder in watched]
             paths, written = [file.path for file in files], max(file.written for file in files)
-            last = time.monotonic()
-            arrived = last - max(time.time() - written, 0.0)
+            age = time.time() - max(file.arrived for file in files)
+            arrived = time.monotonic() - max(age, 0.0)
             yield Arrival(str(paths[0]), written - begin, arrived, lambda paths=paths: read(paths))
             if stop.is_set():
                 return
+            # the consumer may take longer than the timeout, and files arrive meanwhile
+            last = time.monotonic()
         if timeout is not None and time.monotonic() - last > timeout:
             return
         stop.wait(POLL_SECONDS)
@@ -83,25 +125,32 @@ class _File(NamedTuple):
     path: Path
     #: the time of its last change, seconds since the epoch
     written: float
+    #: the same, but not before the look that did not see it: a copy may have the time of the original
+    arrived: float
 
 
 class _Folder:
-    """New files of a folder: those that are complete, in their order."""
+    """New files of a folder: those that are complete, in their order. Files that are there already are new if `with_existing`."""
 
-    def __init__(self, folder: Path, suffixes: Sequence[str]):
+    def __init__(self, folder: Path, suffixes: Sequence[str], with_existing: bool = False):
         self.folder, self.suffixes = folder, suffixes
         self.complete: deque[_File] = deque()
-        self._growing: list[Path] = []
+        #: files that are not complete, each with the time of the last look without it
+        self._growing: list[tuple[Path, float]] = []
+        self._looked = time.time()
         self._changed = 0.0
-        self._known = set(self._names())
+        self._known = set() if with_existing else set(self._names())
 
     def look(self) -> None:
         """Look for new files, and move those that are complete."""
+        before, self._looked = self._looked, time.time()
         new = [name for name in self._names() if name not in self._known]
         self._known.update(new)
-        self._growing += sorted((self.folder / name for name in new), key=natural_sort_key)
-        while self._growing and (written := _completed(self._growing[0])) is not None:
-            self.complete.append(_File(self._growing.pop(0), written))
+        paths = sorted((self.folder / name for name in new), key=natural_sort_key)
+        self._growing += [(path, before) for path in paths]
+        while self._growing and (written := _completed(self._growing[0][0])) is not None:
+            path, unseen = self._growing.pop(0)
+            self.complete.append(_File(path, written, max(written, unseen)))
 
     def _names(self) -> list[str]:
         """List the files of the folder if it may have changed since the last look. Raises `InputError`."""
