@@ -21,7 +21,7 @@ import jaxcap as jc
 from benchmarks._scenes import shared_folder
 from jaxcap.depth import cloud_of_depths, find_person
 from jaxcap.depth.back_projection import measured_points
-from jaxcap.depth.surfaces import search_step
+from jaxcap.depth.candidates import search_step
 from jaxcap.geometry.camera import Camera, project_points
 from jaxcap.io.cameras import read_cameras
 from jaxcap.report.pictures import new_figure

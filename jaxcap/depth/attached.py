@@ -7,8 +7,7 @@ from scipy.ndimage import binary_opening, maximum_filter
 from ..geometry.camera import Camera
 from ..observe.planes import Plane, find_planes, on_planes
 from .back_projection import world_points
-from .candidates import OTHER, is_piece, list_candidates
-from .surfaces import connect_pixels, search_step
+from .candidates import OTHER, connect_pixels, is_piece, list_candidates, search_step
 
 #: share of a connected surface that has to move, so that all of it may be a person
 MIN_MOVING_SHARE = 0.02

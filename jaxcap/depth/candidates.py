@@ -1,11 +1,17 @@
-"""Surfaces in front of the background, and which of them are a person."""
+"""Connected surfaces in front of the background, and which of them are a person."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+#: image size for the search, pixels on the longest side
+SEARCH_SIDE = 160
+#: neighbouring pixels are on one surface if their depths differ by less than this share of the depth
+CONTINUITY = 0.04
 #: pieces of a person, such as an arm in front of the trunk, are nearer than this to each other, metres
 MAX_PIECE_GAP = 0.25
 #: larger pieces, such as legs below a trunk that leans, and pieces next to other pieces are nearer than this, metres;
@@ -42,6 +48,26 @@ class Candidate(NamedTuple):
     found: str
     #: whether it has the size of a hand and no other surface is near it
     floats: bool = False
+
+
+def search_step(shape: tuple[int, ...]) -> int:
+    """Return the number of rows and columns from one searched pixel to the next."""
+    return max(1, -(-max(shape) // SEARCH_SIDE))
+
+
+def connect_pixels(z: Float[np.ndarray, "h w"], free: Bool[np.ndarray, "h w"]) -> Int[np.ndarray, "h w"]:
+    """Label connected `free` pixels with continuous depths, from 1; zero for others."""
+    index = np.arange(z.size).reshape(z.shape)
+    links = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        near = free[a] & free[b] & (np.abs(z[a] - z[b]) < CONTINUITY * np.minimum(z[a], z[b]))
+        links.append(np.stack([index[a][near], index[b][near]], 1))
+    i, j = np.concatenate(links).T
+    _, of = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(z.size, z.size)), directed=False)
+    labels = np.zeros(z.size, int)
+    _, labels[free.reshape(-1)] = np.unique(of[free.reshape(-1)], return_inverse=True)
+    labels[free.reshape(-1)] += 1
+    return labels.reshape(z.shape)
 
 
 def list_candidates(

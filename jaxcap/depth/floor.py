@@ -11,7 +11,7 @@ from ..observe.clouds import Cloud
 from ..observe.floor import find_floor, is_floor_of
 from ..observe.planes import Plane, find_planes, refine_plane
 from .back_projection import world_points
-from .surfaces import search_step
+from .candidates import search_step
 
 
 @checked

@@ -11,9 +11,17 @@ from ..geometry.camera import Camera
 from ..observe.planes import Plane, find_planes, on_planes
 from .back_projection import world_points
 from .background import Background, is_background
-from .candidates import PERSON, PIECE, Candidate, choose_person, list_candidates
+from .candidates import (
+    CONTINUITY,
+    PERSON,
+    PIECE,
+    Candidate,
+    choose_person,
+    connect_pixels,
+    list_candidates,
+    search_step,
+)
 from .check_depths import check_depth_scale, check_image_size_of, keep_measured
-from .surfaces import CONTINUITY, connect_pixels, search_step
 
 
 class PersonSearch(NamedTuple):

@@ -18,7 +18,7 @@ import jaxcap as jc
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
 from jaxcap.cli.sources import Clouds, load_body
-from jaxcap.cli.track import advice
+from jaxcap.cli.track import advice, person_shape
 from jaxcap.cli.track import track as track_module
 from jaxcap.cli.track.frame_records import Results
 from jaxcap.io.archives.journal import Journal
@@ -179,7 +179,7 @@ def test_the_shape_of_a_person_is_written_and_used_again(inputs, finished, tmp_p
         given.append(len(clouds))
         return eqx.tree_at(lambda b: b.vertices, tracker.body, 1.001 * tracker.body.vertices)
 
-    monkeypatch.setattr(advice, "estimate_shape", estimate)
+    monkeypatch.setattr(person_shape, "estimate_shape", estimate)
     with monkeypatch.context() as patch:
         stop_after(patch, 2)
         fails(capsys, *command(inputs, out, "--fit-shape"), code=130)

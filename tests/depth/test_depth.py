@@ -42,6 +42,17 @@ def test_a_person_is_found_before_floor_and_wall():
     assert np.sum(found & person) / np.sum(found | person) > 0.9
 
 
+def test_a_hand_that_hides_its_arm_is_of_the_person():
+    """A surface of a hand's size 0.4 m in front of the trunk; one next to the edge of a table is none."""
+    depth, person = room()
+    hand, table = np.s_[55:60, 78:83], np.s_[61:62, 60:100]
+    stretched = depth.copy()
+    stretched[hand] = depth[hand] - 0.4
+    assert find_person(CAMERA, stretched)[hand].mean() > 0.9
+    stretched[table] = stretched[hand].mean()
+    assert find_person(CAMERA, stretched)[hand].mean() < 0.1
+
+
 def test_a_room_without_a_person_is_refused():
     depth, _ = room((0.0, 50.0, 0.0))
     empty, sentence = (

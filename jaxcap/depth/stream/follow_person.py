@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from ..candidates import connect_pixels, search_step
 from ..person import enlarge_mask
-from ..surfaces import connect_pixels, search_step
 from .fixed_camera import FixedCamera, ImageBox
 
 #: farthest that the surface of the person may move from its last place, metres: a hand at 7 m/s in a thirtieth of a second
