@@ -166,9 +166,10 @@ class LiveTracker:
             self._finish(overtaken, dropped=True)
 
     def warm_up(self, frame: Observation, name: str = "the first frame") -> float:
-        """Compile everything that a frame of this size needs but the search, and return the seconds that this takes.
+        """Compile everything that a frame of this size needs but later searches, and return the seconds that this takes.
 
-        The frame itself is not counted, and no later frame starts from it. Frames that arrive before the end are counted as
+        The frame itself is not counted. If the body at rest, or the `start`, does not explain it, its pose is searched for, and
+        the next frame starts from the pose that is found. Frames that arrive before the end are counted as
         `dropped_before_ready` if they are dropped, and their latencies are left out. `name` is for messages.
 
         **Raises:** `InputError` for a frame that cannot be tracked.

@@ -95,12 +95,17 @@ class OnlineTracker:
         return frame
 
     def warm_up(self, cloud: Cloud) -> None:
-        """Compile everything that clouds of this size need, also after a lost frame, but the search.
+        """Compile everything that clouds of this size need, also after a lost frame, but later searches.
+
+        If the start does not explain the cloud, and searches are wanted, the pose that a search finds in it becomes the start.
 
         **Raises:** `InputError` as `track` does.
         """
         sample = OnlineTracker(self.tracker, self.start, search=False, sigma=self.sigma, up=self._follower.up)
-        sample.track(cloud)
+        if sample.track(cloud).verdict != "good" and self.searches_frames:
+            coarse = self._follower.coarse()
+            found = search_first_frame(self._follower, coarse, sample.frame, cloud, most=FIRST_SEARCHES)
+            self.start = self.start if found.lost else found.pose
         frame = sample.track(cloud)
         lost = eqx.tree_at(lambda f: f.lost, frame, True)
         follow_frame(self.tracker, self._follower.surface, lost, cloud)

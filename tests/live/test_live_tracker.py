@@ -254,6 +254,18 @@ def test_no_frame_waits_for_a_search(monkeypatch):
     tracking.close()
 
 
+@pytest.mark.parametrize("search", [True, False])
+def test_tracking_begins_where_a_search_finds_the_body_before_it(monkeypatch, search):
+    monkeypatch.setattr(advance, "initialise", lambda *_, **__: (pose_at(5.0), jnp.asarray(0.0)))
+    monkeypatch.setattr(advance, "coarse_tracker", lambda tracker: tracker)
+    away = retract(BODY.skeleton, pose_at(5.0), jnp.zeros(BODY.skeleton.num_dofs).at[:3].set(0.9))
+    tracking = OnlineTracker(TRACKER, away, search=search, sigma=0.01)
+    tracking.warm_up(cloud_at(5.0, 5))
+    assert tracking.count == 0 and tracking.frame is None
+    assert (tracking.track(cloud_at(5.0, 6)).verdict == "good") == search
+    tracking.close()
+
+
 def test_a_lost_body_is_looked_for_near_the_points_of_the_last_image():
     with LiveTracker(TRACKER, search=False) as live:
         live.push(CLOUDS[0])
