@@ -26,6 +26,8 @@ SUPPORT_DISTANCE, MAX_SUPPORT_SHARE = 0.1, 0.1
 MIN_EXTENT, MAX_EXTENT, MIN_AREA = 0.3, 2.3, 0.06
 #: farther surface is no person, metres; smaller surface is noise, square metres
 MAX_DISTANCE, MIN_PIECE_AREA = 8.0, 1e-3
+#: smaller surfaces are not joined with others to a person, square metres
+MIN_JOINED_AREA = 0.01
 #: what a candidate was found to be
 PERSON, PIECE, OTHER = "the person", "a piece of the person", "farther away than the person"
 TOO_SMALL, TOO_LARGE, TOO_FAR = "too small", "too large", "too far away"
@@ -99,6 +101,28 @@ def list_candidates(
         floats = is_hand and is_unsupported(few, points[measured & (labels != label)])
         candidates.append(Candidate(int(label), few, area, extent, distance, found, floats))
     return candidates
+
+
+def join_small(
+    labels: Int[np.ndarray, "h w"], candidates: list[Candidate]
+) -> tuple[Int[np.ndarray, "h w"], bool]:
+    """Give small surfaces next to each other one label, if together they have the size of a person.
+
+    Arms in front of the trunk may divide a person into surfaces of which none is large enough. Return whether there are such
+    surfaces; surfaces that have the size of a person alone are preferred, and then nothing is joined.
+    """
+    small = [one for one in candidates if one.found == TOO_SMALL and one.area >= MIN_JOINED_AREA]
+    if not small or any(one.found == OTHER for one in candidates):
+        return labels, False
+    first, *others = sorted(small, key=lambda one: -one.area)
+    group = [first]
+    for one in others:
+        if is_piece(join_candidates(group).points, one.points):
+            group.append(one)
+    whole = join_candidates(group)
+    if len(group) == 1 or whole.area < MIN_AREA or whole.extent < MIN_EXTENT:
+        return labels, False
+    return np.where(np.isin(labels, [one.label for one in group]), first.label, labels), True
 
 
 def choose_person(candidates: list[Candidate]) -> list[Candidate]:

@@ -18,6 +18,7 @@ from .candidates import (
     Candidate,
     choose_person,
     connect_pixels,
+    join_small,
     list_candidates,
     search_step,
 )
@@ -87,7 +88,11 @@ def segment_surfaces(
     free = measured & ~on_plane & ~behind
     labels = connect_pixels(z, free[::step, ::step])
     focal = float(np.mean(np.asarray(camera.focal)))
-    candidates = list_candidates(labels, few, (z * step / focal) ** 2, eye)
+    areas = (z * step / focal) ** 2
+    candidates = list_candidates(labels, few, areas, eye)
+    labels, is_joined = join_small(labels, candidates)
+    if is_joined:
+        candidates = list_candidates(labels, few, areas, eye)
     return PersonSearch(planes, on_plane, behind, candidates, labels, step, np.zeros(depth.shape, bool))
 
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import jaxcap as jc
-from jaxcap.depth import cloud_of_depths, estimate_background, find_person, make_depth_view
+from jaxcap.depth import cloud_of_depths, estimate_background, find_person, make_depth_view, search_person
 from jaxcap.errors import InputError, NoPersonError
 from jaxcap.geometry.camera import look_at, project_points
 from jaxcap.io.cameras import read_cameras, write_cameras
@@ -42,9 +42,24 @@ def test_a_person_is_found_before_floor_and_wall():
     assert np.sum(found & person) / np.sum(found | person) > 0.9
 
 
+def test_a_person_in_small_pieces_is_found():
+    """Gaps of two pixels divide the person into surfaces of which none has the size of a person."""
+    depth, person = room()
+    divided = depth.copy()
+    lines = np.arange(120)[:, None] % 12 < 2, np.arange(160)[None] % 12 < 2
+    divided[person & (lines[0] | lines[1])] = 0.0
+    search = search_person(CAMERA, divided)
+    assert search.person[person & (divided > 0)].mean() > 0.9
+    # one of the pieces alone is none
+    alone = np.where(person, 0.0, depth)
+    alone[50:60, 74:84] = divided[50:60, 74:84]
+    with pytest.raises(NoPersonError, match="no surface has the size of a person"):
+        find_person(CAMERA, alone)
+
+
 def test_a_hand_that_hides_its_arm_is_of_the_person():
     """A surface of a hand's size 0.4 m in front of the trunk; one next to the edge of a table is none."""
-    depth, person = room()
+    depth, _ = room()
     hand, table = np.s_[55:60, 78:83], np.s_[61:62, 60:100]
     stretched = depth.copy()
     stretched[hand] = depth[hand] - 0.4

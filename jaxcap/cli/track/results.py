@@ -204,7 +204,7 @@ def check_some_found(folder: Path, verdicts: Sequence[tuple[str, Sequence[str]]]
     if len(verdicts) and all(verdict == "lost" for verdict, _ in verdicts):
         raise InputError(
             f"{folder}: the body was found in none of the {len(verdicts)} frames, so the written results are useless. "
-            "Check the unit, the up axis and the body."
+            "Check the unit, the up axis and the body; `jaxcap track --fit-shape` fits a human body to the person."
         )
 
 
