@@ -2,7 +2,8 @@
 
 Five people, none of whom is the tracked template, perform takes of CMU from which the prior of poses was not learned. One
 Azure Kinect sees each of them whole, from the hips up, and whole while they also turn by 360 degrees about the vertical.
-The room has a floor, three walls, a table and a chair. The person is found in each image and no start is given. The
+The room has a floor, three walls, a table and a chair. As `jaxcap track --depth` does, the
+background is estimated from the sequence, the person is found in each image, and no start is given. The
 embedded human is fitted to the person's shape in the same frames, then tracked (`--as-it-is` tracks it without).
 `--without` tracks the same points without the images too. `--outfit skirt --clothes` dresses all of them, and tracks with the
 model of clothes. Hidden thighs are among the joints only where the cloth lies near them.
@@ -25,8 +26,10 @@ from benchmarks._clothes import OUTFITS, dress, dressed_mesh
 from benchmarks._scenes import human_motion, shared_folder
 from benchmarks.depth._overlays import Overlay, draw_overlays, make_overlay
 from benchmarks.report import finish, progress
+from jaxcap.depth.background import MAX_FRAMES
 from jaxcap.geometry import rotation
 from jaxcap.geometry.camera import Camera, look_at, project_points
+from jaxcap.geometry.sampling import even_indices
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 from jaxcap.scanner.scan import scan_scene
 from jaxcap.tracking.track import track_frames
@@ -140,11 +143,16 @@ def make_scene(shared: Path, number: int, scenario: Scenario, frames: int, outfi
         )
         target[1] = eye[1] + away * np.tan(np.radians(half) - np.arctan(0.4 / away))
     camera = look_at(eye, target, *sensor.resolution, sensor.field_of_view)
+    images = [
+        scan_scene(sensor.errors, [camera], [mesh, (room.vertices, room.faces)], number, frame)[0]
+        for frame, mesh in enumerate(meshes)
+    ]
+    spread = even_indices(frames, MAX_FRAMES, nearest=True)
+    background = jc.depth.estimate_background(camera, [images[frame].depth for frame in spread])
     clouds, visible, masks, found = [], [], [], []
     floor = None
-    for frame, mesh in enumerate(meshes):
-        (image,) = scan_scene(sensor.errors, [camera], [mesh, (room.vertices, room.faces)], number, frame)
-        mask = jc.depth.find_person(camera, image.depth, f"frame {frame}")
+    for frame, image in enumerate(images):
+        mask = jc.depth.find_person(camera, image.depth, f"frame {frame}", background)
         truth = image.labels == 0
         found.append(float(np.sum(mask & truth) / np.sum(mask | truth)))
         clouds.append(jc.depth.cloud_of_depths([camera], [image.depth], [mask], name=f"frame {frame}"))
