@@ -21,6 +21,7 @@ from jaxcap.cli.sources import Clouds, load_body
 from jaxcap.cli.track import advice, person_shape
 from jaxcap.cli.track import track as track_module
 from jaxcap.cli.track.frame_records import Results
+from jaxcap.cli.track.results import warn_of_results
 from jaxcap.io.archives.journal import Journal
 from jaxcap.io.archives.npz import load_motion, load_skeleton
 from jaxcap.io.meshes.clouds import read_clouds
@@ -378,6 +379,15 @@ def test_another_vertical_is_named_if_a_person_is_much_likelier_with_it(inputs, 
             and (f"give --up={longest}" in printed or f"give --up=-{longest}" in printed) == warned
         )
         assert not advice.warn_of_other_vertical(tracker, turned, (), "good", up)
+
+
+def test_clouds_that_hide_parts_are_asked_for_cameras(capsys):
+    hidden = Results(np.zeros(1), None, None, [("good", ())], [("LeftHand",)], [False])
+    for of_clouds in (True, False):
+        warn_of_results(hidden, of_clouds=of_clouds)
+        assert ("give the images with --depth and --cameras" in capsys.readouterr().err) == of_clouds
+    warn_of_results(hidden._replace(unseen=[()]), of_clouds=True)
+    assert not capsys.readouterr().err
 
 
 def test_a_search_is_announced_with_its_reason(capsys):

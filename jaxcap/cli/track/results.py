@@ -30,6 +30,11 @@ PERSON_FOLDER = "person_"
 FILES = ("motion.bvh", "motion.npz", "statistics.csv", "statistics.json")
 #: of a run in chunks: the folder of the journals of all tasks, and how the chunks were joined
 CHUNKS, REPORT = ".jaxcap-chunks", "chunks.json"
+#: advice for clouds that do not show the whole body
+CAMERAS_HELP = (
+    "clouds do not state which space is empty; if depth cameras took them, give the images with --depth and --cameras, so that hidden parts "
+    "stay out of the space that the cameras saw empty"
+)
 #: the parameters of a body model in AMASS's format
 PARAMETERS = "parameters.npz"
 
@@ -189,11 +194,16 @@ def write_results(
     write_json(folder / "statistics.json", {"rate": rate, **(summary or {}), "frames": rows})
 
 
-def warn_of_results(results: Results) -> None:
-    """Warn of frames that are not good, of parts that were not seen, and of other people."""
+def warn_of_results(results: Results, *, of_clouds: bool) -> None:
+    """Warn of frames that are not good, of parts that were not seen, and of other people.
+
+    `of_clouds`, the frames are clouds without the cameras that took them.
+    """
+    hidden = unseen_sentences(results.unseen)
     for sentence in (
         *verdict_sentences(results.verdicts),
-        *unseen_sentences(results.unseen),
+        *hidden,
+        *([CAMERAS_HELP] if of_clouds and hidden else []),
         *others_sentences(results.others),
     ):
         warn(sentence)

@@ -274,7 +274,7 @@ class Track:
             f"{pluralise(len(rows), 'frame')} in {results.seconds.sum():.1f} s: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        warn_of_results(results)
+        warn_of_results(results, of_clouds=not self.depth)
         if len(rows) and self.initialise != "never":
             verdict = results.verdicts[0][0]
             vertical = warn_of_vertical(results, self.up) or warn_of_other_vertical(
