@@ -16,7 +16,7 @@ def make_announcer() -> Callable[..., None]:
 
     def announce(search: Search, whose: str = " of") -> None:
         nonlocal compiled
-        why = f": {', '.join(search.reasons)}" if search.reasons else ", as requested by --initialise always"
+        why = f": {', '.join(search.reasons)}" if search.reasons else ""
         many = "1 search" if search.num_earlier == 1 else f"{search.num_earlier} searches"
         before = f"; {many} before it" if search.num_earlier else ""
         once = "" if compiled else "; the first search compiles its functions, which may take a minute"
