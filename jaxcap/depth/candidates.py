@@ -20,6 +20,8 @@ MAX_SMALL_GAP, HEAD_AREA = 0.12, 0.03
 #: a surface of a hand's size that nothing supports may be as far away as the length of a forearm, which a hand that is stretched
 #: out towards the camera hides; its least area, square metres, and largest extent, metres
 MAX_HAND_GAP, MIN_HAND_AREA, MAX_HAND_EXTENT = 0.5, 2e-3, 0.3
+#: largest angle at the camera between such a hand and the person, degrees
+MAX_HAND_ANGLE = 5.0
 #: what supports a surface is nearer than this, metres; largest number of such points, as a share of those of the surface
 SUPPORT_DISTANCE, MAX_SUPPORT_SHARE = 0.1, 0.1
 #: extents of a visible person, metres: the longest side, and the least area of its surface, square metres
@@ -48,8 +50,17 @@ class Candidate(NamedTuple):
     distance: float
     #: one of the constants above
     found: str
-    #: whether it has the size of a hand and no other surface is near it
-    floats: bool = False
+
+
+class SearchedImage(NamedTuple):
+    """An image as it is searched, with every so-many-th row and column."""
+
+    #: of each pixel, the number of its candidate
+    labels: Int[np.ndarray, "h w"]
+    #: in the world, metres; zero where nothing was measured
+    points: Float[np.ndarray, "h w 3"]
+    #: position of the camera
+    eye: Float[np.ndarray, "3"]
 
 
 def search_step(shape: tuple[int, ...]) -> int:
@@ -83,7 +94,7 @@ def list_candidates(
     **Arguments:** `areas`, that of each pixel's surface, square metres; `eye`, the position of the camera, metres.
     """
     total = np.bincount(labels.reshape(-1), areas.reshape(-1))
-    candidates, measured = [], np.any(points != 0, axis=-1)
+    candidates = []
     for label in np.flatnonzero(total >= MIN_PIECE_AREA):
         if label == 0:
             continue
@@ -97,9 +108,7 @@ def list_candidates(
             found = TOO_SMALL
         else:
             found = TOO_FAR if distance > MAX_DISTANCE else OTHER
-        is_hand = MIN_HAND_AREA <= area < HEAD_AREA and extent < MAX_HAND_EXTENT
-        floats = is_hand and is_unsupported(few, points[measured & (labels != label)])
-        candidates.append(Candidate(int(label), few, area, extent, distance, found, floats))
+        candidates.append(Candidate(int(label), few, area, extent, distance, found))
     return candidates
 
 
@@ -109,48 +118,72 @@ def join_small(
     """Give small surfaces next to each other one label, if together they have the size of a person.
 
     Arms in front of the trunk may divide a person into surfaces of which none is large enough. Return whether there are such
-    surfaces; surfaces that have the size of a person alone are preferred, and then nothing is joined.
+    surfaces; surfaces that have the size of a person alone are preferred, and then nothing is joined. Of several groups the
+    largest one is joined.
     """
     small = [one for one in candidates if one.found == TOO_SMALL and one.area >= MIN_JOINED_AREA]
-    if not small or any(one.found == OTHER for one in candidates):
+    if len(small) < 2 or any(one.found == OTHER for one in candidates):
         return labels, False
-    first, *others = sorted(small, key=lambda one: -one.area)
-    group = [first]
-    for one in others:
-        if is_piece(join_candidates(group).points, one.points):
-            group.append(one)
-    whole = join_candidates(group)
-    if len(group) == 1 or whole.area < MIN_AREA or whole.extent < MIN_EXTENT:
+    near = np.array([[is_piece(one.points, other.points) for other in small] for one in small])
+    _, groups = connected_components(near, directed=False)
+    joined = [[small[row] for row in np.flatnonzero(groups == group)] for group in np.unique(groups)]
+    largest = max(joined, key=lambda group: sum(one.area for one in group))
+    whole = join_candidates(largest)
+    if whole.area < MIN_AREA or not MIN_EXTENT <= whole.extent <= MAX_EXTENT:
         return labels, False
-    return np.where(np.isin(labels, [one.label for one in group]), first.label, labels), True
+    return np.where(np.isin(labels, [one.label for one in largest]), whole.label, labels), True
 
 
-def choose_person(candidates: list[Candidate]) -> list[Candidate]:
+def choose_person(candidates: list[Candidate], image: SearchedImage) -> list[Candidate]:
     """Mark the nearest surface of a person's size as the person, and smaller ones next to it as its pieces."""
     right = [one for one in candidates if one.found == OTHER]
     if not right:
         return candidates
     first = min(right, key=lambda one: one.distance / one.area**0.25)
-    found, person = {first.label: PERSON}, first.points
+    found, person = {first.label: PERSON}, [first]
     for one in sorted(candidates, key=lambda one: -one.area):
-        if one.label == first.label:
-            continue
-        gap = MAX_PIECE_GAP if one.area < first.area else MAX_SMALL_GAP
-        if is_piece(first.points, one.points, gap) or is_piece(person, one.points, chain_gap(one)):
+        if one.label != first.label and belongs(one, person, image):
             found[one.label] = PIECE
-            person = np.concatenate([person, one.points])
+            person.append(one)
     return [one._replace(found=found.get(one.label, one.found)) for one in candidates]
 
 
-def chain_gap(one: Candidate) -> float:
-    """Return the largest distance of a surface from other pieces of a person, metres."""
-    if one.floats:
-        return MAX_HAND_GAP
-    return MAX_PIECE_GAP if one.area < HEAD_AREA else MAX_SMALL_GAP
+def belongs(
+    one: Candidate, person: list[Candidate], image: SearchedImage, max_large_gap: float = MAX_SMALL_GAP
+) -> bool:
+    """Test if a surface is a piece of a person: of its largest surface, which is the first, and the pieces so far.
+
+    A surface larger than the first is a piece if it is nearer than `max_large_gap`, metres.
+    """
+    first, points = person[0], np.concatenate([piece.points for piece in person])
+    gap = MAX_PIECE_GAP if one.area < first.area else max_large_gap
+    chain = MAX_PIECE_GAP if one.area < HEAD_AREA else MAX_SMALL_GAP
+    return (
+        is_piece(first.points, one.points, gap)
+        or is_piece(points, one.points, chain)
+        or is_stretched_hand(one, points, image)
+    )
+
+
+def is_stretched_hand(one: Candidate, person: Float[np.ndarray, "N 3"], image: SearchedImage) -> bool:
+    """Test if a surface may be a hand that is stretched out towards the camera and hides its arm.
+
+    It has the size of a hand, is seen next to the person, not farther away than a forearm, and nothing supports it.
+    """
+    if not MIN_HAND_AREA <= one.area < HEAD_AREA or one.extent > MAX_HAND_EXTENT:
+        return False
+    if not is_piece(person, one.points, MAX_HAND_GAP):
+        return False
+    rays, others = (rows - image.eye for rows in (one.points, person))
+    rays, others = (rows / np.linalg.norm(rows, axis=1, keepdims=True) for rows in (rays, others))
+    if surface_gap(others, rays) > np.radians(MAX_HAND_ANGLE):
+        return False
+    measured = np.any(image.points != 0, axis=-1) & (image.labels != one.label)
+    return is_unsupported(one.points, image.points[measured])
 
 
 def is_unsupported(points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "M 3"]) -> bool:
-    """Test if next to no other points are near a surface. Things on a table or a wall are supported by it."""
+    """Test if few other points are near a surface. Things on a table or a wall are supported by it."""
     if not len(others):
         return True
     near = KDTree(points).query(others, distance_upper_bound=SUPPORT_DISTANCE)[0] < np.inf

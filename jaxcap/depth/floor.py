@@ -12,6 +12,7 @@ from ..observe.floor import find_floor, is_floor_of
 from ..observe.planes import Plane, find_planes, refine_plane
 from .back_projection import world_points
 from .candidates import search_step
+from .check_depths import check_image_size_of, keep_measured
 
 
 @checked
@@ -23,12 +24,17 @@ def find_floor_of_person(
     `make_floor(body, plane.offset, tuple(plane.normal))` is the energy of such a plane.
 
     **Arguments:** `depths`, metres, zero where nothing was measured, one for each of the `cameras`; `cloud` of the person.
+
+    **Raises:** `InputError` if an image has another size than its camera's.
     """
     person = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
-    for camera, depth in zip(cameras, depths, strict=True):
-        points = world_points(camera, depth, search_step(depth.shape))
-        points = points[np.any(points != 0, axis=-1)]
-        floor = find_floor(find_planes(points, np.asarray(camera.eye, float)))
-        if floor is not None and len(person) and is_floor_of(refine_plane(floor, points), person):
-            return refine_plane(floor, points)
+    for camera, image in zip(cameras, depths, strict=True):
+        check_image_size_of(camera, image, "image", "find_floor_of_person")
+        depth = keep_measured(image)
+        step = search_step(depth.shape)
+        points = world_points(camera, depth, step)[depth[::step, ::step] > 0]
+        level = find_floor(find_planes(points, np.asarray(camera.eye, float)))
+        floor = None if level is None else refine_plane(level, points)
+        if floor is not None and len(person) and is_floor_of(floor, points, person):
+            return floor
     return None

@@ -12,16 +12,14 @@ from .background import Background
 from .candidates import (
     MAX_DISTANCE,
     MAX_EXTENT,
-    MAX_PIECE_GAP,
     MIN_AREA,
     MIN_EXTENT,
     Candidate,
-    chain_gap,
-    is_piece,
+    belongs,
     surface_gap,
 )
 from .check_depths import keep_measured
-from .person import check_measured, mask_of, nobody, segment_surfaces
+from .person import check_measured, mask_of, nobody, searched_image, segment_surfaces
 
 #: people who touch are one surface, whose longest side may be larger than a person's by this factor
 TOUCHING = 1.5
@@ -54,6 +52,7 @@ def find_people(
     depth = keep_measured(depth)
     check_measured(camera, depth, where)
     search = segment_surfaces(camera, depth, background, where)
+    image = searched_image(camera, search)
     people = [[one] for one in choose_people(search.candidates, count, up)]
     if not people:
         raise nobody(where)
@@ -61,9 +60,8 @@ def find_people(
     # larger pieces first, so that smaller ones find them
     for one in sorted(others, key=lambda one: -one.area):
         own = min(people, key=lambda person: min(surface_gap(piece.points, one.points) for piece in person))
-        gap = MAX_PIECE_GAP if one.area < own[0].area else 0.0
-        points = np.concatenate([piece.points for piece in own])
-        if is_piece(own[0].points, one.points, gap) or is_piece(points, one.points, chain_gap(one)):
+        # a larger surface is another person, or furniture
+        if belongs(one, own, image, max_large_gap=0.0):
             own.append(one)
     return [mask_of(search, [piece.label for piece in own], depth) for own in people]
 

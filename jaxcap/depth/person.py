@@ -16,6 +16,7 @@ from .candidates import (
     PERSON,
     PIECE,
     Candidate,
+    SearchedImage,
     choose_person,
     connect_pixels,
     join_small,
@@ -37,6 +38,8 @@ class PersonSearch(NamedTuple):
     candidates: list[Candidate]
     #: the candidate of every `step`-th pixel, by its `label`
     labels: Int[np.ndarray, "h w"]
+    #: their points in the world, metres; zero where nothing was measured
+    points: Float[np.ndarray, "h w 3"]
     step: int
     #: the pixels of the person; none if nobody was found
     person: Bool[np.ndarray, "H W"]
@@ -62,7 +65,7 @@ def search_person(
     """
     depth = keep_measured(depth)
     search = segment_surfaces(camera, depth, background, where)
-    candidates = choose_person(search.candidates)
+    candidates = choose_person(search.candidates, searched_image(camera, search))
     kept = [one.label for one in candidates if one.found in (PERSON, PIECE)]
     return search._replace(candidates=candidates, person=mask_of(search, kept, depth))
 
@@ -90,10 +93,17 @@ def segment_surfaces(
     focal = float(np.mean(np.asarray(camera.focal)))
     areas = (z * step / focal) ** 2
     candidates = list_candidates(labels, few, areas, eye)
-    labels, is_joined = join_small(labels, candidates)
-    if is_joined:
-        candidates = list_candidates(labels, few, areas, eye)
-    return PersonSearch(planes, on_plane, behind, candidates, labels, step, np.zeros(depth.shape, bool))
+    if background is not None and not background.doubt:
+        # otherwise small things next to each other may be furniture
+        labels, is_joined = join_small(labels, candidates)
+        candidates = list_candidates(labels, few, areas, eye) if is_joined else candidates
+    nobody = np.zeros(depth.shape, bool)
+    return PersonSearch(planes, on_plane, behind, candidates, labels, few, step, nobody)
+
+
+def searched_image(camera: Camera, search: PersonSearch) -> SearchedImage:
+    """Return the searched pixels of an image with its camera."""
+    return SearchedImage(search.labels, search.points, np.asarray(camera.eye, float))
 
 
 def mask_of(

@@ -166,7 +166,8 @@ class LiveTracker:
             self._finish(overtaken, dropped=True)
 
     def warm_up(self, frame: Observation, name: str = "the first frame") -> float:
-        """Compile everything that a frame of this size needs but later searches, and return the seconds that this takes.
+        """Compile everything that a frame of this size needs, and return the seconds that this takes; searches of later frames compile on
+        their own.
 
         The frame itself is not counted. If the body at rest, or the `start`, does not explain it, its pose is searched for, and
         the next frame starts from the pose that is found. Frames that arrive before the end are counted as

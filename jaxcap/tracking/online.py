@@ -95,7 +95,7 @@ class OnlineTracker:
         return frame
 
     def warm_up(self, cloud: Cloud) -> None:
-        """Compile everything that clouds of this size need, also after a lost frame, but later searches.
+        """Compile everything that clouds of this size need, also after a lost frame; searches of later frames compile on their own.
 
         If the start does not explain the cloud, and searches are wanted, the pose that a search finds in it becomes the start.
 

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from command_line import FRAMES, PYTHON, fails, runs, write_inputs
+from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.cli import main
-from jaxcap.cli.sources import Clouds, load_body
+from jaxcap.cli.sources import Clouds, load_body, up_rotation
 from jaxcap.cli.track import advice, person_shape
 from jaxcap.cli.track import track as track_module
 from jaxcap.cli.track.frame_records import Results
@@ -27,6 +28,7 @@ from jaxcap.io.archives.npz import load_motion, load_skeleton
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.skeletons.bvh import read_bvh
+from jaxcap.observe import missing_cloud
 from jaxcap.tracking.advance import Search
 from jaxcap.tracking.track import track_frames
 from jaxcap.tracking.track_frame import make_tracker
@@ -306,7 +308,7 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
             yield dataclasses.replace(frame, lost=True)
 
     monkeypatch.setattr(track_module, "track_frames", losing)
-    monkeypatch.setattr(track_module, "warn_of_other_vertical", lambda *_: True)
+    monkeypatch.setattr(track_module, "advise", lambda *_, **__: None)
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in command(inputs, tmp_path / "out")])
     assert stop.value.code == 2
@@ -318,20 +320,29 @@ def test_a_body_that_is_in_no_frame_is_an_error(inputs, tmp_path, capsys, monkey
 def test_a_person_of_another_size_is_told_if_the_first_frame_is_not_good(inputs, capsys, monkeypatch):
     sought = []
     monkeypatch.setattr(advice, "search_size", lambda *_: sought.append(1) or 0.8)
+    monkeypatch.setattr(advice, "warn_of_other_vertical", lambda *_: False)
     body, clouds = load_body(str(inputs / "body.npz"))[0], read_clouds(inputs / "clouds.npz")
-    frames = (make_tracker(body), Clouds(clouds, body), ())
+    # the first frame shows nobody, so the second one counts
+    frames = Clouds(clouds, body).with_loaded(0, missing_cloud("nobody", ()))
+    rest = jc.rest_pose(body.skeleton)
+
+    def advise(verdict, fits_shape=False):
+        count = len(frames)
+        verdicts = [("lost", ()), (verdict, ()), *[("good", ())] * (count - 2)]
+        poses = jc.stack_poses([rest] * count, 30.0).poses
+        results = Results(np.zeros(count), poses, None, verdicts, [()] * count, [False] * count)
+        advice.advise(make_tracker(body), frames, (), results, "y", fits_shape=fits_shape)
+        return capsys.readouterr().err
+
     with monkeypatch.context() as patch:
         # without the joints of a person, the shape cannot be fitted
         patch.setattr(advice, "human_prior", lambda _: None)
-        advice.warn_of_size(*frames, "doubtful")
-    advice.warn_of_size(*frames, "good")
-    assert not sought and not capsys.readouterr().err
-    advice.warn_of_size(*frames, "doubtful")
-    told = capsys.readouterr().err
+        assert "size" not in advise("doubtful")
+    assert "size" not in advise("good") + advise("doubtful", fits_shape=True) and not sought
+    told = advise("doubtful")
     assert "about 0.8 times the size of the body" in told and "--fit-shape" in told
     monkeypatch.setattr(advice, "search_size", lambda *_: 1.0)
-    advice.warn_of_size(*frames, "lost")
-    assert not capsys.readouterr().err
+    assert "times the size" not in advise("lost")
 
 
 def test_a_person_who_lies_is_asked_for_the_vertical(inputs, capsys):
@@ -362,23 +373,24 @@ def test_a_person_who_lies_is_asked_for_the_vertical(inputs, capsys):
 def test_another_vertical_is_named_if_a_person_is_much_likelier_with_it(inputs, capsys, monkeypatch):
     """The stand-in for a search prefers clouds that are long along y, and finds the person upright."""
     body, clouds = load_body(str(inputs / "body.npz"))[0], read_clouds(inputs / "clouds.npz")
+    found = jc.rest_pose(body.skeleton)
     monkeypatch.setattr(
-        advice,
-        "initialise",
-        lambda _, cloud: (jc.rest_pose(body.skeleton), np.ptp(np.asarray(cloud.points), axis=0)[1]),
+        advice, "initialise", lambda _, cloud: (found, np.ptp(np.asarray(cloud.points), axis=0)[1])
     )
     tracker = make_tracker(body)
-    frames = Clouds(clouds, body)
-    longest = "xyz"[np.argmax(np.ptp(np.asarray(frames[0].points), axis=0))]
+    longest = "xyz"[np.argmax(np.ptp(np.asarray(Clouds(clouds, body)[0].points), axis=0))]
     for up in "xyz":
-        turned = Clouds(clouds, body, up)
-        warned = advice.warn_of_other_vertical(tracker, turned, (), "lost", up)
+        warned = advice.warn_of_other_vertical(tracker, Clouds(clouds, body, up)[0], up)
         printed = capsys.readouterr().err
-        assert (
-            warned == (up != longest)
-            and (f"give --up={longest}" in printed or f"give --up=-{longest}" in printed) == warned
-        )
-        assert not advice.warn_of_other_vertical(tracker, turned, (), "good", up)
+        named = f"give --up={longest}" in printed or f"give --up=-{longest}" in printed
+        assert warned == named == (up != longest)
+    # the pose that the search finds with another vertical stands along the given one
+    other = next(up for up in "xyz" if up != longest)
+    turn = Rotation.from_matrix(up_rotation(longest) @ up_rotation(other).T)
+    found = eqx.tree_at(
+        lambda p: p.rotations, found, found.rotations.at[0].set(turn.as_quat(scalar_first=True))
+    )
+    assert not advice.warn_of_other_vertical(tracker, Clouds(clouds, body, other)[0], other)
 
 
 def test_clouds_that_hide_parts_are_asked_for_cameras(capsys):

@@ -130,14 +130,19 @@ def test_the_floor_below_a_person_is_no_table_in_front_of_one(walk):
     depth, mask = walk[0]
     floor = find_floor_of_person([CAMERA], [depth], cloud_of_depths([CAMERA], [depth], [mask]))
     assert floor is not None and floor.normal[1] > 0.9999 and abs(floor.offset - LOW) < 2e-3
-    person = world_points(CAMERA, depth)[mask]
-    assert is_floor_of(floor, person)
-    # feet that the camera does not see; a table in front of the person; a level plane through the person; a person who lies
-    assert is_floor_of(floor, person[person[:, 1] > LOW + 0.3])
-    above = LOW + 0.75
-    assert not is_floor_of(floor._replace(offset=above), person[person[:, 1] > above])
-    assert not is_floor_of(floor._replace(offset=LOW + 0.2), person)
-    assert not is_floor_of(floor, person[:, [1, 0, 2]] + [0.0, LOW + 0.3, 0.0])
+    points = world_points(CAMERA, depth)
+    person, room = points[mask], points[depth > 0]
+    assert is_floor_of(floor, room, person)
+    # feet that the camera does not see; a level plane through the person; a person who lies
+    assert is_floor_of(floor, room, person[person[:, 1] > LOW + 0.3])
+    assert not is_floor_of(floor._replace(offset=LOW + 0.2), room, person)
+    assert not is_floor_of(floor, room, person[:, [1, 0, 2]] + [0.0, LOW + 0.3, 0.0])
+    # a bed in front of the person
+    bed = room[(np.abs(room[:, 1] - LOW) < 0.01) & (room[:, 2] > person[:, 2].max())] + [0.0, 0.45, 0.0]
+    above = person[person[:, 1] > LOW + 0.45]
+    assert len(bed) > 100 and not is_floor_of(floor._replace(offset=LOW + 0.45), bed, above)
+    with pytest.raises(InputError, match="find_floor_of_person: the image has 159 x 120 pixels"):
+        find_floor_of_person([CAMERA], [depth[:, 1:]], cloud_of_depths([CAMERA], [depth], [mask]))
     empty = missing_cloud("nobody", ())
     assert find_floor_of_person([CAMERA], [depth], empty) is None
 

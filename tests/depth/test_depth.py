@@ -48,13 +48,15 @@ def test_a_person_in_small_pieces_is_found():
     divided = depth.copy()
     lines = np.arange(120)[:, None] % 12 < 2, np.arange(160)[None] % 12 < 2
     divided[person & (lines[0] | lines[1])] = 0.0
-    search = search_person(CAMERA, divided)
+    background = estimate_background(CAMERA, [room((0.0, 50.0, 0.0))[0]], empty=True)
+    search = search_person(CAMERA, divided, background)
     assert search.person[person & (divided > 0)].mean() > 0.9
-    # one of the pieces alone is none
+    # one of the pieces alone is none, and neither are small things in a room of which no background is known
     alone = np.where(person, 0.0, depth)
     alone[50:60, 74:84] = divided[50:60, 74:84]
-    with pytest.raises(NoPersonError, match="no surface has the size of a person"):
-        find_person(CAMERA, alone)
+    for image, known in ((alone, background), (divided, None)):
+        with pytest.raises(NoPersonError, match="no surface has the size of a person"):
+            find_person(CAMERA, image, background=known)
 
 
 def test_a_hand_that_hides_its_arm_is_of_the_person():
@@ -64,6 +66,10 @@ def test_a_hand_that_hides_its_arm_is_of_the_person():
     stretched = depth.copy()
     stretched[hand] = depth[hand] - 0.4
     assert find_person(CAMERA, stretched)[hand].mean() > 0.9
+    # a lamp next to the head
+    lamp, hung = np.s_[25:30, 112:117], depth.copy()
+    hung[lamp] = depth[hand].mean()
+    assert not find_person(CAMERA, hung)[lamp].any()
     stretched[table] = stretched[hand].mean()
     assert find_person(CAMERA, stretched)[hand].mean() < 0.1
 

@@ -71,7 +71,26 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
     assert np.abs(np.asarray(motion[1].translations)[0]).max() < 0.03
 
 
-def test_feet_stay_above_the_floor_that_the_images_show(captured, tmp_path, capsys):
+def test_a_resumed_run_keeps_its_floor(captured, tmp_path, capsys, monkeypatch):
+    """The first frame shows nobody, and the frames that are added another floor."""
+    # the first and the last frame are searched for a person
+    monkeypatch.setattr(depth_clouds, "MAX_FRAMES", 2)
+    depth, mask = see([VERTICES], things=False)
+    images = np.stack([see([], things=False)[0], depth, depth, 1.02 * depth])
+    masks = np.stack([np.zeros_like(mask), mask, mask, mask])
+    write_cameras(tmp_path / "cameras.json", [CAMERA])
+    words = [
+        "track", captured / "body.npz", "--depth", tmp_path / "depth.npz", "--cameras", tmp_path / "cameras.json",
+        "--initialise", "never", "-o", tmp_path / "out",
+    ]  # fmt: skip
+    printed = []
+    for count, more in ((3, ()), (4, ("--resume",))):
+        np.savez(tmp_path / "depth.npz", depth=(1000 * images[:count]).astype(np.uint16), mask=masks[:count])
+        printed.append(runs(capsys, *words, *more))
+    assert all(f"a floor was found at the height {LOW:.2f} m" in text for text in printed)
+
+
+def test_the_floor_that_the_images_show_is_found_and_printed(captured, tmp_path, capsys):
     depth, mask = see([VERTICES], things=False)
     np.savez(tmp_path / "depth.npz", depth=(1000 * depth[None]).astype(np.uint16), mask=mask[None])
     write_cameras(tmp_path / "cameras.json", [CAMERA])

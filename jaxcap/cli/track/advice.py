@@ -9,42 +9,76 @@ from jaxtyping import Float
 
 from ...body.pose import Pose
 from ...energy.priors.human_prior import human_prior
+from ...errors import InputError
 from ...geometry import rotation
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
 from ...observe.floors_and_walls import remove_planes
 from ...observe.planes import Plane
 from ...tracking.judge_frame import MUCH_LIKELIER
-from ...tracking.search.initialise import PERSON_SIZES, initialise, search_size
+from ...tracking.search.initialise import PERSON_SIZES, initialise, joint_terms, search_size
 from ...tracking.track_frame import Tracker
 from ..console.console import warn
 from ..console.heartbeat import set_activity
 from ..sources import UPS, Up, up_rotation
-from .person_shape import first_readable
 from .results import Results
 
 #: largest angle of an upright person from the vertical, degrees, and least share of such frames without advice
 MAX_LEAN, MIN_UPRIGHT_SHARE = 60.0, 0.5
 
 
-def warn_of_size(tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[Plane], verdict: str) -> None:
-    """Warn if a person of another size explains the first cloud better, whose pose has a `verdict` other than `good`.
+def advise(
+    tracker: Tracker,
+    clouds: LazyFrames[Cloud],
+    planes: Sequence[Plane],
+    results: Results,
+    up: Up,
+    *,
+    fits_shape: bool,
+) -> None:
+    """Warn of another vertical if the person lies, and of another vertical or size if one explains the first frame better.
+
+    The first frame that shows a person is searched if it is not `good`. `fits_shape`, the size was fitted to the person.
+    """
+    if warn_of_vertical(results, up):
+        return
+    shown = first_person(clouds)
+    if shown is None or results.verdicts[shown[0]][0] == "good":
+        return
+    # a floor is one of the given vertical
+    free = eqx.tree_at(lambda t: t.terms, tracker, joint_terms(tracker))
+    cloud = remove_planes(shown[1], planes)
+    if not warn_of_other_vertical(free, cloud, up) and not fits_shape:
+        warn_of_size(free, cloud)
+
+
+def first_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
+    """Return the first cloud that shows a person, with its number; None if an earlier one cannot be read."""
+    for number in range(len(clouds)):
+        try:
+            cloud = clouds[number]
+        except InputError:
+            return None
+        if not cloud.missing:
+            return number, cloud
+    return None
+
+
+def warn_of_size(tracker: Tracker, cloud: Cloud) -> None:
+    """Warn if a person of another size explains a cloud better.
 
     Only for bodies with the joints of a person, whose shape can be fitted. A part of a person fits several sizes, so there only
     the largest and the smallest count.
     """
-    if verdict == "good" or human_prior(tracker.body.skeleton) is None:
-        return
-    first = first_readable(clouds, 1)
-    if not first:
+    if human_prior(tracker.body.skeleton) is None:
         return
     set_activity("comparing sizes of the body")
-    size = search_size(tracker, remove_planes(first[0], planes))
+    size = search_size(tracker, cloud)
     expected = (
         (1.0,) if tracker.pose_prior is None else set(PERSON_SIZES) - {max(PERSON_SIZES), min(PERSON_SIZES)}
     )
     if not np.isclose(size, list(expected)).any():
-        unit = "--depth-scale" if first[0].views else "--unit"
+        unit = "--depth-scale" if cloud.views else "--unit"
         warn(
             f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "
             f"size are wrong; --fit-shape fits a human body to the person; otherwise check {unit}, or give a body of this size"
@@ -66,18 +100,9 @@ def warn_of_vertical(results: Results, up: Up) -> bool:
     return True
 
 
-def warn_of_other_vertical(
-    tracker: Tracker, clouds: LazyFrames[Cloud], planes: Sequence[Plane], verdict: str, up: Up
-) -> bool:
-    """Return whether a person is much likelier in the first frame with another vertical, and warn.
-
-    The frame is not searched if its `verdict` is `good`.
-    """
-    first = first_readable(clouds, 1)
-    if verdict == "good" or not first:
-        return False
+def warn_of_other_vertical(tracker: Tracker, cloud: Cloud, up: Up) -> bool:
+    """Return whether a person is much likelier in a cloud with another vertical, and warn."""
     set_activity("comparing verticals")
-    cloud = remove_planes(first[0], planes)
     found = {
         name: initialise(tracker, rotate_cloud(cloud, up_rotation(name) @ up_rotation(up).T)) for name in UPS
     }
@@ -86,6 +111,8 @@ def warn_of_other_vertical(
         return False
     # a search may turn a person over, so the trunk of the likeliest pose is the vertical, whatever it was searched with
     name = axis_name(trunk_axis(found[best][0]), best)
+    if name == up:
+        return False
     warn(
         f"a person is much likelier in the first frame if {name} is up; if the person stands, give --up={name}"
     )

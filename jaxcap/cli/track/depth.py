@@ -116,24 +116,23 @@ def background_frames(sources: DepthSources, journal: Path, resume: bool) -> lis
 
 def check_some_person(clouds: LazyFrames[Cloud], first: Cloud) -> None:
     """Check that the first frame, or one of some spread ones, shows a person. Raises `InputError`."""
-    if first.missing and first_person(clouds) is None:
+    if first.missing and some_person(clouds) is None:
         count = len(even_indices(len(clouds), MAX_FRAMES, nearest=True))
         raise InputError(f"{first.missing} The same holds for all of the {count} frames that were tried.")
 
 
-def first_person(clouds: LazyFrames[Cloud]) -> int | None:
-    """Return the number of the first frame that shows a person, among at most `MAX_FRAMES` spread ones; None if none does."""
+def some_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
+    """Return the first cloud that shows a person, among at most `MAX_FRAMES` spread ones, with its number; None if none does."""
     set_activity("searching for a frame with a person")
-    numbers = even_indices(len(clouds), MAX_FRAMES, nearest=True).tolist()
-    return next((number for number in numbers if _shows_person(clouds, number)), None)
-
-
-def _shows_person(clouds: LazyFrames[Cloud], number: int) -> bool:
-    try:
-        return not clouds[number].missing
-    except InputError:
-        # tracking reports it
-        return False
+    for number in even_indices(len(clouds), MAX_FRAMES, nearest=True).tolist():
+        try:
+            cloud = clouds[number]
+        except InputError:
+            # tracking reports it
+            continue
+        if not cloud.missing:
+            return number, cloud
+    return None
 
 
 def announce_missing(clouds: Iterator[Cloud]) -> Iterator[Cloud]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...body.body import Body
 from ...depth.floor import find_floor_of_person
+from ...io.archives.journal import read_header
 from ...io.lazy_frames import LazyFrames
 from ...io.meshes.clouds import read_clouds
 from ...observe.clouds import Cloud
@@ -24,8 +25,11 @@ from ..depth.sources import (
     read_empty,
 )
 from ..sources import Clouds
-from .depth import background_frames, depth_clouds, first_person, people_clouds
+from .depth import background_frames, depth_clouds, people_clouds, some_person
 from .people import read_count
+
+#: key of a journal's header with the normal and the offset of the floor
+FLOOR_KEY = "floor"
 
 
 class TrackInput(NamedTuple):
@@ -66,15 +70,25 @@ def open_input(track: Any, body: Body, others: set[int], journal: Path) -> Track
     return TrackInput(clouds, sources, names, doubts)
 
 
-def floor_below_person(found: TrackInput, planes: Sequence[Plane]) -> Plane | None:
-    """Find the floor on which the first person is: among the `planes` of the clouds, or in the depth images."""
-    number = first_person(found.clouds)
-    if number is None:
+def floor_below_person(
+    found: TrackInput, planes: Sequence[Plane], journal: Path, resume: bool
+) -> Plane | None:
+    """Find the floor on which the person of a frame is: among the `planes` of the clouds, or in the depth images.
+
+    A resumed run uses the one with which it began: other frames may show another one.
+    """
+    if resume and journal.is_file():
+        begun = read_header(journal).get(FLOOR_KEY)
+        return Plane(np.asarray(begun[:3]), float(begun[3])) if isinstance(begun, list) else None
+    shown = some_person(found.clouds)
+    if shown is None:
         return None
-    cloud = found.clouds[number]
+    number, cloud = shown
     if found.sources is not None:
         return find_floor_of_person(found.sources.cameras, found.sources.images[number].depths, cloud)
     floor = find_floor(list(planes))
-    rest = remove_planes(cloud, planes)
-    points = np.asarray(rest.points, float)[np.asarray(rest.weights) > 0]
-    return floor if floor is not None and len(points) and is_floor_of(floor, points) else None
+    points, person = (
+        np.asarray(one.points, float)[np.asarray(one.weights) > 0]
+        for one in (cloud, remove_planes(cloud, planes))
+    )
+    return floor if floor is not None and len(person) and is_floor_of(floor, points, person) else None

@@ -58,7 +58,7 @@ from ..depth.sources import (
 from ..scan.rate import Rate, ScanRate, find_rate, print_rate
 from ..sources import load_body, print_room
 from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, print_floor, read_terms
-from .advice import warn_of_other_vertical, warn_of_size, warn_of_vertical
+from .advice import advise
 from .announce import make_announcer, warn_without_prior
 from .check_options import check_options, is_in_chunks
 from .chunk_files import ChunkedRun
@@ -70,7 +70,7 @@ from .depth import (
 )
 from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
-from .input import floor_below_person, open_input
+from .input import FLOOR_KEY, floor_below_person, open_input
 from .people import follow_people, people_template, read_count, write_people
 from .people_deviations import divide_clouds
 from .person_shape import find_shapes
@@ -206,8 +206,10 @@ class Track:
         for doubt in found.doubts:
             warn(doubt)
         planes = print_room(begun, self.keep_planes)
+        floor = None
         if self.floor is None:
-            terms += print_floor(body, floor_below_person(found._replace(clouds=clouds), planes))
+            floor = floor_below_person(found._replace(clouds=clouds), planes, self.out / JOURNAL, self.resume)
+            terms += print_floor(body, floor)
         tracker = self.tracker(body, terms)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
@@ -217,6 +219,7 @@ class Track:
                 **fingerprint(trackers, begun),
                 **pose_layout(body.skeleton),
                 BACKGROUND_KEY: found.images,
+                FLOOR_KEY: None if floor is None else [*floor.normal.tolist(), floor.offset],
                 **({IN_CHUNKS: True} if is_in_chunks(self) else {}),
             }
             if self.people is None:
@@ -275,13 +278,8 @@ class Track:
             f"statistics.json are in {self.out}"
         )
         warn_of_results(results, of_clouds=not self.depth)
-        if len(rows) and self.initialise != "never":
-            verdict = results.verdicts[0][0]
-            vertical = warn_of_vertical(results, self.up) or warn_of_other_vertical(
-                tracker, clouds, planes, verdict, self.up
-            )
-            if not (vertical or self.fit_shape):
-                warn_of_size(tracker, clouds, planes, verdict)
+        if len(rows) == len(clouds) and self.initialise != "never":
+            advise(tracker, clouds, planes, results, self.up, fits_shape=self.fit_shape)
         check_some_found(self.out, results.verdicts)
         check_complete(len(rows), clouds)
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from ...arguments import checked
 from ...body.decimate import reduce_body
 from ...body.pose import Pose, concatenate_poses, rest_pose
-from ...energy.energy import unweighted
+from ...energy.energy import AbstractEnergy, unweighted
 from ...energy.priors.joint_limits import JointLimits
 from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviations
 from ...fit.correspondence.part_blocks import make_part_blocks
@@ -37,17 +37,19 @@ NUM_REFINED = 4
 PERSON_SIZES = (1.0, 0.65, 0.72, 0.8, 0.9, 1.1, 1.22)
 
 
+def joint_terms(tracker: Tracker) -> tuple[AbstractEnergy, ...]:
+    """Return the further terms of a tracker that are over joints, not over vertices."""
+    return tuple(t for t in tracker.terms if isinstance(unweighted(t), JointLimits | PosePrior | RestPrior))
+
+
 def coarse_tracker(tracker: Tracker) -> Tracker:
     """Reduce a tracker to fewer vertices, for searches.
 
     Of its further terms only those over joints are kept: vertices have other indices on the coarse body.
     """
     body = reduce_body(tracker.body, COARSE_VERTICES)
-    over_joints = tuple(
-        t for t in tracker.terms if isinstance(unweighted(t), JointLimits | PosePrior | RestPrior)
-    )
     parts = make_part_blocks(body.skin.dominant_bones(), body.skeleton.num_joints, body.vertices)
-    return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, over_joints))
+    return eqx.tree_at(lambda t: (t.body, t.parts, t.terms), tracker, (body, parts, joint_terms(tracker)))
 
 
 @checked
