@@ -6,6 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxcap as jc
+from jaxcap.cli.track.input import TrackInput, floor_below_person
+from jaxcap.io.lazy_frames import LazyFrames
 from jaxcap.observe.floors_and_walls import describe_room, without_room
 
 BODY = jc.human(resolution="low", joints="tracking")
@@ -43,6 +45,15 @@ def test_floor_and_wall_are_where_they_were_put(scene):
     # the normal points to the person, without a camera
     assert wall.normal[2] > 0.999 and abs(wall.offset + 0.9) < 3e-3
     assert describe_room(cloud_of(*scene), planes).startswith("a floor or ceiling and a wall with 5")
+
+
+def test_the_floor_of_clouds_is_the_one_below_the_person(scene, tmp_path):
+    cloud = cloud_of(*scene)
+    found = TrackInput(LazyFrames(["cloud"], lambda _: cloud), None, [], [])
+    floor = floor_below_person(found, jc.observe.find_room(cloud), tmp_path / "journal", False)
+    assert floor is not None and floor.normal[1] > 0.999 and abs(floor.offset - FLOOR) < 5e-3
+    # planes that are kept are none
+    assert floor_below_person(found, (), tmp_path / "journal", False) is None
 
 
 def test_the_person_stays_and_the_room_goes(scene):
