@@ -157,7 +157,7 @@ def nobody(where: str, takes_masks: bool = False) -> NoPersonError:
     """
     masks = ", or give masks" if takes_masks else ""
     return NoPersonError(
-        f"{where}: no surface has the size of a person; check the unit of depth and the intrinsics{masks}."
+        f"{where}: no surface has the size of a person; if one is there, check the unit of depth and the intrinsics{masks}."
     )
 
 

@@ -362,10 +362,14 @@ def test_a_person_who_lies_is_asked_for_the_vertical(inputs, capsys):
         [False] * 3,
     )
     assert advice.warn_of_vertical(results, "y")
-    assert "in 67% of the frames the trunk points along z of the data" in (told := capsys.readouterr().err)
+    assert "in 67% of the frames that are not lost the trunk points along z of the data" in (
+        told := capsys.readouterr().err
+    )
     assert "give --up=z" in told
     # y of these poses is z of the data
     assert advice.warn_of_vertical(results, "z") and "give --up=-y" in capsys.readouterr().err
+    lost = results._replace(verdicts=[("lost", ()), ("good", ()), ("lost", ())])
+    assert not advice.warn_of_vertical(lost, "y")
     upright = results._replace(verdicts=[("good", ()), ("good", ()), ("lost", ())])
     assert not advice.warn_of_vertical(upright, "y") and not capsys.readouterr().err
 

@@ -78,7 +78,7 @@ def test_a_room_without_a_person_is_refused():
     depth, _ = room((0.0, 50.0, 0.0))
     empty, sentence = (
         np.where(depth > 0, depth, 3.0),
-        "no surface has the size of a person; check the unit of depth and ",
+        "no surface has the size of a person; if one is there, check the unit of depth and ",
     )
     with pytest.raises(NoPersonError, match=f"{sentence}the intrinsics.$"):
         find_person(CAMERA, empty)

@@ -178,7 +178,7 @@ def test_a_frame_without_the_person_is_lost_and_the_others_are_kept(captured, tm
         ),
         (
             ["--depth", "wall.npz", "--cameras", "cameras.json", "--people", "2"],
-            "wall.npz[0]: no surface has the size of a person; check the unit of depth and the intrinsics. "
+            "wall.npz[0]: no surface has the size of a person; if one is there, check the unit of depth and the intrinsics. "
             "The same holds for all of the 3 frames",
         ),
         (

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from jaxcap.errors import InputError
-from jaxcap.io.depth.pairing import check_same_numbers
+from jaxcap.io.depth.pairing import check_same_numbers, warn_of_gaps
 from jaxcap.io.depth.sequence import read_depths
 
 
@@ -68,3 +68,20 @@ def test_images_of_cameras_and_masks_are_compared(tmp_path):
     for sources, masks in (([a, b], []), ([a], [b]), ([a, a], [a, b])):
         with pytest.raises(InputError, match=r"a/1.png and .*b/2.png would be one frame"):
             read_depths(sources, masks)
+
+
+def test_a_few_missing_numbers_are_named():
+    with pytest.warns(
+        UserWarning, match=r"missing between a/image1_0003.png and image1_0005.png; all images count as"
+    ):
+        warn_of_gaps(numbered("a", [0, 1, 2, 3, 5, 6]))
+    with pytest.warns(UserWarning, match=r"image1_0008.png and in 1 other place;"):
+        warn_of_gaps(numbered("a", [0, 2, 4, 8, 10, 12, 14, 18, 20]))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "numbers", [[0, 1, 2], [5, 10, 15], [1000, 1033, 1066, 1133], [0, 1, 3, 4, 7, 9], [7]]
+)
+def test_sequences_without_gaps_are_not_named(numbers):
+    warn_of_gaps(numbered("a", numbers))

@@ -124,6 +124,25 @@ def test_files_that_are_being_written_are_waited_for(tmp_path):
     assert first is not None and first > 0.1
 
 
+def test_a_file_that_is_never_completed_is_left_behind(tmp_path):
+    """Later frames do not wait for it as long as for a file that may still be written."""
+    frames = watch_depth_folders([tmp_path], 1000.0, threading.Event(), timeout=1.5)
+
+    def write():
+        time.sleep(0.05)
+        (tmp_path / "1.png").write_bytes(png(7)[:40])
+        (tmp_path / "2.png").write_bytes(png(9))
+
+    thread = threading.Thread(target=write)
+    begin = time.monotonic()
+    thread.start()
+    with pytest.raises(InputError, match=r"1\.png"):
+        next(frames).read()
+    assert round(1000 * float(next(frames).read().depths[0][0, 0])) == 9
+    assert time.monotonic() - begin < 1.5
+    thread.join()
+
+
 def test_frames_of_two_cameras_are_paired_and_a_watch_ends_after_its_timeout(tmp_path):
     folders = [tmp_path / "a", tmp_path / "b"]
     for folder in folders:

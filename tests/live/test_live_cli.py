@@ -179,13 +179,17 @@ def test_a_run_in_which_the_body_was_never_found_fails(captured, tmp_path, capsy
     words = ("--cameras", captured / "cameras.json", "--num-points", "512", "--no-search", "--up", "z")
     with pytest.raises(SystemExit) as stop:
         runs(
-            capsys, "live", captured / "body.npz", *words, "--watch", captured / "depth.npz", "--replay", "2", "-o", tmp_path / "out"
+            capsys, "live", captured / "body.npz", *words, "--watch", captured / "depth.npz", "--replay", "2", "--rate", "4",
+            "-o", tmp_path / "out"
         )  # fmt: skip
     assert stop.value.code == 2
+    printed = capsys.readouterr().err
     assert (
         "the body was found in none of the 4 frames, so the written results are useless. Check the unit, the up axis"
-        in capsys.readouterr().err
+        in printed
     )
+    # frames of the written motion, which has one between every two
+    assert "4 of 7 frames are lost: 0, 2, 4, 6, counted from 0" in printed
     assert (tmp_path / "out" / "motion.npz").is_file()
 
 

@@ -176,7 +176,8 @@ class Live:
             f"{pluralise(len(names), 'frame')} at {rate:g} frames per second: motion.bvh, motion.npz, statistics.csv and "
             f"statistics.json are in {self.out}"
         )
-        for sentence in (*verdict_sentences(tracked.verdicts), *unseen_sentences(tracked.unseen)):
+        # numbers are those of the written motion
+        for sentence in (*verdict_sentences(results.verdicts), *unseen_sentences(results.unseen)):
             warn(sentence)
         check_some_found(self.out, tracked.verdicts)
 

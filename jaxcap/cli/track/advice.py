@@ -18,7 +18,7 @@ from ...observe.planes import Plane
 from ...tracking.judge_frame import MUCH_LIKELIER
 from ...tracking.search.initialise import PERSON_SIZES, initialise, joint_terms, search_size
 from ...tracking.track_frame import Tracker
-from ..console.console import warn
+from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..sources import UPS, Up, up_rotation
 from .results import Results
@@ -45,6 +45,9 @@ def advise(
     shown = first_person(clouds)
     if shown is None or results.verdicts[shown[0]][0] == "good":
         return
+    say(
+        "the first frame is not good; comparing other verticals and sizes of the person, which may take a minute or two"
+    )
     # a floor is one of the given vertical
     free = eqx.tree_at(lambda t: t.terms, tracker, joint_terms(tracker))
     cloud = remove_planes(shown[1], planes)
@@ -90,11 +93,12 @@ def warn_of_vertical(results: Results, up: Up) -> bool:
     kept = np.array([verdict != "lost" for verdict, _ in results.verdicts], bool)
     axes = trunk_axis(results.poses)[kept]
     upright = axes[:, 1] > np.cos(np.radians(MAX_LEAN))
-    if not len(axes) or np.mean(upright) >= MIN_UPRIGHT_SHARE:
+    if 2 * len(axes) < len(kept) or np.mean(upright) >= MIN_UPRIGHT_SHARE:
+        # where most frames are lost, something else is wrong
         return False
     name = axis_name(np.median(axes[~upright], axis=0), up)
     warn(
-        f"in {np.mean(~upright):.0%} of the frames the trunk points along {name} of the data, so the person lies or is upside down; "
+        f"in {np.mean(~upright):.0%} of the frames that are not lost the trunk points along {name} of the data, so the person lies or is upside down; "
         f"if the person stands, give --up={name}"
     )
     return True

@@ -3,6 +3,7 @@
 import itertools
 import re
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +14,8 @@ from ...errors import InputError
 MAX_STEP = 10
 #: times of clocks are compared if at least this share of the shorter sequence's is also in the other one
 MIN_COMMON = 0.5
+#: largest share of gaps in a sequence whose numbers count its frames
+MAX_GAP_SHARE = 0.25
 
 
 class _Numbers(NamedTuple):
@@ -52,6 +55,28 @@ def check_same_numbers(one: Sequence[Path], other: Sequence[Path]) -> None:
                 f"{path} and {partner} would be one frame, but the numbers in their names differ; an image may be missing. "
                 "Leave out images without a partner, and give images of one frame the same number."
             )
+
+
+def warn_of_gaps(paths: Sequence[Path]) -> None:
+    """Warn if few numbers are missing in the names of a sequence that counts frames: later frames would be too early.
+
+    **Warns:** `UserWarning`.
+    """
+    numbers = _find_numbers(paths)
+    if numbers is None or not numbers.are_counts:
+        return
+    pairs = list(itertools.pairwise(range(len(paths))))
+    steps = [numbers.values[after][0] - numbers.values[before][0] for before, after in pairs]
+    usual = Counter(steps).most_common(1)[0][0]
+    gaps = [pair for pair, step in zip(pairs, steps, strict=True) if step > usual]
+    if gaps and len(gaps) <= MAX_GAP_SHARE * len(steps):
+        before, after = gaps[0]
+        others = f" and in {len(gaps) - 1} other place{'s' if len(gaps) > 2 else ''}" if len(gaps) > 1 else ""
+        warnings.warn(
+            f"images are missing between {paths[before]} and {paths[after].name}{others}; all images count as successive frames, so later "
+            "ones are too early. Add the missing images, or copies of their neighbours.",
+            stacklevel=3,
+        )
 
 
 def _find_numbers(paths: Sequence[Path]) -> _Numbers | None:

@@ -19,7 +19,7 @@ from ..system.reader_errors import reader_of
 from ..text import shortened
 from .images import DEPTH_ARRAYS, SUFFIXES, depths_in_metres, read_depth_image, read_mask
 from .open_exr import EXR_SUFFIX, read_exr_depth
-from .pairing import check_same_numbers
+from .pairing import check_same_numbers, warn_of_gaps
 from .recording import is_recording
 from .recordings import open_recording
 
@@ -64,7 +64,7 @@ def read_depths(
     **Raises:** `InputError` if nothing is found, cameras have different numbers of frames, or images of one frame have
     different numbers in their names (`check_same_numbers`); also, when it is loaded, if an image is invalid.
 
-    **Warns:** `UserWarning` if one sequence counts from 0 and another one from 1.
+    **Warns:** `UserWarning` if one sequence counts from 0 and another one from 1, or a few numbers are missing.
     """
     check_positive("read_depths", "units in a metre", depth_scale=depth_scale)
     cameras = [_open(source, depth_scale) for source in _listed(sources)]
@@ -75,6 +75,7 @@ def read_depths(
         raise InputError(
             f"There are masks of {len(known)} cameras, but depth images of {len(cameras)}; give masks of each camera."
         )
+    warn_of_gaps(cameras[0].paths)
     for camera in cameras[1:]:
         check_same_numbers(cameras[0].paths, camera.paths)
     for camera, paths in zip(cameras, known, strict=False):

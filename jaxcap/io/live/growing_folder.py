@@ -25,6 +25,8 @@ POLL_SECONDS, SETTLE_SECONDS = 0.004, 0.03
 FOLDER_CLOCK_SECONDS = 0.05
 #: seconds after which a file that is still incomplete is read anyway, and refused by its reader
 MAX_WAIT_SECONDS = 2.0
+#: the same for a file after which another one was completed
+OVERTAKEN_WAIT_SECONDS = 0.3
 #: files of arrays, which are frames of streams only
 ARRAY_SUFFIX = ".npy"
 #: the last bytes of a complete PNG
@@ -148,9 +150,18 @@ class _Folder:
         self._known.update(new)
         paths = sorted((self.folder / name for name in new), key=natural_sort_key)
         self._growing += [(path, before) for path in paths]
-        while self._growing and (written := _completed(self._growing[0][0])) is not None:
+        while self._growing and (written := self._first_completed()) is not None:
             path, unseen = self._growing.pop(0)
             self.complete.append(_File(path, written, max(written, unseen)))
+
+    def _first_completed(self) -> float | None:
+        """Return the time of the last change of the first file once it is complete; None before.
+
+        A file after which another one was completed is waited for only briefly.
+        """
+        path = self._growing[0][0]
+        overtaken = any(_completed(later) is not None for later, _ in self._growing[1:])
+        return _completed(path, OVERTAKEN_WAIT_SECONDS if overtaken else MAX_WAIT_SECONDS)
 
     def _names(self) -> list[str]:
         """List the files of the folder if it may have changed since the last look. Raises `InputError`."""
@@ -167,10 +178,11 @@ class _Folder:
         return [name for name in names if not name.startswith(".")]
 
 
-def _completed(path: Path) -> float | None:
+def _completed(path: Path, max_wait: float = MAX_WAIT_SECONDS) -> float | None:
     """Return the time of a file's last change once it is complete; None before.
 
-    A PNG has its own end. Any other file is complete if it did not change for a while.
+    A PNG has its own end. Any other file is complete if it did not change for a while. Every file is that did not change for
+    `max_wait` seconds.
     """
     try:
         with open(path, "rb") as file:
@@ -182,7 +194,7 @@ def _completed(path: Path) -> float | None:
                     return status.st_mtime
             elif status.st_size and age > SETTLE_SECONDS:
                 return status.st_mtime
-            return status.st_mtime if age > MAX_WAIT_SECONDS else None
+            return status.st_mtime if age > max_wait else None
     except OSError:
         # renamed or removed; its reader tells so
         return time.time()
