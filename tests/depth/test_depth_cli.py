@@ -14,9 +14,11 @@ from jaxcap.body.people.human import human
 from jaxcap.body.pose import rest_pose
 from jaxcap.cli.depth.sources import open_depth_sources
 from jaxcap.cli.track import depth as depth_clouds
+from jaxcap.depth import cloud_of_depths
 from jaxcap.geometry.camera import look_at
 from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.cameras import write_cameras
+from jaxcap.observe import missing_cloud
 from jaxcap.scanner.ray_casting import make_ray_mesh, render_depth
 
 
@@ -69,6 +71,15 @@ def test_a_standing_person_is_tracked_in_depth_images(captured, tmp_path, capsys
     assert [frame["verdict"] for frame in frames] == ["good", "good"]
     assert "LeftFoot" in frames[0]["unseen"]
     assert np.abs(np.asarray(motion[1].translations)[0]).max() < 0.03
+
+
+def test_a_person_at_the_lens_is_doubted():
+    depth, mask = see([VERTICES])
+    cloud = cloud_of_depths([CAMERA], [depth], [mask])
+    assert not depth_clouds.describe_distance(cloud)
+    (near,) = depth_clouds.describe_distance(cloud_of_depths([CAMERA], [depth / 12], [mask], voxel=0.001))
+    assert near.startswith("the person is 0.2") and near.endswith("check --depth-scale")
+    assert not depth_clouds.describe_distance(missing_cloud("nobody", ()))
 
 
 def test_a_resumed_run_keeps_its_floor(captured, tmp_path, capsys, monkeypatch):

@@ -25,6 +25,8 @@ from .results import Results
 
 #: largest angle of an upright person from the vertical, degrees, and least share of such frames without advice
 MAX_LEAN, MIN_UPRIGHT_SHARE = 60.0, 0.5
+#: share of lost frames from which on a good first frame may be wrong
+MANY_LOST = 0.5
 
 
 def advise(
@@ -38,15 +40,16 @@ def advise(
 ) -> None:
     """Warn of another vertical if the person lies, and of another vertical or size if one explains the first frame better.
 
-    The first frame that shows a person is searched if it is not `good`. `fits_shape`, the size was fitted to the person.
+    The first frame that shows a person is searched if it is not `good`, or if most frames are lost. `fits_shape`, the size was fitted to the person.
     """
     if warn_of_vertical(results, up):
         return
     shown = first_person(clouds)
-    if shown is None or results.verdicts[shown[0]][0] == "good":
+    lost = np.mean([verdict == "lost" for verdict, _ in results.verdicts])
+    if shown is None or (results.verdicts[shown[0]][0] == "good" and lost < MANY_LOST):
         return
     say(
-        "the first frame is not good; comparing other verticals and sizes of the person, which may take a minute or two"
+        "comparing other verticals and sizes of the person in the first frame, which may take a minute or two"
     )
     # a floor is one of the given vertical
     free = eqx.tree_at(lambda t: t.terms, tracker, joint_terms(tracker))

@@ -23,6 +23,8 @@ from ..console.console import warn
 from ..console.heartbeat import set_activity
 from ..depth.sources import DepthSources, choose_frames
 
+#: a person is rarely nearer to a depth camera, metres
+MIN_DISTANCE = 0.3
 #: key of a journal's header with the names of the images that show the background
 BACKGROUND_KEY = "background images"
 
@@ -133,6 +135,21 @@ def some_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
         if not cloud.missing:
             return number, cloud
     return None
+
+
+def describe_distance(cloud: Cloud) -> list[str]:
+    """State in a sentence without a full stop that the person is nearer to all cameras than depth cameras measure."""
+    points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
+    eyes = [np.asarray(view.camera.eye, float) for view in cloud.views]
+    if not eyes or not len(points):
+        return []
+    nearest = max(float(np.median(np.linalg.norm(points - eye, axis=1))) for eye in eyes)
+    if nearest >= MIN_DISTANCE:
+        return []
+    return [
+        f"the person is {nearest:.2f} m away from the camera, and few depth cameras measure less than {MIN_DISTANCE:g} m; check "
+        "--depth-scale"
+    ]
 
 
 def announce_missing(clouds: Iterator[Cloud]) -> Iterator[Cloud]:

@@ -67,6 +67,7 @@ from .depth import (
     BACKGROUND_KEY,
     announce_missing,
     check_some_person,
+    describe_distance,
 )
 from .deviations import find_deviations, good_frames, own_cloud
 from .frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
@@ -203,7 +204,7 @@ class Track:
             divide_frames(len(clouds), self.chunks, self.overlap)
         make_writable(self.out)
         print_rate(rate)
-        for doubt in found.doubts:
+        for doubt in (*found.doubts, *describe_distance(begun)):
             warn(doubt)
         planes = print_room(begun, self.keep_planes)
         floor = None
