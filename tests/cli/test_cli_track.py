@@ -342,7 +342,10 @@ def test_a_person_of_another_size_is_told_if_the_first_frame_is_not_good(inputs,
     told = advise("doubtful")
     assert "about 0.8 times the size of the body" in told and "--fit-shape" in told
     monkeypatch.setattr(advice, "search_size", lambda *_: 1.0)
-    assert "times the size" not in advise("lost")
+    told = advise("lost")
+    assert "times the size" not in told and "most frames are lost" not in told
+    monkeypatch.setattr(advice, "MANY_LOST", 0.1)
+    assert "explains the first one; check the unit and the body" in advise("lost")
 
 
 def test_a_person_who_lies_is_asked_for_the_vertical(inputs, capsys):

@@ -54,8 +54,17 @@ def advise(
     # a floor is one of the given vertical
     free = eqx.tree_at(lambda t: t.terms, tracker, joint_terms(tracker))
     cloud = remove_planes(shown[1], planes)
-    if not warn_of_other_vertical(free, cloud, up) and not fits_shape:
-        warn_of_size(free, cloud)
+    if warn_of_other_vertical(free, cloud, up) or (not fits_shape and warn_of_size(free, cloud)):
+        return
+    if lost >= MANY_LOST:
+        cause = (
+            "--depth-scale, --cameras and, with --masks, what is found to be the person"
+            if cloud.views
+            else "the unit and the body"
+        )
+        warn(
+            f"most frames are lost, and neither another vertical nor another size explains the first one; check {cause}"
+        )
 
 
 def first_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
@@ -70,25 +79,27 @@ def first_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
     return None
 
 
-def warn_of_size(tracker: Tracker, cloud: Cloud) -> None:
-    """Warn if a person of another size explains a cloud better.
+def warn_of_size(tracker: Tracker, cloud: Cloud) -> bool:
+    """Return whether a person of another size explains a cloud better, and warn.
 
     Only for bodies with the joints of a person, whose shape can be fitted. A part of a person fits several sizes, so there only
     the largest and the smallest count.
     """
     if human_prior(tracker.body.skeleton) is None:
-        return
+        return False
     set_activity("comparing sizes of the body")
     size = search_size(tracker, cloud)
     expected = (
         (1.0,) if tracker.pose_prior is None else set(PERSON_SIZES) - {max(PERSON_SIZES), min(PERSON_SIZES)}
     )
-    if not np.isclose(size, list(expected)).any():
-        unit = "--depth-scale" if cloud.views else "--unit"
-        warn(
-            f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "
-            f"size are wrong; --fit-shape fits a human body to the person; otherwise check {unit}, or give a body of this size"
-        )
+    if np.isclose(size, list(expected)).any():
+        return False
+    unit = "--depth-scale" if cloud.views else "--unit"
+    warn(
+        f"the first frame looks like a person of about {size:g} times the size of the body, and poses of a body of another "
+        f"size are wrong; --fit-shape fits a human body to the person; otherwise check {unit}, or give a body of this size"
+    )
+    return True
 
 
 def warn_of_vertical(results: Results, up: Up) -> bool:
