@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from ...io.depth.camera_keys import ACCEPTED
 from .depth import DepthOptions
 from .folders import first_file_of_kind
 
@@ -132,7 +133,7 @@ FOLDER_PREFIX = "folder of "
 NO_COMMAND_SENTENCES = {
     "arrays": "no verb reads these arrays; clouds need an array points (F, N, 3), meshes need vertices (F, V, 3) and "
     "faces (T, 3)",
-    "report": "no verb reads a report; it is for other programs",
+    "json": f"no verb reads this JSON file; if it is of cameras: {ACCEPTED}",
     "joint angles": "no verb reads joint angles; they are for other programs",
     "keys": "no verb reads keys; they are for other programs",
     "picture": "no verb reads pictures or pages; open it in a browser",
