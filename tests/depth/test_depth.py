@@ -229,6 +229,8 @@ def test_pictures_and_missing_images_are_refused(tmp_path):
         read_depths(str(tmp_path / "one.png"), [str(tmp_path / "one.png")] * 2)
     with pytest.raises(InputError, match="has 3 images, but"):
         read_depths([str(tmp_path / "one.png"), str(tmp_path / "*o*.png")])
+    with pytest.raises(InputError, match=r"has 3 images, but .* has 1; give as many masks as depth images\."):
+        read_depths(str(tmp_path / "one.png"), [str(tmp_path / "*o*.png")])
     with pytest.raises(InputError, match="depth_scale"):
         read_depths(str(tmp_path / "one.png"), depth_scale=0.0)
 

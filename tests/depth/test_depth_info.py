@@ -49,9 +49,9 @@ def test_info_describes_depth_images_and_names_the_verb(folder, source, capsys):
     assert "track human --depth" in said
 
 
-def test_the_next_command_repeats_the_cameras_and_the_scale(folder, capsys):
+def test_the_next_command_has_the_cameras_and_the_likely_scale(folder, capsys):
     write_cameras(folder / "camera 0.json", [CAMERA])
-    main(["info", f"{folder}/cam", "--cameras", f"{folder}/camera 0.json", "--depth-scale", "500"])
+    main(["info", f"{folder}/cam", "--cameras", f"{folder}/camera 0.json", "--depth-scale", "5"])
     said = capsys.readouterr().out
     options = f"--depth {folder}/cam --cameras '{folder}/camera 0.json' --depth-scale 500"
     assert f"`jaxcap track human {options} -o tracked`" in said and f"`jaxcap view {options}`" in said
