@@ -14,7 +14,7 @@ _KEYS = ("intrinsic", *MATRIX_KEYS, "fx", *SIZE_KEYS[0], *SIZE_LIST_KEYS)
 ACCEPTED = (
     "expected fx, fy, cx, cy (or ppx, ppy), or a matrix named "
     f"{', '.join(MATRIX_KEYS[:-1])} or {MATRIX_KEYS[-1]}, with width and height, image_width and image_height, or image_size; "
-    "or a list 'cameras': see docs/files.md#cameras"
+    "or a list 'cameras' of at least one camera: see docs/files.md#cameras"
 )
 
 
