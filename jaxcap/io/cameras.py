@@ -68,7 +68,7 @@ def read_cameras(path: str | Path) -> list[Camera]:
         return cameras
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
-        raise incomplete_error(str(path), "the file has no cameras")
+        raise incomplete_error(str(path), "the file has no list 'cameras' and no intrinsics")
     return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
 
 
