@@ -78,8 +78,10 @@ class Info:
     depth_scale: DepthScale = 1000.0
 
     def run(self) -> None:
-        kind, unit = self.describe()
-        say(suggest_commands(kind, self.file, unit, self.depth_options()))
+        found, options = self.describe(), self.depth_options()
+        if found.depth_scale is not None:
+            options = options._replace(scale=found.depth_scale)
+        say(suggest_commands(found.kind, self.file, found.unit, options))
 
     def describe(self) -> Contents:
         """Print a description of the contents, and return their kind, and the unit that the next command needs. Raises
@@ -93,7 +95,7 @@ class Info:
             return Contents("body")
         if shows_organised_points(self.file):
             if self.cameras is not None:
-                return Contents(describe_camera_depth(self.file, options))
+                return describe_camera_depth(self.file, options)
             say(
                 "the points are organised in rows of an image; give --cameras to describe it as a depth image"
             )
@@ -101,7 +103,7 @@ class Info:
             return describe_folder(path, unit, options)
         if not split_clip(path)[0].is_file():
             if path.suffix.lower() in (*IMAGE_SUFFIXES, EXR_SUFFIX):
-                return Contents(describe_camera_depth(self.file, options))
+                return describe_camera_depth(self.file, options)
             return describe_clouds(self.file, unit)
         kind, suffix = identify(path), path.suffix.lower()
         match kind:
@@ -112,6 +114,10 @@ class Info:
             case "rigged":
                 describe_body(load_body(self.file, unit=unit or "m")[0])
                 return Contents("rigged", unit)
+            case "depth" if suffix != ".npz":
+                return describe_camera_depth(self.file, options)
+            case "picture" if self.cameras is not None and suffix in IMAGE_SUFFIXES:
+                return describe_camera_depth(self.file, options)
             case None:
                 raise wrong_kind_error(path, "something that a verb reads", KNOWN)
         known = self.describe_file(path, kind)
@@ -147,10 +153,6 @@ class Info:
                 return describe_journal(path)
             case "text":
                 return describe_text(path)
-            case "depth" if path.suffix.lower() != ".npz":
-                return describe_camera_depth(self.file, self.depth_options())
-            case "picture" if self.cameras is not None and path.suffix.lower() in IMAGE_SUFFIXES:
-                return describe_camera_depth(self.file, self.depth_options())
             case "picture":
                 return "picture"
         return None

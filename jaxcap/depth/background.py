@@ -77,7 +77,7 @@ def estimate_background(
     if not empty and len(images) < MIN_FRAMES:
         return unknown_background(
             camera,
-            f"{len(images)} frames are too few to distinguish furniture from people; give at least {MIN_FRAMES} frames, "
+            f"{len(images)} {'frame is' if len(images) == 1 else 'frames are'} too few to distinguish furniture from people; give at least {MIN_FRAMES} frames, "
             "or empty frames",
         )
     least = max(1, len(images) // 4) if empty else max(MIN_SUPPORT, round(MIN_SHARE * len(images)))

@@ -34,21 +34,29 @@ def keep_measured(depth: Float[np.ndarray, "*frames H W"]) -> Float[np.ndarray, 
     return depth if measured.all() else np.where(measured, depth, 0.0)
 
 
+def depth_excess(depth: Float[np.ndarray, "*frames H W"]) -> float:
+    """Return the power of ten by which the depths of one or more images are too large, below 1 if they are too small.
+
+    It is 1 if the median depth is one that depth cameras measure, and if nothing was measured.
+    """
+    measured = depth[depth > 0]
+    median = float(np.median(measured)) if len(measured) else USUAL_MEDIAN
+    return 1.0 if MIN_MEDIAN <= median <= MAX_MEDIAN else 10.0 ** round(np.log10(median / USUAL_MEDIAN))
+
+
 def check_depth_scale(depth: Float[np.ndarray, "*frames H W"], where: str) -> None:
     """Check that the median depth of one or more images is one that depth cameras measure.
 
     **Raises:** `InputError` with the factor by which the scale of depths is wrong.
     """
-    measured = depth[depth > 0]
-    if not len(measured):
+    excess = depth_excess(depth)
+    if excess == 1:
         return
-    median = float(np.median(measured))
-    if MIN_MEDIAN <= median <= MAX_MEDIAN:
-        return
-    factor = 10.0 ** round(abs(np.log10(median / USUAL_MEDIAN)))
-    wrong, right = ("large", "larger") if median > MAX_MEDIAN else ("small", "smaller")
+    factor = max(excess, 1 / excess)
+    wrong, right = ("large", "larger") if excess > 1 else ("small", "smaller")
+    median = np.format_float_positional(np.median(depth[depth > 0]), precision=3, fractional=False, trim="-")
     raise InputError(
-        f"{where}: the median depth is {median:.3g} m; expected {MIN_MEDIAN:g} to {MAX_MEDIAN:g} m. Depths seem to be "
+        f"{where}: the median depth is {median} m; expected {MIN_MEDIAN:g} to {MAX_MEDIAN:g} m. Depths seem to be "
         f"{factor:g} times too {wrong}; give a depth scale that is {factor:g} times {right} (units in a metre). "
         "Images of floating-point numbers have none: convert them to metres."
     )

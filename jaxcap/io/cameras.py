@@ -8,7 +8,8 @@ import numpy as np
 from ..arguments import checked
 from ..errors import InputError
 from ..geometry.camera import MIN_SIDE_PIXELS, Camera, check_image_size
-from .depth.intrinsics import camera_of_intrinsics, is_intrinsics, is_rotation, make_lens
+from .depth.camera_keys import incomplete_error, list_intrinsics
+from .depth.intrinsics import cameras_of_intrinsics, is_rotation, make_lens
 from .depth.recording import is_recording
 from .depth.recordings import open_recording
 from .kinds import check_kind
@@ -49,7 +50,8 @@ def read_cameras(path: str | Path) -> list[Camera]:
     length applies to both axes. `distortion` and `distortion_model` describe a lens, see `Lens`.
 
     Intrinsics of one camera as Open3D, RealSense and OpenCV write them are read too, and those in a recording
-    (`.bag`, `.db3`, `.mkv`): the camera is at the origin and looks along -z, with y up.
+    (`.bag`, `.db3`, `.mkv`): the camera is at the origin and looks along -z, with y up. A list of such objects, each with
+    the `extrinsic` of Open3D, has several cameras.
 
     **Raises:** `InputError` if there is no such file, it is not JSON, or it has no cameras; also if a camera
     lacks a key, or has numbers that are not finite, an invalid rotation or an invalid image size. The message
@@ -59,13 +61,14 @@ def read_cameras(path: str | Path) -> list[Camera]:
         return [open_recording(path).camera]
     check_kind(path, "cameras", (".json",))
     content = read_json(path)
-    if isinstance(content, dict) and is_intrinsics(content):
-        camera = camera_of_intrinsics(content, str(path))
-        _check_distance(camera, f"{path}: the camera")
-        return [camera]
+    if intrinsics := list_intrinsics(content):
+        cameras = cameras_of_intrinsics(intrinsics, str(path))
+        for number, camera in enumerate(cameras):
+            _check_distance(camera, f"{path}: camera {number}" if len(cameras) > 1 else f"{path}: the camera")
+        return cameras
     rows = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(rows, list) or not rows:
-        raise InputError(f"{path}: the file has no list 'cameras'; write a list of at least one camera.")
+        raise incomplete_error(str(path), "the file has no list 'cameras' and no intrinsics")
     return [_camera(row, f"{path}: camera {number}") for number, row in enumerate(rows)]
 
 

@@ -7,6 +7,11 @@ _UNPACK = "extract it and give the files in it"
 _EXPORT = "export its markers as .c3d or its skeleton as .bvh from the program that recorded it"
 _VIDEO = "poses are not estimated from colour images; give clouds, meshes, markers, or depth images by `track --depth`"
 
+_CAMERAS = (
+    "if it has the intrinsics of a camera, write it as .json with camera_matrix, image_width and image_height "
+    "(cv2.FileStorage does so for a name that ends in .json)"
+)
+
 #: images and pages, which are written; of these, only depth images and masks are read, by readers of their own
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".svg", ".html", ".pdf", ".gif", ".webp", ".tif", ".tiff", ".bmp")
 #: suffix -> the format to write instead
@@ -21,6 +26,8 @@ WRITABLE_ALTERNATIVES: dict[str, str] = {
 }
 #: suffix -> name of the format, and advice
 UNSUPPORTED_FORMATS: dict[str, tuple[str, str]] = {
+    **dict.fromkeys((".yml", ".yaml"), ("a YAML file", _CAMERAS)),
+    ".xml": ("an XML file", _CAMERAS),
     ".fbx": ("an FBX file", _IMPORT.format("FBX")),
     ".blend": ("a Blender file", _BLENDER),
     ".dae": ("a Collada file", _IMPORT.format("Collada")),

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import InputError
 from .archives.archive import array_lengths, array_names, read_format_name
+from .depth.camera_keys import list_intrinsics
 from .depth.images import DEPTH_ARRAYS, is_depth_image
 from .depth.open_exr import EXR_SUFFIX
 from .depth.recording import RECORDING_SUFFIXES
@@ -51,7 +52,6 @@ KIND_NAMES = {
     "constraints": "a file of constraints for `jaxcap ik`",
     "scan": "the settings of a scan",
     "joint names": "a table of matching joints",
-    "report": "a report",
     "json": "a JSON file of unknown content",
     "text": "a text file",
     "journal": "the journal of a tracking run",
@@ -95,7 +95,6 @@ KIND_PLURALS = {
     "cameras": "files of camera calibrations",
     "constraints": "files of constraints for `jaxcap ik`",
     "scan": "settings of scans",
-    "report": "reports",
     "json": "JSON files of unknown content",
     "text": "text files",
     "journal": "journals of tracking runs",
@@ -126,8 +125,6 @@ _COUNTED = {
     "limits": ("joints", "joint", "joints"),
     "joints": ("joints", "frame", "frames"),
 }
-#: keys of the intrinsics of a camera, as other programs write them
-INTRINSICS_KEYS = ("intrinsic_matrix", "intrinsic", "camera_matrix", "fx", "width", "image_width")
 #: names of formats in an `.npz`
 _FORMATS = ("body", "body model", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
@@ -311,6 +308,8 @@ def _npz(path: Path) -> str:
 
 def kind_of_json(content: Any) -> str:
     """Return the content type of the data of a JSON file."""
+    if list_intrinsics(content):
+        return "cameras"
     if not isinstance(content, Mapping):
         return "json"
     formats = {"jaxcap constraints": "constraints", "jaxcap joint names": "joint names"}
@@ -319,7 +318,6 @@ def kind_of_json(content: Any) -> str:
         return formats[form]
     kinds = {
         "cameras": "cameras",
-        **dict.fromkeys(INTRINSICS_KEYS, "cameras"),
         "constraints": "constraints",
         "body arrays": "scan",
         "joints": "keys",
@@ -336,7 +334,7 @@ def kind_of_json(content: Any) -> str:
         and all(isinstance(v, str | None) for v in content.values())
     ):
         return "joint names"
-    return found or ("report" if content else "json")
+    return found or "json"
 
 
 def _json(path: Path) -> str:

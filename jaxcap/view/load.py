@@ -21,7 +21,7 @@ from ..io.archives.prior import FORMAT as PRIOR
 from ..io.archives.run_statistics import read_statistics
 from ..io.cameras import read_cameras
 from ..io.constraints import FORMAT as CONSTRAINTS
-from ..io.kinds import wrong_kind_error
+from ..io.kinds import kind_of_json, wrong_kind_error
 from ..io.markers.subject import FORMAT as SUBJECT
 from ..io.markers.subject import load_subject
 from ..io.meshes.clouds import read_clouds
@@ -222,7 +222,7 @@ class _Loader:
 
     def json(self, path: Path) -> None:
         content = read_json(path)
-        if isinstance(content, dict) and "cameras" in content:
+        if kind_of_json(content) == "cameras":
             self.contents.cameras.extend(read_cameras(path))
         elif isinstance(content, dict) and content.get("format") == CONSTRAINTS:
             self.contents.notes.append(

@@ -229,6 +229,8 @@ def test_pictures_and_missing_images_are_refused(tmp_path):
         read_depths(str(tmp_path / "one.png"), [str(tmp_path / "one.png")] * 2)
     with pytest.raises(InputError, match="has 3 images, but"):
         read_depths([str(tmp_path / "one.png"), str(tmp_path / "*o*.png")])
+    with pytest.raises(InputError, match=r"has 3 images, but .* has 1; give as many masks as depth images\."):
+        read_depths(str(tmp_path / "one.png"), [str(tmp_path / "*o*.png")])
     with pytest.raises(InputError, match="depth_scale"):
         read_depths(str(tmp_path / "one.png"), depth_scale=0.0)
 
@@ -251,8 +253,18 @@ def test_pictures_and_missing_images_are_refused(tmp_path):
             "image_height": 480,
             "camera_matrix": {"rows": 3, "cols": 3, "data": [525, 0, 319.5, 0, 520, 239.5, 0, 0, 1]},
         },
+        {
+            "cameraMatrix": [[525, 0, 319.5], [0, 520, 239.5], [0, 0, 1]],
+            "distCoeffs": [[0, 0, 0, 0, 0]],
+            "image_size": [640, 480],
+        },
+        {"K": [525, 0, 319.5, 0, 520, 239.5, 0, 0, 1], "width": 640, "height": 480},
+        {
+            "color": {"fx": 1, "fy": 1, "ppx": 1, "ppy": 1, "width": 64, "height": 48},
+            "depth": {"fx": 525, "fy": 520, "ppx": 319.5, "ppy": 239.5, "width": 640, "height": 480},
+        },
     ],
-    ids=["Open3D", "RealSense", "OpenCV"],
+    ids=["Open3D", "RealSense", "OpenCV", "OpenCV in camel case", "K", "both sensors"],
 )
 def test_intrinsics_of_other_programs(content, tmp_path):
     path = tmp_path / "camera.json"
@@ -285,6 +297,35 @@ def test_extrinsics_of_open3d(tmp_path):
         read_cameras(path)
 
 
+@pytest.mark.parametrize("wrap", [list, lambda rows: {"parameters": rows}], ids=["list", "trajectory"])
+def test_several_cameras_of_open3d(wrap, tmp_path):
+    """Where the first camera is the identity, the others keep their poses relative to it, with y up."""
+    path = tmp_path / "cameras.json"
+    inner = {"width": 640, "height": 480, "intrinsic_matrix": [525, 0, 0, 0, 525, 0, 319.5, 239.5, 1]}
+    other = np.eye(4)
+    other[:3, :3] = look_at([0.5, 1.2, 2.0], [0.0, 1.0, 0.0], 640, 480, 60).rotation
+    other[:3, 3] = [0.1, 0.2, 0.3]
+    rows = [{"intrinsic": inner, "extrinsic": one.T.reshape(-1).tolist()} for one in (np.eye(4), other)]
+    path.write_text(json.dumps(wrap(rows)))
+    first, second = read_cameras(path)
+    np.testing.assert_allclose(first.rotation, np.diag([1.0, -1.0, -1.0]))
+    np.testing.assert_allclose(second.rotation @ first.rotation.T, other[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(second.translation, other[:3, 3])
+    path.write_text(json.dumps(wrap([inner, inner])))
+    with pytest.raises(InputError, match="camera 0 has no 'extrinsic'"):
+        read_cameras(path)
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".yaml", ".xml"])
+def test_files_of_opencv_are_named_with_what_to_write(suffix, tmp_path):
+    path = tmp_path / f"cv{suffix}"
+    path.write_text("%YAML:1.0\n---\nimage_width: 640\n")
+    with pytest.raises(
+        InputError, match=rf"cv{suffix}: this is an? \w+ file.* write it as .json with camera_matrix"
+    ):
+        read_cameras(path)
+
+
 def test_translations_in_millimetres_are_refused(tmp_path):
     path = tmp_path / "camera.json"
     write_cameras(path, [eqx.tree_at(lambda c: c.translation, CAMERA, jnp.array([0.0, 1000.0, 0.0]))])
@@ -298,8 +339,10 @@ def test_incomplete_intrinsics_are_refused(tmp_path):
     with pytest.raises(InputError, match="intrinsics of the camera are incomplete"):
         read_cameras(path)
     good = {"width": 640, "height": 480, "fx": 525, "fy": 520, "ppx": 319.5, "ppy": 239.5}
-    path.write_text(json.dumps({"width": 640, "height": 480, "K": [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}))
-    with pytest.raises(InputError, match="intrinsics of the camera are incomplete"):
+    path.write_text(json.dumps({"width": 640, "height": 480, "P": [525, 0, 319.5, 0, 525, 239.5, 0, 0, 1]}))
+    with pytest.raises(
+        InputError, match=r"incomplete \('fx' is missing\); expected fx, .*docs/files.md#cameras"
+    ):
         read_cameras(path)
     path.write_text(json.dumps(good | {"fx": -1}))
     with pytest.raises(InputError, match="focal lengths"):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from command_line import fails
+from command_line import fails, runs
 from PIL import Image
 
 from jaxcap.cli import main
@@ -49,9 +49,9 @@ def test_info_describes_depth_images_and_names_the_verb(folder, source, capsys):
     assert "track human --depth" in said
 
 
-def test_the_next_command_repeats_the_cameras_and_the_scale(folder, capsys):
+def test_the_next_command_has_the_cameras_and_the_likely_scale(folder, capsys):
     write_cameras(folder / "camera 0.json", [CAMERA])
-    main(["info", f"{folder}/cam", "--cameras", f"{folder}/camera 0.json", "--depth-scale", "500"])
+    main(["info", f"{folder}/cam", "--cameras", f"{folder}/camera 0.json", "--depth-scale", "5"])
     said = capsys.readouterr().out
     options = f"--depth {folder}/cam --cameras '{folder}/camera 0.json' --depth-scale 500"
     assert f"`jaxcap track human {options} -o tracked`" in said and f"`jaxcap view {options}`" in said
@@ -86,6 +86,20 @@ def test_pictures_are_refused_as_depth_images_where_cameras_are_given(folder, ca
     for source in ("grey", "grey/0.png"):
         message = fails(capsys, "info", folder / source, "--cameras", folder / "camera.json")
         assert "grey/0.png: the image has 8 bits" in message
+
+
+def test_unknown_cameras_are_refused_as_they_are_described(folder, capsys):
+    """`info FILE` and `--cameras FILE` list the same keys, and no file is called a report."""
+    path, keys = folder / "unknown.json", "expected fx, fy, cx, cy (or ppx, ppy), or a matrix named"
+    for content in ('{"sensor": {"f": 525}}', '[{"f": 525}]'):
+        path.write_text(content)
+        refused = fails(capsys, "info", folder / "cam", "--cameras", path)
+        said = runs(capsys, "info", path) if content.startswith("{") else fails(capsys, "info", path)
+        assert keys in refused and keys in said and "report" not in refused + said
+        assert "docs/files.md#cameras" in refused and "docs/files.md#cameras" in said
+    path.write_text('{"depth": {"fx": 9, "fy": 9, "cx": 4, "cy": 4, "width": 8, "height": 8}, "color": {}}')
+    assert "cameras: 1 of 8 x 8 pixels" in runs(capsys, "info", path)
+    assert "track human" in runs(capsys, "info", folder / "cam", "--cameras", path)
 
 
 def test_a_mask_of_another_size_is_named(folder):

@@ -101,11 +101,32 @@ def test_info_describes_the_room_and_the_person(files, capsys):
     assert "a person was found in 9 of the 12 frames" in printed
     assert "no surface has the size of a person in frames 9, 10, 11, counted from 0" in printed
     assert "the intrinsics of the camera (--cameras) are needed" in runs(capsys, "info", files / "depth.npz")
-    printed = runs(capsys, "info", files / "depth.npz", "--depth-scale", "1")
-    assert "1000 times too large" in printed
     assert "images of one are described" in fails(
         capsys, "info", files / "depth.npz", "--cameras", files / "two.json"
     )
+
+
+def test_info_suggests_the_right_scale_and_no_run_without_a_person(files, capsys):
+    np.savez(files / "wall.npz", depth=np.full((1, CAMERA.height, CAMERA.width), 2000, np.uint16))
+    np.savez(files / "metres.npz", depth=np.full((1, CAMERA.height, CAMERA.width), 2000.0))
+    words = ["--cameras", files / "cameras.json"]
+    printed = runs(capsys, "info", files / "wall.npz", *words)
+    assert "next:" not in printed and "check --depth-scale (1000 units in a metre were used" in printed
+    assert f"and --cameras ({files}/cameras.json)" in printed
+    assert "floor: none was found, so the tilt of the camera is not known" in printed
+    for given, right in (("1", ""), ("5", " --depth-scale 500")):
+        printed = runs(capsys, "info", files / "wall.npz", *words, "--depth-scale", given)
+        assert f"--cameras {files}/cameras.json{right} -o tracked` fits a body;" in printed, given
+        assert ("its whole numbers are metres" in printed and "is 2000 m" in printed) == (given == "1")
+    printed = runs(capsys, "info", files / "metres.npz", *words)
+    assert "next:" not in printed and "whole numbers are millimetres" not in printed
+
+
+def test_a_surface_before_an_unknown_background_may_be_furniture(files, capsys):
+    printed = runs(capsys, "info", files / "empty.npz", "--cameras", files / "cameras.json")
+    assert "a surface of a person's size was found in 1 of the 1 frame" in printed
+    assert "it may be furniture, as the background is not known" in printed
+    assert "a person was found" not in printed and "1 frame is too few" in printed
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def describe_arrays(path: Path, unit: str | None, options: DepthOptions) -> Cont
     if kind == "meshes":
         return describe_meshes(path, unit)
     if kind == "depth":
-        return Contents(describe_camera_depth(path, options))
+        return describe_camera_depth(path, options)
     if kind == "clouds":
         return describe_clouds(str(path), unit)
     if kind == "keys":

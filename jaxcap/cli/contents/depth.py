@@ -9,7 +9,7 @@ import numpy as np
 from ...depth.back_projection import world_points
 from ...depth.background import Background, estimate_background, farthest_depths
 from ...depth.candidates import PERSON, PIECE, join_candidates
-from ...depth.check_depths import check_depth_scale
+from ...depth.check_depths import check_depth_scale, depth_excess
 from ...depth.person import search_person
 from ...errors import InputError, user_message
 from ...geometry.camera import Camera
@@ -22,9 +22,14 @@ from ...observe.floor import find_floor
 from ...observe.planes import find_planes, refine_plane
 from ..console.console import pluralise, say
 from ..console.heartbeat import set_activity
+from .listing import Contents
 
 #: largest number of frames that are examined, and of frame numbers in a sentence
 MAX_EXAMINED, MAX_NAMED = 20, 10
+#: the kind of depth images that show no person, and of those in another unit that no option changes
+NOBODY, NOT_METRES = "depth without a person", "depth in another unit"
+#: names of units by their number in a metre
+_UNITS = {1.0: "metres", 100.0: "centimetres", 1000.0: "millimetres", 10000.0: "tenths of a millimetre"}
 
 
 class DepthOptions(NamedTuple):
@@ -34,13 +39,14 @@ class DepthOptions(NamedTuple):
     scale: float = 1000.0
 
 
-def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -> str:
-    """Print the number and the size of depth images, and the range of the first one's depths, and return their kind.
+def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -> Contents:
+    """Print the number and the size of depth images, and the range of the first one's depths, and return their contents.
 
     With the intrinsics of the `camera` of that number print the floor, the background and the people in some frames.
     """
     kind = "depth recording" if is_recording(source) else "depth"
     images = read_depths(source, depth_scale=options.scale)
+    is_scaled = _is_scaled(source, options.scale, images[0].depths[0])
     cameras = _cameras(source, options)
     if cameras and camera < len(cameras):
         rectified, images = rectify_depths([cameras[camera]], images)
@@ -53,10 +59,10 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     say(f"{pluralise(len(images), 'depth image')} of {depth.shape[1]} x {depth.shape[0]} pixels")
     if len(measured):
         low, middle, high = np.percentile(measured, [1, 50, 99])
-        unit = "millimetres" if options.scale == 1000 else f"1 / {options.scale:g} of a metre"
+        unit = _UNITS.get(options.scale, f"1 / {options.scale:g} of a metre")
+        condition = f", if its whole numbers are {unit}" if is_scaled else ""
         say(
-            f"the first has depths of {low:.2f} to {high:.2f} m, median {middle:.2f} m, if its whole numbers are "
-            f"{unit}; {100 * len(measured) / depth.size:.0f} % of its pixels were measured"
+            f"the first has depths of {low:.2f} to {high:.2f} m, median {middle:.2f} m{condition}; {100 * len(measured) / depth.size:.0f} % of its pixels were measured"
         )
     if frame.masks[0] is not None:
         say(f"masks of the person; in the first one {100 * frame.masks[0].mean():.0f} % of the pixels")
@@ -64,10 +70,15 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
         check_depth_scale(depth, "the first image")
     except InputError as error:
         say(user_message(error))
-        return kind
+        right = float(f"{options.scale * depth_excess(depth):.12g}")
+        if not is_scaled:
+            return Contents(NOT_METRES)
+        default = ", which is the default" if right == DepthOptions().scale else ""
+        say(f"the following commands have --depth-scale {right:g}{default}")
+        return Contents(kind, depth_scale=right)
     if not cameras:
         say("the intrinsics of the camera (--cameras) are needed to find the floor and the person")
-        return kind
+        return Contents(kind)
     if camera >= len(cameras):
         raise InputError(
             f"{options.cameras}: there are {len(cameras)} cameras; expected one for each folder of images."
@@ -75,8 +86,15 @@ def describe_depth(source: str | Path, options: DepthOptions, camera: int = 0) -
     set_activity("searching for the floor and the person")
     numbers = even_indices(len(images), MAX_EXAMINED, nearest=True).tolist()
     frames = {number: images[number] for number in numbers}
-    _describe_room(cameras[camera], frames)
-    return kind
+    return Contents(kind if _describe_room(cameras[camera], frames) else NOBODY)
+
+
+def _is_scaled(source: str | Path, scale: float, depth: np.ndarray) -> bool:
+    """Test if the depths of the first image depend on the number of units in a metre: those of whole numbers do."""
+    if is_recording(source):
+        # a second search for the times of its images takes long
+        return Path(source).suffix.lower() != ".mkv"
+    return not np.array_equal(read_depths(source, depth_scale=2 * scale)[0].depths[0], depth)
 
 
 def _cameras(source: str | Path, options: DepthOptions) -> list[Camera]:
@@ -85,7 +103,7 @@ def _cameras(source: str | Path, options: DepthOptions) -> list[Camera]:
     return [] if path is None else read_cameras(path)
 
 
-def describe_camera_depth(source: str | Path, options: DepthOptions) -> str:
+def describe_camera_depth(source: str | Path, options: DepthOptions) -> Contents:
     """Describe the images of one camera as `describe_depth` does; `options.cameras` may have no other."""
     if options.cameras is not None and (count := len(read_cameras(options.cameras))) != 1:
         raise InputError(
@@ -95,7 +113,8 @@ def describe_camera_depth(source: str | Path, options: DepthOptions) -> str:
     return describe_depth(source, options)
 
 
-def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
+def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> bool:
+    """Print the floor, the background and the people. Return whether there are people."""
     depths = [frame.depths[0] for frame in frames.values()]
     background = estimate_background(camera, depths)
     far, _ = farthest_depths(np.stack(depths), 1)
@@ -103,7 +122,9 @@ def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
     points = world_points(camera, far)[far > 0]
     floor = find_floor(find_planes(points, eye))
     if floor is None:
-        say("floor: none was found")
+        say(
+            "floor: none was found, so the tilt of the camera is not known, and feet are not kept above a floor"
+        )
     else:
         floor = refine_plane(floor, points)
         tilt = np.degrees(np.arccos(np.clip(floor.normal[1], -1.0, 1.0)))
@@ -116,10 +137,10 @@ def _describe_room(camera: Camera, frames: dict[int, DepthFrame]) -> None:
     else:
         known = 100 * np.mean(background.depth[far > 0] > 0)
         say(f"background: {known:.0f} % of the measured pixels show surface that never moves and is nobody")
-    _describe_people(camera, frames, background)
+    return _describe_people(camera, frames, background)
 
 
-def _describe_people(camera: Camera, frames: dict[int, DepthFrame], background: Background) -> None:
+def _describe_people(camera: Camera, frames: dict[int, DepthFrame], background: Background) -> bool:
     people, nobody = [], []
     for number, frame in frames.items():
         steps = search_person(camera, frame.depths[0], background, frame.name)
@@ -133,12 +154,17 @@ def _describe_people(camera: Camera, frames: dict[int, DepthFrame], background: 
             float(np.median([getattr(one, name) for one in people]))
             for name in ("extent", "area", "distance")
         )
+        what, doubt = "a person", ""
+        if background.doubt:
+            what = "a surface of a person's size"
+            doubt = "; it may be furniture, as the background is not known"
         say(
-            f"a person was found in {len(people)} of the {pluralise(len(frames), 'frame')} that were examined: {extent:.2f} m "
-            f"long, {area:.2f} m² of visible surface, {distance:.1f} m away"
+            f"{what} was found in {len(people)} of the {pluralise(len(frames), 'frame')} that were examined: {extent:.2f} m "
+            f"long, {area:.2f} m² of visible surface, {distance:.1f} m away{doubt}"
         )
     if nobody:
         say(f"no surface has the size of a person in {_named(nobody)}, counted from 0")
+    return bool(people)
 
 
 def _named(numbers: Sequence[int]) -> str:

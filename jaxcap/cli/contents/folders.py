@@ -15,7 +15,7 @@ from ...io.skeletons.rig_files import find_rig_files
 from ..console.console import pluralise, say
 from ..scan.depth_images import image_path
 from .bodies import describe_motion, describe_scan_unit, format_size
-from .depth import DepthOptions, describe_camera_depth, describe_depth
+from .depth import NOBODY, NOT_METRES, DepthOptions, describe_camera_depth, describe_depth
 from .listing import Contents
 from .texts import describe_journal, describe_statistics
 
@@ -36,9 +36,10 @@ def describe_folder(folder: Path, unit: str | None, options: DepthOptions) -> Co
         say(f"scans of {pluralise(len(cameras), 'camera')}")
         images = [image_path(folder, number, 0).parent for number in range(len(cameras))]
         if any(one.is_dir() for one in images):
-            for number, one in enumerate(images):
-                describe_depth(one, options._replace(cameras=folder / "cameras.json"), number)
-            return Contents("depth scans")
+            options = options._replace(cameras=folder / "cameras.json")
+            found = [describe_depth(one, options, number) for number, one in enumerate(images)]
+            shown = next((one for one in found if one.kind != NOBODY), found[0])
+            return shown if shown.kind in (NOBODY, NOT_METRES) else shown._replace(kind="depth scans")
         return describe_clouds(str(folder), unit, "scans")
     if there["mesh"]:
         return describe_clouds(str(folder), unit)
@@ -49,7 +50,7 @@ def describe_folder(folder: Path, unit: str | None, options: DepthOptions) -> Co
         )
     # with cameras, pictures are refused as depth images
     if there["depth"] + (options.cameras is not None) * there["picture"] == sum(there.values()):
-        return Contents(describe_camera_depth(folder, options))
+        return describe_camera_depth(folder, options)
     for one, count in there.most_common():
         say(KIND_NAMES[one] if count == 1 else f"{count} {KIND_PLURALS[one]}")
     return Contents(f"folder of {there.most_common(1)[0][0]}")

@@ -11,10 +11,13 @@ MAX_LINES, DEEPEST = 200, 20
 
 
 class Contents(NamedTuple):
-    """The kind of a file's contents, and the unit of lengths that its next command needs, if any."""
+    """The kind of a file's contents, and what its next command needs, if anything."""
 
     kind: str
+    #: unit of lengths
     unit: str | None = None
+    #: units in a metre of depth images, if the given number is wrong
+    depth_scale: float | None = None
 
 
 def print_list(lines: Iterable[str], count: int, what: str) -> None:

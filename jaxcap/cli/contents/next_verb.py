@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from .depth import DepthOptions
+from ...io.depth.camera_keys import ACCEPTED
+from .depth import NOBODY, NOT_METRES, DepthOptions
 from .folders import first_file_of_kind
 
 #: of depth images, where none were given
@@ -10,7 +11,7 @@ NO_OPTIONS = DepthOptions()
 _DEPTH = (
     (
         "track human --depth {file} --cameras {cameras}{depth_scale} -o tracked",
-        "fits a body, given the intrinsics of the camera",
+        "fits a body{if_known}",
     ),
     ("view --depth {file} --cameras {cameras}{depth_scale}", "shows how the person is found"),
 )
@@ -132,9 +133,12 @@ FOLDER_PREFIX = "folder of "
 NO_COMMAND_SENTENCES = {
     "arrays": "no verb reads these arrays; clouds need an array points (F, N, 3), meshes need vertices (F, V, 3) and "
     "faces (T, 3)",
-    "report": "no verb reads a report; it is for other programs",
+    "json": f"no verb reads this JSON file; if it is of cameras: {ACCEPTED}",
     "joint angles": "no verb reads joint angles; they are for other programs",
     "keys": "no verb reads keys; they are for other programs",
+    NOBODY: "no person was found: check --depth-scale ({scale} units in a metre were used; depths that are no whole numbers "
+    "are in metres) and --cameras ({cameras_used}), or give these images as --empty if they show nobody",
+    NOT_METRES: "no command is suggested, as depths that are no whole numbers have to be in metres: convert them",
     "picture": "no verb reads pictures or pages; open it in a browser",
 }
 
@@ -151,20 +155,23 @@ def suggest_commands(kind: str, file: str, unit: str | None = None, depth: Depth
             if one is None
             else f"next: `jaxcap info {_quoted(str(one))}` describes one of them"
         )
-    if kind not in COMMANDS:
-        return NO_COMMAND_SENTENCES.get(kind, "no verb reads this")
     cameras = "" if depth.cameras is None else _quoted(str(depth.cameras))
     words = {
         "file": _quoted(file),
         "folder": _quoted(str(Path(file).parent)),
         "stem": _quoted(file.removesuffix(".partial")),
         "cameras": cameras or "CAMERAS.json",
+        "cameras_used": cameras or "the one in the recording",
+        "if_known": "" if cameras else ", given the intrinsics of the camera",
+        "scale": f"{depth.scale:.12g}",
         "other_cameras": cameras and f" --cameras {cameras}",
         "depth_scale": "" if depth.scale == 1000 else f" --depth-scale {depth.scale:.12g}",
     }
+    if kind not in COMMANDS:
+        return NO_COMMAND_SENTENCES.get(kind, "no verb reads this").format(**words)
     ending = "" if unit is None else f" --unit {unit}"
     return "next: " + "; ".join(
-        f"`jaxcap {line.format(**words)}{ending}` {what}" for line, what in COMMANDS[kind]
+        f"`jaxcap {line.format(**words)}{ending}` {what.format(**words)}" for line, what in COMMANDS[kind]
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from ...errors import InputError
 from ...io.archives.journal import read_header, read_records
 from ...io.cameras import read_cameras
+from ...io.depth.camera_keys import ACCEPTED
 from ...io.kinds import kind_of_json
 from ...io.registry import read_marker_file, read_skeleton
 from ...io.skeletons.asf import read_asf
@@ -55,13 +56,11 @@ def describe_json(path: Path) -> str:
         say(
             f"table of joints: {len(names) - names.count(None)} that match, {names.count(None)} without a match"
         )
-    elif kind == "json":
-        raise InputError(
-            f"{path}: no verb reads this JSON file; expected a list 'cameras' with cameras, or a list 'constraints' "
-            "with constraints."
-        )
+    elif kind == "json" and not (isinstance(content, dict) and content):
+        raise InputError(f"{path}: no verb reads this JSON file. Of cameras: {ACCEPTED}.")
     else:
-        say(f"{'settings of a scan' if kind == 'scan' else 'report'}: {', '.join(map(str, content))[:300]}")
+        what = "settings of a scan" if kind == "scan" else "a JSON file with the keys"
+        say(f"{what}: {', '.join(map(str, content))[:300]}")
     return kind
 
 

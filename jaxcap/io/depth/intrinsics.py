@@ -1,5 +1,6 @@
 """Intrinsics of one camera as other programs write them: Open3D, RealSense and OpenCV."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from ...errors import InputError
 from ...geometry.camera import Camera, check_image_size
 from ...geometry.lens import NUM_COEFFICIENTS, Lens
-from ..kinds import INTRINSICS_KEYS
+from .camera_keys import MATRIX_KEYS, SIZE_KEYS, SIZE_LIST_KEYS, incomplete_error
 
 #: rotation of a camera without extrinsics, at the origin: it looks along -z, with y up
 FORWARD = np.diag([1.0, -1.0, -1.0])
@@ -17,7 +18,7 @@ FORWARD = np.diag([1.0, -1.0, -1.0])
 ROTATION_TOLERANCE = 1e-4
 #: names of the distortion coefficients, and of their model
 COEFFICIENT_KEYS = (
-    "coeffs", "distortion_coefficients", "dist_coeffs", "dist_coeff", "distortion", "dist", "D",
+    "coeffs", "distortion_coefficients", "dist_coeffs", "dist_coeff", "distortion", "dist", "D", "distCoeffs",
 )  # fmt: skip
 COEFFICIENT_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 MODEL_KEYS = ("distortion_model", "model")
@@ -37,22 +38,43 @@ REALSENSE_MODELS = (
 MAX_COEFFICIENT = 1000.0
 
 
-def is_intrinsics(content: object) -> bool:
-    """Test if the content of a JSON file is of one of these programs."""
-    return isinstance(content, dict) and any(name in content for name in INTRINSICS_KEYS)
-
-
-def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
-    """Make a camera from intrinsics, at the origin if the file has no extrinsics.
+def cameras_of_intrinsics(contents: Sequence[dict[str, Any]], where: str) -> list[Camera]:
+    """Make cameras from intrinsics; a single one without extrinsics is at the origin.
 
     Known are `intrinsic_matrix` and `extrinsic` (Open3D, column by column), `fx, fy, ppx, ppy` (RealSense) or `fx, fy, cx, cy`, and
-    `camera_matrix` (OpenCV); with `width` and `height` or `image_width` and `image_height`. Distortion coefficients make
-    the camera's lens.
+    `camera_matrix`, `cameraMatrix`, `K` or `mtx` (OpenCV, row by row); with `width` and `height`, `image_width` and
+    `image_height`, or `image_size`. Distortion coefficients make the camera's lens. If the extrinsics of a camera are the
+    identity, its world has y down, and is turned to y up for all cameras.
 
-    **Raises:** `InputError` if a number is missing, or the model of the lens is unknown.
+    **Raises:** `InputError` if a number is missing, or the model of the lens is unknown; also if one of several cameras has
+    no extrinsics.
     """
+    several = len(contents) > 1
+    names = [f"{where}: camera {number}" if several else where for number in range(len(contents))]
+    matrices = []
+    for name, content in zip(names, contents, strict=True):
+        if several and content.get("extrinsic") is None:
+            raise InputError(
+                f"{name} has no 'extrinsic'; write the matrix from the world to each of the {len(contents)} cameras."
+            )
+        matrices.append(_extrinsic(content.get("extrinsic"), name))
+    turn = FORWARD if any(np.array_equal(matrix, np.eye(4)) for matrix in matrices) else np.eye(3)
+    return [
+        _camera(content, matrix[:3, :3] @ turn, matrix[:3, 3], name)
+        for content, matrix, name in zip(contents, matrices, names, strict=True)
+    ]
+
+
+def _camera(
+    content: dict[str, Any],
+    rotation: Float[np.ndarray, "3 3"],
+    translation: Float[np.ndarray, "3"],
+    where: str,
+) -> Camera:
     inner = content.get("intrinsic", content)
-    matrix = inner.get("intrinsic_matrix", inner.get("camera_matrix"))
+    if not isinstance(inner, dict):
+        raise incomplete_error(where, "'intrinsic' is not an object with keys")
+    matrix = next((inner[name] for name in MATRIX_KEYS if name in inner), None)
     if isinstance(matrix, dict):
         matrix = matrix.get("data")
     try:
@@ -65,34 +87,30 @@ def camera_of_intrinsics(content: dict[str, Any], where: str) -> Camera:
         else:
             x, y = ("ppx", "ppy") if "ppx" in inner else ("cx", "cy")
             numbers = [float(inner[name]) for name in ("fx", "fy", x, y)]
-        size = [
-            int(inner[a] if a in inner else inner[b])
-            for a, b in (("width", "image_width"), ("height", "image_height"))
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{where}: the intrinsics of the camera are incomplete ({error}); expected focal lengths, the principal point, "
-            "and the width and height of images."
-        ) from None
+        both = next((inner[name] for name in SIZE_LIST_KEYS if name in inner), None)
+        given = [inner[a] if a in inner else inner[b] for a, b in SIZE_KEYS] if both is None else both
+        width, height = map(int, given)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        found = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise incomplete_error(where, f"the intrinsics of the camera are incomplete ({found})") from None
     if not (np.isfinite(numbers).all() and min(numbers[:2]) > 0):
         raise InputError(f"{where}: the focal lengths are {numbers[:2]}; expected finite numbers above 0.")
-    check_image_size(size[0], size[1], where)
-    rotation, translation = _extrinsic(content.get("extrinsic"), where)
+    check_image_size(width, height, where)
     return Camera(
         jnp.asarray(rotation),
         jnp.asarray(translation),
         jnp.asarray(numbers[:2]),
         jnp.asarray(numbers[2:]),
-        size[0],
-        size[1],
+        width,
+        height,
         _lens(inner, where),
     )
 
 
-def _extrinsic(content: object, where: str) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Read the extrinsics that Open3D writes, column by column; without any, and for the identity, the camera is at the origin."""
+def _extrinsic(content: object, where: str) -> Float[np.ndarray, "4 4"]:
+    """Read the extrinsics that Open3D writes, column by column; the identity without any."""
     if content is None:
-        return FORWARD, np.zeros(3)
+        return np.eye(4)
     try:
         numbers = np.asarray(content, float)
         matrix = numbers.reshape(4, 4)
@@ -104,7 +122,7 @@ def _extrinsic(content: object, where: str) -> tuple[Float[np.ndarray, "3 3"], F
         raise InputError(
             f"{where}: 'extrinsic' is no rotation and translation; expected the matrix from the world to the camera, metres."
         )
-    return (FORWARD, np.zeros(3)) if np.array_equal(matrix, np.eye(4)) else (turn, matrix[:3, 3])
+    return matrix
 
 
 def is_rotation(matrix: Float[np.ndarray, "3 3"]) -> bool:

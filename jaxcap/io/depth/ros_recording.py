@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from ...errors import InputError
 from ...geometry.camera import MAX_PIXELS, check_image_size
 from .images import depths_in_metres
-from .intrinsics import camera_of_intrinsics
+from .intrinsics import cameras_of_intrinsics
 from .recording import Recording
 
 IMAGE, COMPRESSED, CAMERA_INFO = (
@@ -77,7 +77,7 @@ def _recording(path: Path, reader: AnyReader, units: float) -> Recording:
         raise InputError(
             f"{path}: the recording has no intrinsics of the depth camera ({depth}); record its camera_info too."
         )
-    camera = camera_of_intrinsics(_intrinsics(reader, topics[info], depth), str(path))
+    (camera,) = cameras_of_intrinsics([_intrinsics(reader, topics[info], depth)], str(path))
     frames = _Frames(path, reader, topics[depth], _units(reader, topics, depth, units))
     return Recording(camera, 1e-9 * np.array(frames.times), frames)
 

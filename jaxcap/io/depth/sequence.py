@@ -81,11 +81,13 @@ def read_depths(
     for camera, paths in zip(cameras, known, strict=False):
         check_same_numbers(camera.paths, paths)
     count = len(cameras[0].names)
-    for names in (*(camera.names for camera in cameras), *known):
+    remedies = ["as many images of each camera"] * len(cameras) + ["as many masks as depth images"] * len(
+        known
+    )
+    for names, remedy in zip((*(camera.names for camera in cameras), *known), remedies, strict=True):
         if len(names) != count:
             raise InputError(
-                f"{names[0]}: this sequence has {len(names)} images, but {cameras[0].names[0]} has {count}; "
-                "give as many images of each camera."
+                f"{names[0]}: this sequence has {len(names)} images, but {cameras[0].names[0]} has {count}; give {remedy}."
             )
     _check_simultaneous(cameras)
     chosen = select_range(list(range(count)), first, last, cameras[0].names[0])
