@@ -117,7 +117,7 @@ def join_small(
 ) -> tuple[Int[np.ndarray, "h w"], bool]:
     """Give small surfaces next to each other one label, if together they have the size of a person.
 
-    Arms in front of the trunk may divide a person into surfaces of which none is large enough. Return whether there are such
+    Arms in front of the trunk may divide a person into surfaces that are all too small. Return whether there are such
     surfaces; surfaces that have the size of a person alone are preferred, and then nothing is joined. Of several groups the
     largest one is joined.
     """

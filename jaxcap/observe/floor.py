@@ -51,6 +51,7 @@ def is_floor_of(plane: Plane, points: Float[np.ndarray, "N 3"], person: Float[np
     foot = person[heights <= low + FOOT_HEIGHT].mean(0)
     across = np.linalg.svd(plane.normal[None])[2][1:]
     away = (points[on_planes([plane], points)] - foot) @ across.T
-    away = away[(np.linalg.norm(away, axis=1) > NEAR) & (np.linalg.norm(away, axis=1) < FAR)]
+    distances = np.linalg.norm(away, axis=1)
+    away = away[(distances > NEAR) & (distances < FAR)]
     directions = np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi) * NUM_DIRECTIONS)
     return len(np.unique(directions)) >= MIN_DIRECTIONS

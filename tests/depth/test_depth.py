@@ -43,7 +43,7 @@ def test_a_person_is_found_before_floor_and_wall():
 
 
 def test_a_person_in_small_pieces_is_found():
-    """Gaps of two pixels divide the person into surfaces of which none has the size of a person."""
+    """Gaps of two pixels divide the person into surfaces that are all smaller than a person."""
     depth, person = room()
     divided = depth.copy()
     lines = np.arange(120)[:, None] % 12 < 2, np.arange(160)[None] % 12 < 2
@@ -51,7 +51,7 @@ def test_a_person_in_small_pieces_is_found():
     background = estimate_background(CAMERA, [room((0.0, 50.0, 0.0))[0]], empty=True)
     search = search_person(CAMERA, divided, background)
     assert search.person[person & (divided > 0)].mean() > 0.9
-    # one of the pieces alone is none, and neither are small things in a room of which no background is known
+    # a single piece is no person, and small things in a room with an unknown background are not joined
     alone = np.where(person, 0.0, depth)
     alone[50:60, 74:84] = divided[50:60, 74:84]
     for image, known in ((alone, background), (divided, None)):
@@ -299,7 +299,7 @@ def test_extrinsics_of_open3d(tmp_path):
 
 @pytest.mark.parametrize("wrap", [list, lambda rows: {"parameters": rows}], ids=["list", "trajectory"])
 def test_several_cameras_of_open3d(wrap, tmp_path):
-    """Where the first camera is the identity, the others keep their poses relative to it, with y up."""
+    """If the first camera is the identity, the relative poses of all cameras stay the same, and y is up."""
     path = tmp_path / "cameras.json"
     inner = {"width": 640, "height": 480, "intrinsic_matrix": [525, 0, 0, 0, 525, 0, 319.5, 239.5, 1]}
     other = np.eye(4)

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from ...body.pose import Pose
 from ...energy.priors.human_prior import human_prior
-from ...errors import InputError
 from ...geometry import rotation
 from ...io.lazy_frames import LazyFrames
 from ...observe.clouds import Cloud
@@ -21,6 +20,7 @@ from ...tracking.track_frame import Tracker
 from ..console.console import say, warn
 from ..console.heartbeat import set_activity
 from ..sources import UPS, Up, up_rotation
+from .person_shape import people_until_unreadable
 from .results import Results
 
 #: largest angle of an upright person from the vertical, degrees, and least share of such frames without advice
@@ -69,14 +69,7 @@ def advise(
 
 def first_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
     """Return the first cloud that shows a person, with its number; None if an earlier one cannot be read."""
-    for number in range(len(clouds)):
-        try:
-            cloud = clouds[number]
-        except InputError:
-            return None
-        if not cloud.missing:
-            return number, cloud
-    return None
+    return next(people_until_unreadable(clouds), None)
 
 
 def warn_of_size(tracker: Tracker, cloud: Cloud) -> bool:

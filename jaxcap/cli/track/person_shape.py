@@ -1,6 +1,7 @@
 """The shapes of the people, estimated before tracking."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 from ...adapt.shape.people_shapes import estimate_people_shapes
@@ -81,13 +82,15 @@ def find_people_shapes(
 
 def first_readable(clouds: LazyFrames[Cloud], count: int) -> list[Cloud]:
     """Read the first `count` clouds of a person, or those before the first that cannot be read, which tracking reports."""
-    found = []
+    return [cloud for _, cloud in itertools.islice(people_until_unreadable(clouds), count)]
+
+
+def people_until_unreadable(clouds: LazyFrames[Cloud]) -> Iterator[tuple[int, Cloud]]:
+    """Yield the clouds that show a person with their numbers, up to the first cloud that cannot be read."""
     for number in range(len(clouds)):
         try:
             cloud = clouds[number]
         except InputError:
-            break
-        found += [] if cloud.missing else [cloud]
-        if len(found) == count:
-            break
-    return found
+            return
+        if not cloud.missing:
+            yield number, cloud
