@@ -19,9 +19,6 @@ from ..observe.planes import Plane
 from .console.console import say
 from .console.options import OptionalFile, arg
 
-#: standard deviation of vertices below a floor that a sensor measured, metres
-MEASURED_FLOOR_DEVIATION = 0.02
-
 LimitsFile = Annotated[
     OptionalFile,
     arg(help="Joint limits to enforce: a result of `jaxcap limits learn`, or a .cst or .asf file."),
@@ -38,7 +35,7 @@ FloorHeight = Annotated[
         metavar="METRES",
         help_behavior_hint="",
         help="Height of the floor along the up axis, metres. Vertices or markers below the floor are "
-        "penalised, with a standard deviation of 10 mm. Default: for `track` the floor that the data show below the person; else none.",
+        "penalised, with a standard deviation of 10 mm. Default: for `track` and `live` the floor that the data show below the person; else none.",
     ),
 ]
 PriorFile = Annotated[
@@ -59,17 +56,15 @@ def check_floor(floor: float | None, positions: Float[np.ndarray, "*N 3"]) -> No
         )
 
 
-def print_floor(body: Body, floor: Plane | None) -> tuple[AbstractEnergy, ...]:
-    """Make the energy of a floor that was found in the data, and print it; none without a floor."""
+def print_floor(floor: Plane | None) -> None:
+    """Print the floor that was found in the data, if any."""
     if floor is None:
-        return ()
+        return
     tilt = np.degrees(np.arccos(np.clip(floor.normal[1], -1.0, 1.0)))
     say(
         f"a floor was found at the height {floor.offset / floor.normal[1]:.2f} m, tilted by {tilt:.0f} degrees; feet stay above it. "
         "--floor sets another height, and --floor -100 turns this off"
     )
-    up = tuple(floor.normal.tolist())
-    return (make_floor(body, floor.offset, up, MEASURED_FLOOR_DEVIATION),)
 
 
 def read_terms(

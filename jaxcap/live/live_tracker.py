@@ -4,8 +4,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -13,12 +15,15 @@ from ..arguments import checked
 from ..body.body import Body, posed_vertices
 from ..body.pose import Pose
 from ..depth.background import Background
+from ..depth.floor import find_floor_of_person
 from ..depth.stream.cloud_stream import NUM_POINTS, CloudStream
 from ..energy.check_energies import UserTerms
+from ..energy.data.floor import make_measured_floor
 from ..errors import InputError, user_message
 from ..geometry.camera import Camera
 from ..observe import Scan, thin_cloud
 from ..observe.clouds import Cloud, as_cloud
+from ..observe.planes import Plane
 from ..tracking.judge_frame import TrackedFrame
 from ..tracking.online import OnlineTracker
 from ..tracking.track_frame import Tracker, make_tracker
@@ -86,7 +91,8 @@ class LiveTracker:
     **Arguments:** `tracker` as of `make_live_tracker`; `cameras` of the depth images, which
     do not move; `backgrounds` of the cameras, of `estimate_background`; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
     frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`. With a `start`, the
-    first images are searched near it.
+    first images are searched near it. `find_floor`: `warm_up` looks for the floor below the person in its depth images, and feet
+    stay above it.
     """
 
     @checked
@@ -103,14 +109,19 @@ class LiveTracker:
         sigma: float | int = 0.1,
         up: tuple[float, float, float] = (0.0, 1.0, 0.0),
         judge_every: int = JUDGE_EVERY,
+        find_floor: bool = False,
     ):
-        self._online = OnlineTracker(
-            tracker, start, search=search, sigma=float(sigma), up=up, judge_every=judge_every
+        self._make_online = partial(
+            OnlineTracker, start=start, search=search, sigma=float(sigma), up=up, judge_every=judge_every
         )
-        steps = (1, REDUCED_STEP) if cameras else ()
+        self._online, self._finds_floor = self._make_online(tracker), find_floor
+        #: the floor that `warm_up` has found
+        self.floor: Plane | None = None
+        self._cameras = list(cameras)
+        steps = (1, REDUCED_STEP) if self._cameras else ()
         # of whole images, and of reduced ones
         self._streams = [
-            CloudStream(list(cameras), num_points, pixel_step=step, backgrounds=backgrounds) for step in steps
+            CloudStream(self._cameras, num_points, pixel_step=step, backgrounds=backgrounds) for step in steps
         ]
         self._load = Load()
         self.num_points, self.on_frame = num_points, on_frame
@@ -121,7 +132,7 @@ class LiveTracker:
         self._open = 0
         #: where the next image is expected to show the person
         self._surface: Float[np.ndarray, "N 3"] | None = None
-        if start is not None and cameras:
+        if start is not None and self._cameras:
             self._surface = np.asarray(posed_vertices(tracker.body, start), float)
         self._num_lost = 0
         self._failure: BaseException | None = None
@@ -175,21 +186,32 @@ class LiveTracker:
 
         **Raises:** `InputError` for a frame that cannot be tracked.
         """
-        begin, tracker = time.perf_counter(), self._online.tracker
+        begin = time.perf_counter()
         cloud = self._cloud(frame, name)
         for stream in self._streams:
             stream.warm_up()
         if not isinstance(frame, (Cloud, Scan)):
             # floor and walls are looked for in the first image of each stream
             self._streams[1].make(list(frame), name=name)
+            if self._finds_floor and self.floor is None:
+                self._use_floor(find_floor_of_person(self._cameras, list(frame), cloud))
         self._online.warm_up(cloud)
-        np.asarray(posed_vertices(tracker.body, self._online.start))
+        np.asarray(posed_vertices(self._online.tracker.body, self._online.start))
         with self._lock:
             self._ready_since = time.monotonic()
             self._counts.begin()
             # frames that were dropped until now are no load
             self._load = Load()
         return time.perf_counter() - begin
+
+    def _use_floor(self, floor: Plane | None) -> None:
+        """Track with a floor from now on, before the first frame."""
+        if floor is None:
+            return
+        self.floor, tracker = floor, self._online.tracker
+        self._online.close()
+        terms = (*tracker.terms, make_measured_floor(tracker.body, floor))
+        self._online = self._make_online(eqx.tree_at(lambda t: t.terms, tracker, terms))
 
     @property
     def statistics(self) -> LiveStatistics:

@@ -35,20 +35,25 @@ from jaxcap.view.live import follow_run
 
 @pytest.fixture(scope="module")
 def captured(tmp_path_factory):
-    """Four frames of a person who moves sideways in front of a camera."""
+    """Four frames of a person who moves sideways on a floor in front of a camera."""
     folder = tmp_path_factory.mktemp("live")
     body = human(resolution="low", joints="tracking")
-    camera = look_at([0.0, 0.2, 2.4], [0.0, 0.1, 0.0], 160, 120, 60)
+    camera = look_at([0.0, 0.7, 2.4], [0.0, -0.05, 0.0], 160, 120, 75)
     vertices, faces = (
         np.asarray(pose_body(body, rest_pose(body.skeleton)).vertices, float),
         np.asarray(body.faces),
     )
-    images = []
-    for step in range(4):
-        depth = render_depth(camera, make_ray_mesh(vertices + [0.01 * step, 0.0, 0.0], faces)).depth
-        images.append(np.round(1000 * np.where(depth > 0, depth, 4.0)).astype(np.uint16))
-    np.savez(folder / "depth.npz", depth=np.stack(images))
-    np.savez(folder / "empty.npz", depth=np.full((3, 120, 160), 4000, np.uint16))
+    floor = [[3.0 * x, vertices[:, 1].min(), 3.0 * z] for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1))]
+    sides = np.array([[0, 1, 2], [0, 2, 3]])
+
+    def image(moved):
+        mesh = make_ray_mesh(np.concatenate([floor, moved]), np.concatenate([sides, 4 + faces]))
+        depth = render_depth(camera, mesh).depth
+        return np.round(1000 * np.where(depth > 0, depth, 4.0)).astype(np.uint16)
+
+    np.savez(folder / "depth.npz", depth=[image(vertices + [0.01 * step, 0.0, 0.0]) for step in range(4)])
+    # the person is far outside of the image
+    np.savez(folder / "empty.npz", depth=[image(vertices + [50.0, 0.0, 0.0])] * 3)
     write_cameras(folder / "cameras.json", [camera])
     save_body(folder / "body.npz", body)
     return folder
@@ -75,6 +80,7 @@ def test_a_replay_and_a_pipe_are_tracked(captured, tmp_path, capsys, monkeypatch
         tmp_path / "replay",
     )
     assert "latency" in printed and "4 tracked, 0 dropped" in printed
+    assert "a floor was found at the height -0.82 m, tilted by 0 degrees" in printed
     motion = load_motion(tmp_path / "replay" / "motion.npz")
     assert len(motion) == 4 and motion.rate == 0.5
     # the person has moved by three centimetres
@@ -154,7 +160,7 @@ def test_a_damaged_first_image_is_skipped_and_frames_during_compilation_are_coun
     )
     found = capsys.readouterr()
     assert found.err.count("0.png: the image cannot be read") == 1
-    assert found.out.startswith("ready after ")
+    assert found.out.count("ready after ") == 1
     assert "that arrived during compilation were dropped" in found.out
     with open(tmp_path / "out" / "statistics.json") as file:
         counts = json.load(file)["live"]

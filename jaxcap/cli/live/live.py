@@ -28,7 +28,7 @@ from ..console.heartbeat import set_activity, write_status
 from ..console.options import BodySpec, DepthSpec, Flag, OptionalCount, OptionalFile, Skl, Unit, Up, Vj, arg
 from ..depth.sources import DepthScale, read_empty
 from ..sources import load_body
-from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, read_terms
+from ..terms import FloorHeight, LimitsFile, LimitWeight, PriorFile, print_floor, read_terms
 from ..track.frame_records import pack, pose_layout, results_width, row_template, row_width, unpack_results
 from ..track.results import check_folder, check_some_found, make_writable, write_results
 from ..track.track import JOURNAL
@@ -203,6 +203,7 @@ class LiveRun:
             num_points=options.num_points,
             on_frame=self._keep,
             search=not options.no_search,
+            find_floor=options.floor is None,
         )
         self.statistics = self._live.statistics
         self._printed = 0.0
@@ -255,6 +256,7 @@ class LiveRun:
             frame = read()
             seconds = self._live.warm_up(observation(frame, self.options.up), frame.name)
             self._is_ready = True
+            print_floor(self._live.floor)
             later = "; later starts are faster, as the compiled functions are kept"
             say(f"ready after {seconds:.1f} s{later if count_kept_functions() > kept else ''}")
         except InputError as error:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...body.body import Body
 from ...body.pose import Motion
+from ...energy.data.floor import make_measured_floor
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError, user_message
 from ...io.archives.journal import Journal
@@ -210,7 +211,8 @@ class Track:
         floor = None
         if self.floor is None:
             floor = floor_below_person(found._replace(clouds=clouds), planes, self.out / JOURNAL, self.resume)
-            terms += print_floor(body, floor)
+            print_floor(floor)
+            terms += () if floor is None else (make_measured_floor(body, floor),)
         tracker = self.tracker(body, terms)
         with run_lock(self.out):
             journal = check_folder(self.out, JOURNAL, self.resume, self.overwrite)
