@@ -185,6 +185,14 @@ def test_a_small_woman_is_found_from_the_generic_human(tracked):
     assert heights[0] == pytest.approx(heights[1], abs=0.01)
 
 
+def test_the_first_steps_to_a_child_are_no_extrapolation(tracked):
+    """Surface beyond the ends of the clouds counts as the points do, so that no coefficient goes far beyond people's."""
+    _, tracker, clouds, poses, space = tracked
+    small = [eqx.tree_at(lambda c: c.points, cloud, 0.75 * cloud.points) for cloud in clouds]
+    body = fit_tracked_shape(tracker, small, poses, space, 1, 0)
+    assert float(jnp.abs(fit_coefficients(space, body)).max()) < 6
+
+
 def test_two_people_in_the_same_clouds_have_their_own_shapes(tracked):
     """A small woman next to the man of the template, both from the generic body."""
     person, tracker, clouds, _, space = tracked

@@ -59,7 +59,7 @@ EXACT_ROUNDS = 10
 #: least standard deviation of the points in the first rounds, metres: the surface of a person of another build is far away
 FIRST_SIGMAS = (0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03, 0.025, 0.02, 0.015)
 
-#: standard deviation of surface beyond the end of a cloud, metres
+#: least standard deviation of surface beyond the end of a cloud, metres
 EXTENT_DEVIATION = 0.005
 
 
@@ -238,14 +238,16 @@ def coefficient_spread(space: BodyModel, frames: Cloud) -> Float[Array, "K"]:
 def further_terms(tracker: Tracker, body: Body, clouds: Cloud) -> tuple:
     """Make the terms of each frame other than those of its points, stacked over the frames."""
     tracker = eqx.tree_at(lambda t: t.body, tracker, body)
-    return jax.lax.map(lambda cloud: jax.tree.map(jnp.asarray, _other_terms(tracker, cloud)), clouds)
+    sigma = jnp.zeros((), body.vertices.dtype)
+    return jax.lax.map(lambda cloud: jax.tree.map(jnp.asarray, _other_terms(tracker, cloud, sigma)), clouds)
 
 
-def _other_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
+def _other_terms(tracker: Tracker, cloud: Cloud, sigma: Float[Array, ""]) -> tuple[AbstractEnergy, ...]:
     """Make the terms of a frame other than those of its points.
 
     Points in clothes pull a larger body over themselves, whose feet or hands are beyond the cloud, where nothing pulls
-    them back: an image shows it by free space, and a cloud of the whole person by its ends.
+    them back: an image shows it by free space, and a cloud of the whole person by its ends. These count no more than the
+    points with their standard deviation `sigma`: a step that only they decide would be an extrapolation by decimetres.
     """
     terms = partial_terms(tracker, cloud)
     if cloud.views or tracker.pose_prior is not None:
@@ -253,7 +255,7 @@ def _other_terms(tracker: Tracker, cloud: Cloud) -> tuple[AbstractEnergy, ...]:
     count = len(tracker.body.vertices)
     rows = jnp.asarray(even_indices(count, NUM_TESTED), jnp.int32)
     weights = jnp.full(len(rows), 1.0 / len(rows)) * jnp.sum(cloud.weights)
-    deviation = jnp.asarray(EXTENT_DEVIATION, weights.dtype)
+    deviation = jnp.maximum(sigma, EXTENT_DEVIATION).astype(weights.dtype)
     return (*terms, CloudExtent(rows, weights, extent_heights(cloud), deviation))
 
 
@@ -277,7 +279,7 @@ def frame_terms(tracker: Tracker, body: Body, clouds: Cloud, poses: Pose, sigmas
         terms = (
             PointToPlane(vertices, lifted, posed.normals[vertices], (1.0 - along) * weights),
             PointToPoint(vertices, points, along * weights),
-            *_other_terms(tracker, cloud),
+            *_other_terms(tracker, cloud, sigma),
         )
         # constants of a term, such as those of a prior, are repeated for each frame
         return jax.tree.map(jnp.asarray, terms), renewed
