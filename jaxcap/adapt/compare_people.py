@@ -1,5 +1,7 @@
 """Comparison of the person in each scan with those in the other scans, after an adaptation to all of them."""
 
+from itertools import combinations
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from ..arguments import checked
 from ..body.body import Body
 from ..body.people.anatomy import without_side
+from ..body.pose import Pose
 from ..body.shape_modes import ShapeModes
 from ..energy.data.pairs import stack_pairs
 from ..fit.correspondence.nearest_assignment import IndexedScan
@@ -69,7 +72,7 @@ def compare_people(task: AdaptTask, state: AdaptState) -> tuple[OtherPerson, ...
     coefficients = list(parallel_map(fit, ((frame, task.scan(frame)) for frame in frames)))
     shifts = np.stack(coefficients) @ _mean_shifts(state.body, modes, list(parts.values()))
     limits = np.array([SURFACES[name][1] for name in parts])
-    first, *others = group_people(shifts / limits)
+    first, *others = group_people(shifts / limits, pose_distances(state.motion.poses, frames))
     found = []
     for group in others:
         differences = np.median(shifts[group], 0) - np.median(shifts[first], 0)
@@ -79,21 +82,44 @@ def compare_people(task: AdaptTask, state: AdaptState) -> tuple[OtherPerson, ...
     return tuple(found)
 
 
-def group_people(values: Float[np.ndarray, "F M"]) -> list[list[int]]:
-    """Group rows that are linked by distances of less than a limit, and return the groups, the largest first.
+def group_people(values: Float[np.ndarray, "F M"], poses: Float[np.ndarray, "F F"]) -> list[list[int]]:
+    """Group rows that differ by less than a limit, or that others link, and return the groups, the largest first.
 
-    A distance is the largest one over the columns. Two people differ by more than one in a column. If the scans of one person
-    differ less than they may, people differ by `LINK_FACTOR` times the median link of the minimum spanning tree.
+    A distance is the largest one over the columns, and two people differ by more than one. If most scans differ less from the
+    nearest ones, people differ by `LINK_FACTOR` times the median link of the minimum spanning tree. In this case the differences
+    must not come from poses, between which `poses` are the distances: two groups are of one person if all poses of one
+    are farther from those of the other than the links within both.
     """
     distances = np.abs(values[:, None] - values[None]).max(-1)
-    # an absent link is one of length zero
-    tree = minimum_spanning_tree(np.maximum(distances, 1e-9))
-    limit = np.clip(LINK_FACTOR * np.median(tree.data), MIN_LIMIT, 1.0)
-    tree.data[tree.data >= limit] = 0.0
-    tree.eliminate_zeros()
-    count, labels = connected_components(tree, directed=False)
-    groups = [np.flatnonzero(labels == label).tolist() for label in range(count)]
-    return sorted(groups, key=len, reverse=True)
+    limit = np.clip(LINK_FACTOR * np.median(_links(distances)), MIN_LIMIT, 1.0)
+    groups = _linked_rows(distances < limit)
+    reach = [_links(poses[np.ix_(group, group)]).max(initial=0.0) for group in groups]
+    same = np.eye(len(groups), dtype=bool)
+    for one, two in combinations(range(len(groups)), 2):
+        across = np.ix_(groups[one], groups[two])
+        other_poses = poses[across].min() > max(reach[one], reach[two])
+        same[one, two] = other_poses and distances[across].min() < 1
+    people = [[row for group in own for row in groups[group]] for own in _linked_rows(same)]
+    return sorted(map(sorted, people), key=len, reverse=True)
+
+
+def _links(distances: Float[np.ndarray, "F F"]) -> Float[np.ndarray, "L"]:
+    """Compute the lengths of the links of the minimum spanning tree."""
+    # a link of length zero counts as none
+    return minimum_spanning_tree(np.maximum(distances, 1e-9)).data
+
+
+def _linked_rows(linked: Bool[np.ndarray, "F F"]) -> list[list[int]]:
+    """List the rows of each connected component."""
+    count, labels = connected_components(linked, directed=False)
+    return [np.flatnonzero(labels == label).tolist() for label in range(count)]
+
+
+def pose_distances(poses: Pose, frames: list[int]) -> Float[np.ndarray, "F F"]:
+    """Compute the distances of some of stacked poses, root mean squares of the joints' angles without the root's, radians."""
+    turns = np.asarray(poses.rotations, float)[frames, 1:]
+    cosines = np.abs(np.einsum("fjk,gjk->fgj", turns, turns))
+    return np.sqrt(np.mean((2 * np.arccos(np.minimum(cosines, 1.0))) ** 2, -1))
 
 
 def surface_parts(body: Body) -> dict[str, Bool[np.ndarray, "V"]]:
