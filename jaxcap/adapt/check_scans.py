@@ -112,8 +112,9 @@ def check_later_scans(task: AdaptTask, state: AdaptState, names: Sequence[str]) 
     height, known = height_of(state.body), []
     for frame in task.scanned[1:]:
         scan = make_scan(thin_cloud(task.cloud(frame), NUM_CHECKED))
-        _, distances = fit_quality(state, frame, scan)
-        for rows in _other_objects(scan, distances, height):
+        like, distances = fit_quality(state, frame, scan)
+        # a lost body leaves its own person
+        for rows in _other_objects(scan, distances, height) if is_person(like) else ():
             middle = np.median(scan.points[rows], 0)
             if len(known) == MAX_OBJECTS or any(
                 np.linalg.norm(middle - other) < MIN_OBJECT_DISTANCE * height for other in known

@@ -33,7 +33,6 @@ COEFFICIENT_DEVIATION = 0.3
 #: number of parts that are named with their differences
 NUM_NAMED = 3
 
-
 #: joints without their sides, and the least mean distance between the surfaces of two people there, metres. Those of one person
 #: differ by up to half of it between poses
 SURFACES: dict[str, tuple[tuple[str, ...], float]] = {
@@ -46,12 +45,15 @@ SURFACES: dict[str, tuple[tuple[str, ...], float]] = {
 }
 #: if the scans of one person differ less, a smaller limit holds: this multiple of the median distance of a scan from its nearest
 #: group, and at least this share
-LINK_FACTOR, MIN_LIMIT = 4.0, 0.2
+LINK_FACTOR, MIN_LIMIT = 4.0, 0.4
+#: with this smaller limit, scans whose poses differ from the others by more than this multiple of the links between their own poses
+#: are not of another person
+POSE_FACTOR = 1.5
 
 
 @checked
 def compare_people(task: AdaptTask, state: AdaptState) -> tuple[OtherPerson, ...]:
-    """Find scans whose person differs from the person in most scans, although one body was adapted to all of them.
+    """Find scans whose person differs from the person in most of the scans, although one body was adapted to all of them.
 
     A few rounds fit coefficients of the shape space, and the pose, to each scan alone, from the adapted body. What is missing
     in this body, or in the shape space, is the same in all scans. Around a limb the mean shift of the surface along its normals
@@ -71,6 +73,10 @@ def compare_people(task: AdaptTask, state: AdaptState) -> tuple[OtherPerson, ...
 
     coefficients = list(parallel_map(fit, ((frame, task.scan(frame)) for frame in frames)))
     shifts = np.stack(coefficients) @ _mean_shifts(state.body, modes, list(parts.values()))
+    finite = np.flatnonzero(np.isfinite(shifts).all(1))
+    frames, shifts = [frames[row] for row in finite], shifts[finite]
+    if len(frames) < 2:
+        return ()
     limits = np.array([SURFACES[name][1] for name in parts])
     first, *others = group_people(shifts / limits, pose_distances(state.motion.poses, frames))
     found = []
@@ -88,7 +94,7 @@ def group_people(values: Float[np.ndarray, "F M"], poses: Float[np.ndarray, "F F
     A distance is the largest one over the columns, and two people differ by more than one. If most scans differ less from the
     nearest ones, people differ by `LINK_FACTOR` times the median link of the minimum spanning tree. In this case the differences
     must not come from poses, between which `poses` are the distances: two groups are of one person if all poses of one
-    are farther from those of the other than the links within both.
+    are farther from those of the other than `POSE_FACTOR` times the links within both.
     """
     distances = np.abs(values[:, None] - values[None]).max(-1)
     limit = np.clip(LINK_FACTOR * np.median(_links(distances)), MIN_LIMIT, 1.0)
@@ -97,7 +103,7 @@ def group_people(values: Float[np.ndarray, "F M"], poses: Float[np.ndarray, "F F
     same = np.eye(len(groups), dtype=bool)
     for one, two in combinations(range(len(groups)), 2):
         across = np.ix_(groups[one], groups[two])
-        other_poses = poses[across].min() > max(reach[one], reach[two])
+        other_poses = poses[across].min() > POSE_FACTOR * max(reach[one], reach[two])
         same[one, two] = other_poses and distances[across].min() < 1
     people = [[row for group in own for row in groups[group]] for own in _linked_rows(same)]
     return sorted(map(sorted, people), key=len, reverse=True)

@@ -162,11 +162,16 @@ def others_table(state: AdaptState) -> Markup:
         (
             ", ".join(map(str, other.frames[:MAX_LISTED]))
             + (" and more" if len(other.frames) > MAX_LISTED else ""),
-            ", ".join(f"{1000 * shift:+.1f} mm {name}" for name, shift in other.differences),
+            ", ".join(f"{1000 * shift:+.1f} mm at the {name}" for name, shift in other.differences),
         )
         for other in state.others
     ]
-    return table("Frames, counted from 0", ("frames", "differences from most scans"), rows, words=(0, 1))
+    return table(
+        "Frames, counted from 0",
+        ("frames", "distance of the surface from the others, outwards"),
+        rows,
+        words=(0, 1),
+    )
 
 
 def variant_table(variants: tuple[Variant, ...]) -> Markup:

@@ -196,8 +196,8 @@ def test_a_second_person_in_a_later_scan(scene, monkeypatch):
     column = clouds[0][0].mean(0) + [0.8 * height, 0.0, 0.0] + size
 
     def cloud(frame: int) -> jc.Cloud:
-        points = clouds[frame][0]
-        return jc.make_cloud(np.concatenate([points, column]) if frame in (3, 4) else points)
+        parts = [clouds[frame], (column, np.zeros_like(column))][: 2 if frame in (3, 4) else 1]
+        return jc.make_cloud(*map(np.concatenate, zip(*parts, strict=True)))
 
     def like(share: float):
         monkeypatch.setattr(
@@ -213,6 +213,10 @@ def test_a_second_person_in_a_later_scan(scene, monkeypatch):
     like(0.9)
     check_people(task, state._replace(within=4), names)
     check_people(task, state._replace(done=3), names)
+    # a body that has lost its person
+    away = jc.Pose(poses[0].translations + 5.0, poses[0].rotations, poses[0].scale)
+    lost = state._replace(motion=stack_poses([away] * FRAMES, 10.0))
+    check_people(task, lost, names)
     with pytest.raises(jc.InputError, match=r"3\.ply: this scan contains more than one.*--skip-person-check"):
         check_people(task, state, names)
 

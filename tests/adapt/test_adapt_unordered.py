@@ -226,7 +226,7 @@ def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_pat
     state = state._replace(others=(OtherPerson((3, 5), (("chest", -0.0072), ("thighs", 0.004))),))
     warn_of_others(state, read_clouds(str(tmp_path / "*.ply")))
     (line,) = capsys.readouterr().err.splitlines()
-    assert "2 of 8 scans differ" in line and "scan_0003.ply, scan_0005.ply" in line
+    assert "2 of 8 scans may be of another person" in line and "scan_0003.ply, scan_0005.ply" in line
     assert "-7.2 mm at the chest, +4.0 mm at the thighs" in line
     made = make_checkpoint(state)
     kept = restore_state(made, tmp_path / "kept")

@@ -302,13 +302,13 @@ def test_scans_of_two_people_of_one_size_are_noticed(people, weight):
 
 def test_groups_of_people_by_their_distances():
     def groups(*values: float, poses: tuple[float, ...] = ()) -> list[list[int]]:
-        angles = np.array(poses or np.arange(len(values)) % 2)
+        angles = np.array(poses or np.arange(len(values)) % 2, float)
         return group_people(np.array(values)[:, None] * [1.0, -0.5], np.abs(angles[:, None] - angles))
 
     assert groups(0.0, 0.4, 0.8) == [[0, 1, 2]]
     assert groups(0.0, 1.4, 0.3) == [[0, 2], [1]]
     # three people, who differ little, but their own scans differ less
-    values = (0.0, 0.5, 0.02, 0.52, 0.04, 0.9, 0.03, 0.01)
+    values = (0.0, 0.5, 0.02, 0.52, 0.04, 0.98, 0.03, 0.01)
     assert groups(*values) == [[0, 2, 4, 6, 7], [1, 3], [5]]
     assert groups(0.0, 0.1, 0.2, 0.3, 0.6) == [[0, 1, 2, 3, 4]]
     # one person in other poses, and another one

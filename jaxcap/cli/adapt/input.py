@@ -144,9 +144,9 @@ def warn_of_others(state: AdaptState, scans: Scans) -> None:
         more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
         parts = ", ".join(f"{1000 * shift:+.1f} mm at the {name}" for name, shift in other.differences)
         warn(
-            f"{len(named)} of {len(scans)} scans {'differs' if len(named) == 1 else 'differ'} from most others as those of another person "
-            f"do, by {parts}, so the body may be a mean of several people: {', '.join(named[:NAMED])}{more}; adapt to the scans of each "
-            "person by itself, unless only clothes differ or these poses are wrong"
+            f"{len(named)} of {len(scans)} scans may be of another person than the others: {', '.join(named[:NAMED])}{more}; their surface is "
+            f"further out by {parts}, so the body may be a mean of several people; adapt to the scans of each person by itself, "
+            "unless only clothes differ or these poses are wrong"
         )
 
 
