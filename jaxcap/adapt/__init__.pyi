@@ -1,5 +1,6 @@
 """Adapt a template body to the actor in a sequence of scans."""
 
+from .compare_people import compare_people as compare_people
 from .objective import CoefficientPrior as CoefficientPrior
 from .objective import PoseTerms as PoseTerms
 from .objective import shared_problem as shared_problem
@@ -24,3 +25,4 @@ from .shape.vertex_adaptation import adapt_together as adapt_together
 from .task import AdaptSettings as AdaptSettings
 from .task import AdaptState as AdaptState
 from .task import AdaptTask as AdaptTask
+from .task import OtherPerson as OtherPerson

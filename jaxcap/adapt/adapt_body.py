@@ -19,6 +19,7 @@ from ..tracking.limb_flips import flip_limb_ends
 from ..tracking.search.initialise import search_size
 from ..tracking.track import track_frames
 from .adapt_round import adapt_round
+from .compare_people import compare_people
 from .history import append_history
 from .objective import balancing_weight, motion_energy
 from .poses.fit_frame import fit_task_poses
@@ -56,6 +57,9 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
     proportions and correct flipped hands; adapt vertices and joints, in rounds, to some frames that are
     spread over the motion; track and adapt again; fit every pose by itself; smooth all poses.
 
+    After the last stage, `lost` lists frames that the body does not explain, and `others` scans that seem to show other people
+    (`compare_people`).
+
     A frame that is `missing` is lost: its pose is interpolated between those of the frames around it.
 
     Memory is that of the clouds of the chosen frames, or of one window.
@@ -80,6 +84,7 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
                 state = yield from _STAGES[stage.name](task, state, stage, every)
         if number + 1 == len(stages):
             state = flag_frames(task, state, final=True)
+            state = state._replace(others=compare_people(task, state))
         yield (state := state._replace(done=number + 1))
 
 

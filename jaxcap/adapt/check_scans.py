@@ -13,7 +13,7 @@ from ..fit.correspondence.nearest_assignment import IndexedScan, make_scan
 from ..geometry.camera import Camera, check_views
 from ..geometry.closest import nearest_on_surface
 from ..geometry.sampling import connected_labels
-from ..observe.clouds import Cloud, make_cloud
+from ..observe.clouds import Cloud, make_cloud, thin_cloud
 from .adapt_body import adapt_body
 from .task import AdaptState, AdaptTask
 
@@ -31,6 +31,9 @@ MIN_OBJECT_DISTANCE = 0.15
 #: another object may be a person if it has at least this share of the points, at least this share of the
 #: body's height, and at most this width, as a share of the same height
 MIN_OBJECT_SHARE, MIN_OBJECT_HEIGHT, MAX_OBJECT_WIDTH = 0.15, 0.5, 1.3
+#: number of points of a later scan that is checked for a second person, and number of objects in these scans that are compared
+#: with a person
+NUM_CHECKED, MAX_OBJECTS = 5000, 5
 #: share of a scan's points that may lie below its floor
 FLOOR_QUANTILE = 0.02
 #: link length of connected points, as a share of the body's height
@@ -88,23 +91,57 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
     first = task.scanned[0]
     scan, height = task.scan(first), height_of(state.body)
     like, distances = fit_quality(state, first, scan)
-    # a floor would link all objects on it
-    floor = float(np.quantile(scan.points[:, 1], FLOOR_QUANTILE)) + LINK_LENGTH * height
-    far = np.flatnonzero((distances > MIN_OBJECT_DISTANCE * height) & (scan.points[:, 1] > floor))
-    for group in person_sized_groups(scan.points[far], height, len(scan.points)):
-        rows = far[group]
-        other = _fit_quality_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))
-        if is_person(other) and other.length >= MIN_FOLDED_EXTENT:
-            place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
-            raise InputError(
-                f"{where}: this scan contains more than one person, another one near ({place}); crop the scans to "
-                "one person."
-            )
+    for rows in _other_objects(scan, distances, height):
+        _refuse_person(task, scan, rows, where)
     if not is_person(like):
         raise InputError(
             f"{where}: this scan does not resemble a person. The best-fitting body is {height:.2f} m tall and explains "
             f"{100 * like.share:.0f} % of the nearby points, over a length of {like.length * height:.2f} m; expected at "
             f"least {100 * min_explained_share(like):.0f} %; give scans of one person without floor and walls, and their unit."
+        )
+
+
+def check_later_scans(task: AdaptTask, state: AdaptState, names: Sequence[str]) -> None:
+    """Check that no scan after the first one contains a second person, with the poses after the stage `track`.
+
+    `names` name the scans in messages. An object that stays in its position is fitted once, and at most
+    `MAX_OBJECTS` objects are.
+
+    **Raises:** `InputError` if a scan contains another object that is like a person.
+    """
+    height, known = height_of(state.body), []
+    for frame in task.scanned[1:]:
+        scan = make_scan(thin_cloud(task.cloud(frame), NUM_CHECKED))
+        like, distances = fit_quality(state, frame, scan)
+        # a lost body leaves its own person
+        for rows in _other_objects(scan, distances, height) if is_person(like) else ():
+            middle = np.median(scan.points[rows], 0)
+            if len(known) == MAX_OBJECTS or any(
+                np.linalg.norm(middle - other) < MIN_OBJECT_DISTANCE * height for other in known
+            ):
+                continue
+            known.append(middle)
+            _refuse_person(task, scan, rows, names[frame])
+
+
+def _other_objects(
+    scan: IndexedScan, distances: Float[np.ndarray, "N"], height: float
+) -> list[Int[np.ndarray, "_"]]:
+    """Find the points of objects away from the body that are as large as a person, largest first."""
+    # a floor would link all objects on it
+    floor = float(np.quantile(scan.points[:, 1], FLOOR_QUANTILE)) + LINK_LENGTH * height
+    far = np.flatnonzero((distances > MIN_OBJECT_DISTANCE * height) & (scan.points[:, 1] > floor))
+    return [far[group] for group in person_sized_groups(scan.points[far], height, len(scan.points))]
+
+
+def _refuse_person(task: AdaptTask, scan: IndexedScan, rows: Int[np.ndarray, "_"], where: str) -> None:
+    """Raise `InputError` if some points of a scan are a person's."""
+    other = _fit_quality_alone(task, make_cloud(scan.points[rows], scan.normals[rows]))
+    if is_person(other) and other.length >= MIN_FOLDED_EXTENT:
+        place = ", ".join(f"{value:.2f}" for value in np.median(scan.points[rows], 0))
+        raise InputError(
+            f"{where}: this scan contains more than one person, another one near ({place}); crop the scans to "
+            "one person."
         )
 
 

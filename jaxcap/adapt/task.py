@@ -95,6 +95,14 @@ def check_settings(settings: AdaptSettings) -> None:
     )
 
 
+class OtherPerson(NamedTuple):
+    """Scans of one person, who differs from the person in most of the scans (`compare_people`)."""
+
+    frames: tuple[int, ...]
+    #: the measures that differ, with their difference from those of most scans, metres; the clearest first
+    differences: tuple[tuple[str, float], ...]
+
+
 class AdaptState(NamedTuple):
     """The state of an adaptation; an adaptation resumed from it gives bitwise the same result."""
 
@@ -125,6 +133,8 @@ class AdaptState(NamedTuple):
     tracked: TrackedFrame | None = None
     #: the reason for each of the `lost` frames
     reasons: tuple[str, ...] = ()
+    #: scans that seem to show other people than most scans do; only after the last stage
+    others: tuple[OtherPerson, ...] = ()
 
 
 class AdaptTask(NamedTuple):

@@ -66,6 +66,8 @@ PAIRS_NOTE = """The distance that the adaptation minimises: between the points o
 for distant pairs. Some stages use other scans, so a small increase need not mean a worse body."""
 LOST_NOTE = """Each frame is compared with the typical values of all frames for each part: unexplained points, surface that
 should be visible but has no points, and the distance from the points to the body."""
+OTHERS_NOTE = """The body was adapted to all scans, but these differ from most others as scans of another person do. Adapt to the
+scans of each person by itself, unless only clothes differ, or the poses are wrong."""
 #: largest number of lost frames that are listed
 MAX_LISTED = 20
 #: packages whose versions may affect a result
@@ -109,6 +111,10 @@ def adaptation_page(
         notes = element("p", ANGLE_NOTE, SMOOTHING_NOTE if angles.after is not None else "")
         shakes = (jitter_table(angles, skeleton), element("p", JITTER_NOTE, class_="soft"))
         parts.append(section("Joint angles over time", notes, angle_charts(angles, skeleton), *shakes))
+    if state.others:
+        parts.append(
+            section("Scans of other people", others_table(state), element("p", OTHERS_NOTE, class_="soft"))
+        )
     if state.lost:
         parts.append(section("Lost frames", lost_table(state), element("p", LOST_NOTE, class_="soft")))
     every = element("details", element("summary", "All stages"), history_table(state.history, state.terms))
@@ -148,6 +154,24 @@ def lost_table(state: AdaptState) -> Markup:
     reasons = state.reasons or ("",) * len(state.lost)
     rows = [[str(frame), reason] for frame, reason in zip(state.lost, reasons, strict=True)]
     return table("Lost frames, counted from 0", ("frame", "reason"), rows, words=(1,))
+
+
+def others_table(state: AdaptState) -> Markup:
+    """Tabulate the scans that seem to show other people, with the differences of these from most scans."""
+    rows = [
+        (
+            ", ".join(map(str, other.frames[:MAX_LISTED]))
+            + (" and more" if len(other.frames) > MAX_LISTED else ""),
+            ", ".join(f"{1000 * shift:+.1f} mm at the {name}" for name, shift in other.differences),
+        )
+        for other in state.others
+    ]
+    return table(
+        "Frames, counted from 0",
+        ("frames", "distance of the surface from the others, outwards"),
+        rows,
+        words=(0, 1),
+    )
 
 
 def variant_table(variants: tuple[Variant, ...]) -> Markup:

@@ -27,7 +27,7 @@ from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.retraction import difference
 from jaxcap.cli.adapt.adapt import Adapt
-from jaxcap.cli.adapt.input import check_input
+from jaxcap.cli.adapt.input import check_input, check_people
 from jaxcap.cli.adapt.state import fingerprint_of, keep_state, load_resumed_state
 from jaxcap.energy.data.pairs import stack_pairs
 from jaxcap.energy.priors.reference_pose import RestPrior
@@ -186,6 +186,39 @@ def test_something_else_than_the_body(scene, monkeypatch):
     )
     with pytest.raises(jc.InputError, match="this scan contains more than one person, another one near"):
         check_actor(alone(task, np.concatenate([clouds[0][0], column])), state, "a.ply")
+
+
+def test_a_second_person_in_a_later_scan(scene, monkeypatch):
+    """The scan is named, and an object that stays in its position is compared with a person once."""
+    _, actor, poses, clouds = scene
+    rng, height, compared = np.random.default_rng(1), height_of(actor), []
+    size = 0.5 * height * rng.uniform([-0.1, -1, -0.1], [0.1, 1, 0.1], (900, 3))
+    column = clouds[0][0].mean(0) + [0.8 * height, 0.0, 0.0] + size
+
+    def cloud(frame: int) -> jc.Cloud:
+        parts = [clouds[frame], (column, np.zeros_like(column))][: 2 if frame in (3, 4) else 1]
+        return jc.make_cloud(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def like(share: float):
+        monkeypatch.setattr(
+            check_scans, "_fit_quality_alone", lambda *_: compared.append(0) or FitQuality(share, 0.9)
+        )
+
+    task = task_of(scene)._replace(cloud=cloud)
+    names = [f"{number}.ply" for number in range(FRAMES)]
+    state = AdaptState(2, actor, 1.0, stack_poses(poses, 10.0))
+    like(0.1)
+    check_people(task, state, names)
+    assert len(compared) == 1
+    like(0.9)
+    check_people(task, state._replace(within=4), names)
+    check_people(task, state._replace(done=3), names)
+    # a body that has lost its person
+    away = jc.Pose(poses[0].translations + 5.0, poses[0].rotations, poses[0].scale)
+    lost = state._replace(motion=stack_poses([away] * FRAMES, 10.0))
+    check_people(task, lost, names)
+    with pytest.raises(jc.InputError, match=r"3\.ply: this scan contains more than one.*--skip-person-check"):
+        check_people(task, state, names)
 
 
 def test_what_a_body_explains_of_its_own_surface_and_of_one_inside_out(scene):

@@ -26,7 +26,7 @@ from jaxcap.adapt.evaluate import (
     variant_names,
 )
 from jaxcap.adapt.objective import Terms
-from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, plan_stages
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask, OtherPerson, plan_stages
 from jaxcap.body.body import scale_body
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.retraction import retract
@@ -39,7 +39,7 @@ from jaxcap.geometry.mesh import sample_surface
 from jaxcap.io.archives.checkpoint import save_checkpoint
 from jaxcap.io.meshes.clouds import read_clouds
 from jaxcap.metrics import scan_to_surface
-from jaxcap.report.adaptation import adaptation_page, report_adaptation
+from jaxcap.report.adaptation import adaptation_page, others_table, report_adaptation
 from jaxcap.report.chart import svg_path, ticks
 from jaxcap.report.page import VOID, element, page, table
 
@@ -305,3 +305,11 @@ def test_what_is_refused(tmp_path, capsys):
     assert "--report-every is 0" in fails(capsys, *words, tmp_path / "a.html", "--report-every", 0)
     (tmp_path / "there.html").write_text("")
     assert "already exists" in fails(capsys, *words, tmp_path / "there.html")
+
+
+def test_scans_of_other_people_are_listed():
+    body = chain_body("linear", 4, 3)
+    motion = stack_poses([rest_pose(body.skeleton)] * 4, 30.0)
+    other = OtherPerson((1, 3), (("pelvis", -0.0128), ("chest", 0.002)))
+    shown = str(others_table(AdaptState(1, body, 1.0, motion, others=(other,))))
+    assert "1, 3" in shown and "-12.8 mm at the pelvis, +2.0 mm at the chest" in shown

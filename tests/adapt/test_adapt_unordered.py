@@ -21,10 +21,10 @@ from jaxcap.adapt.poses.similarity import (
 )
 from jaxcap.adapt.poses.unordered import find_poses, visiting_order, worse_than_usual
 from jaxcap.adapt.prepare import make_adapt_task
-from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
+from jaxcap.adapt.task import AdaptSettings, AdaptState, OtherPerson, plan_stages
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.retraction import retract
-from jaxcap.cli.adapt.input import format_explained, warn_of_lost
+from jaxcap.cli.adapt.input import format_explained, warn_of_lost, warn_of_others
 from jaxcap.cli.adapt.state import make_checkpoint, restore_state
 from jaxcap.geometry import rotation
 from jaxcap.geometry.mesh import sample_surface
@@ -223,8 +223,18 @@ def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_pat
     assert format_explained(state._replace(lost=(), reasons=())) == "all scans explained"
     told = fails(capsys, "adapt", "human", tmp_path, "-o", tmp_path / "a.npz", "--unordered", "--ordered")
     assert "--unordered and --ordered are opposites" in told
-    kept = restore_state(make_checkpoint(state), tmp_path / "kept")
-    assert (kept.lost, kept.reasons) == (state.lost, state.reasons)
+    state = state._replace(others=(OtherPerson((3, 5), (("chest", -0.0072), ("thighs", 0.004))),))
+    warn_of_others(state, read_clouds(str(tmp_path / "*.ply")))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "2 of 8 scans may be of another person" in line and "scan_0003.ply, scan_0005.ply" in line
+    assert "-7.2 mm at the chest, +4.0 mm at the thighs" in line
+    made = make_checkpoint(state)
+    kept = restore_state(made, tmp_path / "kept")
+    assert (kept.lost, kept.reasons, kept.others) == (state.lost, state.reasons, state.others)
+    for damaged in ("[[[9], []]]", "[[0]]", "{", "[[[0], [[1, {}]]]]"):
+        arrays = {**made.arrays, "others": np.array(damaged)}
+        with pytest.raises(jc.InputError, match="kept"):
+            restore_state(made._replace(arrays=arrays), tmp_path / "kept")
 
 
 def test_a_distance_is_off_against_the_others():

@@ -11,11 +11,12 @@ from helpers import chain_body
 
 import jaxcap as jc
 from jaxcap.adapt.adapt_body import adapt_body
+from jaxcap.adapt.compare_people import compare_people, group_people
 from jaxcap.adapt.shape import people_shapes, tracked_shape
 from jaxcap.adapt.shape.people_shapes import estimate_people_shapes
 from jaxcap.adapt.shape.shape_space import fit_coefficients, learn_shape_space, shape_space_like
 from jaxcap.adapt.shape.tracked_shape import estimate_shape, fit_tracked_shape
-from jaxcap.adapt.task import AdaptSettings, AdaptTask
+from jaxcap.adapt.task import AdaptSettings, AdaptState, AdaptTask
 from jaxcap.body.body import body_height
 from jaxcap.body.body_model import shape_from_template
 from jaxcap.body.decimate import reduce_body
@@ -273,3 +274,51 @@ def test_what_has_no_shape_space_is_told(tracked):
         fit_tracked_shape(tracked[1], clouds, poses[:2], tracked[4])
     with pytest.raises(jc.InputError, match="num_frames"):
         estimate_shape(tracked[1], clouds, tracked[4], num_frames=0)
+
+
+@pytest.mark.parametrize("weight", [0.5, 0.75])
+def test_scans_of_two_people_of_one_size_are_noticed(people, weight):
+    """The adapted body is between both people, in the true poses."""
+    bodies = [jc.human(resolution="low", joints="tracking", weight=w) for w in (0.5, weight)]
+    numbers = [0, 0, 1, 0, 1]
+    between = shape_from_template(people, sum(fit_coefficients(people, body) for body in bodies) / 2)
+    motion = walk_and_wave(between.skeleton)
+    rng, poses, clouds = np.random.default_rng(0), [], []
+    for frame, number in enumerate(numbers):
+        pose, body = motion[12 * frame], bodies[number]
+        points, normals = sample_surface(
+            np.asarray(jc.pose_body(body, pose).vertices, float), np.asarray(body.faces), 3000, rng
+        )
+        clouds.append(jc.make_cloud(points + 0.002 * rng.normal(size=points.shape), normals))
+        poses.append(pose)
+    prior = RestPrior(jnp.full((between.skeleton.num_joints, 3), 0.7))
+    task = AdaptTask(
+        between, clouds.__getitem__, 5, 30.0, None, prior, (), AdaptSettings(), shape_space=people
+    )
+    state = AdaptState(1, between, 1.0, jc.stack_poses(poses, 30.0), pose_weight=1e-6)
+    others = compare_people(task, state)
+    if weight == 0.5:
+        assert others == ()
+        return
+    assert [other.frames for other in others] == [(2, 4)]
+    (name, shift), *_ = others[0].differences
+    assert name in ("chest", "pelvis", "thighs") and 0.001 < shift < 0.01
+    # a lost scan is not compared, and nothing is without a shape space
+    assert compare_people(task, state._replace(lost=(2, 4))) == ()
+    assert compare_people(task._replace(shape_space=None), state) == ()
+
+
+def test_groups_of_people_by_their_distances():
+    def groups(*values: float, poses: tuple[float, ...] = ()) -> list[list[int]]:
+        angles = np.array(poses or np.arange(len(values)) % 2, float)
+        return group_people(np.array(values)[:, None] * [1.0, -0.5], np.abs(angles[:, None] - angles))
+
+    assert groups(0.0, 0.4, 0.8) == [[0, 1, 2]]
+    assert groups(0.0, 1.4, 0.3) == [[0, 2], [1]]
+    # three people, who differ little, but their own scans differ less
+    values = (0.0, 0.5, 0.02, 0.52, 0.04, 0.98, 0.03, 0.01)
+    assert groups(*values) == [[0, 2, 4, 6, 7], [1, 3], [5]]
+    assert groups(0.0, 0.1, 0.2, 0.3, 0.6) == [[0, 1, 2, 3, 4]]
+    # one person in other poses, and another one
+    values = (0.0, 0.5, 0.02, 0.52, 0.04, 2.5)
+    assert groups(*values, poses=(0.0, 1.0, 0.1, 1.1, 0.2, 0.1)) == [[0, 1, 2, 3, 4], [5]]

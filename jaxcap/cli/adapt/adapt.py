@@ -1,5 +1,6 @@
 """`jaxcap adapt`: adapt a template body to the actor in a sequence of scans."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -47,8 +48,8 @@ from .input import (
     UNORDERED,
     AdaptedScans,
     RunFiles,
-    check_first_scan,
     check_input,
+    check_people,
     check_scan_cameras,
     first_pose,
     format_explained,
@@ -56,6 +57,7 @@ from .input import (
     load_cameras,
     warn_of_few,
     warn_of_lost,
+    warn_of_others,
     warn_of_unusable,
 )
 from .parameters import check_parameters, write_actor_parameters
@@ -124,7 +126,7 @@ class Adapt:
     """Weight of squared distances along the surface, relative to those normal to it: 1 is point to point, 0 is point
     to plane."""
     skip_person_check: Flag = False
-    """Omit the check that the first scan shows one person."""
+    """Omit the checks that the first scan shows a person, and that no scan shows two."""
     report: OptionalFile = None
     """Also write a report of the adaptation, .html, with pictures and tables. --resume adds it to a finished run."""
     parameters: OptionalFile = None
@@ -215,7 +217,7 @@ class Adapt:
         if task.settings.unordered and not self.unordered:
             warn(UNORDERED)
         if state is None or not finished:
-            state = self.adapt(task, state, header, scans.names[0])
+            state = self.adapt(task, state, header, scans.names)
             self.write(state, header, scans, carried)
         if self.parameters is not None:
             of_task = task if self.deviations else None
@@ -236,6 +238,7 @@ class Adapt:
             raise InputError(
                 f"{user_message(error)} {checkpoint_sentence(self.checkpoint_path, state.done)}."
             ) from None
+        warn_of_others(state, scans)
         say(
             f"{self.out}: {len(state.body.vertices)} vertices, {state.size:.3f} times the template's size; "
             f"{state.history[-1][1]:.2f} mm from scan to body; {len(state.motion)} poses in {self.motion_path}, "
@@ -247,18 +250,18 @@ class Adapt:
         warn_of_lost(state, scans)
 
     def adapt(
-        self, task: AdaptTask, state: AdaptState | None, header: dict[str, object], first: str
+        self, task: AdaptTask, state: AdaptState | None, header: dict[str, object], names: Sequence[str]
     ) -> AdaptState:
-        """Run all remaining stages, with a checkpoint after each and within long ones; `first` names the
-        first scan."""
+        """Run all remaining stages, with a checkpoint after each and within long ones; `names` are those of the
+        scans."""
         stages = plan_stages(task.settings)
         with RoundProgress(len(stages), 0 if state is None else state.done, "adapting") as bar:
             try:
                 for reached in adapt_body(
                     task, state, every=max(MIN_CHECKPOINT_FRAMES, task.num_frames // MAX_CHECKPOINTS)
                 ):
-                    if reached.done == 1 and not (reached.within or self.skip_person_check):
-                        check_first_scan(task, reached, first)
+                    if not self.skip_person_check:
+                        check_people(task, reached, names)
                     keep_state(self.checkpoint_path, reached, header)
                     state = reached
                     bar.update(state.done, format_progress(task, state, stages))

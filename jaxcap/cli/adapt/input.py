@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...adapt.check_scans import check_actor, check_cameras
+from ...adapt.check_scans import check_actor, check_cameras, check_later_scans
 from ...adapt.poses.select_frames import select_evenly
-from ...adapt.task import AdaptState, AdaptTask
+from ...adapt.task import AdaptState, AdaptTask, Stage, plan_stages
 from ...body.body import Body
 from ...body.matching.plan import plan_retarget
 from ...body.pose import Pose
@@ -137,13 +137,32 @@ def warn_of_lost(state: AdaptState, scans: Scans) -> None:
         warn(f"  and {len(state.lost) - NAMED} more: frames {', '.join(map(str, state.lost[NAMED:]))}")
 
 
-def check_first_scan(task: AdaptTask, state: AdaptState, where: str) -> None:
-    """Check that the first scan is of one person; the message names the option to continue anyway.
+def warn_of_others(state: AdaptState, scans: Scans) -> None:
+    """Warn of scans that seem to show other people than most of the scans do."""
+    for other in state.others:
+        named = [Path(scans.names[frame]).name for frame in other.frames]
+        more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
+        parts = ", ".join(f"{1000 * shift:+.1f} mm at the {name}" for name, shift in other.differences)
+        warn(
+            f"{len(named)} of {len(scans)} scans may be of another person than the others: {', '.join(named[:NAMED])}{more}; their surface is "
+            f"further out by {parts}, so the body may be a mean of several people; adapt to the scans of each person by itself, "
+            "unless only clothes differ or these poses are wrong"
+        )
 
-    **Raises:** `InputError` if it is not.
+
+def check_people(task: AdaptTask, state: AdaptState, names: Sequence[str]) -> None:
+    """Check after the stage `size` that the first scan is of one person, and after the first stage `track` the later scans; the
+    message names the option to continue anyway. `names` are those of the scans.
+
+    **Raises:** `InputError` if one is not.
     """
+    if state.within:
+        return
     try:
-        check_actor(task, state, where)
+        if state.done == 1:
+            check_actor(task, state, names[0])
+        elif state.done == 1 + plan_stages(task.settings).index(Stage("track")):
+            check_later_scans(task, state, names)
     except InputError as error:
         raise InputError(
             f"{user_message(error)} If the scan does show one person, give --skip-person-check."

@@ -1,6 +1,7 @@
 """The output files of `jaxcap adapt`: its results, and a checkpoint after each stage, replaced atomically."""
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,12 +9,13 @@ import jax
 import numpy as np
 
 from ...adapt.objective import Terms
-from ...adapt.task import AdaptState, AdaptTask, Stage
+from ...adapt.task import AdaptState, AdaptTask, OtherPerson, Stage
 from ...body.body import Body
 from ...errors import InputError, user_message
 from ...io.archives.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ...io.archives.npz import get_array
 from ...io.registry import MOTION_WRITERS
+from ...io.text import parse_json
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.track_frame import make_tracker
 from ..outputs import check_absent
@@ -59,6 +61,7 @@ def make_checkpoint(state: AdaptState) -> Checkpoint:
         "size": np.array(state.size, float),
         "lost": np.array(state.lost, int),
         "reasons": np.array(state.reasons, dtype=str),
+        "others": np.array(json.dumps(state.others)),
         "chosen": np.array(state.chosen, int),
         "traits": np.array(state.coefficients, float),
         "weight": np.array(state.pose_weight, float),
@@ -99,6 +102,7 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> AdaptState:
         motion=checkpoint.motion,
         lost=whole("lost"),
         reasons=tuple(reasons),
+        others=_restore_others(arrays, frames, path),
         chosen=whole("chosen"),
         history=checkpoint.history,
         coefficients=tuple(get_array(arrays, "traits", path, (None,)).tolist()),
@@ -108,6 +112,24 @@ def restore_state(checkpoint: Checkpoint, path: Path) -> AdaptState:
         tracked=_restore_tracked(checkpoint, path),
         terms=tuple(Terms(*row) for row in terms.tolist()),
     )
+
+
+def _restore_others(arrays: Mapping[str, np.ndarray], frames: int, path: Path) -> tuple[OtherPerson, ...]:
+    """Restore the scans of other people; none in files of earlier versions. Raises `InputError`."""
+    if "others" not in arrays:
+        return ()
+    try:
+        found = tuple(
+            OtherPerson(
+                tuple(int(frame) for frame in own), tuple((str(name), float(shift)) for name, shift in parts)
+            )
+            for own, parts in parse_json(str(arrays["others"]), path)
+        )
+    except (TypeError, ValueError, OverflowError):
+        found = None
+    if found is None or not all(0 <= frame < frames for other in found for frame in other.frames):
+        raise InputError(f"{path}: the scans of other people are damaged; give --overwrite to begin anew.")
+    return found
 
 
 def _restore_tracked(checkpoint: Checkpoint, path: Path) -> TrackedFrame | None:

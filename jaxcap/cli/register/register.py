@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+from ...adapt.compare_people import compare_people
 from ...adapt.poses.flag_frames import flag_frames
 from ...adapt.registration.collect import collect_registered
 from ...adapt.registration.register_scans import RegisterSettings, register_scans
@@ -14,7 +15,7 @@ from ...io.meshes.clouds import read_clouds
 from ...io.system.run_lock import run_lock
 from ...observe.floors_and_walls import find_room
 from ..adapt.adapt import Adapt
-from ..adapt.input import AdaptedScans, check_input, warn_of_unusable
+from ..adapt.input import AdaptedScans, check_input, warn_of_others, warn_of_unusable
 from ..console.console import progress
 from ..console.heartbeat import set_activity
 from ..console.options import (
@@ -77,7 +78,7 @@ class Register:
     """The scans are ordered in time, even if successive scans are not similar."""
     keep_planes: KeepPlanes = False
     skip_person_check: Flag = False
-    """Omit the check that the first scan shows one person."""
+    """Omit the checks that the first scan shows a person, and that no scan shows two."""
     first: OptionalCount = None
     """First frame: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None
@@ -183,7 +184,10 @@ class Register:
         task = adapting.task(body, scans, files, tuple(seen.unusable))
         state = AdaptState(len(plan_stages(task.settings)), body, 1.0, motion)
         set_activity("judging the poses")
-        return self.with_meshes(AdaptedScans(task, flag_frames(task, state, final=True), scans))
+        state = flag_frames(task, state, final=True)
+        state = state._replace(others=compare_people(task, state))
+        warn_of_others(state, scans)
+        return self.with_meshes(AdaptedScans(task, state, scans))
 
     def with_meshes(self, found: AdaptedScans) -> AdaptedScans:
         """Add the reader of scans with their triangles to the task."""
