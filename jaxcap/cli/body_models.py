@@ -154,6 +154,8 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
     if not shape:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
+    # many programs fill the coefficients up with zeros, beyond those that a model has
+    shape = {name: np.trim_zeros(values, "b") for name, values in shape.items()}
     counts = {f"num_{name}": len(values) for name, values in shape.items() if name in SHAPE_GROUPS}
     model = load_model(spec, **counts)
     check_gender(spec, motion, gender)

@@ -14,6 +14,7 @@ from .depth.recording import RECORDING_SUFFIXES
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
+from .skeletons.parameters.arrays import is_motion
 from .skeletons.rig_files import find_rig_files
 from .skinned.clip import split_clip
 from .text import read_json, shortened
@@ -190,7 +191,7 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
         return "arrays"
     if {"v_template", "shapedirs", "J_regressor"} <= found:
         return "body model"
-    if "poses" in found and {"trans", "mocap_framerate", "mocap_frame_rate"} & found:
+    if is_motion(found):
         return "amass"
     if found & set(DEPTH_ARRAYS):
         return "depth"

@@ -37,6 +37,7 @@ PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
     "as smpl": ("bodies that are written as .npz", ("own",)),
     "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
     "up": ("motions in AMASS format", ("body", "motion", "points", "angles")),
+    "rate": ("motions in AMASS format", ("body", "motion", "points", "angles")),
     "tolerance": ("bodies that are written as .glb or USD", ("body",)),
     "influences": ("bodies that are written as .glb or USD", ("body",)),
 }

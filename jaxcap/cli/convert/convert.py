@@ -28,7 +28,7 @@ from ...io.registry import (
     write_motion,
     write_skeleton,
 )
-from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shape, write_amass
+from ...io.skeletons.amass import GENDERS, Up, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
 from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
@@ -88,8 +88,10 @@ class Convert:
     """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
     up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
     SOURCE as .npz; `smpl`, the body of SOURCE as a body model in SMPL's format, .npz."""
-    up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
-    """Up axis of a motion in AMASS format. Default: the axis stated in the file, else z."""
+    up: Annotated[Up | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
+    """Up axis of a motion in AMASS format; -y (--up=-y) is that of a camera. Default: the axis stated in the file, else z."""
+    rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
+    """Frames per second of a motion in AMASS format that states none."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
     """Vertices of --body to write as markers, in addition to the joints (not a number of vertices): numbers, NAME=NUMBER, or a text file of
     names and numbers."""
@@ -144,8 +146,7 @@ class Convert:
             if value:
                 raise InputError(f"{self.target}: --{name} and --to were both given; give one of them.")
         check_target(self.target)
-        if self.up and not is_amass(self.source):
-            raise InputError(f"{self.source}: --up is for {PURPOSES['up'][0]}; other motions have y up.")
+        self.check_amass_options(self.source)
         convert_between_bodies(
             self.read_source(),
             self.source,
@@ -159,8 +160,8 @@ class Convert:
     def read_source(self) -> tuple[Body | Skeleton, Motion]:
         """Read the motion of `--to` with its body, or with its skeleton only; a body alone is at rest."""
         if self.body is not None:
-            body = self.body_of_motion(self.source)
-            return body, self.motion_of(self.source, body)[1]
+            skeleton, motion, body = self.read_motion()
+            return body or skeleton, motion
         spec = str(self.source)
         if is_human_spec(spec) or is_model_spec(spec) or identify(self.source) in ("body", "rigged"):
             body = load_body(spec, unit=self.unit or "m")[0]
@@ -181,16 +182,23 @@ class Convert:
             "as smpl": self.as_ == "smpl",
             "vertices": self.vertices,
             "up": self.up,
+            "rate": self.rate is not None,
             "tolerance": self.tolerance != TOLERANCE,
             "influences": self.influences != INFLUENCES,
         }
         check_options(kind, self.target, given)
         check_units(kind, self.source, self.target, self.unit, self.target_unit)
         read = self.motion if kind == "body" and self.body is None else self.source
-        if self.up and (read is None or not is_amass(read)):
-            raise InputError(
-                f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."
-            )
+        self.check_amass_options(read)
+
+    def check_amass_options(self, motion: Path | None) -> None:
+        """Check that options for motions in AMASS's format are given for these only. Raises `InputError`."""
+        for name, value, others in (
+            ("up", self.up, "other motions have y up"),
+            ("rate", self.rate, "other motions state their rate; `jaxcap edit resample` changes it"),
+        ):
+            if value is not None and (motion is None or not is_amass(motion)):
+                raise InputError(f"{motion or self.target}: --{name} is for {PURPOSES[name][0]}; {others}.")
 
     def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
         """Read the source's motion, with the given body if any."""
@@ -223,7 +231,7 @@ class Convert:
 
     def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
         if is_amass(path):
-            return read_amass(path, None if body is None else body.skeleton, self.up)
+            return read_amass(path, None if body is None else body.skeleton, self.up, self.rate)
         skeleton, motion = (
             load_motion(path, self.unit)
             if body is None
