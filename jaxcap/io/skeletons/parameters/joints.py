@@ -80,24 +80,25 @@ def find_skeleton(
             )
         return skeleton
     what = _FAMILIES.get(joints)
-    told = describe_joints(joints)
+    poses = describe_joints(joints)
     if skeleton is None:
         raise InputError(
-            f"{path}: the file has {told} but no skeleton; give a body with these joints, as with --body in `jaxcap convert`."
+            f"{path}: the file has {poses} but no skeleton; give a body with these joints, or add its skeleton by `jaxcap convert {path} motion.npz --body "
+            "BODY`."
         )
     if joints == 22 and skeleton.parents in SMPL_PARENTS.values():
         return skeleton
     if skeleton.num_joints != joints:
         raise InputError(
-            f"{path}: the file has {told} and the body has {skeleton.num_joints} joints; give a body with the same joints, or keep the "
+            f"{path}: the file has {poses} and the body has {skeleton.num_joints} joints; give a body with the same joints, or keep the "
             "first 66 columns of 'poses' if the joints of hands and face do not matter."
             if {joints, skeleton.num_joints} <= SMPL_PARENTS.keys()
-            else f"{path}: the file has {told} and the body has {skeleton.num_joints} joints; give a body with the same joints."
+            else f"{path}: the file has {poses} and the body has {skeleton.num_joints} joints; give a body with the same joints."
         )
     if joints in SMPL_PARENTS and skeleton.parents != SMPL_PARENTS[joints]:
         wrong = next(j for j in range(joints) if skeleton.parents[j] != SMPL_PARENTS[joints][j])
         raise InputError(
-            f"{path}: the file has {told}, but joint {wrong} of the body, '{skeleton.names[wrong]}', has another parent "
+            f"{path}: the file has {poses}, but joint {wrong} of the body, '{skeleton.names[wrong]}', has another parent "
             f"than in {what}; give a body with its joints in that order."
         )
     return skeleton
