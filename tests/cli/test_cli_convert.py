@@ -79,6 +79,9 @@ def test_joint_angles(inputs, tmp_path, capsys):
         path = tmp_path / f"{source.stem}{source.suffix[1:]}.csv"
         told = runs(capsys, "convert", source, path, "--as", "angles", *options)
         assert f"{len(expected.names)} joint angles in degrees, 5 frames at 30 frames per second" in told
+        assert f"joint angles: {len(expected.names)}, in degrees (pelvis_rotation" in runs(
+            capsys, "info", path
+        )
         table = np.genfromtxt(path, delimiter=",", skip_header=2 + len(expected.names), names=True)
         for name in expected.names:
             np.testing.assert_allclose(table[name], expected[name], atol=1e-3)

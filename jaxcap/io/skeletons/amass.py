@@ -129,8 +129,11 @@ def write_amass(
 
 
 def _shape_arrays(shape: Mapping[str, Float[Array | np.ndarray, "..."]]) -> dict[str, np.ndarray]:
-    """Return the arrays of groups of coefficients: those of SMPL's family by their names, all others as shape keys."""
-    arrays = {name: np.asarray(values, float) for name, values in shape.items()}
+    """Return the arrays of groups of coefficients: those of SMPL's family by their names, all others as shape keys.
+
+    Groups without coefficients, which programs that pose the model do not expect, are left out.
+    """
+    arrays = {name: np.asarray(values, float) for name, values in shape.items() if np.size(values)}
     others = [name for name in arrays if name not in SHAPE_GROUPS]
     found = {name: values for name, values in arrays.items() if name in SHAPE_GROUPS}
     if others:

@@ -205,6 +205,13 @@ def test_coefficients_of_one_person_in_each_frame_are_one_shape(tmp_path, rng, r
         read_amass_shape(tmp_path / "m.npz")
 
 
+def test_groups_without_coefficients_are_not_written(walk, tmp_path):
+    write_amass(tmp_path / "m.npz", *walk, {"betas": np.ones(10), "expression": np.zeros(0)})
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as file:
+        assert file["betas"].shape == (10,)
+        assert "expression" not in file
+
+
 def test_a_rate_is_given_where_the_file_has_none(tmp_path, rng):
     given = smpl_like(52, rng)
     amass_file(tmp_path / "m.npz", rng, mocap_framerate=None)
