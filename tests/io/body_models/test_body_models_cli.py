@@ -78,6 +78,16 @@ def test_a_motion_of_amass_moves_its_model_in_its_shape(folder, tmp_path, capsys
     np.testing.assert_allclose(skeleton.centres, arrays["J_regressor"] @ shaped, atol=1e-6)
 
 
+@pytest.mark.parametrize("each", [(), ("--each-person",)])
+def test_vertices_in_another_order_are_doubted(folder, each, tmp_path, capsys):
+    folder, arrays, _, meshes = folder
+    save_meshes(tmp_path / "other.npz", MeshSequence(meshes[:, ::-1], arrays["f"].astype(int), 30.0))
+    main(["fit", f"{folder}/smpl_neutral.npz", f"{tmp_path}/other.npz", "-o", f"{tmp_path}/fit.npz", *each])
+    said = capsys.readouterr().err
+    assert "check that the vertices have the order of those of" in said
+    assert ("give --each-person" in said) == (not each)
+
+
 def test_a_template_becomes_a_body(folder, tmp_path, capsys):
     folder, arrays, *_ = folder
     runs(capsys, "convert", folder / "smpl_neutral.npz", tmp_path / "body.npz", "--as", "body")
