@@ -126,6 +126,8 @@ _COUNTED = {
     "limits": ("joints", "joint", "joints"),
     "joints": ("joints", "frame", "frames"),
 }
+#: functions that read an `.npz` of another function's content
+_READERS = {"amass": "io.read_amass", "body model": "read_body_model"}
 #: names of formats in an `.npz`
 _FORMATS = ("body", "body model", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
@@ -266,7 +268,8 @@ def wrong_arrays_error(path: str | Path, expected: str) -> InputError:
     if kind == "arrays":
         there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
         what += f" ({there or 'none'})"
-    return InputError(f"{path}: this is {what}; expected {expected}; {info_hint(path)}.")
+    reader = f"; in Python jaxcap.{_READERS[kind]} reads it" if kind in _READERS else ""
+    return InputError(f"{path}: this is {what}; expected {expected}; {info_hint(path)}{reader}.")
 
 
 def describe_formats(kinds: Sequence[str]) -> str:

@@ -30,7 +30,14 @@ from ..system.reader_errors import reader_of
 from ..text import check_frame_rate
 from .parameters.arrays import NAMES, RATES, find_array, is_motion, one_shape, pose_vectors, root_positions
 from .parameters.doubts import warn_of_doubts
-from .parameters.joints import SKELETON_PREFIX, SMPL_PARENTS, SMPL_X_PARTS, describe_joints, find_skeleton
+from .parameters.joints import (
+    NUM_TRUNK,
+    SKELETON_PREFIX,
+    SMPL_PARENTS,
+    SMPL_X_PARTS,
+    describe_joints,
+    find_skeleton,
+)
 
 #: verticals of a world; -y is that of a camera, whose y axis points down
 Up = Literal["y", "z", "-y"]
@@ -337,7 +344,8 @@ def _motion(
     frames, joints = len(poses), skeleton.num_joints
     turns = np.zeros((frames, joints, 3))
     # joints that the file does not have are at rest
-    turns[:, : poses.shape[1] // 3] = poses.reshape(frames, -1, 3)
+    known = NUM_TRUNK if poses.shape[1] != 3 * joints else joints
+    turns[:, :known] = poses.reshape(frames, -1, 3)[:, :known]
     rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(canonical=True, scalar_first=True)
     rotations = rotations.reshape(frames, joints, 4)
     moves, root = np.zeros((frames, joints, 3)), np.asarray(skeleton.centres, float)[0]

@@ -192,6 +192,20 @@ def test_a_body_without_hands_is_one_with_hands_at_rest(tmp_path, rng, joints):
     np.testing.assert_allclose(ours, seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12)
 
 
+def test_a_motion_of_smplh_moves_smpl_without_fingers(tmp_path, rng):
+    given = smpl_like(24, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, 52)
+    poses = np.concatenate([arrays["poses"][:, :66], np.zeros((4, 6))], axis=1)
+    seen = smpl_joints(poses, arrays["trans"], SMPL_PARENTS[24], np.asarray(given.centres))
+    with pytest.warns(
+        UserWarning, match="52 joints .* the body has 24; the 22 joints without hands are read"
+    ):
+        motion = read_amass(tmp_path / "m.npz", given)[1]
+    np.testing.assert_allclose(
+        joint_paths(given, motion.poses), seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("rows", [1, 4])
 def test_coefficients_of_one_person_in_each_frame_are_one_shape(tmp_path, rng, rows):
     betas = rng.normal(size=10)
@@ -257,8 +271,8 @@ def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
         ({"poses": np.zeros((3, 156))}, "'trans' has the shape"),
         ({"poses": np.full((4, 156), np.nan)}, "not finite, first in frame 0"),
         (
-            {"poses": np.zeros((4, 72))},
-            "24 joints \\(SMPL\\) and the body has 52 joints; .* first 66 columns",
+            {"poses": np.zeros((4, 165))},
+            "55 joints \\(SMPL-X\\) and the body has 52 joints; .* first 66 columns",
         ),
         ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
         ({"trans": None}, "'trans' \\(or 'transl'\\) of the positions of the root is missing"),

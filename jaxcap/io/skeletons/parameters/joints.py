@@ -1,5 +1,6 @@
 """The joints of SMPL's family in motions in AMASS's format, and the skeleton that a motion has or is given."""
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -43,6 +44,14 @@ SMPL_X_PARTS = {
 
 #: the model that has so many joints
 _FAMILIES = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}
+#: joints of the models without hands and face
+NUM_TRUNK = 22
+
+
+def is_trunk_shared(joints: int, others: int) -> bool:
+    """Test if two models of so many joints differ in the joints of hands only: SMPL and SMPL-H also have the same shapes, and a
+    motion without hands has those of its body."""
+    return joints != others and (joints == NUM_TRUNK or {joints, others} == {24, 52})
 
 
 def describe_joints(joints: int) -> str:
@@ -86,7 +95,13 @@ def find_skeleton(
             f"{path}: the file has {poses} but no skeleton; give a body with these joints, or add its skeleton by `jaxcap convert {path} motion.npz --body "
             "BODY`."
         )
-    if joints == 22 and skeleton.parents in SMPL_PARENTS.values():
+    if skeleton.parents in SMPL_PARENTS.values() and is_trunk_shared(joints, skeleton.num_joints):
+        if joints > NUM_TRUNK:
+            warnings.warn(
+                f"{path}: the file has {poses} and the body has {skeleton.num_joints}; the {NUM_TRUNK} joints without hands are read, "
+                "and hands are at rest",
+                stacklevel=4,
+            )
         return skeleton
     if skeleton.num_joints != joints:
         raise InputError(
