@@ -128,6 +128,8 @@ def _vectors(values: np.ndarray, name: str, path: str | Path, counts: tuple[int,
     """
     if values.dtype.kind not in "biuf":
         raise InputError(f"{path}: the array '{name}' has the type {values.dtype}; expected numbers.")
+    if not values.size and values.ndim != 2:
+        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}, so it is empty; give at least one frame.")
     if values.ndim >= 3 and values.shape[-2:] == (3, 3) and (values.ndim > 3 or 1 in counts):
         return _of_matrices(values, name, path, counts)
     if values.ndim >= 3 and values.shape[-1] == 3:
