@@ -275,6 +275,10 @@ def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
             "55 joints \\(SMPL-X\\) and the body has 52 joints; .* first 66 columns",
         ),
         ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
+        (
+            {"poses": None},
+            "'poses' is missing; expected it, or its parts, such as 'global_orient' and 'body_pose'",
+        ),
         ({"poses": np.zeros((0, 52, 3))}, "so it is empty"),
         ({"trans": None}, "'trans' \\(or 'transl'\\) of the positions of the root is missing"),
         ({"poses": np.zeros((4, 52, 3, 3))}, "some are no rotations"),

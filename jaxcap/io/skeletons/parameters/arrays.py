@@ -49,6 +49,10 @@ def pose_vectors(arrays: Mapping[str, np.ndarray], path: str | Path) -> np.ndarr
     name = find_array(arrays, POSES)
     if name is not None:
         return _vectors(arrays[name], name, path)
+    if not all(_find(arrays, part) for part in (_ROOT, _BODY)):
+        raise InputError(
+            f"{path}: the array '{POSES[0]}' is missing; expected it, or its parts, such as '{_ROOT[0][0]}' and '{_BODY[0][0]}'."
+        )
     face = any(_find(arrays, part) for part in (*_FACE, _EYES))
     hands = any(_find(arrays, part) for part in (*_HANDS, _BOTH_HANDS))
     eyes = (_EYES,) if _find(arrays, _EYES) else _FACE[1:]
@@ -129,7 +133,9 @@ def _vectors(values: np.ndarray, name: str, path: str | Path, counts: tuple[int,
     if values.dtype.kind not in "biuf":
         raise InputError(f"{path}: the array '{name}' has the type {values.dtype}; expected numbers.")
     if not values.size and values.ndim != 2:
-        raise InputError(f"{path}: the array '{name}' has the shape {values.shape}, so it is empty; give at least one frame.")
+        raise InputError(
+            f"{path}: the array '{name}' has the shape {values.shape}, so it is empty; give at least one frame."
+        )
     if values.ndim >= 3 and values.shape[-2:] == (3, 3) and (values.ndim > 3 or 1 in counts):
         return _of_matrices(values, name, path, counts)
     if values.ndim >= 3 and values.shape[-1] == 3:
