@@ -119,7 +119,7 @@ PLACES = [
     Place(
         "convert.convert.Convert",
         {"source": FILE, "target": "out.ply", "overwrite": True},
-        tuple(name for name in CLOUDS if "." in name),
+        tuple(dict.fromkeys((*(name for name in CLOUDS if "." in name), *ALL_BODIES))),
     ),
     Place(
         "convert.convert.Convert",

@@ -17,7 +17,7 @@ import jaxcap as jc
 from jaxcap.body.people.random_humans import sample_humans
 from jaxcap.geometry import rotation
 from jaxcap.io.body_models.families import FAMILIES
-from jaxcap.io.skeletons.amass import SMPL_PARENTS
+from jaxcap.io.skeletons.parameters.joints import SMPL_PARENTS
 
 #: the embedded human's joint at the place of each joint of SMPL
 _PLACES = (

@@ -29,7 +29,7 @@ from jaxcap.body.body_model import BodyModel
 from jaxcap.geometry import rotation
 from jaxcap.io.body_models.anny import TO_Y_UP
 from jaxcap.io.body_models.anny_phenotypes import DEFAULT_PHENOTYPES
-from jaxcap.io.skeletons.amass import SMPL_PARENTS
+from jaxcap.io.skeletons.parameters.joints import SMPL_PARENTS
 
 PACKAGES = Rival(("3.11",), ("torch==2.8.*", "smplx==0.1.28", "body-models==0.26.2", "anny==0.6.2", "numpy"))
 NUM_POSES = 64

@@ -166,10 +166,11 @@ class Fit:
         )
         known = np.isfinite(np.asarray(fit.rmse))
         typical = float(np.median(np.asarray(fit.rmse)[known])) if known.any() else 0.0
-        if typical > MAX_RMSE and not self.each_person:
+        if typical > MAX_RMSE:
+            people = "" if self.each_person else "give --each-person if they show different people; "
             warn(
-                f"{self.meshes[0]}: the distances of the vertices are {1000 * typical:.0f} mm (median of the meshes); if the meshes "
-                "show different people, give --each-person"
+                f"{self.meshes[0]}: the vertices are {1000 * typical:.0f} mm off (median of the meshes); {people}check that "
+                f"the vertices have the order of those of {self.body}, the unit, and that no mesh is mirrored"
             )
         return body
 

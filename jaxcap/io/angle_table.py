@@ -11,6 +11,18 @@ from ..errors import InputError
 from .opensim.storage import ANGLES_TITLE, write_storage
 from .system.atomic import write_text
 
+#: the first comment of a table
+TITLE = "joint angles"
+
+
+def read_angle_names(path: str | Path) -> tuple[str, ...] | None:
+    """Return the names of the angles in a CSV that `write_angle_table` wrote, None for another file."""
+    with open(path, encoding="utf-8", errors="replace") as file:
+        if file.readline().strip() != f"# {TITLE}":
+            return None
+        head = next((line for line in file if not line.startswith("#")), "")
+    return tuple(head.strip().split(",")[1:])
+
 
 def write_angle_table(path: str | Path, angles: JointAngles, start: float = 0.0) -> None:
     """Write joint angles as CSV, in degrees, with a column `time` in seconds from `start`.
@@ -23,7 +35,7 @@ def write_angle_table(path: str | Path, angles: JointAngles, start: float = 0.0)
     values = np.asarray(angles.to_degrees().values, float)
     text = io.StringIO()
     lines = [
-        "joint angles",
+        TITLE,
         "angles in degrees, time in seconds; intrinsic rotations from the first segment to the second, between axes "
         "X forward, Y up, Z to the right; left sides are mirrored",
         *(f"{each.name}: {describe_angle(each)}" for each in angles.conventions),

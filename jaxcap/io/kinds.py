@@ -14,6 +14,7 @@ from .depth.recording import RECORDING_SUFFIXES
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
+from .skeletons.parameters.arrays import is_motion
 from .skeletons.rig_files import find_rig_files
 from .skinned.clip import split_clip
 from .text import read_json, shortened
@@ -125,6 +126,8 @@ _COUNTED = {
     "limits": ("joints", "joint", "joints"),
     "joints": ("joints", "frame", "frames"),
 }
+#: functions that read an `.npz` of another function's content
+_READERS = {"amass": "io.read_amass", "body model": "read_body_model"}
 #: names of formats in an `.npz`
 _FORMATS = ("body", "body model", "motion", "subject", "limits", "prior", "checkpoint", "keys", "meshes")
 #: suffixes of files of arrays
@@ -190,7 +193,7 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
         return "arrays"
     if {"v_template", "shapedirs", "J_regressor"} <= found:
         return "body model"
-    if "poses" in found and {"trans", "mocap_framerate", "mocap_frame_rate"} & found:
+    if is_motion(found):
         return "amass"
     if found & set(DEPTH_ARRAYS):
         return "depth"
@@ -265,7 +268,8 @@ def wrong_arrays_error(path: str | Path, expected: str) -> InputError:
     if kind == "arrays":
         there = ", ".join(map(shortened, names[:8])) + (", ..." if len(names) > 8 else "")
         what += f" ({there or 'none'})"
-    return InputError(f"{path}: this is {what}; expected {expected}; {info_hint(path)}.")
+    reader = f"; in Python jaxcap.{_READERS[kind]} reads it" if kind in _READERS else ""
+    return InputError(f"{path}: this is {what}; expected {expected}; {info_hint(path)}{reader}.")
 
 
 def describe_formats(kinds: Sequence[str]) -> str:

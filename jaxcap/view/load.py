@@ -21,7 +21,7 @@ from ..io.archives.prior import FORMAT as PRIOR
 from ..io.archives.run_statistics import read_statistics
 from ..io.cameras import read_cameras
 from ..io.constraints import FORMAT as CONSTRAINTS
-from ..io.kinds import kind_of_json, wrong_kind_error
+from ..io.kinds import kind_of_arrays, kind_of_json, wrong_kind_error
 from ..io.markers.subject import FORMAT as SUBJECT
 from ..io.markers.subject import load_subject
 from ..io.meshes.clouds import read_clouds
@@ -189,7 +189,7 @@ class _Loader:
         kind = read_format_name(path)
         if kind == "jaxcap body":
             self.bodies.append((path.name, load_body(path)))
-        elif kind == "jaxcap motion" or (not kind and "poses" in names):
+        elif kind == "jaxcap motion" or kind_of_arrays(names, kind) == "amass":
             self.motions.append(path)
         elif kind == SUBJECT:
             self.subjects.append((path.name, load_subject(path)))
@@ -261,7 +261,7 @@ class _Loader:
                 f"{path}: the bones of this motion are shown; give its body model by --body for the surface of the person."
             )
         given = ", ".join(body_name for body_name, _ in self.bodies)
-        bare = path.suffix.lower() == ".npz" and not {"names", "poses"} & set(array_names(path))
+        bare = path.suffix.lower() == ".npz" and "names" not in array_names(path) and not is_amass(path)
         try:
             skeleton, motion = self.skeleton_of(path, why) if bare else read_motion(path, self.unit)
         except InputError as error:

@@ -3,6 +3,7 @@
 import ezc3d
 import numpy as np
 import pytest
+import trimesh
 from c3d_bytes import c3d_bytes
 from command_line import fails, runs, tree, write_inputs
 
@@ -78,6 +79,9 @@ def test_joint_angles(inputs, tmp_path, capsys):
         path = tmp_path / f"{source.stem}{source.suffix[1:]}.csv"
         told = runs(capsys, "convert", source, path, "--as", "angles", *options)
         assert f"{len(expected.names)} joint angles in degrees, 5 frames at 30 frames per second" in told
+        assert f"joint angles: {len(expected.names)}, in degrees (pelvis_rotation" in runs(
+            capsys, "info", path
+        )
         table = np.genfromtxt(path, delimiter=",", skip_header=2 + len(expected.names), names=True)
         for name in expected.names:
             np.testing.assert_allclose(table[name], expected[name], atol=1e-3)
@@ -87,6 +91,26 @@ def test_joint_angles(inputs, tmp_path, capsys):
     save_motion(tmp_path / "chain.npz", jc.stack_poses([jc.rest_pose(chain)]), chain)
     said = fails(capsys, "convert", tmp_path / "chain.npz", tmp_path / "chain.csv", "--as", "angles")
     assert "chain.npz: The joints a, b are not recognised as a person" in said
+
+
+def test_the_surface_of_a_body_becomes_meshes(inputs, tmp_path, capsys):
+    """At rest, and in each frame of a motion, in the given unit."""
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    said = runs(capsys, "convert", inputs / "body.npz", tmp_path / "rest.obj", "--target-unit", "mm")
+    assert f"{len(body.vertices)} vertices, {len(body.faces)} faces, at rest" in said
+    # read by another library
+    rest = trimesh.load(tmp_path / "rest.obj", process=False)
+    np.testing.assert_allclose(rest.vertices, 1000 * body.vertices, atol=1e-3)
+    np.testing.assert_array_equal(rest.faces, body.faces)
+    pattern = tmp_path / "50%_%02d.ply"
+    said = runs(capsys, "convert", inputs / "truth.npz", pattern, "--body", inputs / "body.npz")
+    assert "5 meshes, 1500 vertices" in said
+    wanted = jc.body.posed_vertices(body, motion.poses)
+    for frame in range(5):
+        found = trimesh.load(tmp_path / f"50%_{frame:02d}.ply", process=False).vertices
+        np.testing.assert_allclose(found, wanted[frame], atol=1e-5)
+    said = fails(capsys, "convert", inputs / "body.npz", pattern, "--motion", inputs / "truth.npz")
+    assert "50%_00.ply: this file already exists" in said
 
 
 def test_vertices_become_markers(inputs, tmp_path, capsys):
@@ -227,9 +251,18 @@ def test_wrong_combinations_are_told(inputs, tmp_path, capsys):
         ("human", "out.gltf", "'.gltf' files cannot be written; write .glb"),
         (
             "human",
-            "out.ply",
-            "human: the embedded body cannot be converted to '.ply' files; write it as .glb",
+            "out.trc",
+            "human: the embedded body cannot be converted to '.trc' files; write it as .glb",
         ),
+        (motion, "out.ply", "a motion has no surface to write as '.ply' files; give its body with --body"),
+        (
+            motion,
+            "out.ply",
+            "--body",
+            body,
+            "a mesh is one of them; give a name with the number of the frame, such as out_%04d.ply",
+        ),
+        (motion, "out.bvh", "--rate", "25", "other motions state their rate"),
         (motion, "out.foo", "cannot be converted to '.foo' files; motions are read from"),
         (motion, "out.trc", "--motion", motion, "--motion is for bodies that are written as .glb"),
         (motion, "out.trc", "--as", "amass", "--as amass is for motions that are written as .npz"),

@@ -15,7 +15,7 @@ def test_a_motion_of_amass_moves_its_model_in_its_shape(tmp_path):
     arrays, rng = smpl_arrays(vertices=40), np.random.default_rng(3)
     model = tmp_path / "smpl.npz"
     np.savez(model, **arrays)
-    betas, trans, poses = rng.normal(size=6), rng.normal(size=(2, 3)), 0.2 * rng.normal(size=(2, 72))
+    betas, trans, poses = rng.normal(size=6), 0.1 * rng.normal(size=(2, 3)), 0.2 * rng.normal(size=(2, 72))
     parameters = {
         "trans": trans, "poses": poses, "mocap_framerate": 30.0, "gender": "neutral", "up_axis": "y"
     }  # fmt: skip
@@ -27,7 +27,7 @@ def test_a_motion_of_amass_moves_its_model_in_its_shape(tmp_path):
     found = [take.motion.frame(number).vertices for number in range(2)]
     np.testing.assert_allclose(found, wanted, atol=1e-5)
     # people of several shapes cannot be one body
-    np.savez(tmp_path / "people.npz", betas=np.tile(betas, (2, 1)), **parameters)
+    np.savez(tmp_path / "people.npz", betas=np.stack([betas, -betas]), **parameters)
     with pytest.raises(InputError, match="every frame has a shape of its own"):
         load([str(tmp_path / "people.npz")], [(str(model), body)], shape=body_of_motion)
     # without the model there are the bones, if the file has them

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...errors import InputError
 from ...io.archives.archive import array_names, load_arrays, read_format_name
 from ...io.archives.checkpoint import FORMAT as CHECKPOINT
 from ...io.archives.limits import load_limits
@@ -14,7 +13,8 @@ from ...io.archives.prior import has_prior, load_prior
 from ...io.kinds import kind_of_arrays
 from ...io.markers.subject import load_subject
 from ...io.meshes.meshes import read_meshes
-from ...io.skeletons.amass import read_amass
+from ...io.skeletons.amass import describe_parameters, read_amass
+from ...io.skeletons.parameters.joints import SKELETON_PREFIX
 from ...io.system.reader_errors import reader_of
 from ...io.text import shortened
 from ...limits.implicit_surface import LimitSurface
@@ -95,16 +95,10 @@ def _motion(path: Path) -> str:
 
 
 def _amass(path: Path) -> str:
-    try:
-        skeleton, motion = read_amass(path)
-    except InputError as error:
-        if "skeleton.names" in array_names(path):
-            raise
-        say(
-            f"motion in AMASS format: {load_arrays(path, lambda name: name == 'poses')['poses'].shape[0]} frames"
-        )
-        say(f"this file contains no skeleton: {error}")
+    if f"{SKELETON_PREFIX}names" not in array_names(path):
+        say(describe_parameters(path))
         return "motion of a body"
+    skeleton, motion = read_amass(path)
     describe_motion(motion)
     describe_skeleton(skeleton)
     return "motion"

@@ -40,7 +40,10 @@ COMMANDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("view {file}", "shows it"),
         ("edit retarget {file} human -o human.npz", "retargets it to the human"),
     ),
-    "motion of a body": (("convert {file} motion.bvh --body BODY", "adds the skeleton of its body"),),
+    "motion of a body": (
+        ("convert {file} motion.glb --body BODY", "writes it with its body"),
+        ("convert {file} motion.bvh --body BODY", "adds the skeleton of its body"),
+    ),
     "subject": (("markers solve {file} TRIAL.c3d -o motion.bvh", "solves for the motion in a trial"),),
     "limits": (("limits check MOTION -l {file}", "reports where a motion violates them"),),
     "prior": (

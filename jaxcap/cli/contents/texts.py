@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
+from ...io.angle_table import read_angle_names
 from ...io.archives.journal import read_header, read_records
 from ...io.cameras import read_cameras
 from ...io.depth.camera_keys import ACCEPTED
@@ -21,7 +22,13 @@ from .bodies import describe_skeleton
 
 
 def describe_markers(path: Path, unit: str | None) -> str:
-    """Print the number of markers and the length of a marker file."""
+    """Print the number of markers and the length of a marker file, or the number of angles of a table of joint angles."""
+    angles = read_angle_names(path) if path.suffix.lower() == ".csv" else None
+    if angles is not None:
+        say(
+            f"joint angles: {len(angles)}, in degrees ({', '.join(angles[:6])}{', ...' if len(angles) > 6 else ''})"
+        )
+        return "joint angles"
     file = read_marker_file(path, unit)
     frames = file.frames
     count, shown = len(frames), 100 * float(np.asarray(frames.visible).mean())

@@ -26,17 +26,20 @@ from ...io.registry import (
 )
 from ...io.skinned.clip import suffix_of
 
-ConversionKind = Literal["own", "body", "motion", "points", "markers", "mesh", "skeleton", "angles"]
+ConversionKind = Literal[
+    "own", "body", "motion", "points", "markers", "mesh", "surface", "skeleton", "angles"
+]
 #: purpose of each option, and the conversions that take it
 PURPOSES: dict[str, tuple[str, tuple[ConversionKind, ...]]] = {
-    "motion": ("bodies that are written as .glb or USD", ("body",)),
-    "body": ("motions of a body", ("body", "motion", "points", "angles")),
+    "motion": ("bodies that are written as .glb, USD or meshes", ("body", "surface")),
+    "body": ("motions of a body", ("body", "motion", "points", "surface", "angles")),
     "as amass": ("motions that are written as .npz", ("motion",)),
     "as angles": ("joint angles of motions", ("angles",)),
     "as body": ("bodies that are written as .npz", ("own",)),
     "as smpl": ("bodies that are written as .npz", ("own",)),
     "vertices": ("motions that are written as .trc, .c3d or .csv", ("points",)),
-    "up": ("motions in AMASS format", ("body", "motion", "points", "angles")),
+    "up": ("motions in AMASS format", ("body", "motion", "points", "surface", "angles")),
+    "rate": ("motions in AMASS format", ("body", "motion", "points", "surface", "angles")),
     "tolerance": ("bodies that are written as .glb or USD", ("body",)),
     "influences": ("bodies that are written as .glb or USD", ("body",)),
 }
@@ -62,22 +65,38 @@ WRITTEN = {
 }
 
 
-def find_conversion(source: Path, target: Path, human: bool = False) -> ConversionKind:
-    """Choose the conversion by the suffixes; `human`, whether the source is the embedded body. Raises
-    `InputError` if there is none."""
+def find_conversion(
+    source: Path, target: Path, human: bool = False, with_body: bool = False
+) -> ConversionKind:
+    """Choose the conversion by the suffixes; `human`, whether the source is the embedded body, and `with_body`, whether the body
+    of a motion is given. Raises `InputError` if there is none."""
     here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
     if there not in WRITTEN and there in WRITABLE_ALTERNATIVES:
         raise InputError(
             f"{target}: '{there}' files cannot be written; write {WRITABLE_ALTERNATIVES[there]}."
         )
-    if human and there not in BODY_WRITERS:
+    if human and there not in (*BODY_WRITERS, *MESH_WRITTEN):
         raise InputError(
-            f"{source}: the embedded body cannot be converted to {_files(there)}; write it as {', '.join((*BODY_WRITERS, '.npz'))}."
+            f"{source}: the embedded body cannot be converted to {_files(there)}; write it as "
+            f"{', '.join(dict.fromkeys((*BODY_WRITERS, '.npz', *MESH_WRITTEN)))}."
         )
     if there in BODY_WRITERS and (
-        here in (".npz", *MODEL_SUFFIXES) or is_skinned(source) or is_rigged(source)
+        here in (".npz", *MODEL_SUFFIXES)
+        or is_skinned(source)
+        or is_rigged(source)
+        or (with_body and here in MOTION_READERS)
     ):
         return "body"
+    if there in MESH_WRITTEN and (
+        (with_body and here in MOTION_READERS)
+        or human
+        or (here in (".npz", *MODEL_SUFFIXES) and identify(source) in ("body", "body model"))
+    ):
+        return "surface"
+    if there in MESH_WRITTEN and identify(source) in ("motion", "amass"):
+        raise InputError(
+            f"{source}: a motion has no surface to write as {_files(there)}; give its body with --body."
+        )
     if here in SUFFIXES and there in MESH_WRITTEN:
         return "mesh"
     if here in MOTION_READERS and there in MOTION_WRITERS:

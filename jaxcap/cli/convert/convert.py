@@ -28,7 +28,7 @@ from ...io.registry import (
     write_motion,
     write_skeleton,
 )
-from ...io.skeletons.amass import GENDERS, is_amass, read_amass, read_amass_shape, write_amass
+from ...io.skeletons.amass import GENDERS, Up, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
 from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
@@ -40,6 +40,7 @@ from .between_bodies import check_target, convert_between_bodies, still_motion
 from .body import write_linear_body
 from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
 from .points import check_marker_unit, read_labels, write_points
+from .surface import write_surface
 
 #: metres, and bones per vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -53,7 +54,8 @@ class Convert:
     A motion is written as .bvh or .npz, its joint centres as .trc, .c3d or .csv, and with --as angles its joint angles as
     .csv. A body is written with its skin
     as .glb, .usda, .usdc or .usdz, together with its motion if SOURCE or --motion contains one. `human` is also
-    written as a body .npz; for all other bodies, this needs --as body. A skeleton is written as .skl, a mesh as .off,
+    written as a body .npz; for all other bodies, this needs --as body. The surface alone is written as .off, .obj, .ply or .stl:
+    at rest, or in each frame of a motion to files such as mesh_%04d.obj. A skeleton is written as .skl, a mesh as .off,
     .obj, .ply or .stl, and markers as .c3d, .trc or .csv."""
 
     source: tyro.conf.Positional[Annotated[Path, arg(metavar="SOURCE")]]
@@ -67,10 +69,10 @@ class Convert:
     target_unit: OptionalUnit = None
     """Unit of the target's lengths. Default: metres; centimetres for BVH, millimetres for TRC and C3D."""
     motion: OptionalFile = None
-    """Motion to write with a body in a .glb or USD, from any file with a motion."""
+    """Motion to write with a body in a .glb or USD, or as meshes, from any file with a motion."""
     body: OptionalFile = None
     """Body of the motion, for files without joint positions, such as AMASS or OpenSim's .mot (with an .osim), for --vertices, and to write a motion with its body
-    as .glb or USD: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
+    as .glb, USD or meshes: `human`, or any file with a body. A body model takes the shape (`betas`) of a motion in AMASS format."""
     to: Annotated[
         str | None,
         arg(
@@ -88,8 +90,10 @@ class Convert:
     """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
     up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
     SOURCE as .npz; `smpl`, the body of SOURCE as a body model in SMPL's format, .npz."""
-    up: Annotated[Literal["y", "z"] | None, arg(metavar="y|z", help_behavior_hint="")] = None
-    """Up axis of a motion in AMASS format. Default: the axis stated in the file, else z."""
+    up: Annotated[Up | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
+    """Up axis of a motion in AMASS format; -y (--up=-y) is that of a camera. Default: the axis stated in the file, else z."""
+    rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
+    """Frames per second of a motion in AMASS format that states none."""
     vertices: Annotated[tuple[str, ...], arg(metavar="VERTEX...", help_behavior_hint="")] = ()
     """Vertices of --body to write as markers, in addition to the joints (not a number of vertices): numbers, NAME=NUMBER, or a text file of
     names and numbers."""
@@ -118,13 +122,17 @@ class Convert:
             else "angles"
             if self.as_ == "angles"
             else find_conversion(
-                split_model(str(self.source))[0] if model else self.source, self.target, human
+                split_model(str(self.source))[0] if model else self.source,
+                self.target,
+                human,
+                self.body is not None,
             )
         )
         self.check(way)
         {
             "own": self.write_own,
             "body": self.write_body,
+            "surface": self.write_surface,
             "motion": self.write_motion,
             "points": self.write_points,
             "markers": self.write_markers,
@@ -144,8 +152,7 @@ class Convert:
             if value:
                 raise InputError(f"{self.target}: --{name} and --to were both given; give one of them.")
         check_target(self.target)
-        if self.up and not is_amass(self.source):
-            raise InputError(f"{self.source}: --up is for {PURPOSES['up'][0]}; other motions have y up.")
+        self.check_amass_options(self.source)
         convert_between_bodies(
             self.read_source(),
             self.source,
@@ -159,8 +166,8 @@ class Convert:
     def read_source(self) -> tuple[Body | Skeleton, Motion]:
         """Read the motion of `--to` with its body, or with its skeleton only; a body alone is at rest."""
         if self.body is not None:
-            body = self.body_of_motion(self.source)
-            return body, self.motion_of(self.source, body)[1]
+            skeleton, motion, body = self.read_motion()
+            return body or skeleton, motion
         spec = str(self.source)
         if is_human_spec(spec) or is_model_spec(spec) or identify(self.source) in ("body", "rigged"):
             body = load_body(spec, unit=self.unit or "m")[0]
@@ -181,16 +188,23 @@ class Convert:
             "as smpl": self.as_ == "smpl",
             "vertices": self.vertices,
             "up": self.up,
+            "rate": self.rate is not None,
             "tolerance": self.tolerance != TOLERANCE,
             "influences": self.influences != INFLUENCES,
         }
         check_options(kind, self.target, given)
         check_units(kind, self.source, self.target, self.unit, self.target_unit)
-        read = self.motion if kind == "body" and self.body is None else self.source
-        if self.up and (read is None or not is_amass(read)):
-            raise InputError(
-                f"{read or self.target}: --up is for {PURPOSES['up'][0]}; other motions have y up."
-            )
+        read = self.motion if kind in ("body", "surface") and self.body is None else self.source
+        self.check_amass_options(read)
+
+    def check_amass_options(self, motion: Path | None) -> None:
+        """Check that options for motions in AMASS's format are given for these only. Raises `InputError`."""
+        for name, value, others in (
+            ("up", self.up, "other motions have y up"),
+            ("rate", self.rate, "other motions state their rate; `jaxcap edit resample` changes it"),
+        ):
+            if value is not None and (motion is None or not is_amass(motion)):
+                raise InputError(f"{motion or self.target}: --{name} is for {PURPOSES[name][0]}; {others}.")
 
     def read_motion(self) -> tuple[Skeleton, Motion, Body | None]:
         """Read the source's motion, with the given body if any."""
@@ -223,7 +237,7 @@ class Convert:
 
     def motion_of(self, path: Path, body: Body | None) -> tuple[Skeleton, Motion]:
         if is_amass(path):
-            return read_amass(path, None if body is None else body.skeleton, self.up)
+            return read_amass(path, None if body is None else body.skeleton, self.up, self.rate)
         skeleton, motion = (
             load_motion(path, self.unit)
             if body is None
@@ -242,26 +256,34 @@ class Convert:
         say(f"{self.target}: {len(body.vertices)} vertices, {body.skeleton.num_joints} joints")
 
     def write_body(self) -> None:
+        write_linear_body(self.target, *self.read_moving_body(), self.tolerance, self.influences)
+
+    def write_surface(self) -> None:
+        write_surface(self.target, *self.read_moving_body(), self.target_unit, self.overwrite)
+
+    def read_moving_body(self) -> tuple[Body, Motion | None]:
+        """Read the body, and its motion if there is one."""
         if self.body is not None and self.motion is not None:
             raise InputError(
                 f"{self.target}: --body and --motion were both given; give the body as SOURCE and --motion, or the motion as SOURCE "
                 "and --body."
             )
+        if self.body is not None and self.body.suffix.lower() == ".osim":
+            raise InputError(
+                f"{self.body}: an OpenSim model has no surface; write its motion as .bvh, or convert it to a body with --to."
+            )
         if self.body is not None:
             body = self.body_of_motion(self.source)
-            motion = self.motion_of(self.source, body)[1]
-        elif is_skinned(self.source):
+            return body, self.motion_of(self.source, body)[1]
+        spec, motion = str(self.source), None
+        if is_skinned(self.source):
             body, motion = read_skinned(self.source)
             warn_of_clip(self.source)
+        elif self.motion is not None and takes_shape(spec, self.motion):
+            body = load_shaped_body(spec, self.motion)
         else:
-            spec, motion = str(self.source), None
-            if self.motion is not None and takes_shape(spec, self.motion):
-                body = load_shaped_body(spec, self.motion)
-            else:
-                body = load_body(spec, unit=self.unit or "m")[0]
-        if self.motion is not None:
-            motion = self.motion_of(self.motion, body)[1]
-        write_linear_body(self.target, body, motion, self.tolerance, self.influences)
+            body = load_body(spec, unit=self.unit or "m")[0]
+        return body, motion if self.motion is None else self.motion_of(self.motion, body)[1]
 
     def write_motion(self) -> None:
         skeleton, motion, _ = self.read_motion()

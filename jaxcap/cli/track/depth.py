@@ -138,7 +138,7 @@ def some_person(clouds: LazyFrames[Cloud]) -> tuple[int, Cloud] | None:
 
 
 def describe_distance(cloud: Cloud) -> list[str]:
-    """State in a sentence without a full stop that the person is nearer to all cameras than depth cameras measure."""
+    """Describe in a sentence without a full stop that the person is nearer to all cameras than depth cameras measure."""
     points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
     eyes = [np.asarray(view.camera.eye, float) for view in cloud.views]
     if not eyes or not len(points):

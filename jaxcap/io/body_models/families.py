@@ -3,7 +3,7 @@
 import re
 from typing import NamedTuple
 
-from ..skeletons.amass import SMPL_PARENTS
+from ..skeletons.parameters.joints import SMPL_PARENTS
 
 _TRUNK = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",

@@ -80,7 +80,8 @@ def make_smpl(
     check_at_least("read_body_model", 0, num_betas=num_betas, num_expression=num_expression)
     if kind_of_arrays(arrays) != "body model":
         raise InputError(
-            f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family."
+            f"{path}: this is no body model; expected the arrays {', '.join(ARRAYS)} of a model of SMPL's family. Poses of a person are "
+            "read from .npz files, with poses, trans, betas and fps; write them with numpy.savez."
         )
     vertices = get_array(arrays, "v_template", path, (None, 3), row_name="vertex")
     parents = joint_parents(arrays, path)

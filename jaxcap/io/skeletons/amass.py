@@ -7,6 +7,7 @@ well; only the set of joints, their positions, and the meaning of `betas` are sp
 is y up, the world z up.
 """
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
@@ -18,52 +19,36 @@ from scipy.spatial.transform import Rotation
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
-from ...body.skeleton import Skeleton, has_same_joints, rest_distance
+from ...body.skeleton import Skeleton
 from ...errors import InputError
-from ..archives.archive import array_names, load_arrays
-from ..archives.npz import get_array, skeleton_arrays, skeleton_of
+from ..archives.archive import array_names, load_arrays, read_format_name
+from ..archives.npz import get_array, skeleton_arrays
+from ..kinds import kind_of_arrays
 from ..skinned.skinned import check_motion
 from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 from ..text import check_frame_rate
+from .parameters.arrays import NAMES, RATES, find_array, is_motion, one_shape, pose_vectors, root_positions
+from .parameters.doubts import warn_of_doubts
+from .parameters.joints import (
+    NUM_TRUNK,
+    SKELETON_PREFIX,
+    SMPL_PARENTS,
+    SMPL_X_PARTS,
+    describe_joints,
+    find_skeleton,
+)
 
+#: verticals of a world; -y is that of a camera, whose y axis points down
+Up = Literal["y", "z", "-y"]
 #: from a y-up to a z-up world
 _Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
+_TO_Y_UP = {"z": _Y_UP_TO_Z_UP.inv(), "-y": Rotation.from_euler("x", 180, degrees=True)}
 #: names of the rate in the two generations of the data set
-_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
-_SKELETON_PREFIX = "skeleton."
+_RATE_KEYS = RATES[:2]
 _UP_KEY = "up_axis"
 #: end of the names of standard deviations
 _DEVIATIONS = "_deviations"
-#: largest distance of joints at rest for the same body, metres
-MAX_REST_DISTANCE = 0.01
-_TRUNK_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
-
-
-def _finger_parents(wrist: int, first: int) -> tuple[int, ...]:
-    """Return the parents of five fingers of three joints."""
-    return tuple(
-        parent for finger in range(5) for parent in (wrist, first + 3 * finger, first + 3 * finger + 1)
-    )
-
-
-#: parents of the joints of SMPL's family, by their number: SMPL without hands, SMPL, SMPL-H, SMPL-X
-SMPL_PARENTS = {
-    22: _TRUNK_PARENTS,
-    24: (*_TRUNK_PARENTS, 20, 21),
-    52: (*_TRUNK_PARENTS, *_finger_parents(20, 22), *_finger_parents(21, 37)),
-    55: (*_TRUNK_PARENTS, 15, 15, 15, *_finger_parents(20, 25), *_finger_parents(21, 40)),
-}
-
-
-#: the parts of the poses of SMPL-X, as AMASS names them: first joint, and joint after the last one
-SMPL_X_PARTS = {
-    "root_orient": (0, 1),
-    "pose_body": (1, 22),
-    "pose_jaw": (22, 23),
-    "pose_eye": (23, 25),
-    "pose_hand": (25, 55),
-}
 #: values of `gender`
 GENDERS = ("female", "male", "neutral")
 #: groups of coefficients of a shape
@@ -132,8 +117,8 @@ def write_amass(
     turns = turns.reshape(frames, joints, 3)
     upright = _Y_UP_TO_Z_UP if up == "z" else Rotation.identity()
     turns[:, 0] = (upright * Rotation.from_rotvec(turns[:, 0])).as_rotvec()
-    own = {f"{_SKELETON_PREFIX}{name}": values for name, values in skeleton_arrays(skeleton).items()}
-    own[f"{_SKELETON_PREFIX}centres"] = scale * np.asarray(skeleton.centres, float)
+    own = {f"{SKELETON_PREFIX}{name}": values for name, values in skeleton_arrays(skeleton).items()}
+    own[f"{SKELETON_PREFIX}centres"] = scale * np.asarray(skeleton.centres, float)
     arrays = {
         "trans": upright.apply(root + scale * moves[:, 0]) - root,
         _UP_KEY: np.array(up),
@@ -151,8 +136,11 @@ def write_amass(
 
 
 def _shape_arrays(shape: Mapping[str, Float[Array | np.ndarray, "..."]]) -> dict[str, np.ndarray]:
-    """Return the arrays of groups of coefficients: those of SMPL's family by their names, all others as shape keys."""
-    arrays = {name: np.asarray(values, float) for name, values in shape.items()}
+    """Return the arrays of groups of coefficients: those of SMPL's family by their names, all others as shape keys.
+
+    Groups without coefficients, which programs that pose the model do not expect, are left out.
+    """
+    arrays = {name: np.asarray(values, float) for name, values in shape.items() if np.size(values)}
     others = [name for name in arrays if name not in SHAPE_GROUPS]
     found = {name: values for name, values in arrays.items() if name in SHAPE_GROUPS}
     if others:
@@ -201,7 +189,12 @@ def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]
     **Raises:** `InputError` if the file is damaged, or its frames have different shapes.
     """
     arrays = dict(load_arrays(path, lambda name: name in (*SHAPE_GROUPS, SHAPE_KEYS, SHAPE_KEY_NAMES)))
+    arrays |= {name: one_shape(arrays[name]) for name in SHAPE_GROUPS if name in arrays}
     if arrays.get(_VARYING, np.zeros(0)).ndim == 2:
+        warnings.warn(
+            f"{path}: the expression changes from frame to frame; it is left out.",
+            stacklevel=2,
+        )
         del arrays[_VARYING]
     for name, values in arrays.items():
         if values.ndim == 2:
@@ -253,7 +246,7 @@ def read_amass_deviations(
 
 def has_other_shape(path: str | Path) -> bool:
     """Test if a file is a motion in AMASS's format with a shape, whose joints are not in the file, so that they depend on it."""
-    if not is_amass(path) or f"{_SKELETON_PREFIX}names" in array_names(path):
+    if not is_amass(path) or f"{SKELETON_PREFIX}names" in array_names(path):
         return False
     try:
         return any(np.any(values) for values in read_amass_shape(path)[0].values())
@@ -273,9 +266,10 @@ def _gender(path: str | Path) -> str:
 
 
 def is_amass(path: str | Path) -> bool:
-    """Check that a file is an `.npz` with AMASS's keys; false if it does not exist or is damaged."""
+    """Check that a file is an `.npz` with the parameters of SMPL's family; false if it does not exist or is damaged."""
     try:
-        return {"poses", "trans"} <= set(array_names(path))
+        names = array_names(path)
+        return is_motion(names) and kind_of_arrays(names, read_format_name(path)) == "amass"
     except InputError:
         return False
 
@@ -283,101 +277,105 @@ def is_amass(path: str | Path) -> bool:
 @checked
 @reader_of("an AMASS motion")
 def read_amass(
-    path: str | Path, skeleton: Skeleton | None = None, up: Literal["y", "z"] | None = None
+    path: str | Path,
+    skeleton: Skeleton | None = None,
+    up: Up | None = None,
+    rate: float | None = None,
 ) -> tuple[Skeleton, Motion]:
     """Read a motion in AMASS's format; the world's `up` becomes y. By default it is that of the file, z if it states none.
 
     Files of AMASS itself have no joint positions: `skeleton` gives them, with the same joints in the same
-    order, as SMPL's own. The shape (`betas`, `dmpls`, `gender`) is not read, and need not be readable.
+    order, as SMPL's own; 22 joints are those of a body whose hands are at rest. The shape (`betas`, `dmpls`, `gender`) is not read,
+    and need not be readable. The arrays may have the names and shapes of other programs (`parameters.arrays`), such as
+    `global_orient`, `body_pose` and `transl`. `rate`, frames per second, is for files that state none.
 
     **Raises:** `InputError` if the file has another format, is damaged, has pickled numbers or no rate, or if
     its joints are not the skeleton's.
     """
     arrays = load_arrays(
-        path,
-        lambda name: name in ("poses", "trans", _UP_KEY, *_RATE_KEYS) or name.startswith(_SKELETON_PREFIX),
+        path, lambda name: name in NAMES or name == _UP_KEY or name.startswith(SKELETON_PREFIX)
     )
-    poses = get_array(arrays, "poses", path, (None, None), row_name="frame")
-    trans = get_array(arrays, "trans", path, (len(poses), 3), row_name="frame")
-    if poses.shape[1] % 3 or not poses.shape[1]:
-        raise InputError(
-            f"{path}: the array 'poses' has the shape {poses.shape}; expected (frames, 3 * joints)."
-        )
+    poses, trans = read_parameters(arrays, path)
+    found = find_skeleton(path, arrays, poses.shape[1] // 3, skeleton)
+    per_second = _rate(path, arrays, rate)
+    axis = up or _up_axis(path, arrays)
+    if f"{SKELETON_PREFIX}names" not in arrays:
+        warn_of_doubts(path, poses, trans, per_second, axis, known=up is not None or _UP_KEY in arrays)
+    return found, _motion(found, poses, trans, per_second, axis)
+
+
+@reader_of("an AMASS motion")
+def describe_parameters(path: str | Path) -> str:
+    """Describe a motion without a skeleton: frames, rate, joints, coefficients and gender. Raises `InputError`."""
+    arrays = load_arrays(path, NAMES.__contains__)
+    poses, _ = read_parameters(arrays, path)
+    rate = (
+        f" at {_rate(path, arrays, None):g} frames per second" if find_array(arrays, RATES) else ", no rate"
+    )
+    try:
+        shape, gender = read_amass_shape(path)
+        parts = [f"{len(values)} {name}" for name, values in shape.items()] or ["no betas"]
+    except InputError:
+        parts, gender = ["a shape for each frame"], _gender(path)
+    whose = f", {gender}" if gender else ""
+    return (
+        f"motion in AMASS format: {len(poses)} frame{'' if len(poses) == 1 else 's'}{rate}, {describe_joints(poses.shape[1] // 3)}, "
+        f"{', '.join(parts)}{whose}; the positions of the joints follow from its body model"
+    )
+
+
+def read_parameters(
+    arrays: Mapping[str, np.ndarray], path: str | Path
+) -> tuple[Float[np.ndarray, "F D"], Float[np.ndarray, "F 3"]]:
+    """Return `poses` and `trans` of the arrays of a motion. Raises `InputError`."""
+    poses = pose_vectors(arrays, path)
     if not len(poses):
         raise InputError(f"{path}: the file has no frames; expected at least one.")
-    found = _skeleton(path, arrays, poses.shape[1] // 3, skeleton)
-    return found, _motion(found, poses, trans, _rate(path, arrays), up or _up_axis(path, arrays))
+    found = {"poses": poses, "trans": root_positions(arrays, len(poses), path)}
+    return (
+        get_array(found, "poses", path, (None, None), row_name="frame"),
+        get_array(found, "trans", path, (None, 3), row_name="frame"),
+    )
 
 
 def _motion(
     skeleton: Skeleton, poses: np.ndarray, trans: Float[np.ndarray, "F 3"], rate: float, up: str
 ) -> Motion:
     frames, joints = len(poses), skeleton.num_joints
-    turns = poses.astype(float).reshape(frames, joints, 3)
+    turns = np.zeros((frames, joints, 3))
+    # joints that the file does not have are at rest
+    known = NUM_TRUNK if poses.shape[1] != 3 * joints else joints
+    turns[:, :known] = poses.reshape(frames, -1, 3)[:, :known]
     rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(canonical=True, scalar_first=True)
     rotations = rotations.reshape(frames, joints, 4)
     moves, root = np.zeros((frames, joints, 3)), np.asarray(skeleton.centres, float)[0]
     moves[:, 0] = trans
-    if up == "z":
-        lowered = _Y_UP_TO_Z_UP.inv() * Rotation.from_rotvec(turns[:, 0])
-        rotations[:, 0] = lowered.as_quat(canonical=True, scalar_first=True)
-        moves[:, 0] = _Y_UP_TO_Z_UP.inv().apply(root + trans) - root
+    if up != "y":
+        upright = _TO_Y_UP[up] * Rotation.from_rotvec(turns[:, 0])
+        rotations[:, 0] = upright.as_quat(canonical=True, scalar_first=True)
+        moves[:, 0] = _TO_Y_UP[up].apply(root + trans) - root
     return Motion(Pose(jnp.asarray(moves), jnp.asarray(rotations), jnp.ones(frames)), rate)
 
 
-def _skeleton(
-    path: str | Path, arrays: Mapping[str, np.ndarray], joints: int, skeleton: Skeleton | None
-) -> Skeleton:
-    """Return the given skeleton after a check of its joints, or the file's own. Raises `InputError`."""
-    noted = {
-        name.removeprefix(_SKELETON_PREFIX): values
-        for name, values in arrays.items()
-        if name.startswith(_SKELETON_PREFIX)
-    }
-    if noted:
-        own = skeleton_of(noted, path)
-        if own.num_joints != joints:
-            raise InputError(
-                f"{path}: the poses have {joints} joints, and the skeleton of the file has {own.num_joints}; write it again."
-            )
-        if skeleton is None:
-            return own
-        if not has_same_joints(own, skeleton):
-            raise InputError(
-                f"{path}: this motion has the joints {', '.join(own.names)}; expected {', '.join(skeleton.names)} as in the body; "
-                "retarget it."
-            )
-        distance = rest_distance(own, skeleton)
-        if distance > MAX_REST_DISTANCE:
-            raise InputError(
-                f"{path}: this motion belongs to another body: its joints at rest differ by up to {1000 * distance:.0f} mm "
-                "from those of this body; retarget it."
-            )
-        return skeleton
-    what = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}.get(joints)
-    told = f"poses of {joints} joints{f' ({what})' if what else ''}"
-    if skeleton is None:
+def _rate(path: str | Path, arrays: Mapping[str, np.ndarray], given: float | None) -> float:
+    """Return the rate of a file, or the given one if it states none. Raises `InputError`."""
+    name = find_array(arrays, RATES)
+    if name is None and given is not None:
+        return check_frame_rate(given, str(path))
+    if name is None:
         raise InputError(
-            f"{path}: the file has {told} but no skeleton; give a body with these joints (--body)."
+            f"{path}: the array '{_RATE_KEYS[0]}', or 'fps', is missing, so the rate is unknown; add it, or give --rate in `jaxcap convert`."
         )
-    if skeleton.num_joints != joints:
+    found = arrays[name]
+    if (
+        given is not None
+        and found.size == 1
+        and found.dtype.kind in "iuf"
+        and float(found.reshape(-1)[0]) != given
+    ):
         raise InputError(
-            f"{path}: the file has {told} and the body has {skeleton.num_joints} joints; give a body with the same joints."
-        )
-    if joints in SMPL_PARENTS and skeleton.parents != SMPL_PARENTS[joints]:
-        wrong = next(j for j in range(joints) if skeleton.parents[j] != SMPL_PARENTS[joints][j])
-        raise InputError(
-            f"{path}: the file has {told}, but joint {wrong} of the body, '{skeleton.names[wrong]}', has another parent "
-            f"than in {what}; give a body with its joints in that order."
-        )
-    return skeleton
-
-
-def _rate(path: str | Path, arrays: Mapping[str, np.ndarray]) -> float:
-    found = next((arrays[name] for name in _RATE_KEYS if name in arrays), None)
-    if found is None:
-        raise InputError(
-            f"{path}: the arrays '{_RATE_KEYS[0]}' and '{_RATE_KEYS[1]}' are missing; add one of them, as the rate is unknown."
+            f"{path}: the file states {float(found.reshape(-1)[0]):g} frames per second in '{name}', and {given:g} were given; leave out "
+            "the rate, or resample the motion with `jaxcap edit resample`."
         )
     if found.size != 1 or found.dtype.kind not in "iuf":
         raise InputError(

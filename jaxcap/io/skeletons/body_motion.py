@@ -18,7 +18,8 @@ from ..archives.archive import array_names
 from ..archives.npz import load_motion, load_skeleton
 from ..registry import read_motion
 from ..system.reader_errors import reader_of
-from .amass import MAX_REST_DISTANCE, is_amass, read_amass
+from .amass import is_amass, read_amass
+from .parameters.joints import MAX_REST_DISTANCE
 
 
 @reader_of("a motion")

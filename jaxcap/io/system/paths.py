@@ -97,6 +97,14 @@ def _check_single_frame(path: Path, count: int) -> None:
         raise wrong_kind_error(path, "a mesh or a cloud", SUFFIXES)
 
 
+def numbered_path(pattern: Path, number: int) -> Path | None:
+    """Return the path of a file of a printf pattern, None if its name is no pattern."""
+    match = _NUMBER.search(pattern.name)
+    if match is None:
+        return None
+    return pattern.with_name(pattern.name[: match.start()] + match[0] % number + pattern.name[match.end() :])
+
+
 def _pattern(text: str, first: int | None, last: int | None) -> list[Path]:
     """Find the files of a printf pattern. Raises `InputError` if one is missing."""
     match = _NUMBER.search(text)

@@ -90,6 +90,11 @@ def test_what_does_not_fit_is_refused(capsys, folder, tmp_path):
     bare = write_osim(tmp_path / "bare.osim", markers="")
     assert "the model has no markers" in fails(capsys, "markers", "solve", bare, trial, "-o", out)
     jc.io.write_coordinates(out, model, np.zeros((2, len(model.names))), 10.0)
+    of_model = ("--body", folder / "leg.osim")
+    assert "an OpenSim model has no surface" in fails(capsys, "convert", out, tmp_path / "a.glb", *of_model)
+    # it is a source of other bodies, by the names of its joints
+    said = fails(capsys, "convert", out, tmp_path / "a.npz", *of_model, "--to", "human:low")
+    assert "match a joint of the target" in said
     write_osim(tmp_path / "second.osim")
     assert "the folder has 2 OpenSim models" in fails(capsys, "convert", out, tmp_path / "a.bvh")
     assert not tree(tmp_path / "a.bvh")

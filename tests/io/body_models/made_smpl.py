@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxcap.io.skeletons.amass import SMPL_PARENTS
+from jaxcap.io.skeletons.parameters.joints import SMPL_PARENTS
 
 #: parents of the joints of FLAME and MANO
 PARENTS = {**SMPL_PARENTS, 5: (-1, 0, 1, 1, 1), 16: (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)}

@@ -7,7 +7,7 @@ from command_line import fails, runs
 from jaxcap.cli import main
 from jaxcap.io.archives.npz import load_body
 from jaxcap.io.meshes.meshes import save_meshes
-from jaxcap.io.registry import read_skinned
+from jaxcap.io.registry import read_marker_file, read_skinned
 from jaxcap.io.skeletons.amass import read_amass, read_amass_shape
 from jaxcap.observe.meshes import MeshSequence
 from tests.io.body_models.made_smpl import smpl_arrays, smpl_forward
@@ -21,8 +21,10 @@ def folder(tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("models"), np.random.default_rng(5)
     arrays = smpl_arrays(vertices=80)
     np.savez(folder / "smpl_neutral.npz", **arrays)
-    betas, trans = rng.normal(size=6), 0.3 * rng.normal(size=(FRAMES, 3))
+    betas, trans = rng.normal(size=6), 0.1 * rng.normal(size=(FRAMES, 3))
     poses = 0.15 * rng.normal(size=(FRAMES, 72))
+    # neither y nor z is clearly the vertical, which the file does not state
+    poses[:, 0] += np.pi / 4
     meshes = np.array([smpl_forward(arrays, betas, p, t)[0] for p, t in zip(poses, trans, strict=True)])
     save_meshes(folder / "meshes.npz", MeshSequence(meshes, arrays["f"].astype(int), 30.0))
     np.savez(
@@ -76,6 +78,17 @@ def test_a_motion_of_amass_moves_its_model_in_its_shape(folder, tmp_path, capsys
     np.testing.assert_allclose(skeleton.centres, arrays["J_regressor"] @ shaped, atol=1e-6)
 
 
+@pytest.mark.parametrize("each", [(), ("--each-person",)])
+def test_vertices_in_another_order_are_doubted(folder, each, tmp_path, capsys):
+    folder, arrays, _, meshes = folder
+    order = np.r_[10:0:-1, 0, 11:80]
+    save_meshes(tmp_path / "other.npz", MeshSequence(meshes[:, order], arrays["f"].astype(int), 30.0))
+    main(["fit", f"{folder}/smpl_neutral.npz", f"{tmp_path}/other.npz", "-o", f"{tmp_path}/fit.npz", *each])
+    said = capsys.readouterr().err
+    assert "check that the vertices have the order of those of" in said
+    assert ("give --each-person" in said) == (not each)
+
+
 def test_a_template_becomes_a_body(folder, tmp_path, capsys):
     folder, arrays, *_ = folder
     runs(capsys, "convert", folder / "smpl_neutral.npz", tmp_path / "body.npz", "--as", "body")
@@ -121,7 +134,7 @@ def test_what_does_not_fit_is_told(folder, tmp_path, capsys):
     assert "--body and --motion were both given" in fails(
         capsys, "convert", folder / "amass.npz", tmp_path / "m.glb", "--body", model, "--motion", folder / "amass.npz"
     )  # fmt: skip
-    people = dict(np.load(folder / "amass.npz")) | {"betas": np.zeros((FRAMES, 6))}
+    people = dict(np.load(folder / "amass.npz")) | {"betas": np.eye(FRAMES, 6)}
     np.savez(tmp_path / "people.npz", **people)
     line = fails(capsys, "convert", tmp_path / "people.npz", tmp_path / "m.glb", "--body", model)
     assert "every frame has a shape of its own" in line
@@ -129,11 +142,34 @@ def test_what_does_not_fit_is_told(folder, tmp_path, capsys):
     np.savez(tmp_path / "tilted.npz", **tilted)
     line = fails(capsys, "convert", tmp_path / "tilted.npz", tmp_path / "m.glb", "--body", model)
     assert "'up_axis' is x; expected y or z" in line
-    longer = dict(np.load(folder / "amass.npz")) | {"betas": np.zeros(16)}
+    longer = dict(np.load(folder / "amass.npz")) | {"betas": np.ones(16)}
     np.savez(tmp_path / "longer.npz", **longer)
-    line = fails(capsys, "convert", tmp_path / "longer.npz", tmp_path / "m.glb", "--body", model)
-    assert "16 betas were given, and the model has 6" in line
+    main([str(word) for word in ("convert", tmp_path / "longer.npz", tmp_path / "l.npz", "--body", model)])
+    assert "10 of 16 betas are left out, as smpl_neutral.npz has 6" in capsys.readouterr().err
     male = dict(np.load(folder / "amass.npz")) | {"gender": "male"}
     np.savez(tmp_path / "male.npz", **male)
     main([str(word) for word in ("convert", tmp_path / "male.npz", tmp_path / "m.npz", "--body", model)])
     assert "belongs to the male model, and smpl_neutral.npz is the neutral one" in capsys.readouterr().err
+
+
+def test_parameters_of_another_program_are_described_and_converted(folder, tmp_path, capsys):
+    """A file without a rate, with the parts of `smplx`, and more coefficients than the model has, which are zeros."""
+    folder, arrays, betas, _ = folder
+    amass = dict(np.load(folder / "amass.npz"))
+    poses, trans = amass["poses"], amass["trans"]
+    source, out = tmp_path / "smplx.npz", tmp_path / "m.csv"
+    np.savez(
+        source,
+        global_orient=poses[:, :3],
+        body_pose=poses[:, 3:],
+        transl=trans,
+        betas=np.tile([*betas, 0, 0], (FRAMES, 1)),
+    )
+    printed = runs(capsys, "info", source)
+    assert "motion in AMASS format: 3 frames, no rate, poses of 24 joints (SMPL), 8 betas;" in printed
+    to = ["convert", source, out, "--body", folder / "smpl_neutral.npz", "--vertices", 7, "--up", "y"]
+    assert "give --rate in `jaxcap convert`" in fails(capsys, *to)
+    assert "at 25 frames per second" in runs(capsys, *to, "--rate", 25)
+    wanted = [smpl_forward(arrays, betas, p, t)[0][7] for p, t in zip(poses, trans, strict=True)]
+    found = read_marker_file(out).frames.positions[:, -1]
+    np.testing.assert_allclose(found, wanted, atol=1e-5)

@@ -15,7 +15,8 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.registry import read_motion, read_skeleton
-from jaxcap.io.skeletons.amass import SMPL_PARENTS, is_amass, read_amass, write_amass
+from jaxcap.io.skeletons.amass import is_amass, read_amass, read_amass_shape, write_amass
+from jaxcap.io.skeletons.parameters.joints import SMPL_PARENTS
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,8 @@ def smpl_like(joints: int, rng):
 def amass_file(path, rng, joints=52, frames=4, **changed):
     """A file as AMASS has it."""
     arrays = {
-        "trans": rng.normal(size=(frames, 3)),
+        # slow enough for a person
+        "trans": 0.01 * rng.normal(size=(frames, 3)),
         "gender": np.array("male"),
         "mocap_framerate": np.array(120.0),
         "betas": rng.normal(size=16),
@@ -135,6 +137,130 @@ def test_a_pickled_gender_is_not_read_and_a_pickled_pose_is_refused(tmp_path, rn
         read_amass(tmp_path / "m.npz", given)
 
 
+def _parts_of_smplx(poses):
+    """The parts of a pose, as the package `smplx` names them."""
+    ends = {
+        "global_orient": 1,
+        "body_pose": 22,
+        "jaw_pose": 23,
+        "leye_pose": 24,
+        "reye_pose": 25,
+        "left_hand_pose": 40,
+    }
+    parts = np.split(poses.reshape(len(poses), -1, 3), list(ends.values()), axis=1)
+    return dict(zip((*ends, "right_hand_pose"), parts, strict=True))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda poses: {"poses": poses.reshape(4, 55, 3)},
+        lambda poses: {"poses": poses[None], "trans": lambda trans: trans[None]},
+        lambda poses: {"poses": Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(4, 55, 3, 3)},
+        lambda poses: {"poses": None, "fullpose": poses},
+        lambda poses: {"poses": None, **{name: part.reshape(4, -1) for name, part in _parts_of_smplx(poses).items()}},
+        lambda poses: {
+            "poses": None,
+            **_parts_of_smplx(poses),
+            "global_orient": Rotation.from_rotvec(poses[:, :3]).as_matrix(),
+        },
+    ],
+)  # fmt: skip
+def test_names_and_shapes_of_other_programs(tmp_path, rng, changed):
+    """`transl` and `fps` in place of AMASS's names, and the poses in other shapes and parts."""
+    given = smpl_like(55, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, 55)
+    other = changed(arrays["poses"])
+    trans = other.pop("trans", lambda trans: trans)(arrays["trans"])
+    amass_file(tmp_path / "o.npz", rng, 55, trans=None, transl=trans, mocap_framerate=None, fps=120, **other)
+    assert is_amass(tmp_path / "o.npz")
+    motion, same = (read_amass(tmp_path / f"{name}.npz", given)[1] for name in "om")
+    assert motion.rate == 120.0
+    seen = smpl_joints(arrays["poses"], arrays["trans"], SMPL_PARENTS[55], np.asarray(given.centres))
+    ours = np.asarray(joint_paths(given, motion.poses))
+    np.testing.assert_allclose(ours, seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12)
+    np.testing.assert_allclose(ours, joint_paths(given, same.poses), atol=1e-12)
+
+
+@pytest.mark.parametrize("joints", [24, 55])
+def test_a_body_without_hands_is_one_with_hands_at_rest(tmp_path, rng, joints):
+    given = smpl_like(joints, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, 22)
+    poses = np.concatenate([arrays["poses"], np.zeros((4, 3 * (joints - 22)))], axis=1)
+    seen = smpl_joints(poses, arrays["trans"], SMPL_PARENTS[joints], np.asarray(given.centres))
+    ours = np.asarray(joint_paths(given, read_amass(tmp_path / "m.npz", given)[1].poses))
+    np.testing.assert_allclose(ours, seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12)
+
+
+def test_a_motion_of_smplh_moves_smpl_without_fingers(tmp_path, rng):
+    given = smpl_like(24, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, 52)
+    poses = np.concatenate([arrays["poses"][:, :66], np.zeros((4, 6))], axis=1)
+    seen = smpl_joints(poses, arrays["trans"], SMPL_PARENTS[24], np.asarray(given.centres))
+    with pytest.warns(
+        UserWarning, match="52 joints .* the body has 24; the 22 joints without hands are read"
+    ):
+        motion = read_amass(tmp_path / "m.npz", given)[1]
+    np.testing.assert_allclose(
+        joint_paths(given, motion.poses), seen[..., [0, 2, 1]] * [1, 1, -1], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+def test_coefficients_of_one_person_in_each_frame_are_one_shape(tmp_path, rng, rows):
+    betas = rng.normal(size=10)
+    amass_file(tmp_path / "m.npz", rng, betas=np.tile(betas, (rows, 1)), expression=rng.normal(size=(4, 10)))
+    with pytest.warns(UserWarning, match="the expression changes from frame to frame; it is left out"):
+        shape, gender = read_amass_shape(tmp_path / "m.npz")
+    np.testing.assert_array_equal(shape["betas"], betas)
+    assert (list(shape), gender) == (["betas"], "male")
+    amass_file(tmp_path / "m.npz", rng, betas=rng.normal(size=(4, 10)))
+    with pytest.raises(InputError, match="every frame has a shape of its own"):
+        read_amass_shape(tmp_path / "m.npz")
+
+
+def test_groups_without_coefficients_are_not_written(walk, tmp_path):
+    write_amass(tmp_path / "m.npz", *walk, {"betas": np.ones(10), "expression": np.zeros(0)})
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as file:
+        assert file["betas"].shape == (10,)
+        assert "expression" not in file
+
+
+def test_a_rate_is_given_where_the_file_has_none(tmp_path, rng):
+    given = smpl_like(52, rng)
+    amass_file(tmp_path / "m.npz", rng, mocap_framerate=None)
+    assert read_amass(tmp_path / "m.npz", given, rate=25.0)[1].rate == 25.0
+    amass_file(tmp_path / "m.npz", rng)
+    with pytest.raises(
+        InputError, match="states 120 frames per second in 'mocap_framerate', and 25 were given"
+    ):
+        read_amass(tmp_path / "m.npz", given, rate=25.0)
+
+
+@pytest.mark.parametrize(
+    ("turn", "changed", "said"),
+    [
+        ([0, 0, 0], {}, "the person lies if it is z, as read; if it is y, give --up=y"),
+        ([np.pi, 0, 0], {}, "if it is -y, as in the coordinates of a camera, give --up=-y"),
+        ([90, 0, 0], {}, "rotates by 90 radians; if the angles are in degrees"),
+        ([np.pi / 2, 0, 0], {"trans": np.outer(np.arange(4), [8.0, 0, 0])}, "moves at 960 m/s; if the positions are in mill"),
+    ],
+)  # fmt: skip
+def test_doubtful_parameters_are_warned_of(tmp_path, rng, turn, changed, said):
+    poses = np.tile([*turn, *np.zeros(153)], (4, 1))
+    amass_file(tmp_path / "m.npz", rng, poses=poses, **{"trans": np.zeros((4, 3)), **changed})
+    with pytest.warns(UserWarning, match=said):
+        read_amass(tmp_path / "m.npz", smpl_like(52, rng))
+
+
+def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
+    given = smpl_like(24, rng)
+    arrays = amass_file(tmp_path / "m.npz", rng, 24)
+    seen = smpl_joints(arrays["poses"], arrays["trans"], SMPL_PARENTS[24], np.asarray(given.centres))
+    ours = joint_paths(given, read_amass(tmp_path / "m.npz", given, up="-y")[1].poses)
+    np.testing.assert_allclose(ours, seen * [1, -1, -1], atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -144,9 +270,35 @@ def test_a_pickled_gender_is_not_read_and_a_pickled_pose_is_refused(tmp_path, rn
         ({"poses": np.zeros((4, 155))}, "expected \\(frames, 3 \\* joints\\)"),
         ({"poses": np.zeros((3, 156))}, "'trans' has the shape"),
         ({"poses": np.full((4, 156), np.nan)}, "not finite, first in frame 0"),
-        ({"poses": np.zeros((4, 66))}, "22 joints \\(SMPL without hands\\) and the body has 52 joints"),
+        (
+            {"poses": np.zeros((4, 165))},
+            "55 joints \\(SMPL-X\\) and the body has 52 joints; .* first 66 columns",
+        ),
         ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
-        ({"trans": None}, "'trans' is missing"),
+        (
+            {"poses": None},
+            "'poses' is missing; expected it, or its parts, such as 'global_orient' and 'body_pose'",
+        ),
+        ({"poses": np.zeros((0, 52, 3))}, "so it is empty"),
+        ({"trans": None}, "'trans' \\(or 'transl'\\) of the positions of the root is missing"),
+        ({"poses": np.zeros((4, 52, 3, 3))}, "some are no rotations"),
+        (
+            {
+                "poses": None,
+                **dict.fromkeys(("global_orient",), np.zeros((4, 3))),
+                "body_pose": np.zeros((4, 32)),
+            },
+            "has the shape",
+        ),
+        (
+            {
+                "poses": None,
+                "global_orient": np.zeros((4, 3)),
+                "body_pose": np.zeros((4, 63)),
+                "left_hand_pose": np.zeros((4, 12)),
+            },
+            "12 numbers for each frame; expected 45. Principal components of hands are not read",
+        ),
     ],
 )
 def test_wrong_files_are_told(tmp_path, rng, changed, said):

@@ -1,0 +1,1 @@
+"""Parameters of SMPL's family: names and shapes of arrays, joints, doubts."""
