@@ -35,6 +35,7 @@ from .observability import (
     find_imprecise_directions,
     shared_covariance,
 )
+from .rotation_prior import with_wide_posture
 from .soft_tissue import MAX_SLIDING, shift_variances
 
 _LOG = logging.getLogger(__name__)
@@ -261,9 +262,10 @@ def _describe_excessive_sliding(subject: Subject, problem: CalibrationProblem) -
 def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"], terms: UserTerms):
     """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
 
+    The subject is not known yet, so rotations have a wide prior, as in the fit.
     Markers with a weight below `MIN_INLIER_WEIGHT`, most likely with swapped labels, are outliers.
     """
-    solved = solve_markers(subject, frames, terms=terms)
+    solved = solve_markers(with_wide_posture(subject), frames, terms=terms)
     return solved.motion, ~solved.lost, used & ((solved.weights >= MIN_INLIER_WEIGHT) | solved.lost[:, None])
 
 

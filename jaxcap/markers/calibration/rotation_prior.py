@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
+from ..subject import FREE_DEVIATION, Subject
 
 #: least noise deviation of a rotation, radians
 MIN_ROTATION_NOISE = 1e-3
@@ -23,6 +24,9 @@ MIN_ROTATION_NOISE = 1e-3
 FREE_VARIANCE_RATIO = 2.0
 #: prior variance of rotations about all other axes, in units of the noise variance
 STIFF_VARIANCE_RATIO = 1e-3
+#: prior deviation of rotations that are otherwise free, radians: more than most joints rotate, and little against any
+#: marker that is not on the axis
+WIDE_DEVIATION = 0.5
 #: a frame counts if its variance is at most this multiple of the median
 MAX_VARIANCE_RATIO = 3.0
 
@@ -46,6 +50,28 @@ def free_rotation_prior(skeleton: Skeleton) -> RotationPrior:
     dtype = skeleton.centres.dtype
     means = jnp.tile(jnp.array([1.0, 0, 0, 0], dtype), (len(joints), 1))
     return RotationPrior(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
+
+
+def wide_rotation_prior(skeleton: Skeleton, poses: Pose) -> RotationPrior:
+    """Build a weak prior of all rotations about their means.
+
+    A bone with two markers can rotate about the line through both where this line passes near its joint. Its poses would
+    rotate at random, which is false evidence for the centre.
+    """
+    free = free_rotation_prior(skeleton)
+    means = mean_rotations(np.asarray(poses.rotations, float)[:, list(free.joints)])
+    roots = jnp.broadcast_to(jnp.eye(3, dtype=free.roots.dtype) / WIDE_DEVIATION, free.roots.shape)
+    return RotationPrior(jnp.asarray(means, free.means.dtype), roots, free.joints)
+
+
+def with_wide_posture(subject: Subject) -> Subject:
+    """Give a subject without a prior of its posture one of this width, about rest."""
+    if subject.posture is not None:
+        return subject
+    top = np.array(subject.skeleton.parents)[:, None] < 0
+    deviations = np.broadcast_to(np.where(top, FREE_DEVIATION, WIDE_DEVIATION), (len(top), 3))
+    posture = jnp.asarray(deviations, subject.offsets.dtype)
+    return eqx.tree_at(lambda s: s.posture, subject, posture, is_leaf=lambda leaf: leaf is None)
 
 
 def rotation_vectors_from_mean(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
@@ -77,8 +103,9 @@ def estimate_rotation_prior(
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
         # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
-        stiff = np.where(values > FREE_VARIANCE_RATIO, 0.0, STIFF_VARIANCE_RATIO**-0.5)
-        roots[joint] = stiff[:, None] * vectors.T
+        wide = 1.0 / (WIDE_DEVIATION * np.linalg.norm(vectors, axis=0))
+        scales = np.where(values > FREE_VARIANCE_RATIO, wide, STIFF_VARIANCE_RATIO**-0.5)
+        roots[joint] = scales[:, None] * vectors.T
     dtype = skeleton.centres.dtype
     return RotationPrior(jnp.asarray(means, dtype), jnp.asarray(roots, dtype), free.joints)
 
