@@ -2,8 +2,8 @@
 
 If a joint hardly rotates about an axis, noise alone makes its bone seem to rotate. Each such rotation
 would be false evidence for the position of the centre, the stronger the more frames there are (Neyman and
-Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and are
-free about the others.
+Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and have
+a wide prior about the others, so that no bone spins about an axis that its markers hardly determine.
 """
 
 import equinox as eqx
@@ -85,7 +85,7 @@ def estimate_rotation_prior(
     """Estimate the prior from poses that were solved without it, and from their covariances.
 
     It compares the variance of the poses with that due to noise. Axes with more than `FREE_VARIANCE_RATIO` times the noise
-    variance are free, as rotations are not normal and those of several joints are correlated.
+    variance have the wide prior, as rotations are not normal and those of several joints are correlated.
     """
     free = free_rotation_prior(skeleton)
     slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
