@@ -82,7 +82,7 @@ def rotation_vectors_from_mean(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarra
 def estimate_rotation_prior(
     skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]
 ) -> RotationPrior:
-    """Estimate the prior from poses that were solved without it, and from their covariances.
+    """Estimate the prior from poses that were solved with the wide one, and from their covariances.
 
     It compares the variance of the poses with that due to noise. Axes with more than `FREE_VARIANCE_RATIO` times the noise
     variance have the wide prior, as rotations are not normal and those of several joints are correlated.
