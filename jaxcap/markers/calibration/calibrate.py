@@ -232,7 +232,7 @@ def _with_given_prior(problem: CalibrationProblem, prior: AbstractTemplatePrior)
 def with_unsure_sliding(
     problem: CalibrationProblem, estimate: CalibrationEstimate
 ) -> tuple[CalibrationProblem, CalibrationEstimate]:
-    """Add the sliding that no fit shows, and take no bone for one with less sliding than the average.
+    """Add the sliding that no fit shows, and take no bone for one with less sliding than the average of all markers.
 
     The few markers of a bone hardly show how far all of them slide together.
     """
@@ -282,7 +282,7 @@ def _describe_excessive_sliding(subject: Subject, problem: CalibrationProblem) -
 def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"], terms: UserTerms):
     """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
 
-    The subject is not known yet, so rotations have a wide prior, as in the fit.
+    The subject is not known yet, so rotations have a wide prior, about rest.
     Markers with a weight below `MIN_INLIER_WEIGHT`, most likely with swapped labels, are outliers.
     """
     solved = solve_markers(with_wide_posture(subject), frames, terms=terms)

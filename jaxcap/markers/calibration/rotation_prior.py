@@ -52,20 +52,25 @@ def free_rotation_prior(skeleton: Skeleton) -> RotationPrior:
     return RotationPrior(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
 
 
-def wide_rotation_prior(skeleton: Skeleton, poses: Pose) -> RotationPrior:
-    """Build a weak prior of all rotations about their means.
+def free_deviation(subject: Subject) -> float:
+    """Return the prior deviation of rotations that are otherwise free: infinite for a subject with a prior of its posture."""
+    return WIDE_DEVIATION if subject.posture is None else np.inf
+
+
+def wide_rotation_prior(skeleton: Skeleton, poses: Pose, deviation: float = WIDE_DEVIATION) -> RotationPrior:
+    """Build a weak prior of all rotations about their means, with this deviation, radians.
 
     A bone with two markers can rotate about the line through both where this line passes near its joint. Its poses would
     rotate at random, which is false evidence for the centre.
     """
     free = free_rotation_prior(skeleton)
     means = mean_rotations(np.asarray(poses.rotations, float)[:, list(free.joints)])
-    roots = jnp.broadcast_to(jnp.eye(3, dtype=free.roots.dtype) / WIDE_DEVIATION, free.roots.shape)
+    roots = jnp.broadcast_to(jnp.eye(3, dtype=free.roots.dtype) / deviation, free.roots.shape)
     return RotationPrior(jnp.asarray(means, free.means.dtype), roots, free.joints)
 
 
 def with_wide_posture(subject: Subject) -> Subject:
-    """Give a subject without a prior of its posture one of this width, about rest."""
+    """Give a subject without a prior of its posture a wide one, about rest, as the means of its rotations are not known."""
     if subject.posture is not None:
         return subject
     top = np.array(subject.skeleton.parents)[:, None] < 0
@@ -80,12 +85,12 @@ def rotation_vectors_from_mean(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarra
 
 
 def estimate_rotation_prior(
-    skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]
+    skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"], deviation: float = WIDE_DEVIATION
 ) -> RotationPrior:
     """Estimate the prior from poses that were solved with the wide one, and from their covariances.
 
     It compares the variance of the poses with that due to noise. Axes with more than `FREE_VARIANCE_RATIO` times the noise
-    variance have the wide prior, as rotations are not normal and those of several joints are correlated.
+    variance have the wide prior with this `deviation`, as rotations are not normal and those of several joints are correlated.
     """
     free = free_rotation_prior(skeleton)
     slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
@@ -103,7 +108,7 @@ def estimate_rotation_prior(
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
         # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
-        wide = 1.0 / (WIDE_DEVIATION * np.linalg.norm(vectors, axis=0))
+        wide = 1.0 / (deviation * np.linalg.norm(vectors, axis=0))
         scales = np.where(values > FREE_VARIANCE_RATIO, wide, STIFF_VARIANCE_RATIO**-0.5)
         roots[joint] = scales[:, None] * vectors.T
     dtype = skeleton.centres.dtype
