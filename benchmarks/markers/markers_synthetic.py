@@ -107,7 +107,7 @@ def main() -> None:
         seconds[case] = taken
     limits = {
         "noise_determined_mm": ("<=", 1.5), "gaps_determined_mm": ("<=", 2.5), "skin_determined_mm": ("<=", 6.0),
-        "skin_length_mm": ("<=", 3.0), "noise_covered_share": (">=", 0.85),
+        "skin_length_mm": ("<=", 3.0), **{f"{case}_covered_share": (">=", 0.85) for case in CASES},
         **{f"{case}_converged_share": (">=", 0.95) for case in CASES},
     }  # fmt: skip
     limits = {name: limit for name, limit in limits.items() if name.split("_")[0] in options.cases}

@@ -1,12 +1,17 @@
 """Skin that slides with the joints: found where it is, not where it is not, and told from other centres."""
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from jaxcap.markers.calibration.calibrate import calibrate
+from jaxcap.markers.calibration.calibrate import calibrate, with_unsure_sliding
+from jaxcap.markers.calibration.calibration_problem import CalibrationEstimate, make_calibration_problem
+from jaxcap.markers.calibration.rotation_prior import rotation_vectors_from_mean
 from jaxcap.markers.calibration.soft_tissue import (
     align_features,
+    further_features,
     initial_slide_deviation,
     refit_slides,
     skin_features,
@@ -69,6 +74,40 @@ def test_renewed_features_are_aligned_with_the_old_ones(rng):
     # directions with nearly equal sizes come in any order and with any sign
     mixed = features[..., [1, 0, 3, 2]] * [-1.0, 1.0, 1.0, -1.0]
     np.testing.assert_allclose(align_features(features, mixed), features, atol=1e-9)
+
+
+def test_further_features_contain_products_of_rotations(rng):
+    poses = moving(rng, 60).poses
+    features = skin_features(SUBJECT, poses)
+    further = further_features(SUBJECT, poses, features)
+    np.testing.assert_allclose(np.einsum("fmk,fme->mke", features, further), 0, atol=1e-9)
+    turns = rotation_vectors_from_mean(np.asarray(poses.rotations))[:, 2]
+    wide = np.column_stack([np.ones(60), features[:, 8], further[:, 8]])
+    left = turns[:, 0] * turns[:, 1] - wide @ np.linalg.lstsq(wide, turns[:, 0] * turns[:, 1], rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+
+
+def test_covariances_know_that_slides_are_unsure(rng):
+    """A bone with small slides counts as one of usual slides, in further directions, too; skin that does not slide stays so."""
+    motion = moving(rng, 20)
+    frames = seen_by(SUBJECT, motion, rng)
+    problem = make_calibration_problem(
+        SUBJECT, jnp.asarray(frames.positions), jnp.asarray(frames.visible), (1, 2, 3, 4)
+    )
+    rigid = CalibrationEstimate(motion.poses, jnp.zeros(len(problem.prior)), jnp.zeros((0, 18, 3)))
+    assert with_unsure_sliding(problem, rigid) == (problem, rigid)
+    features = jnp.asarray(skin_features(SUBJECT, motion.poses))
+    deviations = jnp.where(SUBJECT.bones == 2, 0.02, 0.001)[None].repeat(features.shape[2], 0)
+    slid = eqx.tree_at(lambda p: (p.skin_features, p.slide_deviations), problem, (features, deviations))
+    estimate = CalibrationEstimate(motion.poses, rigid.shared, jnp.zeros((features.shape[2], 18, 3)))
+    unsure, at = with_unsure_sliding(slid, estimate)
+    assert at.slides.shape == (12, 18, 3) and unsure.skin_features.shape == (20, 18, 12)
+    usual = np.sqrt(np.mean(np.asarray(deviations) ** 2))
+    expected = np.where(np.asarray(SUBJECT.bones) == 2, 0.02, usual)
+    np.testing.assert_allclose(unsure.slide_deviations, np.tile(expected, (12, 1)))
+    before, after = (np.diag(each.shared_covariance(y)) for each, y in ((slid, estimate), (unsure, at)))
+    count = len(problem.prior)
+    assert np.all(after[:count] > before[:count] - 1e-12)
 
 
 def test_slides_are_not_taken_for_longer_bones():

@@ -25,7 +25,7 @@ from .calibration_parameters import shared_parameters
 from .calibration_problem import CalibrationEstimate, CalibrationProblem, apply_sliding
 from .prior_scales import slide_variances, update_scales
 from .residuals import marker_residuals
-from .rotation_prior import estimate_rotation_prior, free_rotation_prior
+from .rotation_prior import estimate_rotation_prior, free_deviation, wide_rotation_prior
 from .soft_tissue import (
     MAX_SLIDING,
     MIN_SLIDING,
@@ -104,7 +104,8 @@ def _bundle_adjust(
 ) -> AdjustmentResult:
     shared = shared_parameters(problem.template, subject, problem.joints)
     start = CalibrationEstimate(poses, shared, jnp.zeros((0, subject.num_markers, 3)))
-    problem = _initial_deviations(problem, start)
+    wide = wide_rotation_prior(problem.template.skeleton, poses, free_deviation(problem.template))
+    problem = _initial_deviations(eqx.tree_at(lambda p: p.rotation_prior, problem, wide), start)
 
     def tolerance(number: int) -> float:
         # the first variances are those of the template's errors and only lead to better ones
@@ -149,8 +150,11 @@ def _update_problem(
             replaced = jnp.asarray(features), jnp.full(slides.shape[:2], found)
             problem = eqx.tree_at(lambda p: (p.skin_features, p.slide_deviations), problem, replaced)
             return problem, CalibrationEstimate(y.poses, y.shared, slides), False
-    poses, covariances = _poses_without_prior(problem, y)
-    turning = estimate_rotation_prior(problem.template.skeleton, poses, covariances)
+    deviation = free_deviation(problem.template)
+    wide = wide_rotation_prior(problem.template.skeleton, y.poses, deviation)
+    wide_problem = eqx.tree_at(lambda p: p.rotation_prior, problem, wide)
+    poses, covariances = _poses_at_fixed_subject(wide_problem, y)
+    turning = estimate_rotation_prior(problem.template.skeleton, poses, covariances, deviation)
     return eqx.tree_at(lambda p: p.rotation_prior, problem, turning), y, settled
 
 
@@ -196,10 +200,9 @@ def _renew_features(
 
 
 @eqx.filter_jit
-def _poses_without_prior(problem: CalibrationProblem, y: CalibrationEstimate):
-    """Compute poses without the rotation prior, and their covariances for given shared parameters."""
-    free = eqx.tree_at(lambda p: p.rotation_prior, problem, free_rotation_prior(problem.template.skeleton))
-    matrices, sides = free.pose_equations(y)
+def _poses_at_fixed_subject(problem: CalibrationProblem, y: CalibrationEstimate):
+    """Compute poses by one step, and their covariances, for given shared parameters."""
+    matrices, sides = problem.pose_equations(y)
     factor = BlockBanded(matrices[:, None]).factorise()
     one = jnp.broadcast_to(jnp.eye(sides.shape[1], dtype=sides.dtype), matrices.shape)
     poses = jax.vmap(retract, (None, 0, 0))(problem.template.skeleton, y.poses, factor.solve(-sides))

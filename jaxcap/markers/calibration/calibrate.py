@@ -35,7 +35,8 @@ from .observability import (
     find_imprecise_directions,
     shared_covariance,
 )
-from .soft_tissue import MAX_SLIDING, shift_variances
+from .rotation_prior import with_wide_posture
+from .soft_tissue import MAX_SLIDING, further_features, shift_variances
 
 _LOG = logging.getLogger(__name__)
 
@@ -179,9 +180,8 @@ def calibrate(
         lasting = _frames_per_observation(best, solved.motion, matched, explained, chosen)
         share = max(frames_per_observation, lasting)
         _LOG.info("computing the covariance of the subject, as if %.1f frames were one observation", share)
-        known = shared_covariance(
-            _with_given_prior(with_frames_per_observation(fit.problem, share), template_prior), fit.estimate
-        )
+        unsure = _with_given_prior(with_frames_per_observation(fit.problem, share), template_prior)
+        known = shared_covariance(*with_unsure_sliding(unsure, fit.estimate))
         hardly = find_imprecise_directions(best, known, joints)
         messages = (
             *_describe_sliding(best, slid),
@@ -229,6 +229,27 @@ def _with_given_prior(problem: CalibrationProblem, prior: AbstractTemplatePrior)
     return eqx.tree_at(lambda p: p.prior, problem, given)
 
 
+def with_unsure_sliding(
+    problem: CalibrationProblem, estimate: CalibrationEstimate
+) -> tuple[CalibrationProblem, CalibrationEstimate]:
+    """Add the sliding that no fit shows, and take no bone for one with less sliding than the average of all markers.
+
+    The few markers of a bone hardly show how far all of them slide together.
+    """
+    if not estimate.slides.size:
+        return problem, estimate
+    features, dtype = np.asarray(problem.skin_features, float), problem.skin_features.dtype
+    further = jnp.asarray(further_features(problem.subject(estimate), estimate.poses, features), dtype)
+    usual = jnp.sqrt(jnp.mean(problem.slide_deviations**2))
+    own = jnp.maximum(problem.slide_deviations, usual)
+    count, markers = further.shape[2], own.shape[1]
+    more = jnp.broadcast_to(jnp.sqrt(jnp.mean(own**2, 0)), (count, markers))
+    replaced = jnp.concatenate([problem.skin_features, further], 2), jnp.concatenate([own, more])
+    problem = eqx.tree_at(lambda p: (p.skin_features, p.slide_deviations), problem, replaced)
+    slides = jnp.concatenate([estimate.slides, jnp.zeros((count, markers, 3), estimate.slides.dtype)])
+    return problem, CalibrationEstimate(estimate.poses, estimate.shared, slides)
+
+
 def _frames_per_observation(subject: Subject, motion: Motion, matched, explained, chosen) -> float:
     """Estimate how many of the chosen frames have the information of one, at least 1, from a motion through all frames."""
     residuals = np.asarray(marker_residuals_of_frames(subject, motion.poses, matched.positions), float)
@@ -261,9 +282,10 @@ def _describe_excessive_sliding(subject: Subject, problem: CalibrationProblem) -
 def _solve_motion(subject: Subject, frames: MarkerFrames, used: Bool[np.ndarray, "F M"], terms: UserTerms):
     """Solve the subject's motion; return it with the explained frames and the mask of inlier markers.
 
+    The subject is not known yet, so rotations have a wide prior, about rest.
     Markers with a weight below `MIN_INLIER_WEIGHT`, most likely with swapped labels, are outliers.
     """
-    solved = solve_markers(subject, frames, terms=terms)
+    solved = solve_markers(with_wide_posture(subject), frames, terms=terms)
     return solved.motion, ~solved.lost, used & ((solved.weights >= MIN_INLIER_WEIGHT) | solved.lost[:, None])
 
 

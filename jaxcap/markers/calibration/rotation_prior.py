@@ -2,8 +2,8 @@
 
 If a joint hardly rotates about an axis, noise alone makes its bone seem to rotate. Each such rotation
 would be false evidence for the position of the centre, the stronger the more frames there are (Neyman and
-Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and are
-free about the others.
+Scott 1948). So poses are pulled to each joint's mean about axes with rotations that noise explains, and have
+a wide prior about the others, so that no bone spins about an axis that its markers hardly determine.
 """
 
 import equinox as eqx
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
+from ..subject import FREE_DEVIATION, Subject
 
 #: least noise deviation of a rotation, radians
 MIN_ROTATION_NOISE = 1e-3
@@ -23,6 +24,9 @@ MIN_ROTATION_NOISE = 1e-3
 FREE_VARIANCE_RATIO = 2.0
 #: prior variance of rotations about all other axes, in units of the noise variance
 STIFF_VARIANCE_RATIO = 1e-3
+#: prior deviation of rotations that are otherwise free, radians: more than most joints rotate, and little against any
+#: marker that is not on the axis
+WIDE_DEVIATION = 0.5
 #: a frame counts if its variance is at most this multiple of the median
 MAX_VARIANCE_RATIO = 3.0
 
@@ -48,18 +52,45 @@ def free_rotation_prior(skeleton: Skeleton) -> RotationPrior:
     return RotationPrior(means, jnp.zeros((len(joints), 3, 3), dtype), joints)
 
 
+def free_deviation(subject: Subject) -> float:
+    """Return the prior deviation of rotations that are otherwise free: infinite for a subject with a prior of its posture."""
+    return WIDE_DEVIATION if subject.posture is None else np.inf
+
+
+def wide_rotation_prior(skeleton: Skeleton, poses: Pose, deviation: float = WIDE_DEVIATION) -> RotationPrior:
+    """Build a weak prior of all rotations about their means, with this deviation, radians.
+
+    A bone with two markers can rotate about the line through both where this line passes near its joint. Its poses would
+    rotate at random, which is false evidence for the centre.
+    """
+    free = free_rotation_prior(skeleton)
+    means = mean_rotations(np.asarray(poses.rotations, float)[:, list(free.joints)])
+    roots = jnp.broadcast_to(jnp.eye(3, dtype=free.roots.dtype) / deviation, free.roots.shape)
+    return RotationPrior(jnp.asarray(means, free.means.dtype), roots, free.joints)
+
+
+def with_wide_posture(subject: Subject) -> Subject:
+    """Give a subject without a prior of its posture a wide one, about rest, as the means of its rotations are not known."""
+    if subject.posture is not None:
+        return subject
+    top = np.array(subject.skeleton.parents)[:, None] < 0
+    deviations = np.broadcast_to(np.where(top, FREE_DEVIATION, WIDE_DEVIATION), (len(top), 3))
+    posture = jnp.asarray(deviations, subject.offsets.dtype)
+    return eqx.tree_at(lambda s: s.posture, subject, posture, is_leaf=lambda leaf: leaf is None)
+
+
 def rotation_vectors_from_mean(q: Float[np.ndarray, "F J 4"]) -> Float[np.ndarray, "F J 3"]:
     """Compute rotation vectors from each joint's mean rotation, in the bones' own frames, radians."""
     return np.asarray(_rotation_vectors(jnp.asarray(mean_rotations(q)), jnp.asarray(q)), float)
 
 
 def estimate_rotation_prior(
-    skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"]
+    skeleton: Skeleton, poses: Pose, covariances: Float[Array, "F D D"], deviation: float = WIDE_DEVIATION
 ) -> RotationPrior:
-    """Estimate the prior from poses that were solved without it, and from their covariances.
+    """Estimate the prior from poses that were solved with the wide one, and from their covariances.
 
     It compares the variance of the poses with that due to noise. Axes with more than `FREE_VARIANCE_RATIO` times the noise
-    variance are free, as rotations are not normal and those of several joints are correlated.
+    variance have the wide prior with this `deviation`, as rotations are not normal and those of several joints are correlated.
     """
     free = free_rotation_prior(skeleton)
     slots = dof_layout(skeleton).rotations[np.array(free.joints, int)]
@@ -77,8 +108,9 @@ def estimate_rotation_prior(
     for joint, (moved, known) in enumerate(zip(second, noise, strict=True)):
         # in units of noise, so that the directions separate by their signal
         values, vectors = scipy.linalg.eigh(moved, known)
-        stiff = np.where(values > FREE_VARIANCE_RATIO, 0.0, STIFF_VARIANCE_RATIO**-0.5)
-        roots[joint] = stiff[:, None] * vectors.T
+        wide = 1.0 / (deviation * np.linalg.norm(vectors, axis=0))
+        scales = np.where(values > FREE_VARIANCE_RATIO, wide, STIFF_VARIANCE_RATIO**-0.5)
+        roots[joint] = scales[:, None] * vectors.T
     dtype = skeleton.centres.dtype
     return RotationPrior(jnp.asarray(means, dtype), jnp.asarray(roots, dtype), free.joints)
 

@@ -10,6 +10,10 @@ shift that follows a joint is similar to a shift of the centre. Without this mod
 with more certainty the more frames there are. `d` is unknown with a prior at zero. Its deviation, one for each bone and
 direction, maximises the marginal likelihood (`jaxcap.markers.calibration.prior_scales`). So what the data cannot separate
 counts as unknown.
+
+Skin also follows joints in other directions, and not linearly. This part is less than the noise in each frame, so no fit
+shows it, but it is the same whenever a pose returns. Covariances include it as further features with unknown slides of
+mean zero (`further_features`).
 """
 
 from typing import NamedTuple
@@ -19,12 +23,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ...body.pose import Pose
+from ...body.skeleton import Skeleton
 from ...geometry.linear import pseudo_inverse
 from ..subject import Subject
 from .rotation_prior import rotation_vectors_from_mean
 
 #: number of directions for the markers of a bone
 NUM_DIRECTIONS = 4
+#: number of further directions for covariances
+NUM_FURTHER_DIRECTIONS = 8
 #: rotations have to explain this multiple of what chance explains of the residuals
 MIN_EXPLAINED_RATIO = 6.0
 #: lower and upper limit of the standard deviation of skin sliding, metres a radian. Markers on a thigh move by up to 3 cm
@@ -56,8 +63,7 @@ def skin_features(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
     turns = np.concatenate([rotation_vectors_from_mean(rotations), angles], 2)
     features = np.zeros((len(turns), len(bones), NUM_DIRECTIONS))
     for bone in np.unique(bones):
-        ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
-        adjacent = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+        adjacent = _adjacent_joints(skeleton, int(bone))
         if not adjacent:
             continue
         wide = turns[:, adjacent].reshape(len(turns), -1)
@@ -66,6 +72,39 @@ def skin_features(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
         found = wide @ directions[:NUM_DIRECTIONS].T
         features[:, bones == bone, : found.shape[1]] = found[:, None]
     return features
+
+
+def further_features(
+    subject: Subject, poses: Pose, features: Float[np.ndarray, "F M K"]
+) -> Float[np.ndarray, "F M E"]:
+    """Compute what `features` leave of the rotations of both ends of a bone and of the products of two of them.
+
+    A shift that changes by its own size over a radian has equal slides with both. The directions are those with the largest
+    variance.
+    """
+    skeleton, bones = subject.skeleton, np.asarray(subject.bones)
+    turns = rotation_vectors_from_mean(np.asarray(poses.rotations, float))
+    further = np.zeros((len(turns), len(bones), NUM_FURTHER_DIRECTIONS))
+    for bone in np.unique(bones):
+        adjacent = _adjacent_joints(skeleton, int(bone))
+        if not adjacent:
+            continue
+        wide = turns[:, adjacent].reshape(len(turns), -1)
+        first, second = np.triu_indices(wide.shape[1])
+        wide = np.concatenate([wide, wide[:, first] * wide[:, second]], 1)
+        known = features[:, bones == bone][:, 0]
+        wide, known = wide - wide.mean(0), known - known.mean(0)
+        wide = wide - known @ (pseudo_inverse(known, 1e-6) @ wide)
+        _, _, directions = np.linalg.svd(wide, full_matrices=False)
+        found = wide @ directions[:NUM_FURTHER_DIRECTIONS].T
+        further[:, bones == bone, : found.shape[1]] = found[:, None]
+    return further
+
+
+def _adjacent_joints(skeleton: Skeleton, bone: int) -> list[int]:
+    """List the joints at both ends of a bone; roots do not move skin."""
+    ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
+    return ends + ([bone] if skeleton.parents[bone] >= 0 else [])
 
 
 def initial_slide_deviation(
