@@ -84,8 +84,9 @@ def adapt_body(task: AdaptTask, state: AdaptState | None = None, every: int = 0)
                 state = yield from _STAGES[stage.name](task, state, stage, every)
         if number + 1 == len(stages):
             state = flag_frames(task, state, final=True)
-            state = state._replace(others=compare_people(task, state))
         yield (state := state._replace(done=number + 1))
+    if state is not None and not state.others and (others := compare_people(task, state)):
+        yield state._replace(others=others)
 
 
 def _estimate_size(task: AdaptTask) -> AdaptState:

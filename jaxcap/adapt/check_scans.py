@@ -104,24 +104,27 @@ def check_actor(task: AdaptTask, state: AdaptState, where: str) -> None:
 def check_later_scans(task: AdaptTask, state: AdaptState, names: Sequence[str]) -> None:
     """Check that no scan after the first one contains a second person, with the poses after the stage `track`.
 
-    `names` name the scans in messages. An object that stays in its position is fitted once, and at most
-    `MAX_OBJECTS` objects are.
+    `names` name the scans in messages. An object that stays in its position in scans that follow each other is fitted once,
+    in the first scan by `check_actor`, and at most `MAX_OBJECTS` objects are.
 
     **Raises:** `InputError` if a scan contains another object that is like a person.
     """
-    height, known = height_of(state.body), []
-    for frame in task.scanned[1:]:
+    height, known, count = height_of(state.body), [], 0
+    for number, frame in enumerate(task.scanned):
         scan = make_scan(thin_cloud(task.cloud(frame), NUM_CHECKED))
         like, distances = fit_quality(state, frame, scan)
         # a lost body leaves its own person
         for rows in _other_objects(scan, distances, height) if is_person(like) else ():
             middle = np.median(scan.points[rows], 0)
-            if len(known) == MAX_OBJECTS or any(
-                np.linalg.norm(middle - other) < MIN_OBJECT_DISTANCE * height for other in known
-            ):
+            near = any(np.linalg.norm(middle - other) < MIN_OBJECT_DISTANCE * height for other in known)
+            if near and not task.settings.unordered:
                 continue
             known.append(middle)
-            _refuse_person(task, scan, rows, names[frame])
+            if number:
+                _refuse_person(task, scan, rows, names[frame])
+                count += 1
+            if count == MAX_OBJECTS:
+                return
 
 
 def _other_objects(

@@ -84,9 +84,12 @@ def compare_people(task: AdaptTask, state: AdaptState) -> tuple[OtherPerson, ...
     found = []
     for group in others:
         differences = np.median(shifts[group], 0) - np.median(shifts[first], 0)
-        order = np.argsort(-np.abs(differences / limits))[:NUM_NAMED]
+        shares = np.abs(differences / limits)
+        order = [
+            n for n in np.argsort(-shares)[:NUM_NAMED] if shares[n] > MIN_LIMIT / 2 or n == np.argmax(shares)
+        ]
         named = tuple((list(parts)[n], float(differences[n])) for n in order)
-        found.append(OtherPerson(tuple(frames[row] for row in group), named))
+        found.append(OtherPerson(tuple(frames[row] for row in group), named, len(frames)))
     return tuple(found)
 
 

@@ -99,8 +99,10 @@ class OtherPerson(NamedTuple):
     """Scans of one person, who differs from the person in most of the scans (`compare_people`)."""
 
     frames: tuple[int, ...]
-    #: the measures that differ, with their difference from those of most scans, metres; the clearest first
+    #: parts of the body with the distance of their surface from that of most scans, metres, outwards; the clearest first
     differences: tuple[tuple[str, float], ...]
+    #: number of all scans that were compared
+    compared: int
 
 
 class AdaptState(NamedTuple):

@@ -17,13 +17,17 @@ from .check_depths import check_image_size_of, keep_measured
 
 @checked
 def find_floor_of_person(
-    cameras: Sequence[Camera], depths: Sequence[Float[np.ndarray, "H W"]], cloud: Cloud
+    cameras: Sequence[Camera],
+    depths: Sequence[Float[np.ndarray, "H W"]],
+    cloud: Cloud,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
 ) -> Plane | None:
-    """Find the floor below a person in the depth images of one frame, y up; None if no camera shows it.
+    """Find the floor below a person in the depth images of one frame; None if no camera shows it.
 
     `make_floor(body, plane.offset, tuple(plane.normal))` is the energy of such a plane.
 
-    **Arguments:** `depths`, metres, zero where nothing was measured, one for each of the `cameras`; `cloud` of the person.
+    **Arguments:** `depths`, metres, zero where nothing was measured, one for each of the `cameras`; `cloud` of the person;
+    `up`, the vertical.
 
     **Raises:** `InputError` if an image has another size than its camera's.
     """
@@ -33,7 +37,7 @@ def find_floor_of_person(
         depth = keep_measured(image)
         step = search_step(depth.shape)
         points = world_points(camera, depth, step)[depth[::step, ::step] > 0]
-        level = find_floor(find_planes(points, np.asarray(camera.eye, float)))
+        level = find_floor(find_planes(points, np.asarray(camera.eye, float)), up)
         floor = None if level is None else refine_plane(level, points)
         if floor is not None and len(person) and is_floor_of(floor, points, person):
             return floor

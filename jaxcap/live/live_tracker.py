@@ -91,8 +91,10 @@ class LiveTracker:
     **Arguments:** `tracker` as of `make_live_tracker`; `cameras` of the depth images, which
     do not move; `backgrounds` of the cameras, of `estimate_background`; `num_points`, the largest number of points of a frame; `on_frame`, a function that is called with each tracked
     frame, in the thread that tracks; `start`, `search`, `sigma`, `up` and `judge_every` as in `OnlineTracker`. With a `start`, the
-    first images are searched near it. `find_floor`: `warm_up` looks for the floor below the person in its depth images, and feet
-    stay above it.
+    first images are searched near it. `find_floor`: `warm_up` looks for the floor below the person in its depth images, before the
+    first frame is tracked, and feet stay above it.
+
+    **Raises:** `InputError` for `find_floor` without cameras.
     """
 
     @checked
@@ -111,10 +113,14 @@ class LiveTracker:
         judge_every: int = JUDGE_EVERY,
         find_floor: bool = False,
     ):
+        if find_floor and not cameras:
+            raise InputError(
+                "LiveTracker: `find_floor` is for depth images, but there are no cameras; give `cameras`."
+            )
         self._make_online = partial(
             OnlineTracker, start=start, search=search, sigma=float(sigma), up=up, judge_every=judge_every
         )
-        self._online, self._finds_floor = self._make_online(tracker), find_floor
+        self._online, self._finds_floor, self._up = self._make_online(tracker), find_floor, up
         #: the floor that `warm_up` has found
         self.floor: Plane | None = None
         self._cameras = list(cameras)
@@ -128,6 +134,8 @@ class LiveTracker:
         #: the newest tracked frame
         self.newest: LiveFrame | None = None
         self._counts, self._lock, self._pushed = StatisticsCounter(), threading.Lock(), 0
+        #: held while a frame is tracked
+        self._tracking = threading.Lock()
         self._idle = threading.Condition(self._lock)
         self._open = 0
         #: where the next image is expected to show the person
@@ -194,7 +202,7 @@ class LiveTracker:
             # floor and walls are looked for in the first image of each stream
             self._streams[1].make(list(frame), name=name)
             if self._finds_floor and self.floor is None:
-                self._use_floor(find_floor_of_person(self._cameras, list(frame), cloud))
+                self._use_floor(find_floor_of_person(self._cameras, list(frame), cloud, self._up))
         self._online.warm_up(cloud)
         np.asarray(posed_vertices(self._online.tracker.body, self._online.start))
         with self._lock:
@@ -205,13 +213,14 @@ class LiveTracker:
         return time.perf_counter() - begin
 
     def _use_floor(self, floor: Plane | None) -> None:
-        """Track with a floor from now on, before the first frame."""
-        if floor is None:
-            return
-        self.floor, tracker = floor, self._online.tracker
-        self._online.close()
-        terms = (*tracker.terms, make_measured_floor(tracker.body, floor))
-        self._online = self._make_online(eqx.tree_at(lambda t: t.terms, tracker, terms))
+        """Track with a floor, unless a frame was tracked without it."""
+        with self._tracking:
+            if floor is None or self._online.frame is not None:
+                return
+            self.floor, tracker = floor, self._online.tracker
+            self._online.close()
+            terms = (*tracker.terms, make_measured_floor(tracker.body, floor))
+            self._online = self._make_online(eqx.tree_at(lambda t: t.terms, tracker, terms))
 
     @property
     def statistics(self) -> LiveStatistics:
@@ -295,7 +304,8 @@ class LiveTracker:
         while (ready := self._ready.take()) is not None:
             begin, incoming = time.perf_counter(), ready.incoming
             try:
-                tracked = self._online.track(ready.cloud, incoming.name)
+                with self._tracking:
+                    tracked = self._online.track(ready.cloud, incoming.name)
             except InputError as error:
                 self._finish(incoming, failure=user_message(error))
                 continue

@@ -168,7 +168,7 @@ def others_table(state: AdaptState) -> Markup:
     ]
     return table(
         "Frames, counted from 0",
-        ("frames", "distance of the surface from the others, outwards"),
+        ("frames", "distance of the surface from that of the others, outwards"),
         rows,
         words=(0, 1),
     )

@@ -310,6 +310,6 @@ def test_what_is_refused(tmp_path, capsys):
 def test_scans_of_other_people_are_listed():
     body = chain_body("linear", 4, 3)
     motion = stack_poses([rest_pose(body.skeleton)] * 4, 30.0)
-    other = OtherPerson((1, 3), (("pelvis", -0.0128), ("chest", 0.002)))
+    other = OtherPerson((1, 3), (("pelvis", -0.0128), ("chest", 0.002)), 4)
     shown = str(others_table(AdaptState(1, body, 1.0, motion, others=(other,))))
     assert "1, 3" in shown and "-12.8 mm at the pelvis, +2.0 mm at the chest" in shown

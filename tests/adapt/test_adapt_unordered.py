@@ -223,11 +223,11 @@ def test_the_closing_lines_name_frames_with_their_reasons(mixed, capsys, tmp_pat
     assert format_explained(state._replace(lost=(), reasons=())) == "all scans explained"
     told = fails(capsys, "adapt", "human", tmp_path, "-o", tmp_path / "a.npz", "--unordered", "--ordered")
     assert "--unordered and --ordered are opposites" in told
-    state = state._replace(others=(OtherPerson((3, 5), (("chest", -0.0072), ("thighs", 0.004))),))
+    state = state._replace(others=(OtherPerson((3, 5), (("chest", -0.0072), ("thighs", 0.004)), 8),))
     warn_of_others(state, read_clouds(str(tmp_path / "*.ply")))
     (line,) = capsys.readouterr().err.splitlines()
-    assert "2 of 8 scans may be of another person" in line and "scan_0003.ply, scan_0005.ply" in line
-    assert "-7.2 mm at the chest, +4.0 mm at the thighs" in line
+    assert "2 of 8 compared scans may be of another person" in line and "scan_0003.ply, scan_0005.ply" in line
+    assert "7.2 mm further in at the chest, 4.0 mm further out at the thighs" in line
     made = make_checkpoint(state)
     kept = restore_state(made, tmp_path / "kept")
     assert (kept.lost, kept.reasons, kept.others) == (state.lost, state.reasons, state.others)

@@ -19,6 +19,7 @@ from jaxcap.live.load import FIRST_PAUSE, LAST_PAUSE, WINDOW, Load
 from jaxcap.live.mailbox import Mailbox
 from jaxcap.live.statistics import StatisticsCounter
 from jaxcap.observe.clouds import Cloud, make_cloud
+from jaxcap.observe.planes import Plane
 from jaxcap.tracking import advance, online
 from jaxcap.tracking.online import OnlineTracker
 from jaxcap.tracking.track import track_frames
@@ -303,3 +304,17 @@ def test_a_search_knows_the_clothes_that_the_frames_have_shown(monkeypatch):
     assert np.all(np.diff(counts) <= 1.0)
     assert given[:2] == [counts[0]] * 2
     tracking.close()
+
+
+def test_a_floor_is_used_from_the_first_frame_or_not_at_all():
+    plane = Plane(np.array([0.0, 1.0, 0.0]), -2.0)
+    with LiveTracker(TRACKER, search=False) as live:
+        live._use_floor(plane)
+        assert live.floor is plane and len(live._online.tracker.terms) == 1
+    with LiveTracker(TRACKER, search=False) as live:
+        live.push(CLOUDS[0])
+        assert live.wait(60)
+        live._use_floor(plane)
+        assert live.floor is None and live._online.frame is not None
+    with pytest.raises(InputError, match="`find_floor` is for depth images"):
+        LiveTracker(TRACKER, find_floor=True)

@@ -246,8 +246,8 @@ def _other_terms(tracker: Tracker, cloud: Cloud, sigma: Float[Array, ""]) -> tup
     """Make the terms of a frame other than those of its points.
 
     Points in clothes pull a larger body over themselves, whose feet or hands are beyond the cloud, where nothing pulls
-    them back: an image shows it by free space, and a cloud of the whole person by its ends. These count no more than the
-    points with their standard deviation `sigma`: a step that only they decide would be an extrapolation by decimetres.
+    them back: an image shows it by free space, and a cloud of the whole person by its ends. These have the standard deviation
+    `sigma` of the points, and at least 5 mm: the first step to a body of another size would be an extrapolation by decimetres.
     """
     terms = partial_terms(tracker, cloud)
     if cloud.views or tracker.pose_prior is not None:

@@ -24,6 +24,7 @@ from ...io.meshes.clouds import Scans
 from ...observe import Scan
 from ...tracking.check_cloud import check_cloud_extent
 from ..console.console import pluralise, progress, warn
+from ..console.heartbeat import set_activity
 from ..motions import load_motion
 from ..sources import Up, up_rotation, upright_camera
 
@@ -142,17 +143,20 @@ def warn_of_others(state: AdaptState, scans: Scans) -> None:
     for other in state.others:
         named = [Path(scans.names[frame]).name for frame in other.frames]
         more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
-        parts = ", ".join(f"{1000 * shift:+.1f} mm at the {name}" for name, shift in other.differences)
+        parts = ", ".join(
+            f"{1000 * abs(shift):.1f} mm further {'out' if shift > 0 else 'in'} at the {name}"
+            for name, shift in other.differences
+        )
         warn(
-            f"{len(named)} of {len(scans)} scans may be of another person than the others: {', '.join(named[:NAMED])}{more}; their surface is "
-            f"further out by {parts}, so the body may be a mean of several people; adapt to the scans of each person by itself, "
+            f"{len(named)} of {other.compared} compared scans may be of another person than the others: {', '.join(named[:NAMED])}{more}; "
+            f"their surface is {parts}, so the body may be a mean of several people; adapt to the scans of each person by itself, "
             "unless only clothes differ or these poses are wrong"
         )
 
 
 def check_people(task: AdaptTask, state: AdaptState, names: Sequence[str]) -> None:
-    """Check after the stage `size` that the first scan is of one person, and after the first stage `track` the later scans; the
-    message names the option to continue anyway. `names` are those of the scans.
+    """Check after the stage `size` that the first scan is of one person, and after the first stage that tracks all frames the later
+    scans; the message names the option to continue anyway. `names` are those of the scans.
 
     **Raises:** `InputError` if one is not.
     """
@@ -162,6 +166,7 @@ def check_people(task: AdaptTask, state: AdaptState, names: Sequence[str]) -> No
         if state.done == 1:
             check_actor(task, state, names[0])
         elif state.done == 1 + plan_stages(task.settings).index(Stage("track")):
+            set_activity("looking for a second person in the scans")
             check_later_scans(task, state, names)
     except InputError as error:
         raise InputError(

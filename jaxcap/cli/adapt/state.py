@@ -121,9 +121,11 @@ def _restore_others(arrays: Mapping[str, np.ndarray], frames: int, path: Path) -
     try:
         found = tuple(
             OtherPerson(
-                tuple(int(frame) for frame in own), tuple((str(name), float(shift)) for name, shift in parts)
+                tuple(int(frame) for frame in own),
+                tuple((str(name), float(shift)) for name, shift in parts),
+                int(compared),
             )
-            for own, parts in parse_json(str(arrays["others"]), path)
+            for own, parts, compared in parse_json(str(arrays["others"]), path)
         )
     except (TypeError, ValueError, OverflowError):
         found = None

@@ -203,7 +203,7 @@ class LiveRun:
             num_points=options.num_points,
             on_frame=self._keep,
             search=not options.no_search,
-            find_floor=options.floor is None,
+            find_floor=options.floor is None and bool(source.cameras),
         )
         self.statistics = self._live.statistics
         self._printed = 0.0
