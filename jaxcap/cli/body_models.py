@@ -149,24 +149,27 @@ def takes_shape(spec: str, motion: str | Path) -> bool:
 
 
 def load_shaped_body(spec: str, motion: Path) -> Body:
-    """Load a body model in the shape of a motion in AMASS format. Raises `InputError` if the model has fewer coefficients."""
+    """Load a body model in the shape of a motion in AMASS format. Coefficients beyond those of the model are left out, with a warning.
+
+    **Raises:** `InputError`.
+    """
     shape, gender = read_amass_shape(motion)
     if not shape:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
-    # many programs fill the coefficients up with zeros, beyond those that a model has
-    shape = {name: np.trim_zeros(values, "b") for name, values in shape.items()}
     counts = {f"num_{name}": len(values) for name, values in shape.items() if name in SHAPE_GROUPS}
     model = load_model(spec, **counts)
     sizes = {name: size for name, size in model.groups if name in SHAPE_GROUPS}
-    for name, size in sizes.items():
-        extra = len(shape.get(name, ())) - size
-        if extra > 0:
+    for name in shape.keys() & sizes.keys():
+        size = sizes[name]
+        # many programs fill the coefficients up with zeros, beyond those that a model has
+        count = len(np.trim_zeros(shape[name], "b"))
+        if count > size:
             # the coefficients of principal components, those of the smallest changes
             warn(
-                f"{motion}: {extra} of {len(shape[name])} {name} are left out, as {split_model(spec)[0].name} has {size}"
+                f"{motion}: {count - size} of {count} {name} are left out, as {split_model(spec)[0].name} has {size}"
             )
-            shape[name] = shape[name][:size]
+        shape[name] = shape[name][:size]
     check_gender(spec, motion, gender)
     known = {name for name, _ in model.groups}
     try:
