@@ -40,7 +40,7 @@ from .between_bodies import check_target, convert_between_bodies, still_motion
 from .body import write_linear_body
 from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
 from .points import check_marker_unit, read_labels, write_points
-from .surface import write_surface
+from .surface import check_single, write_surface
 
 #: metres, and bones per vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -126,6 +126,7 @@ class Convert:
                 self.target,
                 human,
                 self.body is not None,
+                self.motion is not None,
             )
         )
         self.check(way)
@@ -332,6 +333,7 @@ class Convert:
         )
 
     def write_mesh(self) -> None:
+        check_single(self.target)
         mesh = read_mesh(self.source, self.unit or "m")
         write_mesh(self.target, mesh, self.target_unit or "m")
         say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")
