@@ -28,7 +28,7 @@ from ...io.registry import (
     write_motion,
     write_skeleton,
 )
-from ...io.skeletons.amass import GENDERS, Up, is_amass, read_amass, read_amass_shape, write_amass
+from ...io.skeletons.amass import GENDERS, MotionUp, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
 from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
@@ -90,7 +90,7 @@ class Convert:
     """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
     up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
     SOURCE as .npz; `smpl`, the body of SOURCE as a body model in SMPL's format, .npz."""
-    up: Annotated[Up | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
+    up: Annotated[MotionUp | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
     """Up axis of a motion in AMASS format; -y (--up=-y) is that of a camera. Default: the axis stated in the file, else z."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of a motion in AMASS format that states none."""
