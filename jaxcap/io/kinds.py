@@ -14,7 +14,7 @@ from .depth.recording import RECORDING_SUFFIXES
 from .foreign import IMAGE_SUFFIXES, UNSUPPORTED_FORMATS
 from .gltf.gltf_document import SUFFIXES as GLTF
 from .gltf.gltf_document import has_skin
-from .skeletons.parameters.arrays import is_motion
+from .skeletons.parameters.arrays import BODY_KEYS, is_motion
 from .skeletons.rig_files import find_rig_files
 from .skinned.clip import split_clip
 from .text import read_json, shortened
@@ -193,7 +193,9 @@ def kind_of_arrays(names: Iterable[str], format_name: str = "") -> str:
         return "arrays"
     if {"v_template", "shapedirs", "J_regressor"} <= found:
         return "body model"
-    if is_motion(found):
+    # files of depth, clouds and meshes may have the poses of cameras and a rate
+    others = found & {*DEPTH_ARRAYS, "points"} or {"vertices", "faces"} <= found
+    if is_motion(found) and (not others or found & BODY_KEYS):
         return "amass"
     if found & set(DEPTH_ARRAYS):
         return "depth"

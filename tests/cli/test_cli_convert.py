@@ -111,6 +111,26 @@ def test_the_surface_of_a_body_becomes_meshes(inputs, tmp_path, capsys):
         np.testing.assert_allclose(found, wanted[frame], atol=1e-5)
     said = fails(capsys, "convert", inputs / "body.npz", pattern, "--motion", inputs / "truth.npz")
     assert "50%_00.ply: this file already exists" in said
+    # a name with a number is for frames
+    for source in (inputs / "body.npz", tmp_path / "rest.obj"):
+        said = fails(capsys, "convert", source, tmp_path / "rest_%02d.obj")
+        assert "the name has a frame number, but there is no motion; give --motion" in said
+        assert not (tmp_path / "rest_%02d.obj").exists()
+
+
+def test_a_skinned_body_moves_as_meshes(inputs, tmp_path, capsys):
+    """By its own clip, and by another motion."""
+    body, motion = load_body(inputs / "body.npz"), load_motion(inputs / "truth.npz")
+    skinned = tmp_path / "body.glb"
+    runs(capsys, "convert", inputs / "body.npz", skinned, "--motion", inputs / "truth.npz")
+    wanted = jc.body.posed_vertices(body, motion.poses)
+    for name, *options in (("clip",), ("given", "--motion", inputs / "truth.npz")):
+        said = runs(capsys, "convert", skinned, tmp_path / f"{name}_%02d.ply", *options)
+        assert "5 meshes, 1500 vertices" in said
+        found = trimesh.load(tmp_path / f"{name}_04.ply", process=False).vertices
+        assert np.linalg.norm(found - wanted[4], axis=1).mean() < 0.005
+    said = fails(capsys, "convert", skinned, tmp_path / "one.ply", "--motion", inputs / "truth.npz")
+    assert "give a name with the number of the frame" in said
 
 
 def test_vertices_become_markers(inputs, tmp_path, capsys):

@@ -9,7 +9,7 @@ from helpers import chain_body
 
 from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skin import RigidSkin
-from jaxcap.io.kinds import KIND_NAMES, KIND_PLURALS, identify
+from jaxcap.io.kinds import KIND_NAMES, KIND_PLURALS, identify, kind_of_arrays
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.io.registry import read_body, read_skeleton, read_skinned
 from jaxcap.io.skeletons.bvh import write_bvh
@@ -146,3 +146,17 @@ def test_a_face_without_area_does_not_make_a_mesh_unusable(doll, capsys, tmp_pat
     rigged = read_body(tmp_path / "rigged.npz")
     np.testing.assert_array_equal(rigged.faces, body.faces)
     np.testing.assert_allclose(rigged.vertices, body.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        ({"depth", "poses", "fps"}, "depth"),
+        ({"points", "poses", "fps"}, "clouds"),
+        ({"vertices", "faces", "poses", "fps"}, "meshes"),
+        ({"vertices", "faces", "poses", "trans"}, "amass"),
+        ({"vertices", "faces", "global_orient", "body_pose", "transl"}, "amass"),
+    ],
+)
+def test_the_poses_of_cameras_are_not_those_of_people(names, kind):
+    assert kind_of_arrays(names) == kind

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxcap as jc
+from jaxcap.io.angle_table import read_angle_names
 
 SKELETON = jc.human(resolution="low").skeleton
 ANGLES = jc.joint_angles(SKELETON, jc.Motion(jc.body.sample_poses(SKELETON, count=4), 50.0))
@@ -39,6 +40,13 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(jc.InputError, match="poses without a rate"):
         jc.io.write_angles(tmp_path / "angles.csv", jc.joint_angles(SKELETON, jc.rest_pose(SKELETON)))
     assert not list(tmp_path.iterdir())
+
+
+def test_names_of_no_file_are_refused(tmp_path):
+    with pytest.raises(jc.InputError, match="there is no such file"):
+        read_angle_names(tmp_path / "none.csv")
+    with pytest.raises(jc.InputError, match="cannot be read"):
+        read_angle_names(tmp_path)
 
 
 def test_a_table_of_opensim_has_the_same_angles_and_may_begin_later(tmp_path):

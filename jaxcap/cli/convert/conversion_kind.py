@@ -25,6 +25,7 @@ from ...io.registry import (
     is_skinned,
 )
 from ...io.skinned.clip import suffix_of
+from ...io.system.paths import numbered_path
 
 ConversionKind = Literal[
     "own", "body", "motion", "points", "markers", "mesh", "surface", "skeleton", "angles"
@@ -66,10 +67,10 @@ WRITTEN = {
 
 
 def find_conversion(
-    source: Path, target: Path, human: bool = False, with_body: bool = False
+    source: Path, target: Path, human: bool = False, with_body: bool = False, with_motion: bool = False
 ) -> ConversionKind:
-    """Choose the conversion by the suffixes; `human`, whether the source is the embedded body, and `with_body`, whether the body
-    of a motion is given. Raises `InputError` if there is none."""
+    """Choose the conversion by the suffixes; `human`, whether the source is the embedded body, `with_body`, whether the body of a
+    motion is given, and `with_motion`, whether the motion of a body is. Raises `InputError` if there is none."""
     here, there = ".npz" if human else suffix_of(source), target.suffix.lower()
     if there not in WRITTEN and there in WRITABLE_ALTERNATIVES:
         raise InputError(
@@ -91,6 +92,11 @@ def find_conversion(
         (with_body and here in MOTION_READERS)
         or human
         or (here in (".npz", *MODEL_SUFFIXES) and identify(source) in ("body", "body model"))
+        # a single mesh of such a file is the mesh as it is there
+        or (
+            (with_motion or numbered_path(target, 0) is not None)
+            and (is_skinned(source) or is_rigged(source))
+        )
     ):
         return "surface"
     if there in MESH_WRITTEN and identify(source) in ("motion", "amass"):

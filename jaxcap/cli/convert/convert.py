@@ -28,7 +28,7 @@ from ...io.registry import (
     write_motion,
     write_skeleton,
 )
-from ...io.skeletons.amass import GENDERS, Up, is_amass, read_amass, read_amass_shape, write_amass
+from ...io.skeletons.amass import GENDERS, MotionUp, is_amass, read_amass, read_amass_shape, write_amass
 from ...io.skinned.clip import split_clip
 from ..body_models import is_model_spec, load_shaped_body, split_model, takes_shape
 from ..console.console import pluralise, say, warn
@@ -40,7 +40,7 @@ from .between_bodies import check_target, convert_between_bodies, still_motion
 from .body import write_linear_body
 from .conversion_kind import PURPOSES, ConversionKind, check_options, check_units, find_conversion
 from .points import check_marker_unit, read_labels, write_points
-from .surface import write_surface
+from .surface import check_single, write_surface
 
 #: metres, and bones per vertex
 TOLERANCE, INFLUENCES = 0.001, 4
@@ -90,7 +90,7 @@ class Convert:
     """Content of the target: `amass`, a motion in AMASS format as .npz (`poses`, `trans`, `betas`, `gender` and the rate, z
     up); `angles`, the joint angles of a person as .csv, in degrees, as biomechanics defines them; `body`, the body of
     SOURCE as .npz; `smpl`, the body of SOURCE as a body model in SMPL's format, .npz."""
-    up: Annotated[Up | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
+    up: Annotated[MotionUp | None, arg(metavar="y|z|-y", help_behavior_hint="")] = None
     """Up axis of a motion in AMASS format; -y (--up=-y) is that of a camera. Default: the axis stated in the file, else z."""
     rate: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="")] = None
     """Frames per second of a motion in AMASS format that states none."""
@@ -126,6 +126,7 @@ class Convert:
                 self.target,
                 human,
                 self.body is not None,
+                self.motion is not None,
             )
         )
         self.check(way)
@@ -332,6 +333,7 @@ class Convert:
         )
 
     def write_mesh(self) -> None:
+        check_single(self.target)
         mesh = read_mesh(self.source, self.unit or "m")
         write_mesh(self.target, mesh, self.target_unit or "m")
         say(f"{self.target}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces")

@@ -16,15 +16,25 @@ from ..outputs import check_absent
 _posed_vertices = eqx.filter_jit(lambda body, pose: pose_body(body, pose).vertices)
 
 
+def check_single(target: Path) -> None:
+    """Check that the name of a single mesh has no number of a frame. Raises `InputError`."""
+    if numbered_path(target, 0) is not None:
+        raise InputError(
+            f"{target}: the name has a frame number, but there is no motion; give --motion, or a name without a number."
+        )
+
+
 def write_surface(
     target: Path, body: Body, motion: Motion | None, unit: str | None, overwrite: bool = False
 ) -> None:
     """Write the surface of a body at rest, or in each frame of a motion to files with the numbers of the frames.
 
-    **Raises:** `InputError` if a motion of several frames has a target without a number, or a file cannot be written.
+    **Raises:** `InputError` if a motion of several frames has a target without a number, or a body at rest has one, or a file cannot
+    be written.
     """
     faces = np.asarray(body.faces)
     if motion is None:
+        check_single(target)
         write_mesh(target, Mesh(np.asarray(body.vertices), faces), unit or "m")
         say(f"{target}: {len(body.vertices)} vertices, {len(faces)} faces, at rest")
         return

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...body.skeleton import Skeleton
-from ...errors import InputError
+from ...errors import InputError, user_message
 from ..archives.archive import array_names, load_arrays, read_format_name
 from ..archives.npz import get_array, skeleton_arrays
 from ..kinds import kind_of_arrays
@@ -28,7 +28,7 @@ from ..skinned.skinned import check_motion
 from ..system.atomic import atomic_path
 from ..system.reader_errors import reader_of
 from ..text import check_frame_rate
-from .parameters.arrays import NAMES, RATES, find_array, is_motion, one_shape, pose_vectors, root_positions
+from .parameters.arrays import NAMES, RATES, find_array, is_motion, one_shape, pose_vectors, translations
 from .parameters.doubts import warn_of_doubts
 from .parameters.joints import (
     NUM_TRUNK,
@@ -40,7 +40,7 @@ from .parameters.joints import (
 )
 
 #: verticals of a world; -y is that of a camera, whose y axis points down
-Up = Literal["y", "z", "-y"]
+MotionUp = Literal["y", "z", "-y"]
 #: from a y-up to a z-up world
 _Y_UP_TO_Z_UP = Rotation.from_euler("x", 90, degrees=True)
 _TO_Y_UP = {"z": _Y_UP_TO_Z_UP.inv(), "-y": Rotation.from_euler("x", 180, degrees=True)}
@@ -193,7 +193,7 @@ def read_amass_shape(path: str | Path) -> tuple[dict[str, Float[np.ndarray, "N"]
     if arrays.get(_VARYING, np.zeros(0)).ndim == 2:
         warnings.warn(
             f"{path}: the expression changes from frame to frame; it is left out.",
-            stacklevel=2,
+            stacklevel=4,
         )
         del arrays[_VARYING]
     for name, values in arrays.items():
@@ -279,7 +279,7 @@ def is_amass(path: str | Path) -> bool:
 def read_amass(
     path: str | Path,
     skeleton: Skeleton | None = None,
-    up: Up | None = None,
+    up: MotionUp | None = None,
     rate: float | None = None,
 ) -> tuple[Skeleton, Motion]:
     """Read a motion in AMASS's format; the world's `up` becomes y. By default it is that of the file, z if it states none.
@@ -315,13 +315,26 @@ def describe_parameters(path: str | Path) -> str:
     try:
         shape, gender = read_amass_shape(path)
         parts = [f"{len(values)} {name}" for name, values in shape.items()] or ["no betas"]
-    except InputError:
-        parts, gender = ["a shape for each frame"], _gender(path)
+    except InputError as error:
+        parts, gender = [_describe_other_shape(path, error)], _gender(path)
     whose = f", {gender}" if gender else ""
     return (
         f"motion in AMASS format: {len(poses)} frame{'' if len(poses) == 1 else 's'}{rate}, {describe_joints(poses.shape[1] // 3)}, "
         f"{', '.join(parts)}{whose}; the positions of the joints follow from its body model"
     )
+
+
+def _describe_other_shape(path: str | Path, error: InputError) -> str:
+    """Describe a shape that is not that of one person, or that an error keeps from being read."""
+    try:
+        betas = load_arrays(path, lambda name: name == SHAPE_GROUPS[0]).get(SHAPE_GROUPS[0])
+    except InputError:
+        # a pickled object
+        betas = None
+    if betas is not None and one_shape(betas).ndim == 2:
+        return "a shape for each frame"
+    reason = user_message(error).removeprefix(f"{path}: ").rstrip(".")
+    return f"a shape that cannot be read: {reason}"
 
 
 def read_parameters(
@@ -331,7 +344,7 @@ def read_parameters(
     poses = pose_vectors(arrays, path)
     if not len(poses):
         raise InputError(f"{path}: the file has no frames; expected at least one.")
-    found = {"poses": poses, "trans": root_positions(arrays, len(poses), path)}
+    found = {"poses": poses, "trans": translations(arrays, len(poses), path)}
     return (
         get_array(found, "poses", path, (None, None), row_name="frame"),
         get_array(found, "trans", path, (None, 3), row_name="frame"),
@@ -364,7 +377,8 @@ def _rate(path: str | Path, arrays: Mapping[str, np.ndarray], given: float | Non
         return check_frame_rate(given, str(path))
     if name is None:
         raise InputError(
-            f"{path}: the array '{_RATE_KEYS[0]}', or 'fps', is missing, so the rate is unknown; add it, or give --rate in `jaxcap convert`."
+            f"{path}: the array '{_RATE_KEYS[0]}', or 'fps', is missing, so the rate is unknown; add it, or give --rate in `jaxcap convert`, or rate= "
+            "in Python."
         )
     found = arrays[name]
     if (

@@ -5,6 +5,7 @@ import pytest
 from command_line import fails, runs
 
 from jaxcap.cli import main
+from jaxcap.cli.body_models import load_shaped_body
 from jaxcap.io.archives.npz import load_body
 from jaxcap.io.meshes.meshes import save_meshes
 from jaxcap.io.registry import read_marker_file, read_skinned
@@ -108,6 +109,10 @@ def test_a_fit_is_read_with_its_model_again(tmp_path, capsys):
     poses = 0.1 * rng.normal(size=(1, 165))
     mesh = smpl_forward(arrays, 0.5 * rng.normal(size=20), poses[0], np.zeros(3))[0]
     save_meshes(tmp_path / "mesh.npz", MeshSequence(mesh[None], arrays["f"].astype(int), 30.0))
+    # a motion without hands may be of SMPL, whose shapes are others
+    np.savez(tmp_path / "trunk.npz", betas=np.ones(10), poses=poses[:, :66], trans=np.zeros((1, 3)))
+    load_shaped_body(str(model), tmp_path / "trunk.npz")
+    assert "its betas are read as those of SMPL-X" in capsys.readouterr().err
     spec = f"{model}:expression=10"
     runs(capsys, "fit", spec, tmp_path / "mesh.npz", "-o", tmp_path / "fit.npz")
     shape, gender = read_amass_shape(tmp_path / "fit.npz")

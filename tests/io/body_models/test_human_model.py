@@ -5,7 +5,7 @@ import pytest
 
 import jaxcap as jc
 from jaxcap.body.people.random_humans import sample_humans
-from jaxcap.cli.body_models import is_model_spec, load_model, stated_gender
+from jaxcap.cli.body_models import is_model_spec, load_model, load_shaped_body, stated_gender
 from jaxcap.errors import InputError
 
 
@@ -27,3 +27,13 @@ def test_zeros_are_the_mean_of_people_and_the_template_is_the_named_build():
     assert "fixed" not in set(load_model("human:low,betas=2", joints="full").template.skeleton.kinds[2:4])
     with pytest.raises(InputError, match="no number of coefficients from 1 to 30"):
         load_model("human:low,betas=0")
+
+
+def test_zeros_of_a_motion_are_not_those_of_the_template(tmp_path):
+    """Also zeros behind other coefficients, as the template has others there."""
+    spec = "human:low,betas=10"
+    model = load_model(spec)
+    for betas in (np.zeros(10), np.eye(10)[0]):
+        np.savez(tmp_path / "m.npz", betas=betas)
+        shaped = load_shaped_body(spec, tmp_path / "m.npz")
+        np.testing.assert_allclose(shaped.vertices, jc.shape_body(model, betas=betas).vertices, atol=1e-6)

@@ -1,5 +1,8 @@
 """Motions in AMASS's keys: there and back, held to SMPL's own map, and what is refused."""
 
+import subprocess
+import sys
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from jaxcap.body.kinematics import joint_paths
 from jaxcap.body.people.human import human
 from jaxcap.body.people.walk_and_wave import walk_and_wave
-from jaxcap.body.pose import stack_poses
+from jaxcap.body.pose import rest_pose, stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.errors import InputError
 from jaxcap.io.archives.npz import save_motion
 from jaxcap.io.registry import read_motion, read_skeleton
-from jaxcap.io.skeletons.amass import is_amass, read_amass, read_amass_shape, write_amass
+from jaxcap.io.skeletons.amass import describe_parameters, is_amass, read_amass, read_amass_shape, write_amass
 from jaxcap.io.skeletons.parameters.joints import SMPL_PARENTS
 
 
@@ -164,6 +167,11 @@ def _parts_of_smplx(poses):
             **_parts_of_smplx(poses),
             "global_orient": Rotation.from_rotvec(poses[:, :3]).as_matrix(),
         },
+        lambda poses: {
+            "poses": None,
+            "trans": lambda trans: trans[None],
+            **{name: part.reshape(1, 4, -1) for name, part in _parts_of_smplx(poses).items()},
+        },
     ],
 )  # fmt: skip
 def test_names_and_shapes_of_other_programs(tmp_path, rng, changed):
@@ -217,6 +225,9 @@ def test_coefficients_of_one_person_in_each_frame_are_one_shape(tmp_path, rng, r
     amass_file(tmp_path / "m.npz", rng, betas=rng.normal(size=(4, 10)))
     with pytest.raises(InputError, match="every frame has a shape of its own"):
         read_amass_shape(tmp_path / "m.npz")
+    assert "a shape for each frame" in describe_parameters(tmp_path / "m.npz")
+    amass_file(tmp_path / "m.npz", rng, betas=np.array([None]))
+    assert "a shape that cannot be read: the array 'betas'" in describe_parameters(tmp_path / "m.npz")
 
 
 def test_groups_without_coefficients_are_not_written(walk, tmp_path):
@@ -253,6 +264,23 @@ def test_doubtful_parameters_are_warned_of(tmp_path, rng, turn, changed, said):
         read_amass(tmp_path / "m.npz", smpl_like(52, rng))
 
 
+def test_warnings_name_the_line_that_reads(tmp_path, rng):
+    """In a process of its own, as checks of types in tests add calls."""
+    amass_file(tmp_path / "m.npz", rng, poses=np.zeros((4, 156)), expression=rng.normal(size=(4, 10)))
+    save_motion(tmp_path / "s.npz", stack_poses([rest_pose(smpl_like(24, rng))]), smpl_like(24, rng))
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys, warnings\nimport jaxcap as jc\nwarnings.simplefilter('always')\n"
+        "jc.io.read_amass_shape(sys.argv[1])\n"
+        "jc.io.read_amass(sys.argv[1], jc.io.read_skeleton(sys.argv[2]))\n"
+    )
+    words = [sys.executable, script, tmp_path / "m.npz", tmp_path / "s.npz"]
+    found = subprocess.run(words, capture_output=True, text=True, check=True).stderr
+    lines = [line for line in found.splitlines() if "UserWarning" in line]
+    for number, said in ((4, "the expression changes"), (5, "the body has 24"), (5, "the person lies")):
+        assert any(line.startswith(f"{script}:{number}: ") and said in line for line in lines), found
+
+
 def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
     given = smpl_like(24, rng)
     arrays = amass_file(tmp_path / "m.npz", rng, 24)
@@ -272,7 +300,7 @@ def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
         ({"poses": np.full((4, 156), np.nan)}, "not finite, first in frame 0"),
         (
             {"poses": np.zeros((4, 165))},
-            "55 joints \\(SMPL-X\\) and the body has 52 joints; .* first 66 columns",
+            "55 joints \\(SMPL-X\\) and the body has 52 joints; .* with --to",
         ),
         ({"poses": np.zeros((0, 156)), "trans": np.zeros((0, 3))}, "no frames"),
         (
@@ -280,7 +308,7 @@ def test_y_down_is_the_vertical_of_a_camera(tmp_path, rng):
             "'poses' is missing; expected it, or its parts, such as 'global_orient' and 'body_pose'",
         ),
         ({"poses": np.zeros((0, 52, 3))}, "so it is empty"),
-        ({"trans": None}, "'trans' \\(or 'transl'\\) of the positions of the root is missing"),
+        ({"trans": None}, "'trans' \\(or 'transl'\\) of the translation is missing"),
         ({"poses": np.zeros((4, 52, 3, 3))}, "some are no rotations"),
         (
             {

@@ -114,6 +114,10 @@ def test_the_command_line_fits_shape_keys(written, capsys):
     # the file's shape is applied where the motion is used again
     shaped = load_shaped_body(f"{path}:morphs", folder / "fit.npz")
     np.testing.assert_allclose(shaped.vertices, wanted.vertices, atol=1e-4)
+    # a key at zero is not at its default weight
+    np.savez(folder / "zero.npz", morphs=np.zeros(2), morph_names=["smile", "frown"])
+    shaped = load_shaped_body(f"{path}:morphs", folder / "zero.npz")
+    np.testing.assert_allclose(shaped.vertices, written[1].vertices, atol=1e-6)
     with pytest.raises(SystemExit):
         main(["fit", f"{path}:morphs,grin", str(folder / "meshes.npz"), "-o", str(folder / "no.npz")])
     assert "there is no shape key 'grin'; the file has smile, frown." in capsys.readouterr().err

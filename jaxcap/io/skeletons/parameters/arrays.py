@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ....errors import InputError
+from ...archives.archive import load_arrays
 
 #: names of each array of a motion, that of AMASS first
 POSES = ("poses", "fullpose", "full_pose", "smpl_poses")
@@ -28,12 +29,14 @@ _BOTH_HANDS = (("pose_hand",), (30,))
 _PARTS = (_ROOT, _BODY, *_FACE, _EYES, *_HANDS, _BOTH_HANDS)
 #: names of all arrays that are read
 NAMES = frozenset((*POSES, *TRANS, *RATES, *(name for names, _ in _PARTS for name in names)))
+#: names that files of depth, clouds and meshes do not have, with the poses of cameras and a rate
+BODY_KEYS = frozenset((TRANS[0], *RATES[:2], *POSES[1:], *_BODY[0]))
 #: largest difference of coefficients that are those of one person
 SAME_SHAPE = 1e-4
 
 
 def is_motion(names: Collection[str]) -> bool:
-    """Test if the names of arrays are those of a motion: poses, or their parts, and positions of the root or a rate."""
+    """Test if the names of arrays are those of a motion: poses, or their parts, and a translation or a rate."""
     found = set(names)
     split = all(found & set(part[0]) for part in (_ROOT, _BODY))
     return (split or bool(found & set(POSES))) and bool(found & {*TRANS, *RATES})
@@ -74,12 +77,17 @@ def pose_vectors(arrays: Mapping[str, np.ndarray], path: str | Path) -> np.ndarr
     return np.concatenate(columns, axis=1)
 
 
-def root_positions(arrays: Mapping[str, np.ndarray], frames: int, path: str | Path) -> np.ndarray:
-    """Return the positions of the root, (F, 3), where their shape is unambiguous. Raises `InputError` if there are none."""
+def count_joints(path: str | Path) -> int:
+    """Count the joints of the poses in a file. Raises `InputError`."""
+    return pose_vectors(load_arrays(path, NAMES.__contains__), path).shape[1] // 3
+
+
+def translations(arrays: Mapping[str, np.ndarray], frames: int, path: str | Path) -> np.ndarray:
+    """Return the translations, (F, 3), where their shape is unambiguous. Raises `InputError` if there are none."""
     name = find_array(arrays, TRANS)
     if name is None:
         raise InputError(
-            f"{path}: the array '{TRANS[0]}' (or '{TRANS[1]}') of the positions of the root is missing; add it, or zeros if the positions are "
+            f"{path}: the array '{TRANS[0]}' (or '{TRANS[1]}') of the translation is missing; add it, or zeros if the translation is "
             "not known."
         )
     values = arrays[name]
@@ -138,6 +146,9 @@ def _vectors(values: np.ndarray, name: str, path: str | Path, counts: tuple[int,
         )
     if values.ndim >= 3 and values.shape[-2:] == (3, 3) and (values.ndim > 3 or 1 in counts):
         return _of_matrices(values, name, path, counts)
+    if 1 in counts and values.ndim == 3 and values.shape[0] == 1 and values.shape[2] == 3:
+        # the second axis is that of frames, as there is one joint
+        return values[0]
     if values.ndim >= 3 and values.shape[-1] == 3:
         # joints have an axis of their own
         values = values.reshape(*values.shape[:-2], -1)

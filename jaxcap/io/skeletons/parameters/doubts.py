@@ -26,7 +26,7 @@ def warn_of_doubts(
 ) -> None:
     """Warn of parameters that are probably in another unit, or in a world with another vertical, unless that is `known`."""
     for doubt in [*_doubt_units(poses, trans, rate), *([] if known else _doubt_vertical(poses, up))]:
-        warnings.warn(f"{path}: {doubt}", stacklevel=3)
+        warnings.warn(f"{path}: {doubt}.", stacklevel=5)
 
 
 def _doubt_units(
@@ -48,5 +48,5 @@ def _doubt_vertical(poses: Float[np.ndarray, "F D"], up: str) -> Iterator[str]:
     if up == "z" and along_z < NOT_UPRIGHT and abs(along_y) > UPRIGHT:
         axis, what = ("y", "") if along_y > 0 else ("-y", ", as in the coordinates of a camera")
         yield (
-            f"the vertical is not stated, and the person lies if it is z, as read; if it is {axis}{what}, give --up={axis} in `jaxcap convert`"
+            f"the vertical is not stated, and the person lies if it is z, as read; if it is {axis}{what}, give --up={axis} in `jaxcap convert`, or up='{axis}' in Python"
         )

@@ -44,6 +44,8 @@ SMPL_X_PARTS = {
 
 #: the model that has so many joints
 _FAMILIES = {22: "SMPL without hands", 24: "SMPL", 52: "SMPL-H", 55: "SMPL-X"}
+#: the models that have the shapes of SMPL
+SMPL_SHAPES = ("SMPL", "SMPL-H")
 #: joints of the models without hands and face
 NUM_TRUNK = 22
 
@@ -56,7 +58,7 @@ def is_trunk_shared(joints: int, others: int) -> bool:
 
 def describe_joints(joints: int) -> str:
     """Describe the joints of the poses of a file."""
-    return f"poses of {joints} joints{f' ({_FAMILIES[joints]})' if joints in _FAMILIES else ''}"
+    return f"poses of {joints} joint{'' if joints == 1 else 's'}{f' ({_FAMILIES[joints]})' if joints in _FAMILIES else ''}"
 
 
 def find_skeleton(
@@ -99,14 +101,14 @@ def find_skeleton(
         if joints > NUM_TRUNK:
             warnings.warn(
                 f"{path}: the file has {poses} and the body has {skeleton.num_joints}; the {NUM_TRUNK} joints without hands are read, "
-                "and hands are at rest",
-                stacklevel=4,
+                "and hands are at rest.",
+                stacklevel=5,
             )
         return skeleton
     if skeleton.num_joints != joints:
         raise InputError(
-            f"{path}: the file has {poses} and the body has {skeleton.num_joints} joints; give a body with the same joints, or keep the "
-            "first 66 columns of 'poses' if the joints of hands and face do not matter."
+            f"{path}: the file has {poses} and the body has {skeleton.num_joints} joints; give a body with the same joints, and convert "
+            "the motion to the other body with --to in `jaxcap convert` (`edit.convert_motion` in Python)."
             if {joints, skeleton.num_joints} <= SMPL_PARENTS.keys()
             else f"{path}: the file has {poses} and the body has {skeleton.num_joints} joints; give a body with the same joints."
         )
