@@ -37,9 +37,10 @@ _LOG = logging.getLogger(__name__)
 FirstSearch = Literal["auto"] | bool
 #: standard deviation at which a pose that a search found is tracked, metres
 FOUND_SIGMA = 0.03
-#: searches for the first pose of a partly seen person at most, and the difference of the log-densities of two poses, for each
-#: point, below which they are equally likely
-FIRST_SEARCHES, AGREEMENT = 5, 0.01
+#: searches for the first pose at most: of a partly seen person, and of one who is seen whole
+FIRST_SEARCHES, WHOLE_SEARCHES = 5, 3
+#: difference of the log-densities of two poses, for each point, below which they are equally likely
+AGREEMENT = 0.01
 
 
 class Search(NamedTuple):
@@ -127,13 +128,13 @@ def search_first_frame(
 ) -> TrackedFrame:
     """Search for the pose of a first frame, and return the better of what is found and of `frame`.
 
-    A partly seen person may look alike from two sides, and one search may end at the wrong one. Searches from other starts
-    follow, with the clothes that the best frame has shown, until the two likeliest poses are equally likely and good, at `most` so
-    many.
+    One search may end at a wrong pose, to which the next frames would then be compared. Searches from other starts follow, with the
+    clothes that the best frame has shown, until the best frame is good, at most `WHOLE_SEARCHES`. A partly seen person may look
+    alike from two sides: there the two likeliest poses also have to be equally likely, after at `most` so many searches.
     """
-    alone = follower.tracker.pose_prior is None
+    enough = 1 if follower.tracker.pose_prior is None else 2
     densities: list[float] = []
-    for attempt in range(1 if alone else most):
+    for attempt in range(min(most, WHOLE_SEARCHES) if enough == 1 else most):
         tracker, few = follower.tracker, coarse
         if frame is not None:
             tracker, few = (with_clothes(each, frame.state.estimate.clothes) for each in (tracker, coarse))
@@ -143,8 +144,8 @@ def search_first_frame(
         found = track_first_frame(tracker, follower.surface, cloud, pose, FOUND_SIGMA, occluders)
         densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))
         frame = found if frame is None else choose_better(tracker, cloud, found, frame)
-        likeliest = sorted(densities)[-2:]
-        if frame.verdict == "good" and len(likeliest) == 2 and np.ptp(likeliest) < AGREEMENT:
+        likeliest = sorted(densities)[-enough:]
+        if frame.verdict == "good" and len(likeliest) == enough and np.ptp(likeliest) < AGREEMENT:
             break
     assert frame is not None
     return frame

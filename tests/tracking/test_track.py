@@ -312,9 +312,12 @@ def test_searches_of_a_partly_seen_person_end_where_two_agree(
     )
     chosen = advance.search_first_frame(follower, TRACKER, None, cloud)
     assert (searched, int(chosen.pose.translations[0, 0])) == (list(range(count)), best)
-    # a person who is seen whole is searched for once
+    # a person who is seen whole is searched for until a pose is good
     advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
     assert len(searched) == count + 1
+    bad = range(count + 1, count + 3)
+    advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
+    assert len(searched) == count + 1 + advance.WHOLE_SEARCHES
 
 
 def test_searches_that_do_not_help_become_rare():
