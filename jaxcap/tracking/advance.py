@@ -129,11 +129,12 @@ def search_first_frame(
     """Search for the pose of a first frame, and return the better of what is found and of `frame`.
 
     One search may end at a wrong pose, to which the next frames would then be compared. Searches from other starts follow, with the
-    clothes that the best frame has shown, until the best frame is good, at most `WHOLE_SEARCHES`. A partly seen person may look
-    alike from two sides: there the two likeliest poses also have to be equally likely, after at `most` so many searches.
+    clothes that the best frame has shown, until the best frame is good, at most `WHOLE_SEARCHES`; if none is, as without a person, the
+    first search counts. A partly seen person may look alike from two sides: there the two likeliest poses also have to be equally
+    likely, after at `most` so many searches.
     """
     enough = 1 if follower.tracker.pose_prior is None else 2
-    densities: list[float] = []
+    densities, first = list[float](), frame
     for attempt in range(min(most, WHOLE_SEARCHES) if enough == 1 else most):
         tracker, few = follower.tracker, coarse
         if frame is not None:
@@ -144,11 +145,12 @@ def search_first_frame(
         found = track_first_frame(tracker, follower.surface, cloud, pose, FOUND_SIGMA, occluders)
         densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))
         frame = found if frame is None else choose_better(tracker, cloud, found, frame)
+        first = frame if attempt == 0 else first
         likeliest = sorted(densities)[-enough:]
         if frame.verdict == "good" and len(likeliest) == enough and np.ptp(likeliest) < AGREEMENT:
             break
-    assert frame is not None
-    return frame
+    assert frame is not None and first is not None
+    return frame if enough > 1 or frame.verdict == "good" else first
 
 
 def follow_frame(

@@ -315,9 +315,11 @@ def test_searches_of_a_partly_seen_person_end_where_two_agree(
     # a person who is seen whole is searched for until a pose is good
     advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
     assert len(searched) == count + 1
-    bad = range(count + 1, count + 3)
-    advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
+    # if none is good, the first search counts
+    bad = range(count + 1, 99)
+    chosen = advance.search_first_frame(advance.make_follower(TRACKER), TRACKER, None, cloud)
     assert len(searched) == count + 1 + advance.WHOLE_SEARCHES
+    assert int(chosen.pose.translations[0, 0]) == count + 1
 
 
 def test_searches_that_do_not_help_become_rare():
