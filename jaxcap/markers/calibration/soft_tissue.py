@@ -16,6 +16,7 @@ shows it, but it is the same whenever a pose returns. Covariances include it as 
 mean zero (`further_features`).
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -62,15 +63,8 @@ def skin_features(subject: Subject, poses: Pose) -> Float[np.ndarray, "F M K"]:
     angles = 2 * np.arccos(np.clip(np.abs(rotations[..., :1]), 0, 1))
     turns = np.concatenate([rotation_vectors_from_mean(rotations), angles], 2)
     features = np.zeros((len(turns), len(bones), NUM_DIRECTIONS))
-    for bone in np.unique(bones):
-        adjacent = _adjacent_joints(skeleton, int(bone))
-        if not adjacent:
-            continue
-        wide = turns[:, adjacent].reshape(len(turns), -1)
-        wide = wide - wide.mean(0)
-        _, _, directions = np.linalg.svd(wide, full_matrices=False)
-        found = wide @ directions[:NUM_DIRECTIONS].T
-        features[:, bones == bone, : found.shape[1]] = found[:, None]
+    for bone, wide in _turns_of_bones(skeleton, bones, turns):
+        features[:, bones == bone] = _leading_components(wide - wide.mean(0), NUM_DIRECTIONS)[:, None]
     return features
 
 
@@ -85,26 +79,32 @@ def further_features(
     skeleton, bones = subject.skeleton, np.asarray(subject.bones)
     turns = rotation_vectors_from_mean(np.asarray(poses.rotations, float))
     further = np.zeros((len(turns), len(bones), NUM_FURTHER_DIRECTIONS))
-    for bone in np.unique(bones):
-        adjacent = _adjacent_joints(skeleton, int(bone))
-        if not adjacent:
-            continue
-        wide = turns[:, adjacent].reshape(len(turns), -1)
+    for bone, wide in _turns_of_bones(skeleton, bones, turns):
         first, second = np.triu_indices(wide.shape[1])
         wide = np.concatenate([wide, wide[:, first] * wide[:, second]], 1)
         known = features[:, bones == bone][:, 0]
         wide, known = wide - wide.mean(0), known - known.mean(0)
         wide = wide - known @ (pseudo_inverse(known, 1e-6) @ wide)
-        _, _, directions = np.linalg.svd(wide, full_matrices=False)
-        found = wide @ directions[:NUM_FURTHER_DIRECTIONS].T
-        further[:, bones == bone, : found.shape[1]] = found[:, None]
+        further[:, bones == bone] = _leading_components(wide, NUM_FURTHER_DIRECTIONS)[:, None]
     return further
 
 
-def _adjacent_joints(skeleton: Skeleton, bone: int) -> list[int]:
-    """List the joints at both ends of a bone; roots do not move skin."""
-    ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
-    return ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+def _turns_of_bones(
+    skeleton: Skeleton, bones: Int[np.ndarray, "M"], turns: Float[np.ndarray, "F J T"]
+) -> Iterator[tuple[int, Float[np.ndarray, "F A"]]]:
+    """Yield each bone with the rotations of the joints at both of its ends; roots do not move skin."""
+    for bone in map(int, np.unique(bones)):
+        ends = [joint for joint, parent in enumerate(skeleton.parents) if parent == bone]
+        adjacent = ends + ([bone] if skeleton.parents[bone] >= 0 else [])
+        if adjacent:
+            yield bone, turns[:, adjacent].reshape(len(turns), -1)
+
+
+def _leading_components(values: Float[np.ndarray, "F A"], count: int) -> Float[np.ndarray, "F {count}"]:
+    """Compute the components of centred values along the directions with the largest variance, zero beyond their number."""
+    _, _, directions = np.linalg.svd(values, full_matrices=False)
+    found = values @ directions[:count].T
+    return np.pad(found, ((0, 0), (0, count - found.shape[1])))
 
 
 def initial_slide_deviation(
