@@ -52,10 +52,10 @@ def alternate(
     of `steps` each. A new problem may have a higher value than the last one at its end: the rounds end after
     `patience` rounds in a row that do not improve on the best by a share `min_gain`. The best is kept.
     """
-    y, best, worse, history, lowered = start, None, 0, [], math.inf
+    y, best, worse, history, lowered = _strongly_typed(start), None, 0, [], math.inf
     damping = jnp.asarray(solver.damping, float)
     for number in range(rounds + 1):
-        problem = make_problem(y)
+        problem = _strongly_typed(make_problem(y))
         value = float(_value(problem, y))
         history.append(value)
         if best is None or value < best.value:
@@ -105,6 +105,7 @@ def minimise_reweighted(
     """
     y, history, settled = start, [], False
     for number in range(1, rounds + 1):
+        problem, y = _strongly_typed((problem, y))
         this = eqx.tree_at(lambda s: s.rtol, solver, jnp.asarray(tolerance(number), float))
         found = _improve(problem, y, this, steps, jnp.asarray(solver.damping, float))
         if not history:
@@ -138,9 +139,9 @@ def anneal_problem(
     `make_problem(y, stage)` builds the problem of a stage. Each stage starts from the end of the last. Values
     of different problems are not compared: the last point is the result.
     """
-    y, damping = start, jnp.asarray(solver.damping, float)
+    y, damping = _strongly_typed(start), jnp.asarray(solver.damping, float)
     for stage in stages:
-        found = _improve(make_problem(y, stage), y, solver, steps, damping)
+        found = _improve(_strongly_typed(make_problem(y, stage)), y, solver, steps, damping)
         y, damping = found.y, found.damping
     return y
 
@@ -195,6 +196,13 @@ def iterate_until_converged(
         if turn >= min_iterations and np.abs(state[0] - old[0]).max() < tolerance:
             break
     return state
+
+
+def _strongly_typed(tree: Any) -> Any:
+    """Make weakly typed arrays strong: functions would compile once more for these."""
+    return jax.tree.map(
+        lambda leaf: leaf.astype(leaf.dtype) if getattr(leaf, "weak_type", False) else leaf, tree
+    )
 
 
 @eqx.filter_jit

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array, Float
 
-from jaxcap.fit.alternate import alternate, anneal_problem
+from jaxcap.fit.alternate import alternate, anneal_problem, minimise_reweighted
 from jaxcap.fit.linear_solvers.dense import DenseMatrix
 from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.fit.solvers.least_squares_problem import AbstractProblem
@@ -55,3 +55,26 @@ def test_rounds_keep_the_best_and_stop_where_nothing_is_gained():
     found = alternate(remake, jnp.array([-2.0, 0.0]), SOLVER, rounds=12, steps=20, patience=2)
     assert found.value == min(found.history) == pytest.approx(0.5)
     assert len(found.history) < 12
+
+
+def test_weak_types_are_not_compiled_again():
+    traced = []
+
+    class Counted(Towards):
+        def value(self, y):
+            traced.append(y.weak_type or self.toll.weak_type)
+            return super().value(y)
+
+    def update(number, problem, y):
+        return Counted(problem.target, jnp.asarray(2.0)), jnp.full(2, 0.5), number == 3
+
+    first = Counted(jnp.ones(2), jnp.asarray(1.0))
+    minimise_reweighted(
+        first, jnp.full(2, 0.0), update, lambda number: 1e-3, SOLVER, rounds=2, steps=3, max_steps=20
+    )
+    once = len(traced)
+    minimise_reweighted(
+        first, jnp.zeros(2), update, lambda number: 1e-3, SOLVER, rounds=4, steps=3, max_steps=40
+    )
+    assert once == len(traced)
+    assert not any(traced)

@@ -227,7 +227,8 @@ def _robust_residuals(problem: CalibrationProblem, y: CalibrationEstimate):
 
 def _initial_deviations(problem: CalibrationProblem, y: CalibrationEstimate) -> CalibrationProblem:
     """Initialise all deviations by the median residual of the template."""
-    whole = eqx.tree_at(lambda p: p.outlier_bound, problem, jnp.asarray(UNBOUNDED))
+    bound = jnp.full_like(problem.outlier_bound, UNBOUNDED)
+    whole = eqx.tree_at(lambda p: p.outlier_bound, problem, bound)
     left = np.sum(np.asarray(_robust_residuals(whole, y)) ** 2, 2)[np.asarray(problem.seen)]
     first = max(float(np.sqrt(np.median(left) / MEDIAN_SQUARED_LENGTH)), MIN_DEVIATION)
     return eqx.tree_at(lambda p: p.deviations, problem, jnp.full_like(problem.deviations, first))
