@@ -12,7 +12,7 @@ from jaxcap.markers.segments.find_segments import apply_corrections, find_partit
 from jaxcap.markers.segments.maximal_cliques import maximal_cliques
 from jaxcap.markers.segments.pair_distances import pair_distance_ranges
 from jaxcap.markers.segments.segment_sets import make_segments
-from jaxcap.markers.segments.swaps import correct_swaps
+from jaxcap.markers.segments.swaps import MAX_DESCRIBED, correct_swaps, describe_exchanges
 from tests.markers_scene import puppet
 
 
@@ -132,6 +132,18 @@ def test_a_pair_is_untangled_by_its_jumps(rng):
     assert mended.messages == (
         "The labels 'c' and 'd' were swapped in 30 frames (100 to 129); the swap is corrected.",
     )
+
+
+def test_many_exchanges_of_labels_have_one_sentence_for_the_rarest():
+    labels = tuple(f"m{i}" for i in range(24))
+    source = np.tile(np.arange(24), (15, 1))
+    for pair in range(12):
+        frames = slice(pair, pair + (3 if pair == 7 else 1))
+        source[frames, 2 * pair : 2 * pair + 2] = source[frames, 2 * pair : 2 * pair + 2][:, ::-1]
+    said = describe_exchanges(source, np.ones(source.shape, bool), labels)
+    assert len(said) == MAX_DESCRIBED + 1
+    assert "'m14' and 'm15' were swapped in 3 frames" in said[0]
+    assert "2 further groups of markers, in 2 frames" in said[-1]
 
 
 def test_clean_markers_are_left_as_they_are(rng):

@@ -24,6 +24,8 @@ MAX_SWAP_FRAMES = 100
 MIN_JUMP_RATIO = 8.0
 #: share of frames at each end that the usual range of a distance omits; the label may be wrong in these
 TRIMMED = 0.15
+#: number of exchanges that have a sentence of their own, those of the most frames
+MAX_DESCRIBED = 10
 #: number of frames of a piece of a trajectory in which its distances are compared
 FRAMES_COMPARED = 20
 
@@ -221,7 +223,9 @@ def describe_exchanges(
         for chain in _chains(source[frame], np.flatnonzero(changed[frame] & shown[frame]).tolist()):
             frames.setdefault(chain, []).append(frame)
     messages = []
-    for chain, some in sorted(frames.items(), key=lambda item: -len(item[1])):
+    ordered = sorted(frames.items(), key=lambda item: -len(item[1]))
+    listed, others = ordered[:MAX_DESCRIBED], ordered[MAX_DESCRIBED:]
+    for chain, some in listed:
         mask = np.zeros(max(some) + 1, bool)
         mask[some] = True
         where = f"in {len(some)} frame{'s' if len(some) > 1 else ''} ({list_runs(mask)})"
@@ -240,6 +244,11 @@ def describe_exchanges(
             messages.append(
                 f"The labels {join_names(names)} were exchanged in a cycle {where}; the exchange is corrected."
             )
+    if others:
+        count = len({frame for _, some in others for frame in some})
+        messages.append(
+            f"Labels were also exchanged between {len(others)} further groups of markers, in {count} frame{'s' if count > 1 else ''}; all are corrected."
+        )
     return tuple(messages)
 
 
