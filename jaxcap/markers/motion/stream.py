@@ -34,7 +34,9 @@ class Streamer(eqx.Module):
         leaves, structure = jax.tree.flatten(self)
         fixed = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
         arrays = [leaf if eqx.is_array(leaf) else None for leaf in leaves]
-        return _CallArguments((fixed, structure), arrays, np.asarray(self.subject.weights) > 0, jnp.asarray(0))
+        return _CallArguments(
+            (fixed, structure), arrays, np.asarray(self.subject.weights) > 0, jnp.asarray(0)
+        )
 
 
 class _CallArguments(NamedTuple):
