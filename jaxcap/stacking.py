@@ -45,7 +45,7 @@ def take_rows(stacked, rows: Sequence[int] | slice | np.ndarray):
     Without traced arrays this copies on the host, as indexing in JAX compiles for every shape.
     """
     return jax.tree.map(
-        lambda leaf: leaf[rows] if _traced([leaf]) else jnp.asarray(np.asarray(leaf)[rows]), stacked
+        lambda leaf: leaf[rows] if _traced([leaf]) else device_array(np.asarray(leaf)[rows]), stacked
     )
 
 
