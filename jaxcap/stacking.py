@@ -1,4 +1,4 @@
-"""Stacking and concatenation of many arrays."""
+"""Arrays that are made and stacked on the host, where JAX would compile a function for each shape."""
 
 from collections.abc import Sequence
 
@@ -9,18 +9,24 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 
+def device_array(values, dtype=None) -> Array:
+    """Make an array of known numbers; `jnp.asarray` and `jnp.zeros` compile a function for each shape first."""
+    # a copy, as the device may share the memory of an array
+    return jax.device_put(np.array(values, dtype))
+
+
 def stack(arrays: Sequence[Array | np.ndarray]) -> Array:
     """Stack arrays along a new first axis, differentiably.
 
     `jnp.stack` compiles for every number of arrays, and takes minutes for some thousands. So it is called
     only with traced arrays.
     """
-    return jnp.stack(arrays) if _traced(arrays) else jnp.asarray(np.stack(arrays))
+    return jnp.stack(arrays) if _traced(arrays) else device_array(np.stack(arrays))
 
 
 def concatenate(arrays: Sequence[Array | np.ndarray]) -> Array:
     """Concatenate arrays along their first axis, differentiably; as `stack`."""
-    return jnp.concatenate(arrays) if _traced(arrays) else jnp.asarray(np.concatenate(arrays))
+    return jnp.concatenate(arrays) if _traced(arrays) else device_array(np.concatenate(arrays))
 
 
 def stack_trees(trees: Sequence):
@@ -39,7 +45,7 @@ def take_rows(stacked, rows: Sequence[int] | slice | np.ndarray):
     Without traced arrays this copies on the host, as indexing in JAX compiles for every shape.
     """
     return jax.tree.map(
-        lambda leaf: leaf[rows] if _traced([leaf]) else jnp.asarray(np.asarray(leaf)[rows]), stacked
+        lambda leaf: leaf[rows] if _traced([leaf]) else device_array(np.asarray(leaf)[rows]), stacked
     )
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import check_fields, checked
 from ..errors import InputError
 from ..geometry import rotation
-from ..stacking import concatenate_trees, stack_trees
+from ..stacking import concatenate_trees, device_array, stack_trees
 from ..value_checks import check_rate
 from .skeleton import Skeleton
 
@@ -73,7 +73,9 @@ def rest_pose(skeleton: Skeleton) -> Pose:
     dtype = skeleton.centres.dtype
     count = skeleton.num_joints
     return Pose(
-        jnp.zeros((count, 3), dtype), jnp.tile(rotation.identity(dtype), (count, 1)), jnp.ones((), dtype)
+        device_array(np.zeros((count, 3)), dtype),
+        device_array(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), dtype),
+        device_array(1.0, dtype),
     )
 
 

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields, check_length, checked
 from ..errors import InputError
+from ..stacking import device_array
 
 #: largest angle between bones of one rest pose, degrees; smallest length of compared bones, relative to the
 #: skeleton's size
@@ -202,9 +202,9 @@ def make_skeleton(
         names=tuple(names[i] for i in order),
         parents=tuple(-1 if parents[i] < 0 else place[parents[i]] for i in order),
         kinds=tuple(kinds[i] for i in order),
-        centres=jnp.asarray(centres[order]),
-        orientations=jnp.asarray((orientations / long[:, None])[order]),
-        axes=jnp.asarray((axes / np.where(lengths > 0, lengths, 1.0))[order]),
+        centres=device_array(centres[order]),
+        orientations=device_array((orientations / long[:, None])[order]),
+        axes=device_array((axes / np.where(lengths > 0, lengths, 1.0))[order]),
     )
 
 

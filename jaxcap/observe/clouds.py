@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from ..arguments import as_real_array, check_fields, checked, describe
 from ..errors import InputError
 from ..geometry.sampling import spatial_order
-from ..stacking import stack, stack_trees
+from ..stacking import device_array, stack, stack_trees, take_rows
 from ..value_checks import check_metres
 from .depth_views import DepthView
 from .planes import estimate_cloud_normals
@@ -141,9 +141,9 @@ def ordered_cloud(
     extra = (padded_size(len(points)) if size is None else size) - len(points)
     # padding repeats the first point, so that bounding boxes do not change
     return Cloud(
-        jnp.asarray(np.concatenate([points, np.repeat(points[:1], extra, 0)])),
-        jnp.asarray(np.pad(normals, ((0, extra), (0, 0)))),
-        jnp.asarray(np.pad(weights, (0, extra))),
+        device_array(np.concatenate([points, np.repeat(points[:1], extra, 0)])),
+        device_array(np.pad(normals, ((0, extra), (0, 0)))),
+        device_array(np.pad(weights, (0, extra))),
     )
 
 
@@ -262,5 +262,6 @@ def thin_cloud(cloud: Cloud, count: int, seed: int = 0) -> Cloud:
     chosen = np.random.default_rng(seed).choice(len(weights), min(count, num_points), replace=False, p=likely)
     padding = size - len(chosen)
     index = np.pad(np.sort(chosen), (0, padding), mode="edge") if num_points else np.zeros(size, int)
-    kept = jnp.asarray(np.arange(size) < len(chosen), cloud.weights.dtype)
-    return Cloud(cloud.points[index], cloud.normals[index], kept, cloud.views)
+    kept = device_array(np.arange(size) < len(chosen), cloud.weights.dtype)
+    points, normals = take_rows((cloud.points, cloud.normals), index)
+    return Cloud(points, normals, kept, cloud.views)

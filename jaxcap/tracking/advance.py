@@ -143,11 +143,13 @@ def search_first_frame(
             _LOG.info("searching from other starts, search %d of at most %d", attempt + 1, most)
         pose, _ = initialise(tracker, cloud, up=follower.up, coarse=few, key=jax.random.key(attempt))
         found = track_first_frame(tracker, follower.surface, cloud, pose, FOUND_SIGMA, occluders)
-        densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))
+        if enough > 1:
+            densities.append(float(pose_log_density(follower.tracker, found.pose, cloud)))
         frame = found if frame is None else choose_better(tracker, cloud, found, frame)
         first = frame if attempt == 0 else first
         likeliest = sorted(densities)[-enough:]
-        if frame.verdict == "good" and len(likeliest) == enough and np.ptp(likeliest) < AGREEMENT:
+        agreed = enough == 1 or (len(likeliest) == enough and np.ptp(likeliest) < AGREEMENT)
+        if frame.verdict == "good" and agreed:
             break
     assert frame is not None and first is not None
     return frame if enough > 1 or frame.verdict == "good" else first

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
+from ..stacking import device_array
 from .expectation_maximisation.clothes import clothes_allowance
 from .expectation_maximisation.em_step import Estimate, FrameStatistics
 from .expectation_maximisation.pose_log_density import pose_log_density
@@ -231,4 +232,4 @@ def reset_velocity(tracker: Tracker, state: TrackState, sigma: float | None = No
     if sigma is not None:
         level = jnp.asarray(sigma, estimate.sigma.dtype) / tracker.sigma_growth
         estimate = Estimate(estimate.pose, level, estimate.priors, estimate.clothes)
-    return TrackState(estimate, jnp.zeros_like(state.change))
+    return TrackState(estimate, device_array(np.zeros(state.change.shape), state.change.dtype))

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..arguments import check_fields, checked
@@ -21,6 +22,7 @@ from ..energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviati
 from ..energy.priors.self_collision import SelfCollision, make_self_collision
 from ..fit.correspondence.part_blocks import PartBlocks, make_part_blocks
 from ..observe.clouds import Cloud
+from ..stacking import device_array
 from ..value_checks import as_number, check_at_least, check_deviations, check_positive, check_values
 from .expectation_maximisation.clothes import Clothes, first_clothes
 from .expectation_maximisation.em_step import (
@@ -184,7 +186,7 @@ def start_state(tracker: Tracker, pose: Pose, sigma: float | Float[Array, ""] = 
     """Make the state before the first frame, at a pose near it and with Kineben's `sigma0`, metres."""
     check_sigma("start_state", sigma)
     estimate = first_estimate(tracker, pose, jnp.asarray(sigma, pose.rotations.dtype))
-    return TrackState(estimate, jnp.zeros(tracker.body.skeleton.num_dofs, pose.rotations.dtype))
+    return TrackState(estimate, device_array(np.zeros(tracker.body.skeleton.num_dofs), pose.rotations.dtype))
 
 
 def first_estimate(tracker: Tracker, pose: Pose, sigma: Float[Array, ""]) -> Estimate:

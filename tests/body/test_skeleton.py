@@ -1,9 +1,11 @@
 """The tree of joints against brute force, and what it refuses."""
 
+import jax
 import numpy as np
 import pytest
 from helpers import chain_skeleton
 
+from jaxcap.body.pose import rest_pose
 from jaxcap.body.skeleton import (
     KINDS,
     describe_rest_difference,
@@ -12,6 +14,7 @@ from jaxcap.body.skeleton import (
     make_skeleton,
     rest_distance,
 )
+from jaxcap.stacking import device_array
 
 
 def random_tree(rng, count: int):
@@ -145,3 +148,19 @@ def test_poses_mean_the_same_where_bones_point_the_same_way(arm, hangs, said):
 
     found = describe_rest_difference(person([0, 0.002, 0], [0.6, 0, 0], 1), person([0.002, 0, 0], arm, hangs))
     assert found is None if said is None else said in str(found)
+
+
+def test_skeletons_and_rest_poses_compile_nothing(rng, caplog):
+    names, parents, centres = random_tree(rng, 17)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        pose = rest_pose(make_skeleton(names, parents, ["ball"] * 17, centres))
+    assert "Compiling" not in caplog.text
+    np.testing.assert_array_equal(pose.rotations, np.tile([1.0, 0.0, 0.0, 0.0], (17, 1)))
+
+
+def test_arrays_of_known_numbers_are_copies():
+    for _ in range(20):
+        numbers = np.zeros(1000)
+        made = device_array(numbers)
+        numbers[:] = 1.0
+        assert not np.asarray(made).any()

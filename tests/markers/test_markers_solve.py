@@ -11,6 +11,7 @@ from jaxcap.io.markers.subject import load_subject, save_subject
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.solve_frame import SearchCriteria
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
+from jaxcap.markers.subject import shift_markers
 from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import moving, seen_by, truth
 
@@ -105,6 +106,13 @@ def test_streaming_is_solving(rng):
     off = np.linalg.norm(live - np.asarray(_joints(whole.motion.poses)), axis=2)
     assert np.delete(off, 30, 0).max() < 5e-4
     np.testing.assert_array_equal(live[30], live[29])
+
+
+def test_streamers_of_one_shape_share_their_programs():
+    streamer, _ = make_streamer(SUBJECT)
+    other, _ = make_streamer(shift_markers(SUBJECT, 0.01 * jnp.ones_like(SUBJECT.offsets)), SearchCriteria())
+    assert streamer.call_arguments.structure == other.call_arguments.structure
+    assert hash(streamer.call_arguments.structure) == hash(other.call_arguments.structure)
 
 
 def test_strangers_are_refused(rng):

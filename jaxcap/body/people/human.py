@@ -3,7 +3,6 @@
 import functools
 from typing import Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -11,6 +10,7 @@ from ...arguments import checked
 from ...assets import asset_path
 from ...geometry import rotation
 from ...geometry.attachment import Attachment, attached_positions
+from ...stacking import device_array
 from ..body import Body
 from ..decimate import reduce_body
 from ..skeleton import Skeleton, make_skeleton
@@ -116,8 +116,8 @@ def human_from_traits(traits: Traits, resolution: str | int = "full", joints: st
     asset, named = _load(), resolution if isinstance(resolution, str) else "full"
     vertices, ends = shape_from_traits(traits, named)
     faces, weights, _ = asset.surfaces[named]
-    skeleton, skin = _human_skeleton(asset, ends, joints), LinearSkin(jnp.asarray(weights))
-    body = Body(skeleton, skin, jnp.asarray(vertices), jnp.asarray(faces))
+    skeleton, skin = _human_skeleton(asset, ends, joints), LinearSkin(device_array(weights))
+    body = Body(skeleton, skin, device_array(vertices), device_array(faces))
     return body if isinstance(resolution, str) else reduce_body(body, resolution)
 
 
@@ -155,7 +155,7 @@ def _human_skeleton(asset: _HumanAsset, ends: Float[np.ndarray, "J 2 3"], joints
         asset.parents,
         ["free" if name == "Hips" else "fixed" if name in fixed else "ball" for name in asset.names],
         centres=ends[:, 0],
-        orientations=rotation.from_matrix(jnp.asarray(frames)),
+        orientations=rotation.from_matrix(device_array(frames)),
         axes=np.swapaxes(frames, 1, 2)[:, 1:],
     )
 

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ...stacking import device_array
 from ..geometric_jacobian import descendant_matrix
 from .interpolate import interpolate_weights
 from .skin import AbstractSkin
@@ -38,7 +39,7 @@ class LinearSkin(AbstractSkin):
         """Interpolate the weights of the corners."""
         del skeleton
         return LinearSkin(
-            jnp.asarray(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
+            device_array(interpolate_weights(self.weights, corners, barycentric), self.weights.dtype)
         )
 
     def scaled(self, factor):

@@ -46,6 +46,11 @@ class Latency(NamedTuple):
         )
 
 
+def compute_without_threads() -> None:
+    """Compute each function in the thread that calls it, before any computation: a frame then waits for no thread to wake up."""
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
 def solve_streamed(
     subject: Subject, frames: MarkerFrames, terms: Sequence[AbstractEnergy] = ()
 ) -> tuple[MarkerSolution, Latency]:

@@ -10,6 +10,7 @@ from ...body.pose import Pose, local_rotation_vectors
 from ...body.retraction import difference
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
+from ...stacking import device_array
 from ...value_checks import check_deviations
 from ..energy import AbstractEnergy
 
@@ -80,4 +81,4 @@ def tangent_deviations(skeleton: Skeleton, metres: float, radians: float) -> Flo
     """Make the standard deviations of a tangent: one for translations, one for rotations."""
     deviations = np.full(skeleton.num_dofs + 1, radians)
     deviations[dof_layout(skeleton).translations] = metres
-    return jnp.asarray(deviations[:-1], skeleton.centres.dtype)
+    return device_array(deviations[:-1], skeleton.centres.dtype)

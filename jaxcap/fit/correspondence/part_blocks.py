@@ -1,11 +1,11 @@
 """Layout of a body's vertices by part, for nearest-neighbour search."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...arguments import checked
+from ...stacking import device_array
 
 #: Vertices in a block; parts have very different sizes, so padding each to the largest would take six times
 #: the work.
@@ -71,7 +71,7 @@ def make_part_blocks(
             split = _split(members, np.asarray(vertices))
         counts.append(len(split))
         blocks += [np.pad(block, (0, BLOCK - len(block)), mode="edge") for block in split]
-    return PartBlocks(jnp.array(blocks, jnp.int32), tuple(counts))
+    return PartBlocks(device_array(blocks, np.int32), tuple(counts))
 
 
 def _split(members: np.ndarray, vertices: np.ndarray) -> list[np.ndarray]:

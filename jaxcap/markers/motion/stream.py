@@ -1,12 +1,13 @@
 """One frame of markers at a time, for live use."""
 
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from ...arguments import checked
 from ...body.pose import Pose, rest_pose
@@ -26,6 +27,28 @@ class Streamer(eqx.Module):
     search: SearchCriteria = SearchCriteria()
     #: energies of a user's own, which see the markers as vertices
     terms: AbstractEnergy | None = None
+
+    @cached_property
+    def call_arguments(self) -> "_CallArguments":
+        """Divide the streamer for a plain `jax.jit` once, as `eqx.filter_jit` takes a fifth of a frame for it at each call."""
+        leaves, structure = jax.tree.flatten(self)
+        fixed = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
+        arrays = [leaf if eqx.is_array(leaf) else None for leaf in leaves]
+        return _CallArguments(
+            (fixed, structure), arrays, np.asarray(self.subject.weights) > 0, jnp.asarray(0)
+        )
+
+
+class _CallArguments(NamedTuple):
+    """What calls for all frames of one streamer share."""
+
+    #: leaves that are not arrays, and the structure of the tree; hashable
+    structure: tuple[tuple, Any]
+    arrays: PyTree[Array]
+    #: false for markers that are not used
+    weighted: Bool[np.ndarray, "M"]
+    #: the number of consecutive lost frames after a solved one
+    none_lost: Int[Array, ""]
 
 
 class StreamState(NamedTuple):
@@ -47,11 +70,10 @@ def make_streamer(
     streamer = Streamer(subject, search, energy)
     pose = rest_pose(subject.skeleton)
     count, dtype = subject.num_markers, subject.offsets.dtype
-    nothing = np.zeros((count, 3), dtype), np.zeros(count, bool)
-    jax.block_until_ready(_solve_from_last_pose(streamer, pose, *nothing))
-    jax.block_until_ready(_solve_from_guess(streamer, pose, *nothing))
-    jax.block_until_ready(estimate_initial_poses(subject, *(jnp.asarray(part)[None] for part in nothing)))
-    return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), jnp.asarray(0))
+    nothing = np.full((count, 3), np.nan, dtype)
+    jax.block_until_ready(_solve(streamer, pose, nothing, search))
+    jax.block_until_ready(_solve(streamer, _guess(streamer, nothing), nothing, INITIAL_SEARCH))
+    return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), streamer.call_arguments.none_lost)
 
 
 @checked
@@ -78,35 +100,50 @@ def stream_frame(
             f"{subject.num_markers}; give one row for each marker, in the subject's order, with NaN where "
             "it is not visible."
         )
-    visible = np.isfinite(positions).all(1) & (np.asarray(subject.weights) > 0)
+    visible = np.isfinite(positions).all(1) & streamer.call_arguments.weighted
     visible = visible if seen is None else visible & np.asarray(seen)
     if visible.sum() < MIN_MARKERS:
         return state._replace(num_lost=state.num_lost + 1), state.pose
-    clean = np.where(visible[:, None], positions, 0.0).astype(subject.offsets.dtype)
+    clean = np.where(visible[:, None], positions, np.nan).astype(subject.offsets.dtype)
     found = None
     if np.isfinite(state.residual_scale):
-        found = _solve_from_last_pose(streamer, state.pose, clean, visible)
+        found = _solve(streamer, state.pose, clean, streamer.search)
     if found is None or not float(found.residual_scale) < MAX_RESIDUAL_SCALE:
-        guess = jax.tree.map(
-            lambda leaf: leaf[0],
-            estimate_initial_poses(subject, jnp.asarray(clean)[None], jnp.asarray(visible)[None]),
-        )
-        other = _solve_from_guess(streamer, guess, clean, visible)
+        other = _solve(streamer, _guess(streamer, clean), clean, INITIAL_SEARCH)
         if found is None or not float(found.residual_scale) <= float(other.residual_scale):
             found = other
     return found, found.pose
 
 
-@eqx.filter_jit
-def _solve_from_last_pose(streamer: Streamer, pose: Pose, positions, seen) -> StreamState:
-    return _solve(streamer, pose, positions, seen, streamer.search)
+def _guess(streamer: Streamer, positions: Float[np.ndarray, "M 3"]) -> Pose:
+    """Estimate the pose of a frame without a pose before it."""
+    visible = np.isfinite(positions[:, :1])
+    clean = jnp.asarray(np.where(visible, positions, 0.0))
+    poses = estimate_initial_poses(streamer.subject, clean[None], jnp.asarray(visible[None, :, 0]))
+    return jax.tree.map(lambda leaf: leaf[0], poses)
 
 
-@eqx.filter_jit
-def _solve_from_guess(streamer: Streamer, pose: Pose, positions, seen) -> StreamState:
-    return _solve(streamer, pose, positions, seen, INITIAL_SEARCH)
+def _solve(
+    streamer: Streamer, start: Pose, positions: Float[np.ndarray, "M 3"], search: SearchCriteria
+) -> StreamState:
+    """Solve a frame from a start; NaN marks what is not visible, so that one array reaches the device."""
+    shared = streamer.call_arguments
+    pose, scale = _solve_compiled(shared.structure, search, shared.arrays, start, positions)
+    return StreamState(pose, scale, shared.none_lost)
 
 
-def _solve(streamer: Streamer, pose: Pose, positions, seen, search: SearchCriteria) -> StreamState:
-    solved = solve_frame(streamer.subject, pose, positions, seen, search, streamer.terms)
-    return StreamState(solved.pose, solved.residual_scale, jnp.asarray(0))
+@partial(jax.jit, static_argnums=0)
+def _solve_compiled(
+    structure: tuple[tuple, Any],
+    search: SearchCriteria,
+    arrays: PyTree[Array],
+    start: Pose,
+    positions: Float[Array, "M 3"],
+) -> tuple[Pose, Float[Array, ""]]:
+    fixed, tree = structure
+    leaves = [one if array is None else array for one, array in zip(fixed, arrays, strict=True)]
+    streamer = jax.tree.unflatten(tree, leaves)
+    seen = jnp.isfinite(positions[:, 0])
+    clean = jnp.where(seen[:, None], positions, 0.0)
+    solved = solve_frame(streamer.subject, start, clean, seen, search, streamer.terms)
+    return solved.pose, solved.residual_scale

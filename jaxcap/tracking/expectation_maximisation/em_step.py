@@ -17,6 +17,7 @@ from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
 from ...observe.clouds import Cloud
 from ...small_matrices import apply_small
+from ...stacking import device_array
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from .clothes import Clothes
 from .e_step import Posterior, posterior, update_priors, update_sigma
@@ -113,7 +114,7 @@ class FrameStatistics(eqx.Module):
 def uniform_priors(parts: PartBlocks, dtype=None) -> Float[Array, "K"]:
     """Make uniform priors over the parts that have vertices (Kineben, eq. 19)."""
     present = np.array([float(count > 0) for count in parts.blocks_of_part])
-    return jnp.asarray(present / present.sum(), dtype)
+    return device_array(present / present.sum(), dtype)
 
 
 def data_energy(

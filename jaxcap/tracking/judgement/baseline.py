@@ -2,8 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from ...stacking import device_array
 from .evidence import COVERAGE_TOLERANCE, NUM_DIRECTIONS, Evidence
 from .region_samples import RegionSamples
 
@@ -37,14 +39,15 @@ class Baseline(eqx.Module):
 
 def initial_baseline(surface: RegionSamples, num_cameras: int = 0) -> Baseline:
     """Make the statistics before the first frame; `num_cameras` is zero if the cameras are not known."""
-    level = jnp.zeros((NUM_ROWS, len(surface.names) + 1), surface.areas.dtype)
-    none = jnp.zeros((), level.dtype)
+    dtype = surface.areas.dtype
+    shape = NUM_ROWS, len(surface.names) + 1
+    level, none = device_array(np.zeros(shape), dtype), device_array(0.0, dtype)
     return Baseline(
         none,
         level,
-        jnp.full_like(level, INITIAL_DEVIATION),
+        device_array(np.full(shape, INITIAL_DEVIATION), dtype),
         level,
-        jnp.zeros(num_cameras or NUM_DIRECTIONS, level.dtype),
+        device_array(np.zeros(num_cameras or NUM_DIRECTIONS), dtype),
         none,
     )
 

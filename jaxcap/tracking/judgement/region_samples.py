@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -12,6 +11,7 @@ from ...body.people.anatomy import BODY_REGIONS, without_side
 from ...body.skeleton import Skeleton
 from ...geometry.mesh import area_normals, unit_vectors
 from ...geometry.sampling import spatial_order
+from ...stacking import device_array
 from .self_penetration import inside_degrees
 
 _inside_degrees = eqx.filter_jit(inside_degrees)
@@ -88,30 +88,30 @@ def sample_regions(body: Body, joints: Sequence[int] | None = None) -> RegionSam
     samples = Body(
         body.skeleton,
         body.skin.transfer(corners, shares, body.skeleton),
-        jnp.asarray(points, dtype),
-        jnp.zeros((0, 3), body.faces.dtype),
+        device_array(points, dtype),
+        device_array(np.zeros((0, 3)), body.faces.dtype),
     )
     size, area = (
         np.ptp(vertices, axis=0).max(),
         0.5 * np.linalg.norm(area_normals(vertices[faces]), axis=1).sum(),
     )
-    non_adjacent = jnp.asarray(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
+    non_adjacent = device_array(~_adjacent_regions(body.skeleton.parents, joints, names), dtype)
     few = slice(None, None, STRIDE)
-    at_rest = (jnp.asarray(points[few] - points.mean(0), dtype), jnp.asarray(normals[few], dtype))
-    areas = jnp.full(len(bones[few]), area / len(bones[few]), dtype)
+    at_rest = (device_array(points[few] - points.mean(0), dtype), device_array(normals[few], dtype))
+    areas = device_array(np.full(len(bones[few]), area / len(bones[few])), dtype)
     within = _inside_degrees(
-        *at_rest, areas, jnp.asarray(regions[few]), non_adjacent, jnp.asarray(MIN_DISTANCE * size, dtype)
+        *at_rest, areas, device_array(regions[few]), non_adjacent, device_array(MIN_DISTANCE * size, dtype)
     )
     return RegionSamples(
         body=samples,
-        normals=jnp.asarray(normals, dtype),
-        bones=jnp.asarray(bones),
-        areas=jnp.full(len(bones), 1.0 / len(bones), dtype),
-        regions=jnp.asarray(regions),
+        normals=device_array(normals, dtype),
+        bones=device_array(bones),
+        areas=device_array(np.full(len(bones), 1.0 / len(bones)), dtype),
+        regions=device_array(regions),
         non_adjacent=non_adjacent,
-        outside_at_rest=1.0 - within,
-        area=jnp.asarray(area, dtype),
-        size=jnp.asarray(size, dtype),
+        outside_at_rest=device_array(1.0 - np.asarray(within)),
+        area=device_array(area, dtype),
+        size=device_array(size, dtype),
         names=names,
         joints=tuple(body.skeleton.names[joint] for joint in moving),
         region_parts=tuple(moving.index(joint) for joint in movers),

@@ -10,7 +10,7 @@ from ...body.pose import Pose
 from ...energy.energy import Sum
 from ...observe.clouds import Cloud
 from ...parallel import parallel_map
-from ...stacking import concatenate_trees, take_rows
+from ...stacking import concatenate_trees, device_array, take_rows
 from ..expectation_maximisation.em_step import Estimate, box_volume, em_step
 from ..track_frame import Tracker, first_estimate, frame_terms, penalty
 
@@ -68,7 +68,7 @@ def anneal_each(
     count = starts.rotations.shape[0]
     rows = np.minimum(np.arange(-(-count // GROUP) * GROUP), count - 1).reshape(-1, GROUP)
     groups = [take_rows(starts, row) for row in rows]
-    compared = jnp.asarray(comparison_sigma, sigmas.dtype)
+    compared = device_array(comparison_sigma, sigmas.dtype)
     found = parallel_map(
         lambda group: jax.block_until_ready(_anneal_group(tracker, cloud, group, sigmas, compared)),
         groups,
@@ -109,14 +109,16 @@ def anneal_survivors(
     to be a multiple of `SEGMENT`. Returns the remaining poses, sorted by decreasing score.
     """
     poses = starts
-    segments = sigmas.reshape(-1, SEGMENT)
+    segments = np.asarray(sigmas).reshape(-1, SEGMENT)
     for number, segment in enumerate(segments):
         if number > 0:
             count = poses.rotations.shape[0]
             poses = first_poses(poses, max(int(count * SURVIVING_SHARE), min(MIN_SURVIVORS, count)))
         compared = segment[-1] if number + 1 < len(segments) else SEARCH_SIGMA
         known = is_compiled or number > 0
-        poses, _ = _sorted(*anneal_each(tracker, cloud, poses, segment, compared, is_compiled=known))
+        poses, _ = _sorted(
+            *anneal_each(tracker, cloud, poses, device_array(segment), compared, is_compiled=known)
+        )
     return poses
 
 

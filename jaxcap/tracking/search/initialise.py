@@ -18,6 +18,7 @@ from ...energy.priors.reference_pose import PosePrior, RestPrior, tangent_deviat
 from ...fit.correspondence.part_blocks import make_part_blocks
 from ...observe import Scan, thin_cloud
 from ...observe.clouds import Cloud, as_cloud
+from ...stacking import device_array
 from ...value_checks import check_at_least, check_direction, check_positive
 from ..track_frame import Tracker
 from .anneal import SEGMENT, anneal_sorted, anneal_survivors, first_poses
@@ -92,8 +93,8 @@ def initialise(
     _LOG.info("searching for the pose in all directions")
     rest = rest_pose(skeleton)
     vertical = jnp.asarray(up, rest.rotations.dtype)
-    wide = jnp.asarray(np.repeat(COARSE_SIGMAS, 2), vertical.dtype)
-    fine = jnp.asarray(FINE_SIGMAS, vertical.dtype)
+    wide = device_array(np.repeat(COARSE_SIGMAS, 2), vertical.dtype)
+    fine = device_array(FINE_SIGMAS, vertical.dtype)
     if starts is None:
         standing = [rest] if tracker.pose_prior is None else [rest, mean_pose(tracker.pose_prior, skeleton)]
         standing = [scale_pose(pose, size) for size in sizes for pose in standing]
@@ -138,8 +139,9 @@ def refine(
     if tracker.pose_prior is not None:
         near = concatenate_poses([near, *prior_starts(tracker.pose_prior, skeleton, poses)])
     _LOG.info("searching near the best pose with the whole body")
-    sigmas = jnp.asarray(FINE_SIGMAS[2:], poses.rotations.dtype)
-    near = anneal_survivors(coarse, few, near, sigmas[:SEGMENT], is_compiled=True)
+    sigmas = device_array(FINE_SIGMAS[2:], poses.rotations.dtype)
+    first = device_array(FINE_SIGMAS[2 : 2 + SEGMENT], sigmas.dtype)
+    near = anneal_survivors(coarse, few, near, first, is_compiled=True)
     poses, scores = anneal_sorted(
         tracker, thin_cloud(cloud, FINE_POINTS), first_poses(near, NUM_REFINED), sigmas
     )

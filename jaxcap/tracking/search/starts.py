@@ -12,6 +12,7 @@ from ...body.retraction import retract
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...observe.clouds import Cloud
+from ...stacking import concatenate, take_rows
 from ..track_frame import Tracker
 
 #: distance from a vertex within which a point supports it, metres, and the share that is added to the unsupported one of
@@ -92,11 +93,18 @@ def subtree_starts(
     return _neighbours(skeleton, poses, jnp.where(below, size * steps, 0.0))
 
 
-@eqx.filter_jit
 def unsupported_shares(tracker: Tracker, poses: Pose, cloud: Cloud) -> Float[Array, "P J"]:
     """Compute, for each joint of P stacked poses, the share of the surface below it that has no point with a similar normal
     within `SUPPORT_RADIUS`; zero normals are similar to all others.
+
+    One by one, so that any number of poses uses one compiled function.
     """
+    rows = [take_rows(poses, slice(k, k + 1)) for k in range(poses.rotations.shape[0])]
+    return concatenate([_unsupported_shares(tracker, row, cloud) for row in rows])
+
+
+@eqx.filter_jit
+def _unsupported_shares(tracker: Tracker, poses: Pose, cloud: Cloud) -> Float[Array, "P J"]:
     below = jnp.asarray(tracker.body.skeleton.descendants, cloud.points.dtype)
     bones, without_normal = tracker.body.skin.dominant_bones(), ~jnp.any(cloud.normals != 0, 1)
 
