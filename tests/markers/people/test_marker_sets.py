@@ -8,6 +8,7 @@ from jaxcap.body.people.morph_targets import Traits
 from jaxcap.geometry.attachment import attached_positions
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.marker_sets import clinical, isb, laboratories, motion_capture, opensim, vicon
+from jaxcap.markers.marker_sets.joints_by_landmarks import joints_by_landmarks
 from jaxcap.markers.marker_sets.landmarks import landmark_attachment, landmarks, mirror_name
 from jaxcap.markers.marker_sets.marker_table import expand_table
 from jaxcap.markers.marker_sets.recognise import recognise_markers
@@ -335,6 +336,23 @@ def test_landmarks_lie_where_the_anatomy_has_them(traits, resolution):
     assert heights == sorted(heights, reverse=True)
     assert at["jugular_notch"][1] > at["sternum"][1] > at["xiphoid"][1] > at["navel"][1]
     assert at["c7"][2] < joints["Spine1"][2] + 0.05 < at["jugular_notch"][2]
+
+
+@pytest.mark.parametrize("traits", [Traits(1.0, 25.0, 0.5, 0.5), Traits(0.0, 40.0, 0.8, 0.3)])
+def test_hips_are_where_images_of_pelvises_have_them(traits):
+    body = human_from_traits(traits, "low", "tracking")
+    vertices, names = np.asarray(body.vertices, float), body.skeleton.names
+    joints = joints_by_landmarks(vertices, np.asarray(body.skeleton.centres, float), "low")
+    places, hold = landmark_attachment("low")
+    at = dict(zip(places, attached_positions(hold, vertices), strict=True))
+    hips = np.array([joints[names.index(f"{side}UpLeg")] for side in ("Left", "Right")])
+    front = (at["left asis"] + at["right asis"]) / 2
+    width = np.linalg.norm(at["left asis"] - at["right asis"])
+    across, along, below = (hips[0] - hips[1])[0], (front - hips.mean(0))[2], (front - hips.mean(0))[1]
+    # shares of the distance of the spines in front (Bell et al. 1990): 0.72 between the hips, 0.22 behind and 0.30 below
+    assert 0.65 < across / width < 0.79
+    assert 0.15 < along / width < 0.29
+    assert 0.23 < below / width < 0.41
 
 
 def test_bones_of_landmarks_are_joints_of_the_human():
