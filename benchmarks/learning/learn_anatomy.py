@@ -205,6 +205,9 @@ def main() -> None:
         prog="python -m benchmarks.learn_anatomy", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--builds", type=int, default=len(BUILDS), help="number of made people")
+    parser.add_argument(
+        "--only", type=int, nargs="+", help="numbers of the builds, from 0, instead of the first ones"
+    )
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="medium")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument("--no-crane", action="store_true", help="made people only")
@@ -219,8 +222,8 @@ def main() -> None:
     template = jc.human(resolution="low")
     motion = varied_motion(shared, template, 2 * MESHES)
     made = []
-    for number, build in enumerate(BUILDS[: options.builds]):
-        body = jc.human(resolution=options.resolution, **build)
+    for number in range(options.builds) if options.only is None else options.only:
+        body = jc.human(resolution=options.resolution, **BUILDS[number])
         body = jc.Body(body.skeleton, swing_twist_from(body.skin, body.skeleton), body.vertices, body.faces)
         moved = jc.retarget(motion, template.skeleton, body.skeleton)
         made.append((f"person{number}", make_person(body, moved, MAJOR, number)))
