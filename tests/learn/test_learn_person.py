@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.errors import InputError
+from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.anatomy.choose_skeleton import choose_skeleton
 from jaxcap.learn.anatomy.find_person import (
@@ -20,6 +21,7 @@ from jaxcap.learn.anatomy.find_person import (
     NoPerson,
     far_share,
     find_person,
+    joint_extent,
     likeliest_meshes,
     part_error,
     up_axis,
@@ -70,6 +72,17 @@ def test_a_skeleton_that_does_not_follow_the_surface_is_refused():
     inside = body.skeleton.centres.at[arm].set(body.skeleton.centres[body.skeleton.index("Spine1")])
     folded = eqx.tree_at(lambda b: b.skeleton.centres, body, inside)
     assert far_share(folded) > 5 * MAX_FAR_SHARE
+
+
+def test_a_person_who_bends_over_is_as_large_as_upright():
+    body = jc.human(resolution="low")
+    rest = jc.rest_pose(body.skeleton)
+    bend = jnp.zeros((31, 3)).at[body.skeleton.index("LowerBack")].set(jnp.array([1.6, 0.0, 0.0]))
+    posed = jc.pose_body(body, eqx.tree_at(lambda p: p.rotations, rest, rotation.exp(bend)))
+    bent = eqx.tree_at(lambda s: s.centres, body.skeleton, posed.joints)
+    assert np.ptp(np.asarray(posed.joints), axis=0).max() < 0.9 * joint_extent(bent)
+    upright = np.ptp(np.asarray(body.skeleton.centres), axis=0).max()
+    np.testing.assert_allclose(joint_extent(bent), upright, rtol=0.05)
 
 
 def test_meshes_without_a_person_are_searched_freely():
