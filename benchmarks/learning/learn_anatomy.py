@@ -109,6 +109,8 @@ def common_figures(
         np.linalg.norm(_places(a.body, fit.motion, names) - _places(b.body, b.motion, names), axis=2).mean(0)
         for a, b, fit in ((first, second, fits[0]), (second, first, fits[1]))
     ]
+    listed = ", ".join(f"{name} {1000 * gap:.0f}" for name, gap in zip(names, np.max(apart, 0), strict=True))
+    progress(f"    between the halves: {listed} mm")
     posed = [posed_vertices(a.body, fit.motion) for a, fit in zip(learned, fits, strict=True)]
     others = (meshes[1], meshes[0])
     surfaces = [surface_distances(mesh, some) for mesh, some in zip(others, posed, strict=True)]
