@@ -109,6 +109,8 @@ def common_figures(
         np.linalg.norm(_places(a.body, fit.motion, names) - _places(b.body, b.motion, names), axis=2).mean(0)
         for a, b, fit in ((first, second, fits[0]), (second, first, fits[1]))
     ]
+    listed = ", ".join(f"{name} {1000 * gap:.0f}" for name, gap in zip(names, np.max(apart, 0), strict=True))
+    progress(f"    between the halves: {listed} mm")
     posed = [posed_vertices(a.body, fit.motion) for a, fit in zip(learned, fits, strict=True)]
     others = (meshes[1], meshes[0])
     surfaces = [surface_distances(mesh, some) for mesh, some in zip(others, posed, strict=True)]
@@ -205,6 +207,9 @@ def main() -> None:
         prog="python -m benchmarks.learn_anatomy", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--builds", type=int, default=len(BUILDS), help="number of made people")
+    parser.add_argument(
+        "--only", type=int, nargs="+", help="numbers of the builds, from 0, instead of the first ones"
+    )
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="medium")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
     parser.add_argument("--no-crane", action="store_true", help="made people only")
@@ -219,8 +224,8 @@ def main() -> None:
     template = jc.human(resolution="low")
     motion = varied_motion(shared, template, 2 * MESHES)
     made = []
-    for number, build in enumerate(BUILDS[: options.builds]):
-        body = jc.human(resolution=options.resolution, **build)
+    for number in range(options.builds) if options.only is None else options.only:
+        body = jc.human(resolution=options.resolution, **BUILDS[number])
         body = jc.Body(body.skeleton, swing_twist_from(body.skin, body.skeleton), body.vertices, body.faces)
         moved = jc.retarget(motion, template.skeleton, body.skeleton)
         made.append((f"person{number}", make_person(body, moved, MAJOR, number)))

@@ -18,6 +18,7 @@ from ..geometry.procrustes import group_moments
 from ..observe.meshes import MeshSequence
 from ..rigging.rig_mesh import rig_mesh
 from .anatomy.find_person import PlacedPerson
+from .anatomy.rest_of_template import rest_as_template
 from .anatomy.small_joints import free_small_joints
 from .parts.find_parts import MAX_SYMMETRY_COST, find_parts
 from .parts.surface_graph import make_surface_graph, membership
@@ -107,7 +108,9 @@ def initialise_from_person(
     smooth = {"swing_twist": lambda: swing_twist_from(soft, skeleton), "lbs": lambda: soft}
     if skin in smooth:
         body = eqx.tree_at(lambda b: b.skin, body, smooth[skin]())
-    given = GivenCentres(skeleton.centres, normals=middle_normals(skeleton) if len(pairs) else None)
+    body, poses, given = rest_as_template(body, poses, meshes.vertices, GivenCentres(skeleton.centres))
+    if len(pairs):
+        given = given._replace(normals=middle_normals(body.skeleton))
     return InitialBody(body, poses, pairs, np.zeros(0), given)
 
 

@@ -34,6 +34,7 @@ from .joint_exchange.exchange_joints import exchange_joints
 from .joint_exchange.insert_and_remove import EditedBody
 from .objective import in_units_of_vertices, objective
 from .parts.find_parts import MAX_SYMMETRY_COST
+from .skeleton.carry_given import carry_given
 from .skeleton.joint_centre_prior import GivenCentres
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
@@ -355,7 +356,9 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     state = _keep(state, better, stage, "weights")
     _LOG.info("round %d: rest vertices", state.round + 1)
     rest = solve_rest_vertices(state.body, poses, targets, stage.metric)
+    before = state.body
     state = _keep(state, eqx.tree_at(lambda b: b.vertices, state.body, rest), stage, "vertices")
+    state = state._replace(given=carry_given(state.given, before, state.body.vertices))
     _LOG.info("round %d: joints and poses", state.round + 1)
     state = _improve_joints(state, stage, STEPS)
     return state._replace(round=state.round + 1)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.errors import InputError
+from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.anatomy.choose_skeleton import choose_skeleton
 from jaxcap.learn.anatomy.find_person import (
@@ -20,17 +21,22 @@ from jaxcap.learn.anatomy.find_person import (
     NoPerson,
     far_share,
     find_person,
+    joint_extent,
     likeliest_meshes,
     part_error,
     up_axis,
 )
 from jaxcap.learn.anatomy.joint_evidence import describe_joints, far_joints, joint_evidence
+from jaxcap.learn.anatomy.rest_of_template import rest_as_template
 from jaxcap.learn.anatomy.small_joints import free_small_joints
 from jaxcap.learn.objective import objective
+from jaxcap.learn.people.rest_alignment import change_rest_pose
+from jaxcap.learn.skeleton.carry_given import carry_given
 from jaxcap.learn.skeleton.check_skeleton import check_skeleton, winding_numbers
 from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
 from jaxcap.learn.skeleton.joints import improve_joints, make_curvature
 from jaxcap.observe.meshes import MeshSequence
+from jaxcap.rigging.template import load_template
 
 TUBE = trimesh.creation.capsule(height=1.0, radius=0.12, count=[24, 12])
 
@@ -70,6 +76,17 @@ def test_a_skeleton_that_does_not_follow_the_surface_is_refused():
     inside = body.skeleton.centres.at[arm].set(body.skeleton.centres[body.skeleton.index("Spine1")])
     folded = eqx.tree_at(lambda b: b.skeleton.centres, body, inside)
     assert far_share(folded) > 5 * MAX_FAR_SHARE
+
+
+def test_a_person_who_bends_over_is_as_large_as_upright():
+    body = jc.human(resolution="low")
+    rest = jc.rest_pose(body.skeleton)
+    bend = jnp.zeros((31, 3)).at[body.skeleton.index("LowerBack")].set(jnp.array([1.6, 0.0, 0.0]))
+    posed = jc.pose_body(body, eqx.tree_at(lambda p: p.rotations, rest, rotation.exp(bend)))
+    bent = eqx.tree_at(lambda s: s.centres, body.skeleton, posed.joints)
+    assert np.ptp(np.asarray(posed.joints), axis=0).max() < 0.9 * joint_extent(bent)
+    upright = np.ptp(np.asarray(body.skeleton.centres), axis=0).max()
+    np.testing.assert_allclose(joint_extent(bent), upright, rtol=0.05)
 
 
 def test_meshes_without_a_person_are_searched_freely():
@@ -207,3 +224,52 @@ def test_a_made_person_gets_the_joints_of_a_person(rng):
     middle = np.asarray(learned.given.normals)
     away = np.sum(np.asarray(found.skeleton.centres - learned.given.centres) * middle, 1)
     np.testing.assert_allclose(away, 0.0, atol=1e-5)
+
+
+def test_given_centres_move_with_the_surface(rng):
+    body = chain_body()
+    given = GivenCentres(body.skeleton.centres + 0.01)
+    turn, shift = Rotation.from_rotvec([0.2, -0.1, 0.4]), np.array([0.1, -0.2, 0.05])
+    rest = jnp.asarray(turn.apply(np.array(body.vertices)) + shift)
+    moved = carry_given(given, body, rest)
+    np.testing.assert_allclose(moved.centres, turn.apply(np.array(given.centres)) + shift, atol=1e-6)
+    fixed = given._replace(is_fixed=True)
+    assert carry_given(fixed, body, rest) is fixed
+    assert carry_given(None, body, rest) is None
+
+
+def test_a_placed_person_rests_as_the_human(rng):
+    template = load_template().body
+    skeleton = template.skeleton
+    rotations = rotation.exp(jnp.asarray(0.4 * rng.normal(size=(5, 31, 3))))
+    poses = jc.stack_poses([jc.rest_pose(skeleton)] * 5).poses
+    poses = eqx.tree_at(lambda p: p.rotations, poses, rotations)
+    targets = posed_vertices(template, poses)
+    # the skeleton as it is placed in the first mesh
+    first = jc.pose_body(template, jax.tree.map(lambda leaf: leaf[0], poses))
+    turned = rotation.from_matrix(first.transforms.rotations)
+    frames = (
+        rotation.multiply(turned, skeleton.orientations),
+        jnp.einsum("jab,jkb->jka", first.transforms.rotations, skeleton.axes),
+    )
+    placed = eqx.tree_at(lambda s: (s.centres, s.orientations, s.axes), skeleton, (first.joints, *frames))
+    body = jc.Body(placed, template.skin, targets[0], template.faces)
+    above = jnp.where(
+        np.arange(31)[:, None] == 0, rotation.identity(), turned[np.maximum(skeleton.parents, 0)]
+    )
+    to_rest = rotation.multiply(above, rotation.conjugate(turned))
+    back = change_rest_pose(
+        skeleton, poses, eqx.tree_at(lambda p: p.rotations, jc.rest_pose(skeleton), to_rest)
+    )
+    given = GivenCentres(placed.centres + 0.01)
+    found, own, moved = rest_as_template(body, back, targets, given)
+    np.testing.assert_allclose(posed_vertices(found, own), targets, atol=2e-4)
+    # the human at rest, but for the direction of the trunk
+    root = Rotation.from_quat(np.array(turned)[0, [1, 2, 3, 0]])
+    for some, rest in ((found.skeleton.centres, skeleton.centres), (found.vertices, template.vertices)):
+        away = root.inv().apply(np.array(some - found.skeleton.centres[0]))
+        np.testing.assert_allclose(away, np.asarray(rest - skeleton.centres[0]), atol=1e-3)
+    lateral = root.inv().apply(np.array(found.skeleton.axes)[:, 0])
+    np.testing.assert_allclose(lateral, np.asarray(skeleton.axes)[:, 0], atol=1e-5)
+    gaps = np.linalg.norm(np.asarray(moved.centres - found.skeleton.centres), axis=1)
+    np.testing.assert_allclose(gaps, 0.01 * np.sqrt(3), rtol=1e-3)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.body import Body
+from ...body.skeleton import Skeleton
 from ...errors import InputError
 from ...geometry.mesh import vertex_areas
 from ...geometry.procrustes import group_moments, rigid_errors
@@ -19,8 +20,8 @@ from ..parts.surface_graph import membership
 
 #: the fewest vertices of a mesh in which a person is looked for
 MIN_VERTICES = 300
-#: the number of meshes that are tried, those most like the human at rest first
-TRIES = 6
+#: the most meshes that are tried, those most like the human at rest first
+TRIES = 12
 #: sampled points of a surface for its profile, and the most meshes that are compared
 SAMPLES, FRAMES = 2000, 200
 #: another axis than y is taken to point up if bodies are longer along it by this factor
@@ -85,7 +86,7 @@ def far_share(placed: Body) -> float:
     """Return the share of the vertices that are farther than `MAX_DISTANCE` from all bones of a placed skeleton."""
     centres = np.asarray(placed.skeleton.centres, float)
     distances, _ = bone_distances(np.asarray(placed.vertices, float), centres, default_tails(placed.skeleton))
-    return float(np.mean(distances.min(1) > MAX_DISTANCE * _height(placed)))
+    return float(np.mean(distances.min(1) > MAX_DISTANCE * joint_extent(placed.skeleton)))
 
 
 def part_error(placed: Body, shapes: Float[np.ndarray, "F V 3"]) -> float:
@@ -94,12 +95,19 @@ def part_error(placed: Body, shapes: Float[np.ndarray, "F V 3"]) -> float:
     areas = vertex_areas(vertices, np.asarray(placed.faces))
     groups = membership(np.asarray(placed.skin.dominant_bones()), areas, count)
     moments = group_moments(groups, vertices, shapes.transpose(1, 0, 2))
-    return float(np.sqrt(np.sum(rigid_errors(moments)) / (areas.sum() * len(shapes)))) / _height(placed)
+    return float(np.sqrt(np.sum(rigid_errors(moments)) / (areas.sum() * len(shapes)))) / joint_extent(
+        placed.skeleton
+    )
 
 
-def _height(placed: Body) -> float:
-    """Return the extent of the joints: nine tenths of the height of a person."""
-    return float(np.ptp(np.asarray(placed.skeleton.centres), axis=0).max())
+def joint_extent(skeleton: Skeleton) -> float:
+    """Return the extent of the joints of a placed skeleton at rest, in whichever pose it was placed, by the lengths of its
+    bones: nine tenths of the height of a person."""
+    template = load_template().body.skeleton
+    rest, parents = np.asarray(template.centres, float), np.array(template.parents)
+    placed, below = np.asarray(skeleton.centres, float), parents >= 0
+    lengths = [np.linalg.norm(centres[below] - centres[parents[below]], axis=1) for centres in (placed, rest)]
+    return float(lengths[0].sum() / lengths[1].sum() * np.ptp(rest, axis=0).max())
 
 
 def likeliest_meshes(

@@ -12,6 +12,7 @@ from ...body.pose import take_poses
 from ...compiled import forget_many_compiled
 from ...geometry.laplacian import Conformance, make_conformance
 from ..objective import objective
+from ..skeleton.carry_given import carry_given
 from ..skeleton.joints import Curvature, improve_joints, make_curvature
 from ..weights.improve_weights import PosedMeshes, improve_shared_weights
 from ..weights.rest_vertices import solve_rest_vertices
@@ -92,7 +93,9 @@ def improve_rest_of(person: Person, mesh: MeshMetric) -> Person:
     rest = solve_rest_vertices(
         person.body, person.poses, person.targets, mesh.metric, frame_weights=person.frame_weights
     )
-    better = evaluate(person._replace(body=eqx.tree_at(lambda b: b.vertices, person.body, rest)), mesh)
+    body = eqx.tree_at(lambda b: b.vertices, person.body, rest)
+    given = carry_given(person.given, person.body, rest)
+    better = evaluate(person._replace(body=body, given=given), mesh)
     return better if better.value <= person.value else person
 
 
