@@ -20,7 +20,7 @@ LIMBS = {
 #: epicondyles and malleoli differ in height by 0.243 of stature, 0.010 more than the joints of the embedded human: this is the mean of both
 SHARES = {"upper arm": 0.160, "forearm": 0.153, "thigh": 0.2425, "shank": 0.243}
 #: the same of the embedded human of mean traits, whose arms are shorter
-HUMAN_SHARES = {"upper arm": 0.140, "forearm": 0.1425, "thigh": 0.243, "shank": 0.239}
+HUMAN_SHARES = {"upper arm": 0.140, "forearm": 0.1425, "thigh": 0.2458, "shank": 0.239}
 #: mean stature of adults, metres, and relative standard deviation (women and men of ANSUR II, Gordon and others 2014)
 STATURE, STATURE_SPREAD = 1.69, 0.054
 #: relative standard deviations of the lengths of the limbs at all statures, and correlations of stature and these lengths, of as many women as

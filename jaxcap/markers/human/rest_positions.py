@@ -14,6 +14,8 @@ from ..marker_sets.landmarks import joint_landmarks, landmark_attachment, mirror
 from ..marker_sets.recognise import MarkerSet
 from .population import LIMBS
 
+#: least distance of a marker or joint at a side of the pelvis from its middle, metres
+MIN_LATERAL = 0.02
 #: resolution of the surface that markers are placed on
 RESOLUTION = "low"
 
@@ -89,10 +91,18 @@ def bone_ends(
     bones: Int[np.ndarray, "M"],
     places: Float[np.ndarray, "M 3"],
 ) -> Int[np.ndarray, "M"]:
-    """Find the joint nearest to each marker at rest, of the joints at both ends of its bone."""
+    """Find the joint nearest to each marker at rest, of the joints at both ends of its bone.
+
+    A marker at a side of the pelvis has the hip of this side: the spine is nearer to those at the back, but shows no leg.
+    """
     nearest = []
     for bone, place in zip(bones.tolist(), places, strict=True):
         ends = [bone, *_moving_children(skeleton, bone)]
+        if skeleton.parents[bone] < 0:
+            side, sides = (np.asarray(x)[..., 0] - centres[bone, 0] for x in (place, centres[ends]))
+            same = sides * np.sign(side) > MIN_LATERAL
+            if abs(side) > MIN_LATERAL and same.any():
+                ends = [end for end, alike in zip(ends, same, strict=True) if alike]
         nearest.append(ends[int(np.argmin(np.linalg.norm(centres[ends] - place, axis=1)))])
     return np.array(nearest, int)
 
