@@ -233,6 +233,12 @@ def test_given_centres_move_with_the_surface(rng):
     rest = jnp.asarray(turn.apply(np.array(body.vertices)) + shift)
     moved = carry_given(given, body, rest)
     np.testing.assert_allclose(moved.centres, turn.apply(np.array(given.centres)) + shift, atol=1e-6)
+    # on the middle, all move sideways by the same distance
+    normals = jnp.zeros_like(given.centres).at[1:].set(jnp.array([0.0, 0.0, 1.0]))
+    uneven = rest + jnp.asarray(0.02 * rng.normal(size=rest.shape))
+    moved = carry_given(given._replace(normals=normals), body, uneven)
+    away = np.asarray(moved.centres - given.centres)[1:, 2]
+    np.testing.assert_allclose(away, away[0], atol=1e-6)
     fixed = given._replace(is_fixed=True)
     assert carry_given(fixed, body, rest) is fixed
     assert carry_given(None, body, rest) is None

@@ -58,7 +58,7 @@ def joint_evidence(
     A joint that rotates about one axis or more determines its centre in two directions. It is `determined` if the meshes
     weigh more there than the prior at the given position does.
 
-    **Arguments:** `pairs` of left and right joints; `given` are the positions with which learning began.
+    **Arguments:** `pairs` of left and right joints; `given` are the positions of the prior, on the rest pose of the skeleton.
     """
     centres, parents = np.asarray(skeleton.centres, float), np.array(skeleton.parents)
     joints = np.flatnonzero(parents >= 0)

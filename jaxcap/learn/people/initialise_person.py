@@ -13,10 +13,10 @@ from ...body.pose import Pose, concatenate_poses, shift_roots, take_poses
 from ...body.symmetry import symmetrise
 from ...fit.fit_meshes import procrustes_poses
 from ...observe.meshes import MeshSequence
-from ..skeleton.joint_centre_prior import GivenCentres
+from ..skeleton.joint_centre_prior import GivenCentres, onto_middle
 from ..weights.rest_vertices import fit_rest_vertices
 from .joints_of_surface import joints_of_surface
-from .person import Person, onto_middle
+from .person import Person
 from .rest_alignment import change_rest_pose, check_rest_alignment, rest_pose_of
 
 #: alternations of rest vertices and positions of the body, and of equal lengths and joints on the middle

@@ -51,12 +51,3 @@ def repeat_meshes(person: Person) -> Person:
 def repeated_rows(count: int) -> Int[np.ndarray, "F"]:
     """Number the meshes of a person from 0, and again from 0 until there are as many as one of `LENGTHS`."""
     return np.arange(next((length for length in LENGTHS if length >= count), count)) % count
-
-
-def onto_middle(centres: Float[Array, "J 3"], given: GivenCentres) -> Float[Array, "J 3"]:
-    """Move the joints on the middle of the body sideways, so that all are as far from the given planes."""
-    assert given.normals is not None
-    away = jnp.sum((centres - given.centres) * given.normals, 1)
-    members = jnp.any(given.normals != 0, 1)
-    mean = jnp.sum(away * members) / jnp.maximum(members.sum(), 1)
-    return centres + jnp.where(members, mean - away, 0.0)[:, None] * given.normals

@@ -16,9 +16,9 @@ from ...body.skeleton import Skeleton
 from ...fit.fit_meshes import procrustes_poses
 from ...geometry import rotation
 from ...observe.meshes import MeshSequence
-from ..skeleton.joint_centre_prior import GivenCentres
+from ..skeleton.joint_centre_prior import GivenCentres, replace_centres
 from ..weights.rest_vertices import fit_rest_vertices
-from .person import Person, onto_middle
+from .person import Person
 from .shape_space import mean_body
 
 #: kinds of joints that can rest in any pose
@@ -48,7 +48,7 @@ def align_rest_poses(people: Sequence[Person]) -> list[Person]:
             places = jnp.asarray(
                 regress_joints(regressor, np.asarray(person.body.vertices, float)), mean.vertices.dtype
             )
-            person = person._replace(given=_replace_centres(person.given, places))
+            person = person._replace(given=replace_centres(person.given, places))
         aligned.append(person)
     return aligned
 
@@ -140,8 +140,3 @@ def move_to_centre(person: Person, centre: Float[Array, "3"]) -> Person:
     poses = Pose(back, person.poses.rotations, person.poses.scale)
     given = person.given._replace(centres=person.given.centres + shift)
     return person._replace(body=body, poses=poses, given=given)
-
-
-def _replace_centres(given: GivenCentres, centres: Float[Array, "J 3"]) -> GivenCentres:
-    moved = given._replace(centres=centres)
-    return moved if given.normals is None else moved._replace(centres=onto_middle(centres, given))

@@ -4,7 +4,7 @@ The prior mean is the centre in a given skeleton, or the middle of the cut betwe
 connects.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -58,6 +58,23 @@ class GivenCentres(NamedTuple):
     #: unit normals of the planes through joints on the middle of the body, in which their centres stay; zero for other
     #: joints; None if there are no such planes
     normals: Float[Array, "J 3"] | None = None
+
+
+Given = TypeVar("Given", bound=GivenCentres)
+
+
+def onto_middle(centres: Float[Array, "J 3"], given: GivenCentres) -> Float[Array, "J 3"]:
+    """Move the joints on the middle of the body sideways, so that all are as far from the given planes."""
+    assert given.normals is not None
+    away = jnp.sum((centres - given.centres) * given.normals, 1)
+    members = jnp.any(given.normals != 0, 1)
+    mean = jnp.sum(away * members) / jnp.maximum(members.sum(), 1)
+    return centres + jnp.where(members, mean - away, 0.0)[:, None] * given.normals
+
+
+def replace_centres(given: Given, centres: Float[Array, "J 3"]) -> Given:
+    """Give new centres; those on the middle of the body all move sideways by the same distance."""
+    return given._replace(centres=centres if given.normals is None else onto_middle(centres, given))
 
 
 def given_centre_prior(
