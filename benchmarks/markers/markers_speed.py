@@ -2,7 +2,7 @@
 
 60 markers on the embedded human, 23 joints that move, a take of CMU's at 120 frames per second with noise of a
 millimetre, gaps and swapped labels; float32. Solving is timed after a run that compiles; streaming frame by frame
-from NumPy arrays to a pose that is there, without threads of XLA as in `jaxcap markers solve --stream`; calibrating with 100 frames from a wrong template, without and with
+from NumPy arrays to a pose that is there, dispatched synchronously as in `jaxcap markers solve --stream`; calibrating with 100 frames from a wrong template, without and with
 compiling. Run it with nothing else beside.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks._scenes import shared_folder
 from benchmarks.markers._markers import MarkerNoise, make_scene
 from benchmarks.report import finish, progress
-from jaxcap.cli.markers.streamed import compute_without_threads
+from jaxcap.cli.markers.streamed import dispatch_synchronously
 from jaxcap.markers.calibration.calibrate import calibrate
 from jaxcap.markers.motion.inverse_kinematics import solve_markers
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int)
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
-    compute_without_threads()
+    dispatch_synchronously()
     scene = make_scene(
         shared_folder(), options.take, MarkerNoise(gaps=0.05, swaps=0.005), frames=options.frames
     )

@@ -1,5 +1,9 @@
 """Solving for the motion of a known subject, at once and frame by frame."""
 
+import copy
+import pickle
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -113,6 +117,23 @@ def test_streamers_of_one_shape_share_their_programs():
     other, _ = make_streamer(shift_markers(SUBJECT, 0.01 * jnp.ones_like(SUBJECT.offsets)), SearchCriteria())
     assert streamer.call_arguments.structure == other.call_arguments.structure
     assert hash(streamer.call_arguments.structure) == hash(other.call_arguments.structure)
+
+
+def test_copies_of_a_streamer_solve_frames():
+    streamer, state = make_streamer(SUBJECT)
+    places = np.asarray(SUBJECT.offsets)
+    for other in (copy.deepcopy(streamer), pickle.loads(pickle.dumps(streamer))):
+        found, _ = stream_frame(other, state, places)
+        np.testing.assert_array_equal(found.residual_scale, stream_frame(streamer, state, places)[0][1])
+
+
+def test_a_streamer_that_was_used_in_jit_has_no_tracers():
+    streamer, state = make_streamer(SUBJECT)
+    moved = eqx.tree_at(lambda s: s.subject.offsets, streamer, SUBJECT.offsets + 0.01)
+    places = np.asarray(moved.subject.offsets)
+    with pytest.raises(jax.errors.TracerArrayConversionError):
+        jax.jit(lambda: stream_frame(moved, state, places)[1].rotations)()
+    assert int(stream_frame(moved, state, places)[0].num_lost) == 0
 
 
 def test_strangers_are_refused(rng):

@@ -34,7 +34,7 @@ from .opensim import SolvedModel, load_subject_or_model
 from .prop_tables import is_prop, prop_table, write_prop_table
 from .result_tables import MODEL_REASONS, SUBJECT_REASONS, describe_strays, print_residuals
 from .solved_trials import read_solved, write_solved
-from .streamed import Latency, compute_without_threads, solve_streamed
+from .streamed import Latency, dispatch_synchronously, solve_streamed
 from .subject_files import file_name, named_trials, names_in, run_each, subject_names
 from .takes import (
     Files,
@@ -103,7 +103,7 @@ class Solve:
 
     def run(self) -> None:
         if self.stream:
-            compute_without_threads()
+            dispatch_synchronously()
         further = [path for path in self.trials if Path(path).suffix.lower() == ".npz"]
         if not further:
             self.solve_trials(self.read)

@@ -46,7 +46,7 @@ class Latency(NamedTuple):
         )
 
 
-def compute_without_threads() -> None:
+def dispatch_synchronously() -> None:
     """Compute each function in the thread that calls it, before any computation: a frame then waits for no thread to wake up."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 

@@ -1,5 +1,6 @@
 """One frame of markers at a time, for live use."""
 
+import dataclasses
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -34,9 +35,13 @@ class Streamer(eqx.Module):
         leaves, structure = jax.tree.flatten(self)
         fixed = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
         arrays = [leaf if eqx.is_array(leaf) else None for leaf in leaves]
-        return _CallArguments(
-            (fixed, structure), arrays, np.asarray(self.subject.weights) > 0, jnp.asarray(0)
-        )
+        with jax.ensure_compile_time_eval():
+            none_lost = jnp.asarray(0)
+        return _CallArguments((fixed, structure), arrays, np.asarray(self.subject.weights) > 0, none_lost)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields alone: a copied or pickled structure of a tree of modules cannot be used."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
 
 class _CallArguments(NamedTuple):

@@ -21,7 +21,7 @@ from jaxcap.markers.human.population import (
     differences_of_means,
     human_means,
 )
-from jaxcap.markers.human.rest_positions import limb_lengths, stretch_fields
+from jaxcap.markers.human.rest_positions import bone_ends, limb_lengths, rest_positions, stretch_fields
 from jaxcap.markers.marker_sets.recognise import recognise_markers
 from jaxcap.markers.segments.pair_distances import median_distances
 from jaxcap.markers.subject import make_subject
@@ -59,6 +59,16 @@ def seen(subject, count=60, noise=0.001, seed=1):
     frames = MarkerFrames(places, np.ones(places.shape[:2], bool), subject.labels, 30.0)
     joints = np.asarray(jc.markers.joint_frames(subject.skeleton, motion).positions)
     return frames, joints
+
+
+def test_markers_at_a_side_of_the_pelvis_show_its_hip():
+    skeleton = jc.human(resolution="low").skeleton
+    names = ["left asis", "left psis", "right psis", "sacrum"]
+    places, centres = rest_positions(names, np.zeros(4), TALL_WOMAN)
+    ends = bone_ends(skeleton, centres, np.full(4, skeleton.index("Hips")), places)
+    found = [skeleton.names[end] for end in ends]
+    assert found[:3] == ["LeftUpLeg", "LeftUpLeg", "RightUpLeg"]
+    assert found[3] in ("Hips", "LowerBack")
 
 
 def test_the_prior_is_the_inverse_of_the_covariance_it_describes():

@@ -8,7 +8,7 @@ from jaxcap.body.people.morph_targets import Traits
 from jaxcap.geometry.attachment import attached_positions
 from jaxcap.io.registry import read_markers
 from jaxcap.markers.marker_sets import clinical, isb, laboratories, motion_capture, opensim, vicon
-from jaxcap.markers.marker_sets.joints_by_landmarks import joints_by_landmarks
+from jaxcap.markers.marker_sets.joints_by_landmarks import hip_centres, joints_by_landmarks
 from jaxcap.markers.marker_sets.landmarks import landmark_attachment, landmarks, mirror_name
 from jaxcap.markers.marker_sets.marker_table import expand_table
 from jaxcap.markers.marker_sets.recognise import recognise_markers
@@ -353,6 +353,18 @@ def test_hips_are_where_images_of_pelvises_have_them(traits):
     assert 0.65 < across / width < 0.79
     assert 0.15 < along / width < 0.29
     assert 0.23 < below / width < 0.41
+
+
+def test_hips_follow_the_regression():
+    spines = {"left asis": [0.12, 0, 0.2], "right asis": [-0.12, 0, 0.2], "left psis": [0.05, 0, 0.05]}
+    at = {name: np.array(place) for name, place in spines.items()} | {
+        "right psis": np.array([-0.05, 0, 0.05])
+    }
+    # Harrington and others (2007), millimetres: 0.33 240 + 7.3 to the side, 0.30 240 + 10.9 below, 0.24 150 + 9.9 behind
+    place = np.array([0.0865, -0.0829, 0.2 - 0.0459])
+    hips = hip_centres(at)
+    np.testing.assert_allclose(hips["LeftUpLeg"], place)
+    np.testing.assert_allclose(hips["RightUpLeg"], place * [-1, 1, 1])
 
 
 def test_bones_of_landmarks_are_joints_of_the_human():
