@@ -44,6 +44,7 @@ def take_rows(stacked, rows: Sequence[int] | slice | np.ndarray):
 
     Without traced arrays this copies on the host, as indexing in JAX compiles for every shape.
     """
+    rows = rows if isinstance(rows, (slice, np.ndarray)) else np.array(rows, int)
     return jax.tree.map(
         lambda leaf: leaf[rows] if _traced([leaf]) else device_array(np.asarray(leaf)[rows]), stacked
     )

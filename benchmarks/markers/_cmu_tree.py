@@ -1,7 +1,7 @@
 """The tree of bones that the technique without a person's skeleton finds, compared with the database's skeleton.
 
 Each bone found is one of the database's: that which carries its markers best. A joint is compared with
-the nearest one on the way between its two bones. Two bones that are joined with a third one's between
+the nearest one on the path between its two bones. Two bones that are joined with a third one's between
 them are a wrong edge of the tree.
 """
 
@@ -25,8 +25,8 @@ def bones_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
 
 def joints_between(skeleton: jc.Skeleton, start: int, end: int) -> list[int]:
     """List the joints between two bones."""
-    way = bones_between(skeleton, start, end)
-    return [bone for bone in way if skeleton.parents[bone] in way]
+    path = bones_between(skeleton, start, end)
+    return [bone for bone in path if skeleton.parents[bone] in path]
 
 
 def compare_tree(
@@ -45,7 +45,7 @@ def compare_tree(
         if parent < 0:
             continue
         between = joints_between(skeleton, theirs[mine], theirs[parent])
-        # somebody else's bone on the way: these two are not neighbours
+        # another found bone between them: these two are not neighbours
         inside = set(bones_between(skeleton, theirs[mine], theirs[parent])) - {theirs[mine], theirs[parent]}
         is_wrong = bool(inside & set(theirs))
         wrong += is_wrong

@@ -14,7 +14,7 @@ from jaxcap.body.skeleton import (
     make_skeleton,
     rest_distance,
 )
-from jaxcap.stacking import device_array
+from jaxcap.stacking import device_array, take_rows
 
 
 def random_tree(rng, count: int):
@@ -164,3 +164,9 @@ def test_arrays_of_known_numbers_are_copies():
         made = device_array(numbers)
         numbers[:] = 1.0
         assert not np.asarray(made).any()
+
+
+def test_rows_of_a_list_are_those_of_an_array_also_when_traced():
+    numbers = jax.numpy.arange(4.0)
+    for take in (lambda x: take_rows(x, [2, 0]), lambda x: take_rows(x, [])):
+        np.testing.assert_array_equal(jax.jit(take)(numbers), take(numbers))

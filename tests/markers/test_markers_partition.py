@@ -144,6 +144,8 @@ def test_many_exchanges_of_labels_have_one_sentence_for_the_rarest():
     assert len(said) == MAX_DESCRIBED + 1
     assert "'m14' and 'm15' were swapped in 3 frames" in said[0]
     assert "2 further groups of markers, in 2 frames" in said[-1]
+    (*_, last) = describe_exchanges(source[:11], np.ones((11, 24), bool), labels)
+    assert "1 further group of markers, in 1 frame;" in last
 
 
 def test_clean_markers_are_left_as_they_are(rng):

@@ -24,7 +24,8 @@ class CholeskyFactor(eqx.Module):
 def factorise(matrix: Float[Array, "N N"], ridge: float | None = None) -> CholeskyFactor:
     """Factorise a symmetric matrix, with `ridge` or a bound of the rounding error added to its unit diagonal.
 
-    A row of zeros has the scale one, so that an unknown without data does not move.
+    A row of zeros has the scale one, so that an unknown without data does not move. Only the lower triangle is read. Derivatives are
+    right along symmetric changes of the matrix; the gradient with respect to the matrix itself is not symmetric.
     """
     size, dtype = len(matrix), matrix.dtype
     scale = diagonal_scale(jnp.diagonal(matrix))

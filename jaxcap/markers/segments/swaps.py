@@ -247,7 +247,8 @@ def describe_exchanges(
     if others:
         count = len({frame for _, some in others for frame in some})
         messages.append(
-            f"Labels were also exchanged between {len(others)} further groups of markers, in {count} frame{'s' if count > 1 else ''}; all are corrected."
+            f"Labels were also exchanged in {len(others)} further group{'s' if len(others) > 1 else ''} of markers, in {count} "
+            f"frame{'s' if count > 1 else ''}; all are corrected."
         )
     return tuple(messages)
 
