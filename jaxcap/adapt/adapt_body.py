@@ -265,7 +265,7 @@ def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> 
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
         found = fit_task_poses(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
-        poses |= dict(zip(some, found, strict=True))
+        poses |= {n: fit.pose for n, fit in zip(some, found, strict=True)}
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state

@@ -46,8 +46,10 @@ def adapt_round(
     poses = {n: state.motion[n] for n in chosen}
     if stage.round == 1:
         pair_cache.keep(chosen)
-        found = fit_task_poses(task, state, map(pair_cache.scan, chosen), poses.values(), steps=6)
-        poses = dict(zip(chosen, found, strict=True))
+        found = fit_task_poses(task, state, map(pair_cache.scan, chosen), list(poses.values()), steps=6)
+        for n, fit in zip(chosen, found, strict=True):
+            poses[n] = fit.pose
+            pair_cache.record(n, state.body, fit.pose, fit.pairs)
     if stage.pass_number == 0:
         body, poses, coefficients = _proportions(task, state, poses, pair_cache)
         # choose new frames for the adaptation of vertices

@@ -20,6 +20,8 @@ from .linearise import (
     weighted_derivatives,
 )
 
+#: number of points between vertices whose rows are summed together
+POINTS = 512
 #: `|r|^2 / 2`, its gradient `J^T r` and its Gauss-Newton Hessian `J^T J`
 NormalEquations = tuple[Float[Array, ""], Float[Array, "..."], Float[Array, "..."]]
 
@@ -33,18 +35,19 @@ def frame_equations(
 ) -> NormalEquations:
     """Compute `|r|^2 / 2`, `J^T r` and `J^T J` of a frame by `[d, s]`; arguments as of `frame_jacobian`.
 
-    A term with more rows than the vertices have coordinates is first summed over each vertex, and one of the pose over
-    single bones over each bone, without writing out its rows.
+    A term with more rows than the vertices have coordinates is first summed over each vertex, or over a few points between
+    vertices, and one of the pose over single bones over each bone, without writing out its rows.
     """
     posed, terms = pose_body(body, pose), terms_of(energy)
+    between = [term for term in terms if _is_between_vertices(term, posed)]
     by_vertex = [_vertex_equations(term, posed) for term in terms]
     by_bone = [None if tangent is not None else _bone_equations(term, posed) for term in terms]
     others = tuple(
         term
         for term, *sums in zip(terms, by_vertex, by_bone, strict=True)
-        if all(part is None for part in sums)
+        if all(part is None for part in sums) and term not in between
     )
-    parts = []
+    parts = [_equations_between(term, posed, vertex_jacobian(posed, tangent)) for term in between]
     if others:
         residual, rows = frame_jacobian(Sum(others), body, pose, body_at, tangent)
         parts.append((0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows))
@@ -100,6 +103,43 @@ def _vertex_equations(term: AbstractEnergy, posed: Posed) -> NormalEquations | N
     if vertices.shape[1] > 1 or directions.size // 3 <= posed.vertices.size:
         return None
     return _equations_at(vertices[:, 0], directions[:, 0], term.residual(posed), len(posed.vertices))
+
+
+def _is_between_vertices(term: AbstractEnergy, posed: Posed) -> bool:
+    """Test if a term has more rows than the vertices have coordinates, of points between several vertices."""
+    if not isinstance(unweighted(term), AbstractVertexEnergy):
+        return False
+    vertices, directions = weighted_derivatives(term, posed)
+    return vertices.shape[1] > 1 and directions.size // 3 > posed.vertices.size
+
+
+def _equations_between(
+    term: AbstractEnergy, posed: Posed, jacobian: Float[Array, "V 3 N"]
+) -> NormalEquations:
+    """Sum the equations of the points of a term between vertices, a few points at a time, whose rows stay in a core's cache."""
+    vertices, directions = weighted_derivatives(term, posed)
+    residual = term.residual(posed).reshape(len(vertices), -1)
+    extra = -len(vertices) % POINTS
+    batches = [
+        jnp.pad(part, ((0, extra), *[(0, 0)] * (part.ndim - 1))).reshape(-1, POINTS, *part.shape[1:])
+        for part in (vertices, directions, residual)
+    ]
+
+    def add(total, batch):
+        corners, along, missing = batch
+        moved = jacobian[corners]
+        # written out, because batched products are slow on a CPU
+        rows = sum(
+            along[:, k, :, a, None] * moved[:, k, a, None]
+            for k in range(moved.shape[1])
+            for a in range(moved.shape[2])
+        )
+        rows = jnp.concatenate([rows, missing[:, :, None]], 2).reshape(-1, jacobian.shape[2] + 1)
+        return total + rows.T @ rows, None
+
+    count = jacobian.shape[2]
+    sums, _ = jax.lax.scan(add, jnp.zeros((count + 1, count + 1), jacobian.dtype), tuple(batches))
+    return 0.5 * sums[count, count], sums[:count, count], sums[:count, :count]
 
 
 def _equations_at(

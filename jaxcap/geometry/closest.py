@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from .mesh import corners_at_vertices
-
 #: number of triangles of a size that are tested first
 FIRST = 8
 
@@ -45,53 +43,6 @@ def nearest_on_surface(
         alike = np.flatnonzero(sizes == size)
         _update_nearest(best, points, corners, alike, middles[alike], radii[alike])
     return best._replace(distances=np.where(best.distances <= max_distance, best.distances, np.inf))
-
-
-def nearest_at_vertices(
-    points: Float[np.ndarray, "N 3"],
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    max_distance: float = np.inf,
-) -> SurfacePoints:
-    """Find the nearest point of a surface to each point among the triangles at the nearest vertex.
-
-    Of these, only the triangles are tested onto whose sector at the vertex the point projects, or all if there is none. This takes a sixth of
-    the time of `nearest_on_surface`. Of points near a closed surface of even triangles, nine of ten have the same result. A
-    triangle is missed if no corner of it is nearest to the point: it is long, or belongs to another sheet of the surface.
-    Vertices without a triangle are ignored.
-    """
-    points, vertices, faces = np.asarray(points, float), np.asarray(vertices, float), np.asarray(faces)
-    if not len(points):
-        return SurfacePoints(np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
-    used = np.flatnonzero(np.bincount(faces.ravel(), minlength=len(vertices)))
-    nearest = used[KDTree(vertices[used]).query(points, workers=-1)[1]]
-    # one row for each point and triangle at its nearest vertex
-    rows, corners = corners_at_vertices(faces, nearest)
-    offsets = np.ascontiguousarray((points - vertices[nearest]).T)[:, rows]
-    first, second = (_dot(side[:, corners], offsets) >= 0 for side in _sector_sides(vertices, faces))
-    inside = first & second
-    tested = inside | ~np.logical_or.reduceat(inside, np.flatnonzero(np.diff(rows, prepend=-1)))[rows]
-    rows, found = rows[tested], corners[tested] // 3
-    shares, squared = closest_barycentric(vertices[faces[found]], points[rows])
-    # the first of those at the least distance
-    starts = np.flatnonzero(np.diff(rows, prepend=-1))
-    least = np.flatnonzero(squared == np.minimum.reduceat(squared, starts)[rows])
-    best = least[np.unique(rows[least], return_index=True)[1]]
-    distances = np.sqrt(squared[best])
-    return SurfacePoints(found[best], shares[best], np.where(distances <= max_distance, distances, np.inf))
-
-
-def _sector_sides(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, "3 C"], Float[np.ndarray, "3 C"]]:
-    """Compute the inner normals, in the plane of its triangle, of the two sides at each corner, in the order of the flattened
-    faces.
-    """
-    positions = np.ascontiguousarray(vertices.T)
-    start, second, third = (positions[:, np.roll(faces, -k, axis=1).ravel()] for k in range(3))
-    b, c = second - start, third - start
-    bb, bc, cc = _dot(b, b), _dot(b, c), _dot(c, c)
-    return cc * b - bc * c, bb * c - bc * b
 
 
 def positions_on_surface(

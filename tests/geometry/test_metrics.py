@@ -6,7 +6,8 @@ import scipy.stats
 import trimesh
 
 from jaxcap.body.people.human import human
-from jaxcap.geometry.closest import closest_barycentric, nearest_at_vertices, nearest_on_surface
+from jaxcap.fit.correspondence.nearest_at_vertices import nearest_at_vertices
+from jaxcap.geometry.closest import closest_barycentric, nearest_on_surface
 from jaxcap.metrics import distance_summary, joint_errors, scan_to_surface
 
 

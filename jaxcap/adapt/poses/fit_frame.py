@@ -82,12 +82,12 @@ def fit_pose(
 
 def fit_task_poses(
     task: AdaptTask, state: AdaptState, scans: Iterable[IndexedScan], starts: Iterable[Pose], *, steps: int
-) -> Iterator[Pose]:
+) -> Iterator[PoseFit]:
     """Fit the poses of a state's body to several scans of a task, each from its own start, on all cores."""
     terms, matching = task.pose_terms(state.pose_weight), task.settings.matching
 
-    def fit(item: tuple[IndexedScan, Pose]) -> Pose:
-        return fit_pose(state.body, *item, terms, matching, steps=steps, cameras=task.cameras).pose
+    def fit(item: tuple[IndexedScan, Pose]) -> PoseFit:
+        return fit_pose(state.body, *item, terms, matching, steps=steps, cameras=task.cameras)
 
     return parallel_map(fit, zip(scans, starts, strict=True))
 

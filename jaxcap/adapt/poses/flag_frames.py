@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from ...body.body import Body, pose_body
 from ...body.pose import Pose
+from ...fit.correspondence.nearest_at_vertices import nearest_at_vertices
 from ...geometry.camera import Camera
-from ...geometry.closest import nearest_on_surface
 from ...observe import thin_cloud
 from ...observe.clouds import Cloud
 from ...stacking import stack_trees
@@ -81,4 +81,6 @@ def median_distance(body: Body, pose: Pose, cloud: Cloud) -> float:
     vertices = np.asarray(pose_body(body, pose).vertices, float)
     if not np.isfinite(vertices).all():
         return float("inf")
-    return float(np.median(nearest_on_surface(points, vertices, np.asarray(body.faces)).distances))
+    return float(
+        np.median(nearest_at_vertices(points, vertices, np.asarray(body.faces), num_points=POINTS).distances)
+    )

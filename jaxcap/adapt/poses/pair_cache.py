@@ -50,6 +50,10 @@ class PairCache(Generic[AnyScan]):
             self._known[frame] = body, poses[frame], pairs
         return [self._known[frame][2] for frame in poses]
 
+    def record(self, frame: int, body: Body, pose: Pose, pairs: PointPairs) -> None:
+        """Keep pairs of a frame that are known."""
+        self._known[frame] = body, pose, pairs
+
     def keep(self, frames: Container[int]) -> None:
         """Discard the scans and pairs of all other frames."""
         self._scans = {frame: scan for frame, scan in self._scans.items() if frame in frames}

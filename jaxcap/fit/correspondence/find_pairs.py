@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...arguments import checked
-from ...energy.data.cloud_extent import beyond_ends
 from ...energy.data.pairs import PointPairs
 from ...geometry.camera import Camera, is_in_image
+from ...observe.clouds import padded_size
+from .assemble_pairs import Options, assemble_pairs
 from .nearest_assignment import AbstractAssignment, Assignment, IndexedScan, NearestVertex, PosedSurface
-
-_beyond_ends = eqx.filter_jit(beyond_ends)
 
 
 class Matching(NamedTuple):
@@ -76,16 +74,34 @@ def find_pairs(
         for way, wanted in zip(ways, (matching.from_scan, matching.from_body), strict=True)
         if wanted
     ]
-    width = max(part.vertices.shape[1] for part in found)
-    parts = [_weighted_pairs(part, surface, scan, width, normal_threshold, matching) for part in found]
-    if matching.from_body and np.isfinite(matching.end_tolerance):
-        parts[-1] = _match_ends(parts[-1], vertices, scan, matching.end_tolerance)
-    rows, shares, points, both, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return PointPairs(
-        jnp.asarray(rows, jnp.int32),
-        *(jnp.asarray(part, float) for part in (shares, points, both, weights)),
-        tangential_weights=jnp.full(len(weights), matching.tangential_weight, float),
+    rows = [_pad_rows(part, scan) for part in found]
+    options = Options(
+        count=np.array(len(scan.points)),
+        normal_threshold=np.array(normal_threshold),
+        charbonnier=np.array(matching.charbonnier),
+        tangential_weight=np.array(matching.tangential_weight),
+        end_tolerance=np.array(matching.end_tolerance),
+        uniform=np.array(matching.uniform),
     )
+    ends = scan.ends if matching.from_body and np.isfinite(matching.end_tolerance) else None
+    return assemble_pairs(rows, vertices, normals, faces, _pad_faces(scan), ends, options)
+
+
+def _pad_rows(found: Assignment, scan: IndexedScan) -> Assignment:
+    """Add rows without mass to an assignment of the points of a scan, up to the number that clouds of similar sizes share."""
+    extra = scan.padded_size - len(found.mass)
+    if found.row_type != "point" or not extra:
+        return found
+    vertices, shares, points, normals = (
+        np.pad(part, ((0, extra), (0, 0)), mode="edge") for part in found[:4]
+    )
+    return Assignment(vertices, shares, points, normals, np.pad(found.mass, (0, extra)), "point")
+
+
+def _pad_faces(scan: IndexedScan) -> Int[np.ndarray, "F 3"]:
+    """Add copies of the first triangle of a scan, up to a number that scans of similar sizes share."""
+    extra = padded_size(len(scan.faces)) - len(scan.faces) if len(scan.faces) else 0
+    return np.concatenate([scan.faces, np.repeat(scan.faces[:1], extra, 0)])
 
 
 def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, "V"]:
@@ -98,86 +114,3 @@ def within_aperture(cameras: Sequence[Camera], vertices: Float[np.ndarray, "V 3"
     for camera in cameras:
         inside |= np.asarray(is_in_image(camera, jnp.asarray(vertices, float)))
     return inside
-
-
-def _weighted_pairs(
-    found: Assignment,
-    surface: PosedSurface,
-    scan: IndexedScan,
-    width: int,
-    normal_threshold: float,
-    matching: Matching,
-) -> tuple[np.ndarray, ...]:
-    """Compute vertices, shares, points, directions and weights of the pairs of one direction, with weight
-    zero for rejected pairs.
-    """
-    count = len(surface.vertices)
-    own = _unit(np.einsum("ck,cka->ca", found.shares, surface.normals[found.vertices]))
-    positions = np.einsum("ck,cka->ca", found.shares, surface.vertices[found.vertices])
-    distances = np.linalg.norm(positions - found.points, axis=1)
-    good = (found.mass > 0) & (np.sum(own * found.normals, 1) >= normal_threshold)
-    if matching.uniform and found.row_type == "point" and len(scan.faces):
-        good &= ~_furthest_in(scan.faces, np.where(good, distances, 0.0))
-    elif matching.uniform and found.row_type == "point":
-        corner = np.take_along_axis(found.vertices, np.argmax(found.shares, 1)[:, None], 1)[:, 0]
-        good &= ~_furthest_at(corner, np.where(good, distances, 0.0), count)
-    elif matching.uniform and found.row_type == "vertex":
-        good &= ~_furthest_in(surface.faces, np.where(good, distances, 0.0))
-    weights = np.where(good, found.mass * _charbonnier_weights(distances, matching), 0.0)
-    wide = ((0, 0), (0, width - found.vertices.shape[1]))
-    columns = (
-        # padded with a repeated vertex with share zero
-        np.pad(found.vertices, wide, mode="edge"),
-        np.pad(found.shares, wide),
-        found.points,
-        _unit(own + _unit(found.normals)),
-        weights,
-    )
-    if found.row_type != "point":
-        return columns
-    *positions, weights = columns
-    extra = (0, scan.padded_size - len(weights))
-    return *(np.pad(part, (extra, (0, 0)), mode="edge") for part in positions), np.pad(weights, extra)
-
-
-def _match_ends(
-    columns: tuple[np.ndarray, ...], vertices: Float[np.ndarray, "V 3"], scan: IndexedScan, tolerance: float
-) -> tuple[np.ndarray, ...]:
-    """Match vertices beyond the ends of a scan with these ends, with full weight, and leave the other pairs as they are.
-
-    Points of the scan pull such vertices only weakly, as they are far away, and those of a shoe without a sole only
-    sideways.
-    """
-    rows, shares, points, directions, weights = columns
-    found = _beyond_ends(jnp.asarray(vertices, float), jnp.asarray(scan.ends, float))
-    beyond, ahead = (np.asarray(part, float) for part in found)
-    outside = beyond > tolerance
-    inward = vertices - beyond[:, None] * ahead
-    points, directions = (
-        np.where(outside[:, None], at_end, part) for at_end, part in ((inward, points), (ahead, directions))
-    )
-    return rows, shares, points, directions, np.where(outside, 1.0, weights)
-
-
-def _unit(rows: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C 3"]:
-    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
-
-
-def _charbonnier_weights(distances: Float[np.ndarray, "C"], matching: Matching) -> Float[np.ndarray, "C"]:
-    """Compute the weights that turn squared distances into Charbonnier's norm (eq. 4.6), one at zero."""
-    return matching.charbonnier / np.sqrt(distances**2 + matching.charbonnier**2)
-
-
-def _furthest_in(faces: Int[np.ndarray, "F 3"], distances: Float[np.ndarray, "V"]) -> Bool[np.ndarray, "V"]:
-    """Find the vertex of each triangle with the largest distance of its pair."""
-    worst = np.zeros(len(distances), bool)
-    worst[faces[np.arange(len(faces)), np.argmax(distances[faces], 1)]] = True
-    return worst
-
-
-def _furthest_at(rows: Int[np.ndarray, "N"], distances: Float[np.ndarray, "N"], count: int):
-    """Find the most distant of three or more points matched with one vertex."""
-    largest = np.zeros(count)
-    np.maximum.at(largest, rows, distances)
-    many = np.bincount(rows, minlength=count) >= 3
-    return many[rows] & (distances >= largest[rows])
