@@ -174,7 +174,7 @@ def follow_frame(
     before = frame.state.estimate.pose
     state, statistics = track_frame_jit(tracker, frame.state, cloud)
     # a lost frame may have led away from the correct pose
-    others = [*poses, *([frame.trusted] if frame.lost and judge else [])]
+    others = [*([frame.trusted] if frame.lost and judge else []), *poses]
     if others:
         state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
     if frame.lost:

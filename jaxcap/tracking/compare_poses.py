@@ -14,8 +14,6 @@ from .track_frame import Tracker, TrackState, start_state
 
 #: a pose with a `pose_log_density` below the best by more than this is not improved
 MAX_DEFICIT = 0.3
-#: poses whose `pose_log_density` differs by less than this are one pose, reached from two starts
-AGREEMENT = 0.003
 
 _change = eqx.filter_jit(difference)
 
@@ -53,11 +51,9 @@ def choose_likeliest(
     **Arguments:** `previous` is the pose of the previous frame, from which the body has moved; `margin` the
     `pose_log_density` by which another pose has to be better.
 
-    The state and the statistics are the same objects if no other pose is better. The poses after one that leads back to the tracked
-    pose are not tried.
+    The state and the statistics are the same objects if no other pose is better.
     """
-    tracked = float(pose_log_density(tracker, state.estimate.pose, cloud))
-    best = tracked + margin
+    best = float(pose_log_density(tracker, state.estimate.pose, cloud)) + margin
     for pose in poses:
         before = float(pose_log_density(tracker, pose, cloud))
         if before < best - MAX_DEFICIT:
@@ -66,8 +62,6 @@ def choose_likeliest(
         if likelihood > best:
             change = _change(tracker.body.skeleton, previous, found.estimate.pose)
             best, state, statistics = likelihood, TrackState(found.estimate, change), measured
-        if abs(likelihood - tracked) < AGREEMENT:
-            break
     return state, statistics
 
 
