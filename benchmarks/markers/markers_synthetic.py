@@ -106,7 +106,7 @@ def main() -> None:
         figures[f"{case}_covered_share"] = float(np.mean(np.concatenate([row["inside"] for row in rows])))
         seconds[case] = taken
     limits = {
-        "noise_determined_mm": ("<=", 1.5), "gaps_determined_mm": ("<=", 2.5), "skin_determined_mm": ("<=", 6.0),
+        "noise_determined_mm": ("<=", 1.4), "gaps_determined_mm": ("<=", 2.2), "skin_determined_mm": ("<=", 5.0),
         "skin_length_mm": ("<=", 3.0), **{f"{case}_covered_share": (">=", 0.85) for case in CASES},
         **{f"{case}_converged_share": (">=", 0.95) for case in CASES},
     }  # fmt: skip
