@@ -208,7 +208,11 @@ def main() -> None:
     )
     parser.add_argument("--builds", type=int, default=len(BUILDS), help="number of made people")
     parser.add_argument(
-        "--only", type=int, nargs="+", help="numbers of the builds, from 0, instead of the first ones"
+        "--only",
+        type=int,
+        nargs="+",
+        choices=range(len(BUILDS)),
+        help="numbers of the builds, from 0, instead of the first ones",
     )
     parser.add_argument("--resolution", choices=("full", "medium", "low"), default="medium")
     parser.add_argument("--rounds", type=int, help="maximum number of learning rounds")
