@@ -18,7 +18,7 @@ from benchmarks.markers._rivals.environments import environment, run_script
 from benchmarks.report import finish, progress
 from jaxcap.io.opensim.osim import OsimModel
 
-SCRIPT = Path(__file__).parent / "_rivals" / "run_osim_forward.py"
+SCRIPT = Path(__file__).parents[1] / "markers" / "_rivals" / "run_osim_forward.py"
 
 
 def compare(model: OsimModel, theirs: dict[str, np.ndarray]) -> dict[str, float]:
