@@ -113,10 +113,11 @@ def test_derivatives_of_a_calibration_are_differences(rng):
 
     slope = eqx.filter_jit(eqx.filter_grad(length))(problem, start.estimate)
     value = eqx.filter_jit(length)
+    # differences of fits that end within their tolerance: shorter steps show its noise
     for where, index, step in (
-        (lambda p: p.positions, (2, 4, 0), 1e-5),
-        (lambda p: p.deviations, (5,), 1e-5),
-        (lambda p: p.template.offsets, (4, 1), 1e-5),
+        (lambda p: p.positions, (2, 4, 0), 1e-4),
+        (lambda p: p.deviations, (5,), 3e-5),
+        (lambda p: p.template.offsets, (4, 1), 1e-4),
     ):
         ends = [
             value(eqx.tree_at(where, problem, where(problem).at[index].add(sign * step)), start.estimate)
