@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from command_line import verb_named
 
+from jaxcap.cli.console.console import ordinal
 from jaxcap.cli.console.help import BASICS, INPUT, KINEBEN, OUTPUT, TITLES, verb_help
 from jaxcap.cli.demo import Demo
 from jaxcap.errors import InputError
@@ -114,3 +115,8 @@ def test_git_ignores_a_folder_that_the_demo_makes(tmp_path):
 def test_the_demos_default_folder_is_ignored(checkout):
     assert f"{Demo().out}/" in (checkout / ".gitignore").read_text().split()
     assert Demo().out == Path("jaxcap-demo")
+
+
+def test_numbers_have_their_endings():
+    numbers = (1, 2, 3, 4, 11, 12, 13, 21, 52, 93, 100, 111)
+    assert " ".join(map(ordinal, numbers)) == "1st 2nd 3rd 4th 11th 12th 13th 21st 52nd 93rd 100th 111th"

@@ -36,6 +36,12 @@ def report_progress(text: str) -> None:
         write_line(sys.stderr, f"jaxcap: {text}")
 
 
+def ordinal(number: int) -> str:
+    """Write a number with its ending: `21st`, `12th`."""
+    ending = {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+    return f"{number}{'th' if number % 100 in (11, 12, 13) else ending}"
+
+
 def pluralise(count: int, singular: str, plural: str = "") -> str:
     """Format a number and its noun, as in "1 frame" and "3 bodies"; `plural` is the plural if it is not `singular`
     with an s."""

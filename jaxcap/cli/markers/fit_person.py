@@ -13,7 +13,7 @@ from ...markers.human.fit_human import HumanFit
 from ...markers.marker_sets.recognise import MarkerSet, recognise_markers
 from ...markers.recognition.recognise_by_geometry import GeometryRecognition, recognise_by_geometry
 from ...observe.markers import MarkerFrames
-from ..console.console import print_table, say, warn
+from ..console.console import ordinal, print_table, say, warn
 from ..console.heartbeat import set_activity
 from .result_tables import print_doubts
 
@@ -64,7 +64,7 @@ def print_lengths(fit: HumanFit) -> None:
         right = "" if math.isnan(one.right) else f"{1e3 * one.right:.0f} mm"
         known = "from anatomy" if math.isnan(one.deviation) else f"± {1e3 * one.deviation:.0f} mm"
         known = "" if math.isnan(one.right) else known
-        usual = "" if math.isnan(one.percentile) else f"{one.percentile:.0f}th percentile"
+        usual = "" if math.isnan(one.percentile) else f"{ordinal(round(one.percentile))} percentile"
         rows.append([one.name, f"{1e3 * one.left:.0f} mm", right, known, usual])
     say("lengths between joint centres:")
     print_table(["segment", "left", "right", "deviation", "among adults"], rows)

@@ -79,9 +79,13 @@ def _stillness(found: Calibration) -> list[str]:
 def _misplaced_markers(labels: Sequence[str]) -> list[str]:
     if not labels:
         return []
+    if len(labels) == 1:
+        return [
+            f"The marker {labels[0]} is not at the landmark of its label; its position was found from the motion alone."
+        ]
     return [
         f"{len(labels)} markers are not at the landmarks of their labels: {', '.join(labels[:12])}. Two of them may have each "
-        "other's labels; their places were found from the motion alone."
+        "other's labels; their positions were found from the motion alone."
     ]
 
 
@@ -93,9 +97,7 @@ def _wandering_markers(found: Calibration) -> list[str]:
     ]
     if not worst:
         return []
-    return [
-        f"{len(worst)} markers move far on their bones, so their labels or bones may be wrong: {', '.join(worst[:8])}."
-    ]
+    return [f"Labels or bones of markers that move far on their bones may be wrong: {', '.join(worst[:8])}."]
 
 
 def _joints_by_anatomy(found: Calibration) -> list[str]:
