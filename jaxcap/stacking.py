@@ -21,12 +21,12 @@ def stack(arrays: Sequence[Array | np.ndarray]) -> Array:
     `jnp.stack` compiles for every number of arrays, and takes minutes for some thousands. So it is called
     only with traced arrays.
     """
-    return jnp.stack(arrays) if _traced(arrays) else device_array(np.stack(arrays))
+    return jnp.stack(arrays) if _traced(arrays) else jax.device_put(np.stack(arrays))
 
 
 def concatenate(arrays: Sequence[Array | np.ndarray]) -> Array:
     """Concatenate arrays along their first axis, differentiably; as `stack`."""
-    return jnp.concatenate(arrays) if _traced(arrays) else device_array(np.concatenate(arrays))
+    return jnp.concatenate(arrays) if _traced(arrays) else jax.device_put(np.concatenate(arrays))
 
 
 def stack_trees(trees: Sequence):

@@ -105,11 +105,13 @@ def common_figures(
     evidence = [joint_evidence(a.body.skeleton, a.motion, a.left_right_pairs, a.given) for a in learned]
     fits = [fit_meshes(first.body, meshes[1]), fit_meshes(second.body, meshes[0])]
     names = [n for n in MAJOR if all(n in a.body.skeleton.names for a in learned)]
-    apart = [
+    differences = [
         np.linalg.norm(_places(a.body, fit.motion, names) - _places(b.body, b.motion, names), axis=2).mean(0)
         for a, b, fit in ((first, second, fits[0]), (second, first, fits[1]))
     ]
-    listed = ", ".join(f"{name} {1000 * gap:.0f}" for name, gap in zip(names, np.max(apart, 0), strict=True))
+    listed = ", ".join(
+        f"{name} {1000 * gap:.0f}" for name, gap in zip(names, np.max(differences, 0), strict=True)
+    )
     progress(f"    between the halves: {listed} mm")
     posed = [posed_vertices(a.body, fit.motion) for a, fit in zip(learned, fits, strict=True)]
     others = (meshes[1], meshes[0])
@@ -117,7 +119,7 @@ def common_figures(
     vertices = [vertex_errors_mm(some, mesh.vertices) for mesh, some in zip(others, posed, strict=True)]
     return {
         "left_right_percent": 100 * max(e.largest_length_difference for e in evidence),
-        "halves_mm": 1000 * float(np.max(apart)) if names else np.inf,
+        "halves_mm": 1000 * float(np.max(differences)) if names else np.inf,
         "held_out_surface_mm": float(np.mean(surfaces)),
         "held_out_vertex_mm": float(np.mean(vertices)),
         "missing": float(sum(n not in a.body.skeleton.names for n in MAJOR for a in learned)),

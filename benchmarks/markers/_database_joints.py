@@ -21,7 +21,7 @@ class DatabaseMotion(NamedTuple):
 
 
 class JointError(NamedTuple):
-    """How far a joint is from the database's, metres, before and after the best constant offset."""
+    """The mean distances of a joint from the database's joint, metres, before and after the best constant offset."""
 
     name: str
     before: float

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from ...geometry.closest import SurfacePoints
+from ...geometry.mesh import corners_at_vertices
 
 
 def nearest_at_vertices(
@@ -55,10 +56,10 @@ def _triangles_around(
 
     They are the same in all poses of a body.
     """
-    corners = np.frombuffer(faces, np.int32)
-    counts = np.bincount(corners, minlength=num_vertices).astype(np.int32)
-    around = np.argsort(corners, kind="stable").astype(np.int32) // 3
-    return around, np.cumsum(counts, dtype=np.int32) - counts, counts
+    triangles = np.frombuffer(faces, np.int32).reshape(-1, 3)
+    owners, corners = corners_at_vertices(triangles, np.arange(num_vertices))
+    counts = np.bincount(owners, minlength=num_vertices).astype(np.int32)
+    return (corners // 3).astype(np.int32), np.cumsum(counts, dtype=np.int32) - counts, counts
 
 
 @eqx.filter_jit

@@ -45,7 +45,7 @@ class Streamer(eqx.Module):
 
 
 class _CallArguments(NamedTuple):
-    """What calls for all frames of one streamer share."""
+    """The arguments that the calls for all frames of one streamer share."""
 
     #: leaves that are not arrays, and the structure of the tree; hashable
     structure: tuple[tuple, Any]
