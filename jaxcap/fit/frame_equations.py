@@ -14,7 +14,7 @@ from ..energy.energy import AbstractEnergy, Sum, terms_of, unweighted
 from .linearise import (
     BodyTangent,
     bone_velocities,
-    frame_jacobian,
+    posed_jacobian,
     vertex_jacobian,
     weighted_bone_derivatives,
     weighted_derivatives,
@@ -38,7 +38,17 @@ def frame_equations(
     A term with more rows than the vertices have coordinates is first summed over each vertex, or over a few points between
     vertices, and one of the pose over single bones over each bone, without writing out its rows.
     """
-    posed, terms = pose_body(body, pose), terms_of(energy)
+    return posed_equations(energy, pose_body(body, pose), body_at, tangent)
+
+
+def posed_equations(
+    energy: AbstractEnergy,
+    posed: Posed,
+    body_at: Callable[[Float[Array, "S"]], Body] | None = None,
+    tangent: BodyTangent | None = None,
+) -> NormalEquations:
+    """Compute the `frame_equations` of a body that is posed already."""
+    terms = terms_of(energy)
     between = [term for term in terms if _is_between_vertices(term, posed)]
     by_vertex = [_vertex_equations(term, posed) for term in terms]
     by_bone = [None if tangent is not None else _bone_equations(term, posed) for term in terms]
@@ -49,16 +59,17 @@ def frame_equations(
     )
     parts = [_equations_between(term, posed, vertex_jacobian(posed, tangent)) for term in between]
     if others:
-        residual, rows = frame_jacobian(Sum(others), body, pose, body_at, tangent)
+        residual, rows = posed_jacobian(Sum(others), posed, body_at, tangent)
         parts.append((0.5 * (residual @ residual), rows.T @ residual, rows.T @ rows))
     if summed := [part for part in by_vertex if part is not None]:
-        parts.append(_pull_back(_sum_equations(summed), vertex_jacobian(posed, tangent)))
+        parts.append(_pull_back(sum_equations(summed), vertex_jacobian(posed, tangent)))
     if summed := [part for part in by_bone if part is not None]:
-        parts.append(_pull_back(_sum_equations(summed), bone_velocities(posed)))
-    return _sum_equations(parts)
+        parts.append(_pull_back(sum_equations(summed), bone_velocities(posed)))
+    return sum_equations(parts)
 
 
-def _sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
+def sum_equations(parts: Sequence[NormalEquations]) -> NormalEquations:
+    """Add up normal equations of the same unknowns."""
     return jax.tree.map(lambda *some: sum(some[1:], some[0]), *parts)
 
 

@@ -68,8 +68,17 @@ def frame_jacobian(
     **Arguments:** `body_at(s)` makes the body of shared parameters, `body_at(0) = body`; `tangent` is its
     derivative at zero.
     """
-    posed = pose_body(body, pose)
-    terms = terms_of(energy)
+    return posed_jacobian(energy, pose_body(body, pose), body_at, tangent)
+
+
+def posed_jacobian(
+    energy: AbstractEnergy,
+    posed: Posed,
+    body_at: Callable[[Float[Array, "S"]], Body] | None,
+    tangent: BodyTangent | None,
+) -> tuple[Float[Array, "R"], Float[Array, "R N"]]:
+    """Compute the `frame_jacobian` of a body that is posed already."""
+    body, pose, terms = posed.body, posed.pose, terms_of(energy)
     closed = (AbstractVertexEnergy, AbstractBoneEnergy) if tangent is None else AbstractVertexEnergy
     others = tuple(term for term in terms if not isinstance(unweighted(term), closed))
     dofs = body.skeleton.num_dofs

@@ -15,7 +15,7 @@ from ..limits.rotation_vector_boxes import (
     retract_within,
     transform_normal_equations,
 )
-from .frame_equations import frame_equations
+from .frame_equations import NormalEquations, frame_equations, sum_equations
 from .linear_solvers.dense import DenseMatrix
 from .linearise import linearise
 from .solvers.descent import ConstrainedInfo, StepConstraints
@@ -35,6 +35,8 @@ class PoseProblem(AbstractDenseProblem[Pose]):
     energy: AbstractEnergy
     body: Body
     boxes: PoseBoxes | None = None
+    #: equations, at the pose of a single step, of further terms whose rows are summed before (`take_step`)
+    summed: NormalEquations | None = None
 
     def residual(self, y: Pose):
         return self.energy.residual(pose_body(self.body, y))
@@ -45,7 +47,8 @@ class PoseProblem(AbstractDenseProblem[Pose]):
 
     def information(self, y: Pose):
         scales = self.scales()
-        value, gradient, matrix = frame_equations(self.energy, self.body, y)
+        parts = [frame_equations(self.energy, self.body, y)]
+        value, gradient, matrix = sum_equations([*parts, *([] if self.summed is None else [self.summed])])
         bounds = None
         if self.boxes is not None:
             chart = self._chart(self.boxes, y)

@@ -5,11 +5,14 @@ from jaxtyping import Float
 
 from ..body.body import Body
 from ..errors import InputError
+from ..geometry.sampling import even_indices
 from ..observe.clouds import Cloud
 from ..units import UNIT_NAMES, UNITS, units_within
 
 #: size of a cloud relative to its body beyond which its unit is wrong; outliers and floors extend far
 MAX_RATIO, MIN_RATIO = 8.0, 0.02
+#: number of points from which the size of a cloud is computed
+NUM_POINTS = 1000
 #: size of a cloud relative to its body within which a unit is plausible
 MIN_UNIT_RATIO, MAX_UNIT_RATIO = 0.25, 1.35
 
@@ -36,8 +39,10 @@ def check_cloud_extent(body: Body, points: Float[np.ndarray, "N 3"], name: str) 
             f"{name} has {len(points)} points, fewer than the {dofs} parameters of the body's pose; "
             "give more points, or a body with fewer joints."
         )
-    low, high = np.quantile(points, [0.05, 0.95], axis=0)
-    extent, height = float((high - low).max()), float(np.ptp(np.asarray(body.vertices, float), axis=0).max())
+    low, high = np.quantile(points[even_indices(len(points), NUM_POINTS)], [0.05, 0.95], axis=0)
+    # a copy with contiguous coordinates, as this check is part of every tracked frame
+    height = float(np.ptp(np.ascontiguousarray(np.asarray(body.vertices).T), axis=1).max())
+    extent = float((high - low).max())
     if MIN_RATIO * height <= extent <= MAX_RATIO * height:
         return
     # centimetres and inches are too similar for partly visible people

@@ -1,5 +1,7 @@
 """A tracked frame, its judgement, and whether it is to be searched for."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -201,9 +203,7 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
     state = round_state(state, tracker.rounding) if tracker.rounding else state
-    return eqx.tree_at(
-        lambda f: (f.pose, f.trusted, f.state, f.searches), frame, (pose, trusted, state, searches)
-    )
+    return dataclasses.replace(frame, pose=pose, trusted=trusted, state=state, searches=searches)
 
 
 def needs_search(frame: TrackedFrame) -> bool:

@@ -1,10 +1,10 @@
 """Tracking of whole sequences, as a stream or at once."""
 
+import dataclasses
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -110,7 +110,7 @@ def _track_frames(
         else:
             frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
         others = shows_others(follower, frame.pose, cloud, float(frame.statistics.outlier_share))
-        frame = eqx.tree_at(lambda f: f.others, frame, others)
+        frame = dataclasses.replace(frame, others=others)
         yield frame
 
 

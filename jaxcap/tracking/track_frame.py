@@ -31,13 +31,17 @@ from .expectation_maximisation.em_step import (
     MixtureSettings,
     box_volume,
     em_step,
+    first_step,
     make_mixture_settings,
+    step_statistics,
     uniform_priors,
 )
+from .expectation_maximisation.learn_clothes import update_clothes
+from .expectation_maximisation.subsets import Subsets, divide_cloud
 from .judgement.region_samples import region_joints
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
-ITERATIONS, PARTIAL_ITERATIONS = 3, 6
+ITERATIONS, PARTIAL_ITERATIONS = 4, 6
 #: number of points that count as one independent measurement against the prior of people, as the errors of
 #: neighbouring points are alike
 POINTS_PER_MEASUREMENT = 180.0
@@ -196,6 +200,8 @@ def first_estimate(tracker: Tracker, pose: Pose, sigma: Float[Array, ""]) -> Est
 
 def with_clothes(tracker: Tracker, clothes: Clothes | None) -> Tracker:
     """Give a tracker the clothes that the frames so far have shown, for searches and comparisons of poses."""
+    if tracker.clothes is clothes:
+        return tracker
     return eqx.tree_at(lambda t: t.clothes, tracker, clothes, is_leaf=lambda leaf: leaf is None)
 
 
@@ -256,16 +262,20 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     volume = box_volume(cloud)
     sigma = first_sigma(tracker, state)
 
-    def step(estimate, _):
-        estimate, statistics = em_step(
-            tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, estimate
-        )
-        # clothes are learned once a frame, at its end
-        unlearned = Estimate(estimate.pose, estimate.sigma, estimate.priors, before.clothes)
-        return unlearned, (statistics, estimate.clothes)
+    clouds, count = divide_cloud(cloud), tracker.iterations
+    number = len(clouds.weights)
+
+    def step(iteration, last):
+        some = Subsets(clouds, iteration, jnp.where(iteration == count - 1, number, 1))
+        return em_step(tracker.parts, tracker.mixture, prior, some, volume, last)
 
     start = Estimate(predicted, sigma, before.priors, before.clothes)
-    estimate, measured = jax.lax.scan(step, start, length=tracker.iterations)
-    statistics, clothes = jax.tree.map(lambda leaf: leaf[-1], measured)
-    estimate = Estimate(estimate.pose, estimate.sigma, estimate.priors, clothes)
+    first = first_step(tracker.body, tracker.parts, tracker.mixture, clouds, start)
+    last = jax.lax.fori_loop(0, count, step, first)
+    every = Subsets(clouds, 0, number)
+    statistics = step_statistics(tracker.parts, tracker.mixture, every, volume, last)
+    estimate = last.after
+    if before.clothes is not None:
+        clothes = update_clothes(before.clothes, last.found, last.moved, every.cloud(), last.before.sigma)
+        estimate = Estimate(estimate.pose, estimate.sigma, estimate.priors, clothes)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics

@@ -9,7 +9,7 @@ from helpers import chain_body, random_pose
 
 from jaxcap.body.body import pose_body
 from jaxcap.body.pose import rest_pose
-from jaxcap.body.retraction import retract
+from jaxcap.body.retraction import difference, retract
 from jaxcap.energy.priors.reference_pose import PosePrior
 from jaxcap.fit.correspondence.part_blocks import make_part_blocks
 from jaxcap.observe.clouds import Cloud
@@ -19,10 +19,13 @@ from jaxcap.tracking.expectation_maximisation.em_step import (
     data_energy,
     e_step,
     em_step,
+    first_step,
     frame_statistics,
     make_mixture_settings,
+    step_statistics,
     uniform_priors,
 )
+from jaxcap.tracking.expectation_maximisation.subsets import Subsets, divide_cloud, whole_cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton
@@ -53,11 +56,25 @@ def scene(rng, count: int = 400, wild: int = 40):
 def run(mixture, cloud, start, sigma):
     """Sixty steps: the last estimate, and the statistics at each."""
 
-    def step(estimate, _):
-        return em_step(BODY, PARTS, mixture, NO_PRIOR, cloud, box_volume(cloud), estimate)
+    subsets, volume = whole_cloud(cloud), box_volume(cloud)
 
-    first = Estimate(start, sigma, uniform_priors(PARTS))
-    return jax.lax.scan(step, first, length=60)
+    def step(last, _):
+        last = em_step(PARTS, mixture, NO_PRIOR, subsets, volume, last)
+        return last, step_statistics(PARTS, mixture, subsets, volume, last)
+
+    estimate = Estimate(start, sigma, uniform_priors(PARTS))
+    last, statistics = jax.lax.scan(
+        step, first_step(BODY, PARTS, mixture, subsets.clouds, estimate), length=60
+    )
+    return last.after, statistics
+
+
+@eqx.filter_jit
+def one_step(clouds, first, count, start):
+    """One step with `count` of the subsets, and its statistics."""
+    subsets, volume = Subsets(clouds, first, count), jnp.asarray(3.0)
+    last = em_step(PARTS, MIXTURE, NO_PRIOR, subsets, volume, first_step(BODY, PARTS, MIXTURE, clouds, start))
+    return last, step_statistics(PARTS, MIXTURE, subsets, volume, last)
 
 
 def test_the_likelihood_never_falls(rng):
@@ -78,6 +95,38 @@ def test_the_likelihood_never_falls(rng):
     assert np.linalg.norm(joints[0] - joints[1], axis=1).max() < 0.005
     shares = np.bincount(BODY.skin.dominant_bones(), minlength=SKELETON.num_joints) / len(BODY.vertices)
     np.testing.assert_allclose(last.priors, shares, atol=0.05)
+
+
+def test_subsets_of_a_cloud(rng):
+    """A step with all subsets is that with the cloud; one with some of them is that with these alone, as heavy as all."""
+    truth, cloud = scene(rng, 402)
+    cloud = eqx.tree_at(lambda c: c.weights, cloud, jnp.asarray(rng.uniform(0.5, 2, 402)))
+    start = Estimate(
+        retract(SKELETON, truth, jnp.full(SKELETON.num_dofs, 0.02)), jnp.asarray(0.02), uniform_priors(PARTS)
+    )
+    clouds = divide_cloud(cloud, 100)
+    assert clouds.points.shape == (4, 101, 3)
+    assert divide_cloud(cloud, 202).points.shape == (1, 402, 3)
+    np.testing.assert_allclose(jnp.sum(clouds.weights), jnp.sum(cloud.weights))
+    whole = whole_cloud(cloud)
+    expected = one_step(whole.clouds, 0, 1, start)
+    for found, true in zip(
+        jax.tree.leaves(one_step(clouds, 2, 4, start)[1]), jax.tree.leaves(expected[1]), strict=True
+    ):
+        np.testing.assert_allclose(found, true, rtol=1e-9)
+    some = one_step(clouds, 3, 2, start)[0]
+    alone = Cloud(
+        *(jnp.concatenate([leaf[3], leaf[0]]) for leaf in (clouds.points, clouds.normals)), jnp.zeros(202)
+    )
+    weights = jnp.concatenate([clouds.weights[3], clouds.weights[0]])
+    weights = weights * jnp.sum(cloud.weights) / jnp.sum(weights)
+    alone = whole_cloud(eqx.tree_at(lambda c: c.weights, alone, weights)).clouds
+    same = one_step(alone, 0, 1, start)[0]
+    for pair in ((one_step(clouds, 0, 4, start)[0], expected[0]), (some, same)):
+        found, true = (step.after for step in pair)
+        np.testing.assert_allclose(found.sigma, true.sigma, rtol=1e-9)
+        np.testing.assert_allclose(found.priors, true.priors, atol=1e-9)
+        assert float(jnp.abs(difference(SKELETON, found.pose, true.pose)).max()) < 1e-9
 
 
 @pytest.mark.parametrize("tangential", [0.0, 0.3, 1.0])

@@ -1,8 +1,8 @@
 """Search for the nearest vertex with a compatible normal, for every point and every part of a body.
 
-Points are grouped in tiles of 32, vertices in blocks of 32, and a tile is compared with a block only if their
+Points are grouped in tiles of 16, vertices in blocks of 32, and a tile is compared with a block only if their
 boxes are within reach of each other. For each such pair, a loop over the block's vertices, some at a time, is
-a few elementwise passes: exact, and several times faster on a CPU than `argmin`, which XLA does not vectorise
+a few elementwise passes: several times faster on a CPU than `argmin`, which XLA does not vectorise
 there.
 """
 
@@ -16,9 +16,9 @@ from ...observe.clouds import Cloud
 from .part_blocks import BLOCK, PartBlocks
 
 #: Points in a tile.
-TILE = 32
+TILE = 16
 #: Pairs of a tile and a block in one step of the culled search.
-CHUNK = 256
+CHUNK = 512
 #: Vertices of a block in one elementwise pass; all of them compile far longer and run little faster.
 UNROLLED = 8
 #: Share of pairs in reach above which a search of all pairs in one pass is faster.
@@ -59,7 +59,7 @@ def nearest_vertices(
 
 def _tiles_and_blocks(
     parts, vertices, normals, cloud, normal_threshold
-) -> tuple[Float[Array, "T 8 32"], Float[Array, "B 6 32"]]:
+) -> tuple[Float[Array, "T 8 16"], Float[Array, "B 6 32"]]:
     """Arrange rows of tiles (position, normal, minimal cosine, weight) and of blocks (position, normal)."""
     limits = jnp.where(jnp.any(cloud.normals != 0, -1), normal_threshold, -jnp.inf).astype(cloud.points.dtype)
     rows = jnp.concatenate([cloud.points, cloud.normals, limits[:, None], cloud.weights[:, None]], 1)
@@ -68,7 +68,7 @@ def _tiles_and_blocks(
     return tiles, jnp.swapaxes(jnp.concatenate([vertices, normals], 1)[parts.slots], 1, 2)
 
 
-def _in_reach(tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], reach) -> Bool[Array, "B T"]:
+def _in_reach(tiles: Float[Array, "T 8 16"], blocks: Float[Array, "B 6 32"], reach) -> Bool[Array, "B T"]:
     """Test if the box of a tile's points without padding is within reach of a block's box."""
     real = tiles[:, 7:] > 0
     low = jnp.min(jnp.where(real, tiles[:, :3], jnp.inf), 2)
@@ -82,30 +82,35 @@ def _in_reach(tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], rea
     return squared <= 1.001 * jnp.asarray(reach, tiles.dtype) ** 2
 
 
-def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 32"], blocks: Float[Array, "*#pairs 6 32"]):
-    """Find the nearest compatible slot of a block, and its squared distance, for each point of a tile."""
+def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 16"], blocks: Float[Array, "*#pairs 6 32"]):
+    """Find the nearest compatible slot of a block, and its squared distance, for each point of a tile.
+
+    The squared distance loses its last five bits, 4e-6 of it in single precision.
+    """
     x, y, z, nx, ny, nz, limit, _ = (tiles[..., i, :] for i in range(8))
     shape = jnp.broadcast_shapes(tiles.shape[:-2], blocks.shape[:-2])
-    best = jnp.full((*shape, TILE), jnp.inf, tiles.dtype)
-    slot = jnp.zeros(best.shape, jnp.int32)
+    # numbers of at least zero are in the order of their bits; the last bits hold the slot, so that one minimum finds both
+    integer = jnp.int64 if tiles.dtype.itemsize == 8 else jnp.int32
+    none = lax.bitcast_convert_type(jnp.asarray(jnp.inf, tiles.dtype), integer)
 
-    def step(i, found):
-        best, slot = found
+    def step(i, best):
         some = lax.dynamic_slice_in_dim(blocks, i * UNROLLED, UNROLLED, -1)
         for s in range(UNROLLED):
             vx, vy, vz, ux, uy, uz = (some[..., i, s, None] for i in range(6))
             squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
-            better = (squared < best) & (nx * ux + ny * uy + nz * uz > limit)
-            best = jnp.where(better, squared, best)
-            slot = jnp.where(better, i * UNROLLED + s, slot)
-        return best, slot
+            is_compatible = nx * ux + ny * uy + nz * uz > limit
+            bits = lax.bitcast_convert_type(squared, integer) & ~(BLOCK - 1)
+            best = jnp.minimum(best, jnp.where(is_compatible, bits | (i * UNROLLED + s), none))
+        return best
 
-    return lax.fori_loop(0, BLOCK // UNROLLED, step, (best, slot))
+    best = lax.fori_loop(0, BLOCK // UNROLLED, step, jnp.full((*shape, TILE), none))
+    squared = lax.bitcast_convert_type(best & ~(BLOCK - 1), tiles.dtype)
+    return squared, jnp.where(best < none, best & (BLOCK - 1), 0).astype(jnp.int32)
 
 
 def _nearest_in_reach(
-    parts: PartBlocks, tiles: Float[Array, "T 8 32"], blocks: Float[Array, "B 6 32"], near: Bool[Array, "B T"]
-) -> tuple[Float[Array, "KT 32"], Int[Array, "KT 32"]]:
+    parts: PartBlocks, tiles: Float[Array, "T 8 16"], blocks: Float[Array, "B 6 32"], near: Bool[Array, "B T"]
+) -> tuple[Float[Array, "KT 16"], Int[Array, "KT 16"]]:
     """Find the nearest slot of each part from the pairs in reach only, which are listed first, in as many steps as needed."""
     num_tiles, total, rows = len(tiles), near.size, parts.num_parts * len(tiles)
     chosen = near.reshape(-1)
@@ -130,12 +135,12 @@ def _nearest_in_reach(
 
 
 def _keep_nearest(
-    best: Float[Array, "R 32"],
-    place: Int[Array, "R 32"],
+    best: Float[Array, "R 16"],
+    place: Int[Array, "R 16"],
     row: Int[Array, "P"],
-    squared: Float[Array, "P 32"],
-    slot: Int[Array, "P 32"],
-) -> tuple[Float[Array, "R 32"], Int[Array, "R 32"]]:
+    squared: Float[Array, "P 16"],
+    slot: Int[Array, "P 16"],
+) -> tuple[Float[Array, "R 16"], Int[Array, "R 16"]]:
     """Keep the smallest squared distance of each row, and its slot; of several new ones for one row the first of equal ones.
 
     Rows beyond the last are dropped.
@@ -149,8 +154,8 @@ def _keep_nearest(
 
 
 def _nearest_by_part(
-    parts: PartBlocks, squared: Float[Array, "B T 32"], slot: Int[Array, "B T 32"]
-) -> tuple[Float[Array, "KT 32"], Int[Array, "KT 32"]]:
+    parts: PartBlocks, squared: Float[Array, "B T 16"], slot: Int[Array, "B T 16"]
+) -> tuple[Float[Array, "KT 16"], Int[Array, "KT 16"]]:
     """Find the best of each part's blocks by a running minimum that restarts with every part."""
     counts = np.array(parts.blocks_of_part)
     last = np.cumsum(counts) - 1

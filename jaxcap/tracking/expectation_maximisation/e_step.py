@@ -43,6 +43,16 @@ class Posterior(eqx.Module):
     possible_clothes: Float[Array, "N"]
 
 
+def no_posterior(count: int, parts: PartBlocks, candidates: int, dtype) -> Posterior:
+    """Make the posterior of `count` points that no part explains."""
+    shape = count, min(candidates, parts.num_parts)
+    index, zero = jnp.zeros(shape, jnp.int32), jnp.zeros(shape, dtype)
+    one = jnp.ones(count, dtype)
+    return Posterior(
+        index, index, zero, one, jnp.full(shape, jnp.inf, dtype), 0.0 * one, 0.0 * one, 0.0 * one
+    )
+
+
 @checked
 def posterior(
     parts: PartBlocks,

@@ -1,6 +1,7 @@
 """Expectation conditional maximisation of a pose against a cloud (Kineben, section 3.3.2)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -10,8 +11,9 @@ from ...body.body import Body, Posed, pose_body
 from ...body.pose import Pose
 from ...energy.data.points import PointToPlane
 from ...energy.data.sufficient_statistics import rigid_moments
-from ...energy.energy import AbstractEnergy, Sum, terms_of
+from ...energy.energy import AbstractEnergy, Sum
 from ...fit.correspondence.part_blocks import PartBlocks
+from ...fit.frame_equations import posed_equations, sum_equations
 from ...fit.pose_problem import PoseProblem
 from ...fit.solvers.descent import NormalDescent
 from ...fit.solvers.minimise import take_step
@@ -20,8 +22,8 @@ from ...small_matrices import apply_small
 from ...stacking import device_array
 from ...value_checks import as_number, check_at_least, check_positive, check_values, check_within
 from .clothes import Clothes
-from .e_step import Posterior, posterior, update_priors, update_sigma
-from .learn_clothes import update_clothes
+from .e_step import Posterior, no_posterior, posterior, update_priors, update_sigma
+from .subsets import Subsets
 from .surface_density import surface_log_density
 
 #: weight of a point in clothes relative to one on the skin, besides their deviations: one piece of cloth moves as a whole, so
@@ -169,7 +171,14 @@ def _add_clothes(
 def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud, volume, estimate: Estimate):
     """Compute the E-step at an estimate: `(posed, posterior)`."""
     posed = pose_body(body, estimate.pose)
-    found = posterior(
+    return posed, posterior_at(parts, mixture, posed, cloud, volume, estimate)
+
+
+def posterior_at(
+    parts: PartBlocks, mixture: MixtureSettings, posed: Posed, cloud: Cloud, volume, estimate: Estimate
+) -> Posterior:
+    """Compute the posterior of a body that is posed already."""
+    return posterior(
         parts,
         posed.vertices,
         posed.normals,
@@ -182,41 +191,86 @@ def e_step(body: Body, parts: PartBlocks, mixture: MixtureSettings, cloud: Cloud
         candidates=mixture.candidates,
         clothes=estimate.clothes,
     )
-    return posed, found
+
+
+class Step(eqx.Module):
+    """A step of expectation maximisation: estimates before and after it, and the posterior at the first."""
+
+    before: Estimate
+    after: Estimate
+    #: the body in both poses
+    posed: Posed
+    moved: Posed
+    #: of all points, in the order of `Subsets.cloud`; unused ones have weight zero
+    found: Posterior
+
+
+def first_step(
+    body: Body, parts: PartBlocks, mixture: MixtureSettings, clouds: Cloud, start: Estimate
+) -> Step:
+    """Make the state before the first step of a loop, which has no posterior; `clouds` as in `Subsets`."""
+    posed = pose_body(body, start.pose)
+    found = no_posterior(clouds.weights.size, parts, mixture.candidates, clouds.points.dtype)
+    return Step(start, start, posed, posed, found)
 
 
 def em_step(
-    body: Body,
     parts: PartBlocks,
     mixture: MixtureSettings,
     prior: AbstractEnergy,
-    cloud: Cloud,
+    subsets: Subsets,
     volume: Float[Array, ""],
-    estimate: Estimate,
-) -> tuple[Estimate, FrameStatistics]:
+    last: Step,
+) -> Step:
     """Compute the E-step, one Gauss-Newton step on the pose, then the standard deviation and, optionally, the
     parts' shares (Kineben, section 3.3.2).
 
-    The statistics are those of the E-step.
+    The points are added subset by subset. Those of unused subsets are represented by the others.
     """
-    posed, found = e_step(body, parts, mixture, cloud, volume, estimate)
-    data = data_energy(found, posed, cloud, estimate.sigma, mixture.tangential_weight, estimate.clothes)
-    energy = Sum(terms_of(data) + terms_of(prior))
-    pose = take_step(PoseProblem(energy, body), estimate.pose, NormalDescent(), mixture.damping)
-    moved = pose_body(body, pose)
-    differences = moved.vertices[found.vertices] - cloud.points[:, None]
-    squared = jnp.sum(differences**2, -1)
+    estimate, posed = last.after, last.moved
+    number, size = subsets.clouds.weights.shape
+
+    def add(step, sums):
+        equations, found = sums
+        row = (subsets.first + step) % number
+        cloud = jax.tree.map(lambda leaf: leaf[row], subsets.clouds)
+        own = posterior_at(parts, mixture, posed, cloud, volume, estimate)
+        data = data_energy(own, posed, cloud, estimate.sigma, mixture.tangential_weight, estimate.clothes)
+        added = sum_equations([equations, posed_equations(data, posed)])
+        place = row * size
+        return added, jax.tree.map(
+            lambda every, some: jax.lax.dynamic_update_slice_in_dim(every, some, place, 0), found, own
+        )
+
+    dofs, dtype = posed.body.skeleton.num_dofs, posed.vertices.dtype
+    none = jnp.zeros((), dtype), jnp.zeros(dofs, dtype), jnp.zeros((dofs, dofs), dtype)
+    blank = no_posterior(number * size, parts, mixture.candidates, dtype)
+    with jax.default_matmul_precision("highest"):
+        equations, found = jax.lax.fori_loop(0, subsets.count, add, (none, blank))
+    cloud = subsets.cloud()
+    used = jnp.sum(cloud.weights)
+    share = jnp.sum(subsets.clouds.weights) / jnp.where(used > 0, used, 1.0)
+    summed = jax.tree.map(lambda part: share * part, equations)
+    pose = take_step(
+        PoseProblem(prior, posed.body, summed=summed), estimate.pose, NormalDescent(), mixture.damping
+    )
+    moved = pose_body(posed.body, pose)
+    squared = jnp.sum((moved.vertices[found.vertices] - cloud.points[:, None]) ** 2, -1)
     sigma = renew_sigma(mixture, found, squared, cloud, estimate.sigma)
     priors = estimate.priors
     if mixture.estimate_priors:
         priors = jnp.where(
             _has_inlier(found, cloud), update_priors(found, cloud.weights, parts.num_parts), priors
         )
-    clothes = estimate.clothes
-    if clothes is not None:
-        clothes = update_clothes(clothes, found, moved, cloud, estimate.sigma)
-    statistics = _statistics(parts, mixture, posed, found, cloud, volume, estimate.sigma, estimate.clothes)
-    return Estimate(pose, sigma, priors, clothes), statistics
+    return Step(estimate, Estimate(pose, sigma, priors, estimate.clothes), posed, moved, found)
+
+
+def step_statistics(
+    parts: PartBlocks, mixture: MixtureSettings, subsets: Subsets, volume: Float[Array, ""], step: Step
+) -> FrameStatistics:
+    """Compute the statistics of the E-step of a step."""
+    sigma, clothes = step.before.sigma, step.before.clothes
+    return _statistics(parts, mixture, step.posed, step.found, subsets.cloud(), volume, sigma, clothes)
 
 
 def renew_sigma(

@@ -11,7 +11,8 @@ from ...energy.energy import Sum
 from ...observe.clouds import Cloud
 from ...parallel import parallel_map
 from ...stacking import concatenate_trees, device_array, take_rows
-from ..expectation_maximisation.em_step import Estimate, box_volume, em_step
+from ..expectation_maximisation.em_step import Estimate, box_volume, em_step, first_step, step_statistics
+from ..expectation_maximisation.subsets import whole_cloud
 from ..track_frame import Tracker, first_estimate, frame_terms, penalty
 
 #: standard deviation at which starts are compared, metres: small enough to tell the front of a trunk from its back
@@ -38,17 +39,19 @@ def anneal_pose(
     """
     prior = Sum(frame_terms(tracker, cloud))
     volume = box_volume(cloud)
-    first = first_estimate(tracker, start, sigmas[0])
+    every = whole_cloud(cloud)
 
-    def step(estimate, sigma):
-        # a wrong pose would teach wrong clothes
-        wide = Estimate(estimate.pose, sigma, estimate.priors, first.clothes)
-        return em_step(tracker.body, tracker.parts, tracker.mixture, prior, cloud, volume, wide)
+    def step(last, sigma):
+        wide = eqx.tree_at(lambda s: s.after.sigma, last, sigma)
+        return em_step(tracker.parts, tracker.mixture, prior, every, volume, wide), None
 
+    estimate = first_estimate(tracker, start, sigmas[0])
+    first = first_step(tracker.body, tracker.parts, tracker.mixture, every.clouds, estimate)
     judged = jnp.append(sigmas, jnp.asarray(comparison_sigma, sigmas.dtype))
-    last, statistics = jax.lax.scan(step, first, judged)
-    likelihood = statistics.surface_log_likelihood[-1] - penalty(tracker, cloud, last.pose)
-    return last, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
+    last, _ = jax.lax.scan(step, first, judged)
+    statistics = step_statistics(tracker.parts, tracker.mixture, every, volume, last)
+    likelihood = statistics.surface_log_likelihood - penalty(tracker, cloud, last.after.pose)
+    return last.after, jnp.where(jnp.isfinite(likelihood), likelihood, -jnp.inf)
 
 
 def anneal_each(
