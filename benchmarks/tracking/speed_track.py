@@ -46,7 +46,10 @@ from jaxcap.tracking.expectation_maximisation.em_step import box_volume
 TAKE, FRAMES = "02_05", 150
 #: deviation at which E-steps are compared: the one that tracking this noise settles at, metres
 SIGMA = 0.008
-TARGET_RATE = 60.0
+#: frames per second at 5,000 points and vertices, and at 10,000 points and 13,380 vertices
+TARGET_RATE, LARGE_RATE = 120.0, 60.0
+#: number of points and of frames of the second
+LARGE_POINTS, LARGE_FRAMES = 10_000, 40
 POINTS, RESOLUTIONS = (1250, 2500, 5000, 10000, 20000), ("low", "medium", "full")
 
 _posed = eqx.filter_jit(jc.pose_body)
@@ -134,33 +137,39 @@ def compare_e_steps(scene: Scene, repeats: int):
     return figures
 
 
-def track_steadily(scene: Scene):
+def track_steadily(tracker: jc.fit.Tracker, start: jc.Pose, scans: list[ScannedFrame]):
     """Measure `track_frames` after its first two frames; also return the seconds of the first."""
-    stream = jc.fit.track_frames(scene.tracker, [scan.cloud for scan in scene.scans], start=scene.starts[0])
+    stream = jc.fit.track_frames(tracker, [scan.cloud for scan in scans], start=start)
     taken, joints, lost = [], [], 0
-    for _ in scene.scans:
+    for _ in scans:
         start = time.perf_counter()
         frame = jax.block_until_ready(next(stream))
         taken.append(time.perf_counter() - start)
-        joints.append(np.asarray(_posed(scene.tracker.body, frame.pose).joints))
+        joints.append(np.asarray(_posed(tracker.body, frame.pose).joints))
         lost += frame.lost
-    errors = 1000 * joint_errors(np.stack(joints), np.stack([scan.joints for scan in scene.scans]))
+    errors = 1000 * joint_errors(np.stack(joints), np.stack([scan.joints for scan in scans]))
     steady = np.array(taken[2:])
     figures = {
         "frame_ms": 1000 * np.median(steady),
         "frame_p90_ms": 1000 * np.percentile(steady, 90),
         "frames_per_second": 1 / np.median(steady),
         "frames_per_second_mean": len(steady) / steady.sum(),
-        "reaches_60": bool(1 / np.median(steady) >= TARGET_RATE),
         "tracked_mean_mm": errors.mean(),
         "tracked_lost": lost,
     }
     progress(
-        f"tracker: {figures['frame_ms']:.1f} ms a frame, {figures['frames_per_second']:.1f} frames per second "
-        f"({'60 is reached' if figures['reaches_60'] else '60 is not reached'}), mean error "
+        f"tracker: {figures['frame_ms']:.1f} ms a frame, {figures['frames_per_second']:.1f} frames per second, mean error "
         f"{figures['tracked_mean_mm']:.2f} mm, first frame {taken[0]:.1f} s"
     )
     return figures, taken[0]
+
+
+def track_large(shared: Path, subject: jc.Body) -> dict[str, float]:
+    """Measure `track_frames` at 10,000 points and the embedded human's 13,380 vertices."""
+    motion = human_motion(shared, TAKE, subject, LARGE_FRAMES)
+    scans = scan_motion(subject, motion, NOISE._replace(points=LARGE_POINTS))
+    found, _ = track_steadily(jc.make_tracker(subject), motion[0], scans)
+    return {f"large_{name}": found[name] for name in ("frame_ms", "frames_per_second", "tracked_mean_mm")}
 
 
 def cold_start(scene: Scene):
@@ -269,7 +278,7 @@ def picture(path: Path, rows: list[dict[str, float]], points: int, vertices: int
     figure.axes[0].set_yticks(
         [1, 2, 5, 10, 20, 50, 100, 200], ["1", "2", "5", "10", "20", "50", "100", "200"]
     )
-    figure.axes[0].set_ylabel("milliseconds (dashed: 60 frames per second)")
+    figure.axes[0].set_ylabel(f"milliseconds (dashed: {TARGET_RATE:.0f} frames per second)")
     figure.tight_layout()
     canvas.print_png(path)
     progress(f"picture: {path}")
@@ -296,8 +305,10 @@ def main() -> None:
     whole, stages = cold_start(scene)
     figures: dict[str, object] = {"cold_start_s": whole}
     figures |= compare_e_steps(scene, options.repeats)
-    tracked, first_frame = track_steadily(scene)
+    tracked, first_frame = track_steadily(tracker, starts[0], scene.scans)
     figures |= tracked
+    if not options.small:
+        figures |= track_large(shared, subject)
     points, resolutions = ((1250, 5000), ("low",)) if options.small else (POINTS, RESOLUTIONS)
     figures["cost"] = rows = cost(scene, points, resolutions, options.repeats)
     if options.picture:
@@ -309,13 +320,13 @@ def main() -> None:
             figures["pycpd_frames"] = 1000 * seconds / figures["frame_ms"]
             progress(f"pycpd: {seconds:.1f} s, {figures['pycpd_frames']:.0f} times a tracked frame")
     limits = {
-        "e_step_ratio": (">=", 10.0),
+        "e_step_ratio": (">=", 40.0),
         "e_step_difference": ("<=", 1e-3),
-        "frames_per_second": (">=", 25.0),
-        "tracked_mean_mm": ("<=", 5.0),
+        "frames_per_second": (">=", TARGET_RATE),
+        "tracked_mean_mm": ("<=", 2.0),
         "tracked_lost": ("==", 0),
-        "cold_start_s": ("<=", 20.0),
-    }
+        "cold_start_s": ("<=", 6.0),
+    } | ({} if options.small else {"large_frames_per_second": (">=", LARGE_RATE)})
     sizes = {
         "frames": options.frames,
         "points": noise.points,

@@ -126,7 +126,8 @@ def make_tracker(
     do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`) and the ranges of knees
     and elbows (`human_flexion_limits`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
-    `iterations`, steps of expectation maximisation per frame, 3 by default, or 6 with `partial`;
+    `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`, of which only the last uses all
+    points of a large cloud (`divide_cloud`);
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
     clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;
     `terms` are further energies, in units of a log-likelihood.
@@ -253,6 +254,9 @@ def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
 @checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
+
+    Each step but the last uses another subset of the points (`divide_cloud`): more steps then take less time, and correct a
+    larger error of the prediction.
 
     Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
     """

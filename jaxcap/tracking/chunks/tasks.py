@@ -118,7 +118,7 @@ def forgetful_tracker(tracker: Tracker) -> Tracker:
     """Return a tracker whose frames depend so little on the frames before them that runs from different poses become equal.
 
     With the default settings they do not: velocities of joints with few points, such as those of fingers, are predicted
-    undamped, and three iterations do not reach the best pose of a frame. Differences of 1e-7 then grow to millimetres. This tracker has at least
+    undamped, and four iterations do not reach the best pose of a frame. Differences of 1e-7 then grow to millimetres. This tracker has at least
     `ITERATIONS` iterations, predicts at most `MOMENTUM` of the last change, has wider deviations from the prediction, and rounds the state between
     frames to multiples of `ROUNDING`. Frames take up to twice as long. In one take of two, errors were the same and runs became equal; in a fast
     one, those of fingers were larger and runs did not become equal.
